@@ -1,0 +1,47 @@
+# Two commands: `make demo` runs the whole chain, `make test` passes the tests.
+# Both create .venv from requirements.lock first; both can be repeated and interrupted.
+
+PYTHON ?= python3
+ifeq ($(OS),Windows_NT)
+BIN := .venv/Scripts
+else
+BIN := .venv/bin
+endif
+READY := .venv/ready
+
+.PHONY: demo test long check format lock clean
+
+demo: $(READY)
+	$(BIN)/trainlog demo --output results
+
+test: $(READY) check
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+long: $(READY)
+	$(BIN)/python -m pytest -m long
+
+check: $(READY)
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy
+	$(BIN)/lint-imports
+
+format: $(READY)
+	$(BIN)/python -m ruff check --fix .
+	$(BIN)/python -m ruff format .
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'trainlog needs Python 3.11 or newer, this is ' + sys.version.split()[0] + '; call make PYTHON=python3.12')"
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@$(PYTHON) -c "import pathlib; pathlib.Path('$(READY)').touch()"
+
+# Renews the lock file from pyproject.toml (needs the registry).
+lock: $(READY)
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/python -m uv pip compile --quiet --universal --generate-hashes --no-emit-index-url \
+		--python-version 3.11 --extra dev --no-annotate pyproject.toml -o requirements.lock
+
+clean:
+	rm -rf .venv results build dist

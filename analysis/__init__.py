@@ -1,0 +1,1 @@
+"""Analyses: what is computed from trips and maps."""

@@ -1,0 +1,1 @@
+"""The project's own file formats, and those of others that become ours."""

@@ -1,0 +1,1 @@
+"""The log: trips as MCAP files."""

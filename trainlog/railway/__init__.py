@@ -1,0 +1,31 @@
+"""The world a train runs in: lines, trains, running resistance, adhesion, track condition.
+
+Pure data and pure functions on arrays; no files.
+"""
+
+from trainlog.railway.adhesion import CreepCurve
+from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.configuration import Configuration, ParameterSet
+from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile, Tunnel
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
+from trainlog.railway.trajectory import Trajectory
+
+__all__ = [
+    "Axles",
+    "Brake",
+    "BrakingCurves",
+    "Configuration",
+    "CreepCurve",
+    "CurvatureProfile",
+    "Geometry",
+    "Line",
+    "ParameterSet",
+    "RunningResistance",
+    "Station",
+    "StepProfile",
+    "TrackConditionMap",
+    "Train",
+    "Trajectory",
+    "Tunnel",
+]

@@ -1,0 +1,122 @@
+"""The track-condition map: maximum adhesion along a line, by rail condition.
+
+A map is a set of layers (``"dry"``, ``"wet"`` ...). Each layer has one row a bin of the line: the
+estimate, its uncertainty, whether it was observed at all, and the statistics it was made from,
+which add up in any order so that trips can be processed apart and merged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+BIN_LENGTH = 25.0
+"""Length of a bin [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionLayer:
+    """Maximum adhesion in one rail condition.
+
+    Attributes
+    ----------
+    log_mean, log_std : (n,) array
+        Natural logarithm of the maximum adhesion and its standard deviation.
+    observed : (n,) bool array
+        Whether evidence in or near the bin determines the estimate. Where it is false the
+        estimate is only the prior: it must not be shown as data.
+    events : (n,) array
+        Onsets of slip measured in the bin.
+    weight, weighted_log : (n,) array
+        Sum of the weights of the measured onsets, and of weight times log adhesion.
+    censored : (n, k) array
+        Histogram over `levels` of "the maximum is at least this": adhesion that was used without
+        slip.
+    """
+
+    log_mean: FloatArray
+    log_std: FloatArray
+    observed: NDArray[np.bool_]
+    events: FloatArray
+    weight: FloatArray
+    weighted_log: FloatArray
+    censored: FloatArray
+
+    @property
+    def maximum_adhesion(self) -> FloatArray:
+        """Estimate of the maximum adhesion a bin, NaN where nothing was observed."""
+        return np.asarray(np.where(self.observed, np.exp(self.log_mean), np.nan), np.float64)
+
+
+@dataclass(frozen=True)
+class TrackConditionMap:
+    """Maximum adhesion along a line.
+
+    Attributes
+    ----------
+    line : str
+        Name of the line.
+    length : float [m]
+    bin_length : float [m]
+    levels : (k,) array
+        Adhesion levels of the censoring histograms.
+    layers : dict of str to ConditionLayer
+    trips : tuple of dict
+        Provenance: name and SHA-256 of every log counted in, and its layer.
+    """
+
+    line: str
+    length: float
+    bin_length: float
+    levels: FloatArray
+    layers: dict[str, ConditionLayer]
+    trips: tuple[dict[str, Any], ...] = ()
+    settings: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def bins(self) -> int:
+        """Number of bins."""
+        return int(np.ceil(self.length / self.bin_length))
+
+    @property
+    def centres(self) -> FloatArray:
+        """Position of each bin's centre [m]."""
+        return (np.arange(self.bins) + 0.5) * self.bin_length
+
+    def layer(self, name: str) -> ConditionLayer:
+        """The layer called `name`.
+
+        Raises
+        ------
+        InputError
+            If the map has no such layer.
+        """
+        try:
+            return self.layers[name]
+        except KeyError:
+            raise InputError(
+                f"map of line '{self.line}' has no layer '{name}'",
+                remedy=f"layers present: {', '.join(self.layers) or 'none'}",
+            ) from None
+
+    def bin_of(self, position: ArrayLike) -> NDArray[np.int64]:
+        """Index of the bin that holds each position [m]; ends are extended."""
+        index = np.floor(np.asarray(position, dtype=np.float64) / self.bin_length)
+        return np.clip(index, 0, self.bins - 1).astype(np.int64)
+
+    def lower_bound(self, layer: str, position: ArrayLike, sigmas: float = 2.0) -> FloatArray:
+        """Cautious maximum adhesion at each position: the estimate less `sigmas` deviations.
+
+        Infinite where the layer was not observed: the map says nothing there.
+        """
+        chosen = self.layer(layer)
+        index = self.bin_of(position)
+        cautious = np.exp(chosen.log_mean[index] - sigmas * chosen.log_std[index])
+        return np.asarray(np.where(chosen.observed[index], cautious, np.inf))

@@ -1,0 +1,91 @@
+"""Parameter configurations: what one train was observed to be on one trip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Train
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """One observed parameter configuration alpha of a train; paper 002.
+
+    Attributes
+    ----------
+    name : str
+        Usually the trip it was observed on.
+    mass : float [kg]
+        Loaded, without the rotating part.
+    rotating_mass : float [kg]
+    resistance : RunningResistance
+    max_power : float [W]
+        Traction power at the wheel rims.
+    """
+
+    name: str
+    mass: float
+    rotating_mass: float
+    resistance: RunningResistance
+    max_power: float
+
+    def __post_init__(self) -> None:
+        if not (self.mass > 0.0 and self.rotating_mass >= 0.0 and self.max_power > 0.0):
+            raise InputError(
+                f"configuration '{self.name}': mass and power must be positive,"
+                f" got {self.mass} kg and {self.max_power} W"
+            )
+        speeds = np.linspace(0.0, 60.0, 61)
+        drag = self.resistance(speeds)
+        if np.any(drag < 0.0):
+            at = speeds[int(np.argmax(drag < 0.0))]
+            raise InputError(
+                f"configuration '{self.name}': running resistance is negative at"
+                f" {3.6 * at:.0f} km/h",
+                remedy="a fit outside its supported speed range; fit again with more speeds",
+            )
+
+    @property
+    def inertia(self) -> float:
+        """Mass that resists acceleration [kg]."""
+        return self.mass + self.rotating_mass
+
+    @staticmethod
+    def of(train: Train, load: float = 0.0, name: str = "nominal") -> Configuration:
+        """The configuration that the train's own file describes, with `load` [kg]."""
+        return Configuration(
+            name, train.mass + load, train.rotating_mass, train.resistance, train.max_traction_power
+        )
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """The observed set of configurations of a train, and the fit of all its trips together.
+
+    Attributes
+    ----------
+    train : str
+    configurations : tuple of Configuration
+    common : RunningResistance or None
+        All trips together.
+    common_covariance : (3, 3) array or None
+        Of ``(r0, r1, r2)`` of `common`.
+    speed_range : (float, float) [m/s]
+        Speeds that the data support.
+    details : list of dict
+        One entry a trip: standard deviations, condition, refusals, SHA-256 of the log.
+    """
+
+    train: str
+    configurations: tuple[Configuration, ...]
+    common: RunningResistance | None = None
+    common_covariance: NDArray[np.float64] | None = None
+    speed_range: tuple[float, float] = (0.0, 0.0)
+    details: list[dict[str, Any]] = field(default_factory=list)
+    provenance: dict[str, Any] = field(default_factory=dict)

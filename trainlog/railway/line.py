@@ -1,0 +1,325 @@
+"""A line: what lies under the train as a function of chainage.
+
+Chainage `s` [m] runs from 0 to the line's length in the direction of travel; `Line.reversed`
+gives the same line travelled the other way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway.resistance import curve_force_per_weight
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepProfile:
+    """A piecewise constant quantity: each value holds from its position to the next.
+
+    Attributes
+    ----------
+    positions : (n,) array [m]
+        Strictly increasing, the first is 0.
+    values : (n,) array
+    """
+
+    positions: FloatArray
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        check_positions("profile", self.positions, self.values)
+
+    def __call__(self, position: ArrayLike) -> FloatArray:
+        """Value at each position; ends are extended."""
+        index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1
+        return np.asarray(self.values[np.maximum(index, 0)])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, StepProfile) and bool(
+            np.array_equal(self.positions, other.positions)
+            and np.array_equal(self.values, other.values)
+        )
+
+    def reversed(self, length: float, sign: float = 1.0) -> StepProfile:
+        """The profile seen from the other end of a line of `length` [m]."""
+        ends = np.append(self.positions[1:], length)
+        return StepProfile((length - ends)[::-1].copy(), sign * self.values[::-1])
+
+    def mean(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Mean value over each interval from `start` to `end` [m], (m,) arrays, start < end."""
+        edges = np.append(self.positions, np.inf)
+        widths = np.diff(edges[:-1])
+        integral = np.concatenate(([0.0], np.cumsum(self.values[:-1] * widths)))
+
+        def antiderivative(s: FloatArray) -> FloatArray:
+            index = np.maximum(np.searchsorted(self.positions, s, side="right") - 1, 0)
+            return np.asarray(integral[index] + self.values[index] * (s - self.positions[index]))
+
+        return np.asarray((antiderivative(end) - antiderivative(start)) / (end - start))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurvatureProfile:
+    """Signed track curvature: circular arcs and, between them, linear transitions.
+
+    Attributes
+    ----------
+    positions : (n,) array [m]
+        Start of each element; strictly increasing, the first is 0.
+    start, end : (n,) array [1/m]
+        Curvature at the start and at the end of each element.
+    """
+
+    positions: FloatArray
+    start: FloatArray
+    end: FloatArray
+
+    def __post_init__(self) -> None:
+        check_positions("curvature", self.positions, self.start)
+        check_positions("curvature", self.positions, self.end)
+
+    def at(self, position: ArrayLike, length: float) -> FloatArray:
+        """Curvature [1/m] at each position of a line of `length` [m]."""
+        s = np.asarray(position, dtype=np.float64)
+        index = np.maximum(np.searchsorted(self.positions, s, side="right") - 1, 0)
+        ends = np.append(self.positions[1:], max(length, self.positions[-1]))
+        width = np.maximum(ends - self.positions, 1e-9)
+        share = np.clip((s - self.positions[index]) / width[index], 0.0, 1.0)
+        return np.asarray(self.start[index] + share * (self.end[index] - self.start[index]))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CurvatureProfile) and bool(
+            np.array_equal(self.positions, other.positions)
+            and np.array_equal(self.start, other.start)
+            and np.array_equal(self.end, other.end)
+        )
+
+    def reversed(self, length: float) -> CurvatureProfile:
+        """The profile seen from the other end: a left-hand bend becomes a right-hand one."""
+        ends = np.append(self.positions[1:], length)
+        return CurvatureProfile((length - ends)[::-1].copy(), -self.end[::-1], -self.start[::-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Tunnel:
+    """A tunnel from `position` over `length` [m] with a `cross_section` [m²]."""
+
+    position: float
+    length: float
+    cross_section: float
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A stopping place: name and chainage [m]."""
+
+    name: str
+    position: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """Where the line lies on the earth (WGS 84).
+
+    Attributes
+    ----------
+    positions : (n,) array [m]
+    latitudes, longitudes : (n,) array [deg]
+    quality : str
+        How it was obtained: ``"surveyed"``, ``"reconstructed from curvature"`` ...
+    """
+
+    positions: FloatArray
+    latitudes: FloatArray
+    longitudes: FloatArray
+    quality: str
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Geometry) and bool(
+            np.array_equal(self.positions, other.positions)
+            and np.array_equal(self.latitudes, other.latitudes)
+            and np.array_equal(self.longitudes, other.longitudes)
+            and self.quality == other.quality
+        )
+
+    def at(self, position: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude [deg] at each position."""
+        s = np.asarray(position, dtype=np.float64)
+        return (
+            np.asarray(np.interp(s, self.positions, self.latitudes)),
+            np.asarray(np.interp(s, self.positions, self.longitudes)),
+        )
+
+    def reversed(self, length: float) -> Geometry:
+        """The same points counted from the other end."""
+        return replace(
+            self,
+            positions=(length - self.positions)[::-1].copy(),
+            latitudes=self.latitudes[::-1].copy(),
+            longitudes=self.longitudes[::-1].copy(),
+        )
+
+
+@dataclass(frozen=True)
+class Line:
+    """A railway line between two ends.
+
+    Attributes
+    ----------
+    name : str
+    length : float [m]
+    stations : tuple of Station
+        At least the two ends, ordered by position.
+    speed_limits : StepProfile [m/s]
+    gradients : StepProfile
+        Rise over run, uphill positive.
+    curvatures : CurvatureProfile [1/m] or None
+    tunnels : tuple of Tunnel
+    altitude : float [m]
+        Of the track at position 0.
+    geometry : Geometry or None
+    source : str
+        Where the data come from.
+    """
+
+    name: str
+    length: float
+    stations: tuple[Station, ...]
+    speed_limits: StepProfile
+    gradients: StepProfile
+    curvatures: CurvatureProfile | None = None
+    tunnels: tuple[Tunnel, ...] = ()
+    altitude: float = 0.0
+    geometry: Geometry | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"line '{self.name}'"
+        if not self.length > 0.0:
+            raise InputError(f"{where}: length {self.length} m is not positive")
+        if np.any(self.speed_limits.values <= 0.0):
+            at = self.speed_limits.positions[int(np.argmax(self.speed_limits.values <= 0.0))]
+            raise InputError(
+                f"{where}: speed limit at km {at / 1e3:.3f} is not positive",
+                remedy="a train could never pass; give the permitted speed there",
+            )
+        if np.any(np.abs(self.gradients.values) > 0.2):
+            at = self.gradients.positions[int(np.argmax(np.abs(self.gradients.values) > 0.2))]
+            raise InputError(
+                f"{where}: gradient at km {at / 1e3:.3f} is steeper than 200 per mille",
+                remedy="check its unit",
+            )
+        for name, positions in (
+            ("speed limit", self.speed_limits.positions),
+            ("gradient", self.gradients.positions),
+            ("station", np.array([station.position for station in self.stations])),
+        ):
+            if positions.size and not 0.0 <= positions[-1] <= self.length:
+                raise InputError(
+                    f"{where}: {name} at km {positions[-1] / 1e3:.3f} lies beyond the line's end"
+                    f" at km {self.length / 1e3:.3f}"
+                )
+        order = [station.position for station in self.stations]
+        if order != sorted(order):
+            raise InputError(f"{where}: stations are not in the order of their positions")
+        for tunnel in self.tunnels:
+            if tunnel.position < 0.0 or tunnel.position + tunnel.length > self.length:
+                raise InputError(
+                    f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
+                )
+
+    def speed_limit(self, position: ArrayLike) -> FloatArray:
+        """Permitted speed [m/s] at each position [m]."""
+        return self.speed_limits(position)
+
+    def gradient(self, position: ArrayLike) -> FloatArray:
+        """Gradient (rise over run) at each position [m]."""
+        return self.gradients(position)
+
+    def curvature(self, position: ArrayLike) -> FloatArray:
+        """Signed curvature [1/m] at each position [m]; 0 where it is not known."""
+        if self.curvatures is None:
+            return np.zeros(np.shape(position))
+        return self.curvatures.at(position, self.length)
+
+    def track_acceleration(self, position: ArrayLike) -> FloatArray:
+        """Deceleration by the track itself [m/s²]: gradient and curves, for any mass.
+
+        ``g (sin(alpha) + k_C |curvature|)``; paper 004, eq. (6) and (7).
+        """
+        from trainlog.units import GRAVITY
+
+        slope = self.gradient(position)
+        sine = slope / np.sqrt(1.0 + slope**2)
+        return np.asarray(GRAVITY * (sine + curve_force_per_weight(self.curvature(position))))
+
+    def tunnel_cross_section(self, position: ArrayLike) -> FloatArray:
+        """Cross-section of the tunnel [m²] at each position; 0 in the open."""
+        s = np.asarray(position, dtype=np.float64)
+        section = np.zeros(s.shape)
+        for tunnel in self.tunnels:
+            inside = (s >= tunnel.position) & (s < tunnel.position + tunnel.length)
+            section = np.where(inside, tunnel.cross_section, section)
+        return section
+
+    def altitudes(self, position: ArrayLike) -> FloatArray:
+        """Altitude of the track [m] at each position [m]."""
+        edges, values = self.gradients.positions, self.gradients.values
+        at_edges = self.altitude + np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(edges))))
+        s = np.asarray(position, dtype=np.float64)
+        index = np.maximum(np.searchsorted(edges, s, side="right") - 1, 0)
+        return np.asarray(at_edges[index] + values[index] * (s - edges[index]))
+
+    @cached_property
+    def breakpoints(self) -> FloatArray:
+        """Every position [m] at which a limit, gradient, curve element or tunnel begins or ends."""
+        pieces = [
+            np.array([0.0, self.length]),
+            self.speed_limits.positions,
+            self.gradients.positions,
+        ]
+        if self.curvatures is not None:
+            pieces.append(self.curvatures.positions)
+        pieces.extend(np.array([t.position, t.position + t.length]) for t in self.tunnels)
+        points = np.unique(np.concatenate(pieces))
+        return points[(points >= 0.0) & (points <= self.length)]
+
+    def reversed(self) -> Line:
+        """The line travelled from its end to its start."""
+        return Line(
+            name=self.name,
+            length=self.length,
+            stations=tuple(
+                Station(station.name, self.length - station.position)
+                for station in reversed(self.stations)
+            ),
+            speed_limits=self.speed_limits.reversed(self.length),
+            gradients=self.gradients.reversed(self.length, sign=-1.0),
+            curvatures=None if self.curvatures is None else self.curvatures.reversed(self.length),
+            tunnels=tuple(
+                Tunnel(self.length - t.position - t.length, t.length, t.cross_section)
+                for t in reversed(self.tunnels)
+            ),
+            altitude=float(self.altitudes(self.length)),
+            geometry=None if self.geometry is None else self.geometry.reversed(self.length),
+            source=self.source,
+        )
+
+
+def check_positions(what: str, positions: FloatArray, values: FloatArray) -> None:
+    """Refuse profiles that are empty, ragged, not finite or out of order."""
+    if positions.ndim != 1 or positions.size == 0 or positions.shape != values.shape:
+        raise InputError(f"{what}: needs as many positions as values, and at least one")
+    if not (np.all(np.isfinite(positions)) and np.all(np.isfinite(values))):
+        raise InputError(f"{what}: positions and values must be finite numbers")
+    if positions[0] != 0.0:
+        raise InputError(f"{what}: must begin at position 0, begins at {positions[0]} m")
+    if np.any(np.diff(positions) <= 0.0):
+        at = positions[1:][np.diff(positions) <= 0.0][0]
+        raise InputError(f"{what}: positions must increase, they do not at {at} m")

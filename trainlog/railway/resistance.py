@@ -1,0 +1,52 @@
+"""Running resistance, curve resistance and tunnel resistance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+
+CURVE_COEFFICIENT = 0.6
+"""k_C [m]: curve resistance is weight times k_C over the radius (paper 004, eq. 6, corrected)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunningResistance:
+    """Davis formula ``R(v) = r0 + r1 v + r2 v²`` [N] on straight, level, open track.
+
+    Attributes
+    ----------
+    r0 : float [N]
+    r1 : float [N/(m/s)]
+    r2 : float [N/(m/s)²]
+    """
+
+    r0: float
+    r1: float
+    r2: float
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite((self.r0, self.r1, self.r2))):
+            raise InputError("running resistance: coefficients must be finite numbers")
+
+    def __call__(self, speed: ArrayLike) -> NDArray[np.float64]:
+        """Resistance [N] at each speed [m/s], for positive speeds."""
+        v = np.asarray(speed, dtype=np.float64)
+        return np.asarray(self.r0 + (self.r1 + self.r2 * v) * v)
+
+    def scaled(self, factor: float) -> RunningResistance:
+        """All three coefficients times `factor`."""
+        return RunningResistance(self.r0 * factor, self.r1 * factor, self.r2 * factor)
+
+
+def curve_force_per_weight(curvature: ArrayLike) -> NDArray[np.float64]:
+    """Curve resistance over weight, ``k_C |curvature|``; paper 004, eq. (6) as corrected.
+
+    Parameters
+    ----------
+    curvature : array [1/m]
+    """
+    return np.asarray(CURVE_COEFFICIENT * np.abs(np.asarray(curvature, dtype=np.float64)))

@@ -1,0 +1,180 @@
+"""A train: mass, effort limits, running resistance, brakes and powered axles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway.line import Line
+from trainlog.railway.resistance import RunningResistance
+from trainlog.units import GRAVITY
+
+
+@dataclass(frozen=True, slots=True)
+class Axles:
+    """The powered axles.
+
+    Attributes
+    ----------
+    count : int
+    adhesive_mass : float [kg]
+        Mass that rests on all powered axles together, empty train.
+    wheel_radius : float [m]
+    rotating_mass : float [kg]
+        Inertia of one powered axle with its motor, over the wheel radius squared.
+    """
+
+    count: int = 4
+    adhesive_mass: float = 64_000.0
+    wheel_radius: float = 0.43
+    rotating_mass: float = 2_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Brake:
+    """How the friction brake follows its demand: dead time, then a first-order lag [s]."""
+
+    dead_time: float = 0.6
+    lag: float = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class BrakingCurves:
+    """ETCS braking data of the train, kept as published.
+
+    Attributes
+    ----------
+    emergency, service : tuple of (speed [m/s], deceleration [m/s²])
+    parameters : dict of str to float
+        The remaining published constants by their published names, in the file's units.
+    """
+
+    emergency: tuple[tuple[float, float], ...] = ()
+    service: tuple[tuple[float, float], ...] = ()
+    parameters: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Train:
+    """A train.
+
+    Attributes
+    ----------
+    name : str
+    mass : float [kg]
+        Empty, without the rotating part.
+    rotating_mass_factor : float
+        Inertia of all rotating parts over the empty mass (rho).
+    resistance : RunningResistance
+    max_tractive_effort, max_traction_power : float [N], [W]
+        At the wheel rims.
+    max_dynamic_braking_effort, max_dynamic_braking_power : float [N], [W]
+    max_pneumatic_braking_effort : float [N]
+    max_speed : float [m/s]
+    max_acceleration, max_deceleration : float [m/s²]
+        What the train's control allows.
+    efficiency_traction, efficiency_regeneration : float
+        Between the wheel rims and the line.
+    max_load : float [kg]
+        Heaviest load.
+    length : float [m]
+    tunnel_resistance : tuple of (cross-section [m²], extra quadratic term [N/(m/s)²])
+    axles : Axles
+    brake : Brake
+    braking_curves : BrakingCurves or None
+    source : str
+    """
+
+    name: str
+    mass: float
+    rotating_mass_factor: float
+    resistance: RunningResistance
+    max_tractive_effort: float
+    max_traction_power: float
+    max_dynamic_braking_effort: float = 0.0
+    max_dynamic_braking_power: float = 0.0
+    max_pneumatic_braking_effort: float = 0.0
+    max_speed: float = 100.0
+    max_acceleration: float = 1.0
+    max_deceleration: float = 1.0
+    efficiency_traction: float = 1.0
+    efficiency_regeneration: float = 0.0
+    max_load: float = 0.0
+    length: float = 0.0
+    tunnel_resistance: tuple[tuple[float, float], ...] = ()
+    axles: Axles = Axles()
+    brake: Brake = Brake()
+    braking_curves: BrakingCurves | None = None
+    seats: int | None = None
+    coaches: int | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"train '{self.name}'"
+        for name in ("mass", "max_tractive_effort", "max_traction_power", "max_speed"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{where}: {name} {getattr(self, name)} is not positive")
+        for name in (
+            "rotating_mass_factor",
+            "max_dynamic_braking_effort",
+            "max_dynamic_braking_power",
+            "max_pneumatic_braking_effort",
+            "max_load",
+            "length",
+        ):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"{where}: {name} {getattr(self, name)} is negative")
+        for name in ("efficiency_traction", "efficiency_regeneration"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"{where}: {name} {getattr(self, name)} is not between 0 and 1")
+
+    @property
+    def rotating_mass(self) -> float:
+        """Inertia of the rotating parts, as a mass [kg]; the load does not change it."""
+        return self.rotating_mass_factor * self.mass
+
+    @property
+    def max_braking_effort(self) -> float:
+        """Dynamic and friction brake together [N]."""
+        return self.max_dynamic_braking_effort + self.max_pneumatic_braking_effort
+
+    def tractive_effort_limit(self, speed: ArrayLike) -> NDArray[np.float64]:
+        """Largest tractive effort [N] at each speed [m/s]: effort limit, then power limit."""
+        v = np.maximum(np.asarray(speed, dtype=np.float64), 1e-9)
+        return np.asarray(np.minimum(self.max_tractive_effort, self.max_traction_power / v))
+
+    def dynamic_braking_limit(self, speed: ArrayLike) -> NDArray[np.float64]:
+        """Largest dynamic braking effort [N] at each speed [m/s]."""
+        v = np.maximum(np.asarray(speed, dtype=np.float64), 1e-9)
+        return np.asarray(
+            np.minimum(self.max_dynamic_braking_effort, self.max_dynamic_braking_power / v)
+        )
+
+    def tunnel_coefficient(self, cross_section: ArrayLike) -> NDArray[np.float64]:
+        """Extra quadratic resistance [N/(m/s)²] in a tunnel of each cross-section [m²].
+
+        Between published cross-sections it is interpolated in the inverse of the section, and
+        extrapolated to 0 for the open (section 0).
+        """
+        section = np.asarray(cross_section, dtype=np.float64)
+        if not self.tunnel_resistance:
+            return np.zeros(section.shape)
+        known = np.array(sorted(self.tunnel_resistance))
+        inverse = 1.0 / np.maximum(section, 1e-9)
+        found = np.interp(
+            inverse,
+            np.concatenate(([0.0], 1.0 / known[::-1, 0])),
+            np.concatenate(([0.0], known[::-1, 1])),
+        )
+        return np.where(section > 0.0, found, 0.0)
+
+    def track_force(self, line: Line, position: ArrayLike, mass: float) -> NDArray[np.float64]:
+        """Resistance of the track [N] that does not depend on speed: gradient and curves."""
+        return np.asarray(mass * line.track_acceleration(position))
+
+    def adhesive_weight(self, load: float = 0.0) -> float:
+        """Weight on the powered axles [N] with `load` [kg] spread evenly over the train."""
+        return GRAVITY * self.axles.adhesive_mass * (1.0 + load / self.mass)

@@ -1,0 +1,97 @@
+"""A trajectory: what a train should do along the line, for every configuration it may be in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway.configuration import Configuration
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A robust trajectory between two stops.
+
+    Efforts are constant in each cell between two neighbouring positions.
+
+    Attributes
+    ----------
+    line, train : str
+    positions : (n + 1,) array [m]
+    configurations : tuple of q Configuration
+    speeds : (q, n + 1) array [m/s]
+    times : (q, n + 1) array [s]
+        Since departure.
+    tractive_effort : (n,) array [N]
+        The same for every configuration.
+    braking_effort : (q, n) array [N]
+        Equal rows where braking is common too.
+    running_time : float [s]
+        What the timetable allows.
+    certificate : dict
+        Audit, lower bound and gap of the optimisation, and how it was obtained.
+    provenance : dict
+    """
+
+    line: str
+    train: str
+    positions: FloatArray
+    configurations: tuple[Configuration, ...]
+    speeds: FloatArray
+    times: FloatArray
+    tractive_effort: FloatArray
+    braking_effort: FloatArray
+    running_time: float
+    certificate: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        q, n = len(self.configurations), self.positions.size - 1
+        expected = {
+            "speeds": (q, n + 1),
+            "times": (q, n + 1),
+            "tractive_effort": (n,),
+            "braking_effort": (q, n),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(
+                    f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}"
+                )
+
+    def index_of(self, configuration: str) -> int:
+        """Row of the configuration called `configuration`.
+
+        Raises
+        ------
+        InputError
+            If the trajectory was not made for it.
+        """
+        for index, candidate in enumerate(self.configurations):
+            if candidate.name == configuration:
+                return index
+        names = ", ".join(candidate.name for candidate in self.configurations)
+        raise InputError(
+            f"trajectory has no configuration '{configuration}'", remedy=f"it has: {names}"
+        )
+
+    def cell_of(self, position: ArrayLike) -> NDArray[np.int64]:
+        """Index of the cell that holds each position [m]; ends are extended."""
+        index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1
+        return np.asarray(np.clip(index, 0, self.positions.size - 2), dtype=np.int64)
+
+    def speed_at(self, row: int, position: ArrayLike) -> FloatArray:
+        """Reference speed [m/s] of configuration `row` at each position [m].
+
+        Between nodes the speed squared is linear in position, as constant effort makes it.
+        """
+        squared = np.interp(
+            np.asarray(position, dtype=np.float64), self.positions, self.speeds[row] ** 2
+        )
+        return np.asarray(np.sqrt(squared))

@@ -1,0 +1,1 @@
+"""Trips in the Rerun viewer."""

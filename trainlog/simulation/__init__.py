@@ -1,0 +1,1 @@
+"""The plant, its sensors and its drivers."""

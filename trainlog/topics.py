@@ -1,0 +1,279 @@
+"""The one table of topics: what a trip can hold, in which unit, and how to interpolate it.
+
+The protobuf schemas in the log, the columns of the frames, the units in ``DataFrame.attrs``, the
+documentation and the replay are all made from this table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Interpolation = Literal["linear", "previous", "none"]
+"""How a value between two samples is found: on a line, held since the last, or not at all."""
+
+SCHEMA_VERSION = 1
+"""Raised when a field changes its meaning; new fields are added without raising it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One quantity of a topic.
+
+    Attributes
+    ----------
+    name : str
+        Column of the frame and field of the message.
+    unit : str
+        SI unit; ``"1"`` for pure numbers, ``""`` for text and codes.
+    meaning : str
+        What it is, in the field's words.
+    interpolation : {"linear", "previous", "none"}
+    per_axle : bool
+        One value for each powered axle; the frame has columns ``name_1 … name_n``.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    interpolation: Interpolation = "linear"
+    per_axle: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One stream of samples with a common clock.
+
+    Attributes
+    ----------
+    name : str
+        Channel name in the log.
+    message : str
+        Protobuf message; ``trainlog.*`` messages have one ``optional double`` a field (repeated
+        for the axles), ``foxglove.*`` are the published Foxglove schemas.
+    """
+
+    name: str
+    message: str
+    meaning: str
+    fields: tuple[Field, ...]
+
+    def field(self, name: str) -> Field:
+        """The field called `name`; KeyError if there is none."""
+        for candidate in self.fields:
+            if candidate.name == name:
+                return candidate
+        raise KeyError(name)
+
+    @property
+    def foxglove(self) -> bool:
+        """Whether the message is one of Foxglove's published schemas."""
+        return self.message.startswith("foxglove.")
+
+
+TRAIN_STATE = Topic(
+    "/train/state",
+    "trainlog.TrainState",
+    "What the train's own odometry says.",
+    (
+        Field(
+            "position", "m", "chainage of the train's front, positive in the direction of travel"
+        ),
+        Field("speed", "m/s", "speed over ground from the wheels"),
+        Field("acceleration", "m/s^2", "longitudinal acceleration"),
+    ),
+)
+
+TRAIN_CONTROLS = Topic(
+    "/train/controls",
+    "trainlog.TrainControls",
+    "What the driver asked for and what the train gave.",
+    (
+        Field("lever", "1", "combined lever: 1 full traction, -1 full service braking", "previous"),
+        Field("tractive_effort_demand", "N", "tractive effort asked for", "previous"),
+        Field("braking_effort_demand", "N", "braking effort asked for", "previous"),
+        Field("tractive_effort", "N", "tractive effort at the wheel rims"),
+        Field("dynamic_braking_effort", "N", "braking effort of the traction motors"),
+        Field("pneumatic_braking_effort", "N", "braking effort of the friction brakes"),
+    ),
+)
+
+TRAIN_AXLES = Topic(
+    "/train/axles",
+    "trainlog.TrainAxles",
+    "The powered axles, one value each.",
+    (
+        Field("wheel_speed", "m/s", "circumferential speed of the wheels", per_axle=True),
+        Field(
+            "wheel_effort",
+            "N",
+            "motor torque over wheel radius, positive in traction, negative in braking",
+            per_axle=True,
+        ),
+    ),
+)
+
+GNSS_FIX = Topic(
+    "/gnss/fix",
+    "foxglove.LocationFix",
+    "Satellite position (WGS 84).",
+    (
+        Field("latitude", "deg", "geodetic latitude, north positive"),
+        Field("longitude", "deg", "geodetic longitude, east positive"),
+        Field("altitude", "m", "height above the ellipsoid or sea level, as the receiver gives it"),
+        Field("horizontal_accuracy", "m", "standard deviation of each horizontal axis"),
+        Field("vertical_accuracy", "m", "standard deviation of the altitude"),
+    ),
+)
+
+GNSS_MOTION = Topic(
+    "/gnss/motion",
+    "trainlog.GnssMotion",
+    "Satellite speed over ground and the receiver's own quality figures.",
+    (
+        Field("speed", "m/s", "speed over ground (Doppler)"),
+        Field("speed_accuracy", "m/s", "standard deviation of the speed"),
+        Field("satellites", "1", "satellites used", "previous"),
+        Field("pdop", "1", "position dilution of precision", "previous"),
+    ),
+)
+
+ENVIRONMENT = Topic(
+    "/environment",
+    "trainlog.Environment",
+    "The line under the train and the air around it.",
+    (
+        Field("speed_limit", "m/s", "permitted speed at the position", "previous"),
+        Field("gradient", "1", "rise over run at the train's front, uphill positive", "previous"),
+        Field("curvature", "1/m", "signed curvature of the track, as the line file gives it"),
+        Field("air_temperature", "K", "outside air temperature"),
+        Field("head_wind", "m/s", "wind against the direction of travel"),
+    ),
+)
+
+EVENTS = Topic(
+    "/events",
+    "foxglove.Log",
+    "What happened, in words.",
+    (
+        Field("level", "", "foxglove.Log level: 1 debug, 2 info, 3 warning, 4 error", "none"),
+        Field("message", "", "what happened", "none"),
+        Field("name", "", "which part of the train or the software says so", "none"),
+    ),
+)
+
+ESTIMATED_STATE = Topic(
+    "/estimates/state",
+    "trainlog.EstimatedState",
+    "Smoothed train state.",
+    (
+        Field("position", "m", "chainage of the train's front"),
+        Field("position_std", "m", "its standard deviation"),
+        Field("speed", "m/s", "speed over ground"),
+        Field("speed_std", "m/s", "its standard deviation"),
+        Field("acceleration", "m/s^2", "longitudinal acceleration"),
+        Field("acceleration_std", "m/s^2", "its standard deviation"),
+    ),
+)
+
+ESTIMATED_RESISTANCE = Topic(
+    "/estimates/running_resistance",
+    "trainlog.EstimatedResistance",
+    "Running resistance R = r0 + r1 v + r2 v² as learnt up to each instant.",
+    (
+        Field("r0", "N", "constant term", "previous"),
+        Field("r1", "N/(m/s)", "linear term", "previous"),
+        Field("r2", "N/(m/s)^2", "quadratic term", "previous"),
+        Field("mass", "kg", "train mass without the rotating part", "previous"),
+        Field("resistance", "N", "R at the present speed", "previous"),
+        Field("resistance_std", "N", "its standard deviation", "previous"),
+    ),
+)
+
+ESTIMATED_ADHESION = Topic(
+    "/estimates/adhesion",
+    "trainlog.EstimatedAdhesion",
+    "Adhesion in use and slip of each powered axle.",
+    (
+        Field("adhesion", "1", "force between wheel and rail over axle load", per_axle=True),
+        Field("slip_speed", "m/s", "wheel speed minus train speed", per_axle=True),
+    ),
+)
+
+REFERENCE = Topic(
+    "/reference",
+    "trainlog.Reference",
+    "The trajectory that the train was asked to follow, at its position.",
+    (
+        Field("speed", "m/s", "reference speed"),
+        Field("tractive_effort", "N", "reference tractive effort", "previous"),
+        Field("braking_effort", "N", "reference braking effort", "previous"),
+        Field("lateness", "s", "time behind the reference, negative when early"),
+    ),
+)
+
+TRUTH = Topic(
+    "/truth",
+    "trainlog.Truth",
+    "Simulated trips only: what no sensor shows, to judge estimators by.",
+    (
+        Field("position", "m", "true chainage of the train's front"),
+        Field("speed", "m/s", "true speed over ground"),
+        Field("acceleration", "m/s^2", "true acceleration"),
+        Field("running_resistance", "N", "true R(v), without gradient, curves and tunnels"),
+        Field("maximum_adhesion", "1", "true maximum adhesion under the powered axles"),
+        Field("energy", "J", "tractive work at the wheel rims since departure"),
+    ),
+)
+
+TOPICS: dict[str, Topic] = {
+    topic.name: topic
+    for topic in (
+        TRAIN_STATE,
+        TRAIN_CONTROLS,
+        TRAIN_AXLES,
+        GNSS_FIX,
+        GNSS_MOTION,
+        ENVIRONMENT,
+        EVENTS,
+        ESTIMATED_STATE,
+        ESTIMATED_RESISTANCE,
+        ESTIMATED_ADHESION,
+        REFERENCE,
+        TRUTH,
+    )
+}
+"""Every topic of trainlog by channel name, in the order in which they are shown."""
+
+
+def columns(topic: Topic, axles: int) -> tuple[str, ...]:
+    """Column names of the topic's frame for a train with `axles` powered axles."""
+    names: list[str] = []
+    for field in topic.fields:
+        if field.per_axle:
+            names += [f"{field.name}_{axle}" for axle in range(1, axles + 1)]
+        else:
+            names.append(field.name)
+    return tuple(names)
+
+
+def column_field(topic: Topic, column: str) -> Field:
+    """The field that a frame's column belongs to (``wheel_speed_3`` → ``wheel_speed``).
+
+    Raises
+    ------
+    KeyError
+        If the topic has no such column.
+    """
+    stem, _, axle = column.rpartition("_")
+    for field in topic.fields:
+        if field.name == column and not field.per_axle:
+            return field
+        if field.per_axle and field.name == stem and axle.isdigit() and int(axle) > 0:
+            return field
+    raise KeyError(column)
+
+
+def units(topic: Topic, axles: int) -> dict[str, str]:
+    """SI unit of each column of the topic's frame."""
+    return {name: column_field(topic, name).unit for name in columns(topic, axles)}

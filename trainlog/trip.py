@@ -1,0 +1,189 @@
+"""A trip: frames by topic, metadata, provenance and the files it was made from.
+
+A `Trip` is what the rooms of trainlog hand to each other. It is plain data: one pandas DataFrame
+a topic, indexed by UTC time in nanoseconds, in SI units, with the units in ``frame.attrs``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import LogError
+from trainlog.topics import TOPICS, Topic, column_field
+
+LINE_ATTACHMENT = "line.json"
+"""Attachment that holds the line the trip was driven on, in trainlog's line format."""
+
+TRAIN_ATTACHMENT = "train.json"
+"""Attachment that holds the train, in trainlog's train format."""
+
+
+@dataclass(frozen=True)
+class Trip:
+    """One train trip.
+
+    Attributes
+    ----------
+    topics : dict of str to DataFrame
+        Frames by topic name; see `trainlog.topics`.
+    metadata : dict of str to str
+        What is known of the trip: ``trip``, ``train``, ``line``, ``direction``, ``load`` [kg],
+        ``weather``, ``clock``, ``start``, ``software``, ``seed`` ... (docs/log.md lists them).
+    provenance : tuple of dict
+        One entry a processing step, oldest first; each names the step, the software and the
+        SHA-256 of every input.
+    attachments : dict of str to bytes
+        Files carried along, such as the line and the train.
+    """
+
+    topics: dict[str, pd.DataFrame]
+    metadata: dict[str, str] = field(default_factory=dict)
+    provenance: tuple[dict[str, Any], ...] = ()
+    attachments: dict[str, bytes] = field(default_factory=dict)
+
+    def __getitem__(self, topic: str) -> pd.DataFrame:
+        """The frame of `topic`.
+
+        Raises
+        ------
+        LogError
+            If the trip has no such topic.
+        """
+        try:
+            return self.topics[topic]
+        except KeyError:
+            present = ", ".join(self.topics) or "none"
+            raise LogError(
+                f"trip '{self.name}' has no topic {topic}",
+                remedy=f"topics present: {present}",
+            ) from None
+
+    def __contains__(self, topic: str) -> bool:
+        return topic in self.topics
+
+    @property
+    def name(self) -> str:
+        """Name of the trip, or ``"unnamed"``."""
+        return self.metadata.get("trip", "unnamed")
+
+    @property
+    def start(self) -> pd.Timestamp:
+        """Time of the first sample of any topic."""
+        return pd.Timestamp(min(frame.index[0] for frame in self._filled()))
+
+    @property
+    def end(self) -> pd.Timestamp:
+        """Time of the last sample of any topic."""
+        return pd.Timestamp(max(frame.index[-1] for frame in self._filled()))
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float((self.end - self.start).total_seconds())
+
+    def with_topic(self, frame: pd.DataFrame) -> Trip:
+        """A copy of the trip in which `frame` (made by `frame_of`) is added or replaced."""
+        return replace(self, topics={**self.topics, frame.attrs["topic"]: frame})
+
+    def with_step(self, step: str, **details: Any) -> Trip:
+        """A copy of the trip with one more entry of provenance."""
+        return replace(self, provenance=(*self.provenance, {"step": step, **details}))
+
+    def _filled(self) -> list[pd.DataFrame]:
+        frames = [frame for frame in self.topics.values() if len(frame)]
+        if not frames:
+            raise LogError(f"trip '{self.name}' holds no samples")
+        return frames
+
+
+def frame_of(
+    topic: Topic, time: ArrayLike | pd.DatetimeIndex, data: dict[str, ArrayLike]
+) -> pd.DataFrame:
+    """Build a topic's frame, with its units.
+
+    Parameters
+    ----------
+    topic : Topic
+    time : (n,) int64 nanoseconds since 1970 UTC, or DatetimeIndex
+    data : dict of str to (n,) array
+        Columns in SI units. A field ``per_axle`` may be given as one (n, axles) array. Fields that
+        are left out are NaN: absent, not zero.
+
+    Raises
+    ------
+    KeyError
+        If a column does not belong to the topic.
+    """
+    index = pd.DatetimeIndex(
+        pd.to_datetime(np.asarray(time, dtype=np.int64), utc=True)
+        if not isinstance(time, pd.DatetimeIndex)
+        else time
+    ).as_unit("ns")
+    index.name = "time"
+    given: dict[str, ArrayLike] = {}
+    for name, values in data.items():
+        array = np.asarray(values)
+        if array.ndim == 2:
+            given |= {f"{name}_{axle + 1}": array[:, axle] for axle in range(array.shape[1])}
+        else:
+            given[name] = values
+    for name in given:
+        column_field(topic, name)
+    ordered: dict[str, Any] = {}
+    for item in topic.fields:
+        if item.per_axle:
+            prefix = f"{item.name}_"
+            axles = sorted(
+                (n for n in given if n.startswith(prefix) and n[len(prefix) :].isdigit()),
+                key=lambda n: int(n[len(prefix) :]),
+            )
+            ordered |= {name: given[name] for name in axles}
+        elif item.name in given:
+            ordered[item.name] = given[item.name]
+        elif item.unit:
+            ordered[item.name] = np.full(len(index), np.nan)
+        else:
+            ordered[item.name] = (
+                np.zeros(len(index), dtype=np.int64) if item.name == "level" else ""
+            )
+    frame = pd.DataFrame(ordered, index=index)
+    frame.attrs = {
+        "topic": topic.name,
+        "units": {name: column_field(topic, name).unit for name in frame.columns},
+    }
+    return frame
+
+
+def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> NDArray[np.float64]:
+    """Time of each row [s] since `origin` (default: the first row)."""
+    index = pd.DatetimeIndex(frame.index)
+    start = index[0] if origin is None else origin
+    return np.asarray((index - start) / pd.Timedelta(seconds=1), dtype=np.float64)
+
+
+def interpolated(frame: pd.DataFrame, column: str, time: pd.DatetimeIndex) -> NDArray[np.float64]:
+    """The values of a column at other times, by the topic table's interpolation rule.
+
+    Nothing is invented: outside the recorded span the result is NaN.
+    """
+    topic = TOPICS[frame.attrs["topic"]]
+    rule = column_field(topic, column).interpolation
+    known = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+    wanted = time.as_unit("ns").asi8
+    values = frame[column].to_numpy(dtype=np.float64)
+    if len(known) == 0:
+        return np.full(len(wanted), np.nan)
+    inside = (wanted >= known[0]) & (wanted <= known[-1])
+    if rule == "linear":
+        origin = known[0]
+        found = np.interp(
+            (wanted - origin).astype(np.float64), (known - origin).astype(np.float64), values
+        )
+    else:
+        found = values[np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, None)]
+    return np.where(inside, found, np.nan)

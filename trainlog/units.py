@@ -1,0 +1,98 @@
+"""Conversion to SI, done once, at the door.
+
+Files declare the unit of every quantity. `to_si` converts numbers with such a declared unit and
+refuses units of the wrong dimension. Inside trainlog everything is SI; `KMH` and `PER_MILLE` are
+for showing results in the units railway people use.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+KMH = 3.6
+"""Kilometres per hour in one metre per second."""
+
+PER_MILLE = 1e3
+"""Per mille in one (rise over run)."""
+
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s²], the value that the four papers and TTOBench use."""
+
+
+@cache
+def _registry() -> UnitRegistry[Any]:
+    import pint
+
+    registry: UnitRegistry[Any] = pint.UnitRegistry()
+    for name in ("permil", "per_mille"):
+        registry.define(f"{name} = 1e-3")
+    return registry
+
+
+@cache
+def factor(unit: str, si: str) -> tuple[float, float]:
+    """Multiplier and offset that turn a number in `unit` into the SI unit `si`.
+
+    Raises
+    ------
+    InputError
+        If `unit` is unknown or has another dimension than `si`.
+    """
+    import pint
+
+    registry = _registry()
+    try:
+        source = registry.parse_units(_spelled(unit))
+        target = registry.parse_units(_spelled(si))
+        quantity = registry.Quantity
+        offset = float(quantity(0.0, source).to(target).magnitude)
+        slope = float(quantity(1.0, source).to(target).magnitude) - offset
+    except (pint.errors.PintError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"unit '{unit}' cannot be read as {'a pure number' if si == '1' else si}",
+            remedy=f"declare a unit of that kind, for example '{si}'",
+        ) from error
+    return slope, offset
+
+
+def to_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:
+    """Convert `value`, declared in `unit`, to the SI unit `si`.
+
+    Conversions that are a division by an integer (km/h, per mille) are done as one, so that a
+    file's 110 km/h reads and writes as 110 km/h.
+    """
+    slope, offset = factor(unit, si)
+    numbers = np.asarray(value, dtype=np.float64)
+    inverse = 1.0 / slope if slope else np.inf
+    if slope < 1.0 and abs(inverse - round(inverse, 9)) <= 1e-12 * inverse:
+        converted = numbers / round(inverse, 9)
+    else:
+        converted = numbers * slope
+    return np.asarray(converted + offset if offset else converted, dtype=np.float64)
+
+
+def from_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:
+    """Convert `value` in the SI unit `si` to `unit`, rounded to 12 significant digits.
+
+    The rounding undoes the last-digit noise of the conversion, so that reading a file and writing
+    it again changes nothing.
+    """
+    slope, offset = factor(unit, si)
+    converted = (np.asarray(value, dtype=np.float64) - offset) / slope
+    return np.array([float(f"{x:.12g}") for x in converted.ravel()]).reshape(converted.shape)
+
+
+def _spelled(unit: str) -> str:
+    """The unit in pint's spelling: '-' and '1' are pure numbers, '%' and '‰' have names."""
+    cleaned = unit.strip().replace("²", "^2").replace("³", "^3").replace("·", "*")
+    named = {"-": "", "1": "", "%": "percent", "‰": "permil", "permille": "permil", "t": "tonne"}
+    return named.get(cleaned, cleaned)
