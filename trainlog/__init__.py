@@ -1,3 +1,30 @@
-"""Record train trips in a standard log, learn from them, and plan robust trajectories."""
+"""Record train trips in a standard log, learn from them, and plan robust trajectories.
+
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap")      # doctest: +SKIP
+    >>> trip["/train/state"].speed                            # doctest: +SKIP
+
+Frames are pandas DataFrames by topic, indexed by UTC time, in SI units (``frame.attrs["units"]``).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from trainlog.mcap import describe, read_log as read, write_log as write
+
+__all__ = ["__version__", "describe", "read", "write"]
 
 __version__ = "0.1.0"
+
+_LAZY = {"read": "read_log", "write": "write_log", "describe": "describe"}
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded on first use: the readers need pandas, which `trainlog --help` should not wait for.
+    if name in _LAZY:
+        from trainlog import mcap
+
+        return getattr(mcap, _LAZY[name])
+    raise AttributeError(f"module 'trainlog' has no attribute '{name}'")

@@ -52,7 +52,8 @@ class ConditionLayer:
     @property
     def maximum_adhesion(self) -> FloatArray:
         """Estimate of the maximum adhesion a bin, NaN where nothing was observed."""
-        return np.asarray(np.where(self.observed, np.exp(self.log_mean), np.nan), np.float64)
+        estimate: FloatArray = np.exp(self.log_mean)
+        return np.asarray(np.where(self.observed, estimate, np.nan), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class TrackConditionMap:
     @property
     def centres(self) -> FloatArray:
         """Position of each bin's centre [m]."""
-        return (np.arange(self.bins) + 0.5) * self.bin_length
+        return np.asarray((np.arange(self.bins) + 0.5) * self.bin_length, dtype=np.float64)
 
     def layer(self, name: str) -> ConditionLayer:
         """The layer called `name`.
