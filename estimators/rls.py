@@ -1,0 +1,419 @@
+"""Recursive least squares in factorised form.
+
+The covariance is kept as ``P = U D Uᵀ`` (U unit upper triangular, D diagonal) and only the
+factors are updated, so that it stays positive definite whatever the data: the conventional
+recursion (paper 004, eqs. 15-17) loses that property after some hundred samples.
+
+References
+----------
+Bierman, G. J. (1977), Factorization Methods for Discrete Sequential Estimation, ch. V (measurement
+update) and ch. VI (Thornton's time update by modified weighted Gram-Schmidt).
+Paper 004, eqs. (16), (19), (20) with the forgetting factor as corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from trainlog.errors import InputError
+
+FloatArray = NDArray[np.floating[Any]]
+
+STATE_VERSION = 1
+"""Raised when the meaning of a saved state changes."""
+
+CALIBRATED = 0.5
+"""Excitation from which a result counts as valid."""
+
+
+@dataclass(frozen=True, eq=False)
+class RlsResult:
+    """What the recursion knows after the samples so far.
+
+    Attributes
+    ----------
+    theta : (p,) array
+        Estimated parameters.
+    covariance : (p, p) array
+        In units of the measurement variance that was given with the samples.
+    valid : bool
+        Whether the data, rather than the prior, determine every direction of `theta`.
+    excitation : float
+        Share of the prior's standard deviation that the data have removed in the direction that
+        they tell least about: 0 nothing was learnt there, 1 everything.
+    condition : float
+        Condition number of the information with its columns normalised.
+    samples : int
+        Samples since the last full reset.
+    resets : int
+        Resets so far, full and partial.
+    """
+
+    theta: FloatArray
+    covariance: FloatArray
+    valid: bool
+    excitation: float
+    condition: float
+    samples: int
+    resets: int
+
+
+class RecursiveLeastSquares:
+    """Recursive least squares for ``y = xᵀ theta + e``, UD-factorised and compiled.
+
+    Parameters
+    ----------
+    prior_std : (p,) array
+        Standard deviation of each parameter before the first sample.
+    prior_mean : (p,) array, optional
+        Default 0.
+    forgetting : float
+        Forgetting factor gamma of paper 004, eq. (19), in (0, 1]. A direction that the data do
+        not excite is forgotten at most up to its prior variance (no windup).
+    random_walk_std : (p,) array, optional
+        Standard deviation of the change of each parameter between two samples. It follows slow
+        changes without winding up and is to be preferred to forgetting.
+    dtype : {float64, float32}
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        prior_std: ArrayLike,
+        *,
+        prior_mean: ArrayLike | None = None,
+        forgetting: float = 1.0,
+        random_walk_std: ArrayLike | None = None,
+        dtype: DTypeLike = np.float64,
+    ) -> None:
+        spread = np.atleast_1d(np.asarray(prior_std, dtype=dtype))
+        size = spread.size
+        mean = np.zeros(size) if prior_mean is None else np.atleast_1d(prior_mean)
+        walk = np.zeros(size) if random_walk_std is None else np.atleast_1d(random_walk_std)
+        if spread.ndim != 1 or mean.shape != (size,) or walk.shape != (size,):
+            raise InputError("recursive least squares: priors and noise need one value a parameter")
+        if not (np.all(np.isfinite(spread)) and np.all(spread > 0.0)):
+            raise InputError("recursive least squares: prior_std must be positive and finite")
+        if not 0.0 < forgetting <= 1.0:
+            raise InputError(
+                f"recursive least squares: forgetting factor {forgetting} is not in (0, 1]"
+            )
+        if not (np.all(np.isfinite(walk)) and np.all(walk >= 0.0)):
+            raise InputError("recursive least squares: random_walk_std must not be negative")
+        self._prior_mean = mean.astype(dtype)
+        self._prior_variance = spread**2
+        self._forgetting = float(forgetting)
+        self._walk = walk.astype(dtype) ** 2
+        self._theta = self._prior_mean.copy()
+        self._upper = np.eye(size, dtype=dtype)
+        self._diagonal = self._prior_variance.copy()
+        self._samples = 0
+        self._resets = 0
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return int(self._theta.size)
+
+    def reset(self, parameters: Sequence[int] | None = None, *, keep_estimate: bool = True) -> None:
+        """Return to the prior uncertainty: of all parameters, or of some.
+
+        A partial reset leaves the marginal covariance of the other parameters as it is: what was
+        learnt about them is kept. Paper 004 resets in full where the gradient changes.
+
+        Parameters
+        ----------
+        parameters : sequence of int, optional
+            Which ones; default all.
+        keep_estimate : bool
+            Whether the estimate stays (as in the paper) or returns to the prior mean.
+        """
+        chosen = np.ones(self.size, dtype=bool)
+        if parameters is not None:
+            chosen[:] = False
+            chosen[list(parameters)] = True
+        _time_update(
+            self._upper,
+            self._diagonal,
+            np.where(chosen, 0.0, 1.0).astype(self._theta.dtype),
+            np.where(chosen, self._prior_variance, 0.0).astype(self._theta.dtype),
+        )
+        if not keep_estimate:
+            self._theta[chosen] = self._prior_mean[chosen]
+        if chosen.all():
+            self._samples = 0
+        self._resets += 1
+
+    def update(
+        self, regressors: ArrayLike, measurements: ArrayLike, variance: ArrayLike = 1.0
+    ) -> FloatArray:
+        """Learn from one sample or from a block of them.
+
+        Parameters
+        ----------
+        regressors : (n, p) or (p,) array
+        measurements : (n,) array or float
+        variance : (n,) array or float
+            Variance of the measurements.
+
+        Returns
+        -------
+        innovations : (n,) array
+            Each measurement minus its prediction before it was used.
+
+        Raises
+        ------
+        InputError
+            If shapes do not fit, or a value is not finite, or a variance not positive.
+        """
+        rows, values, noise = self._checked(regressors, measurements, variance)
+        nothing = np.empty((0, self.size), dtype=rows.dtype)
+        return self._run(
+            rows, values, noise, nothing, np.empty((0, *self._upper.shape), rows.dtype)
+        )
+
+    def record(
+        self, regressors: ArrayLike, measurements: ArrayLike, variance: ArrayLike = 1.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """`update`, keeping the estimate after each sample.
+
+        Returns
+        -------
+        theta : (n, p) array
+        covariance : (n, p, p) array
+        """
+        rows, values, noise = self._checked(regressors, measurements, variance)
+        theta = np.empty(rows.shape, dtype=rows.dtype)
+        covariance = np.empty((len(rows), self.size, self.size), dtype=rows.dtype)
+        self._run(rows, values, noise, theta, covariance)
+        return theta, covariance
+
+    def result(self) -> RlsResult:
+        """The estimate with its covariance, validity and excitation."""
+        upper = self._upper.astype(np.float64)
+        root = upper * np.sqrt(self._diagonal.astype(np.float64))
+        scaled = root / np.sqrt(self._prior_variance.astype(np.float64))[:, None]
+        excitation = float(np.clip(1.0 - np.linalg.svd(scaled, compute_uv=False)[0], 0.0, 1.0))
+        square_root_information = np.linalg.inv(root)
+        columns = square_root_information / np.linalg.norm(square_root_information, axis=0)
+        singular = np.linalg.svd(columns, compute_uv=False)
+        return RlsResult(
+            theta=self._theta.copy(),
+            covariance=np.asarray(root @ root.T, dtype=self._theta.dtype),
+            valid=self._samples >= self.size and excitation >= CALIBRATED,
+            excitation=excitation,
+            condition=float(singular[0] / max(singular[-1], np.finfo(np.float64).tiny)),
+            samples=self._samples,
+            resets=self._resets,
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on later, bit for bit; plain values that JSON can hold."""
+        return {
+            "format": "trainlog/rls",
+            "version": STATE_VERSION,
+            "dtype": self._theta.dtype.name,
+            "forgetting": self._forgetting,
+            "samples": self._samples,
+            "resets": self._resets,
+            **{name: getattr(self, f"_{name}").tolist() for name in _STATE_ARRAYS},
+        }
+
+    @classmethod
+    def resume(cls, state: dict[str, Any]) -> RecursiveLeastSquares:
+        """The estimator that `state` was taken from.
+
+        Raises
+        ------
+        InputError
+            If the state is of another kind or version, or incomplete.
+        """
+        if state.get("format") != "trainlog/rls" or state.get("version") != STATE_VERSION:
+            raise InputError(
+                f"state of a recursion has format {state.get('format')!r}, version"
+                f" {state.get('version')!r}; needs 'trainlog/rls', {STATE_VERSION}",
+                remedy="start the estimator anew",
+            )
+        try:
+            dtype = np.dtype(state["dtype"])
+            arrays = {name: np.array(state[name], dtype=dtype) for name in _STATE_ARRAYS}
+            estimator = cls(
+                np.sqrt(arrays["prior_variance"]), forgetting=state["forgetting"], dtype=dtype
+            )
+            estimator._samples = int(state["samples"])
+            estimator._resets = int(state["resets"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"state of a recursion is incomplete: {error}", remedy="start the estimator anew"
+            ) from error
+        for name, array in arrays.items():
+            if array.shape != getattr(estimator, f"_{name}").shape:
+                raise InputError(f"state of a recursion: {name} has shape {array.shape}")
+            setattr(estimator, f"_{name}", array)
+        return estimator
+
+    def _checked(
+        self, regressors: ArrayLike, measurements: ArrayLike, variance: ArrayLike
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        dtype = self._theta.dtype
+        rows = np.ascontiguousarray(np.atleast_2d(np.asarray(regressors, dtype=dtype)))
+        values = np.ascontiguousarray(np.atleast_1d(np.asarray(measurements, dtype=dtype)))
+        noise = np.ascontiguousarray(
+            np.broadcast_to(np.asarray(variance, dtype=dtype), values.shape)
+        )
+        if rows.shape != (values.size, self.size) or values.ndim != 1:
+            raise InputError(
+                f"recursive least squares: regressors of shape {rows.shape} do not fit"
+                f" {values.size} measurements of {self.size} parameters"
+            )
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(values))):
+            raise InputError("recursive least squares: a sample is not finite")
+        if not (np.all(np.isfinite(noise)) and np.all(noise > 0.0)):
+            raise InputError("recursive least squares: a variance is not positive and finite")
+        return rows, values, noise
+
+    def _run(
+        self,
+        rows: FloatArray,
+        values: FloatArray,
+        noise: FloatArray,
+        theta: FloatArray,
+        covariance: FloatArray,
+    ) -> FloatArray:
+        self._samples += len(values)
+        innovations: FloatArray = _block(
+            self._theta,
+            self._upper,
+            self._diagonal,
+            self._prior_variance,
+            self._walk,
+            self._theta.dtype.type(self._forgetting),
+            rows,
+            values,
+            noise,
+            theta,
+            covariance,
+        )
+        return innovations
+
+
+_STATE_ARRAYS = ("prior_mean", "prior_variance", "walk", "theta", "upper", "diagonal")
+
+
+@njit(cache=True)
+def _block(
+    theta: FloatArray,
+    upper: FloatArray,
+    diagonal: FloatArray,
+    ceiling: FloatArray,
+    walk: FloatArray,
+    forgetting: float,
+    rows: FloatArray,
+    values: FloatArray,
+    noise: FloatArray,
+    theta_after: FloatArray,
+    covariance_after: FloatArray,
+) -> FloatArray:
+    """Run the recursion over a block in place; record it where the last two arrays have rows."""
+    count, size = rows.shape
+    innovations = np.empty_like(values)
+    gain = np.empty_like(theta)
+    ones = np.ones_like(theta)
+    wanders = np.any(walk > 0.0)
+    for k in range(count):
+        if wanders:
+            _time_update(upper, diagonal, ones, walk)
+        if forgetting < 1.0:
+            for i in range(size):
+                # Forgetting ends at the prior: more would be windup.
+                diagonal[i] = min(diagonal[i] / forgetting, max(diagonal[i], ceiling[i]))
+        innovation = values[k]
+        for i in range(size):
+            innovation -= rows[k, i] * theta[i]
+        innovations[k] = innovation
+        _measurement_update(theta, upper, diagonal, gain, rows[k], innovation, noise[k])
+        if k < theta_after.shape[0]:
+            theta_after[k] = theta
+            for i in range(size):
+                for j in range(size):
+                    total = upper[i, 0] * diagonal[0] * upper[j, 0]
+                    for m in range(1, size):
+                        total += upper[i, m] * diagonal[m] * upper[j, m]
+                    covariance_after[k, i, j] = total
+    return innovations
+
+
+@njit(cache=True)
+def _measurement_update(
+    theta: FloatArray,
+    upper: FloatArray,
+    diagonal: FloatArray,
+    gain: FloatArray,
+    row: FloatArray,
+    innovation: float,
+    variance: float,
+) -> None:
+    """Bierman's update of the factors and the estimate by one sample, in place."""
+    size = theta.size
+    tiny = np.finfo(theta.dtype).tiny
+    alpha = variance
+    for j in range(size):
+        # f = Uᵀ x, component j; the columns to the right are not touched yet.
+        f = row[j]
+        for i in range(j):
+            f += upper[i, j] * row[i]
+        weighted = diagonal[j] * f
+        before = alpha
+        alpha += f * weighted
+        diagonal[j] = max(diagonal[j] * (before / alpha), tiny)
+        slope = -f / before
+        for i in range(j):
+            old = upper[i, j]
+            upper[i, j] = old + slope * gain[i]
+            gain[i] += weighted * old
+        gain[j] = weighted
+    for i in range(size):
+        theta[i] += gain[i] * (innovation / alpha)
+
+
+@njit(cache=True)
+def _time_update(
+    upper: FloatArray, diagonal: FloatArray, keep: FloatArray, added: FloatArray
+) -> None:
+    """Thornton's update for ``theta <- keep * theta + w``, ``w ~ (0, diag(added))``, in place.
+
+    Modified weighted Gram-Schmidt on the rows of ``[diag(keep) U, I]`` with the weights
+    ``[D, added]``.
+    """
+    size = diagonal.size
+    tiny = np.finfo(diagonal.dtype).tiny
+    wide = np.zeros((size, 2 * size), diagonal.dtype)
+    weight = np.empty(2 * size, diagonal.dtype)
+    for i in range(size):
+        for j in range(size):
+            wide[i, j] = keep[i] * upper[i, j]
+        wide[i, size + i] = 1.0
+        weight[i] = diagonal[i]
+        weight[size + i] = added[i]
+    for j in range(size - 1, -1, -1):
+        total = weight[0] * wide[j, 0] * wide[j, 0]
+        for m in range(1, 2 * size):
+            total += weight[m] * wide[j, m] * wide[j, m]
+        diagonal[j] = max(total, tiny)
+        for i in range(j):
+            product = weight[0] * wide[i, 0] * wide[j, 0]
+            for m in range(1, 2 * size):
+                product += weight[m] * wide[i, m] * wide[j, m]
+            upper[i, j] = product / diagonal[j]
+            for m in range(2 * size):
+                wide[i, m] -= upper[i, j] * wide[j, m]

@@ -1,0 +1,277 @@
+"""Recursive least squares: the batch answer, positive definiteness, resets, saved state."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from estimators.rls import RecursiveLeastSquares, RlsResult
+from trainlog.errors import InputError
+
+Array = NDArray[np.float64]
+
+PRIOR = np.array([100.0, 0.1, 0.01])
+TRUE = np.array([2.09, 0.039, 0.000675])
+
+
+def davis_samples(count: int, seed: int, noise: float = 0.05) -> tuple[Array, Array]:
+    rng = np.random.default_rng(seed)
+    speed = rng.uniform(0.0, 80.0, count)
+    rows = np.column_stack([np.ones(count), speed, speed**2])
+    return rows, rows @ TRUE + noise * rng.standard_normal(count)
+
+
+def batch(
+    rows: Array, values: Array, variance: Array, weights: Array | None = None
+) -> tuple[Array, Array]:
+    """Weighted least squares with the prior, by the normal equations."""
+    inverse = np.diag(1.0 / PRIOR**2)
+    weight = 1.0 / variance if weights is None else weights / variance
+    covariance = np.linalg.inv(inverse + rows.T @ (rows * weight[:, None]))
+    return covariance @ (rows.T @ (weight * values)), covariance
+
+
+def assert_same(result: RlsResult, theta: Array, covariance: Array, rtol: float = 1e-6) -> None:
+    scale = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(result.theta / scale, theta / scale, rtol=rtol, atol=rtol)
+    np.testing.assert_allclose(
+        result.covariance / np.outer(scale, scale),
+        covariance / np.outer(scale, scale),
+        rtol=rtol,
+        atol=rtol,
+    )
+
+
+def test_equals_weighted_least_squares() -> None:
+    rows, values = davis_samples(300, seed=1)
+    variance = np.random.default_rng(2).uniform(0.001, 0.01, 300)
+    estimator = RecursiveLeastSquares(PRIOR)
+    estimator.update(rows, values, variance)
+    assert_same(estimator.result(), *batch(rows, values, variance))
+
+
+def test_sample_by_sample_equals_block_and_record() -> None:
+    rows, values = davis_samples(50, seed=3)
+    block, single, recorded = (RecursiveLeastSquares(PRIOR, forgetting=0.98) for _ in range(3))
+    innovations = block.update(rows, values, 0.01)
+    one_by_one = [
+        single.update(row, value, 0.01)[0] for row, value in zip(rows, values, strict=True)
+    ]
+    theta, covariance = recorded.record(rows, values, 0.01)
+    np.testing.assert_array_equal(innovations, one_by_one)
+    np.testing.assert_array_equal(single.result().theta, block.result().theta)
+    np.testing.assert_array_equal(theta[-1], block.result().theta)
+    np.testing.assert_allclose(covariance[-1], block.result().covariance, rtol=1e-12)
+
+
+def test_forgetting_weighs_samples_exponentially() -> None:
+    """Paper 004, eqs. (19), (20): the sample k updates ago counts gamma^k."""
+    gamma, count = 0.9, 400
+    rows, values = davis_samples(count, seed=4)
+    estimator = RecursiveLeastSquares(PRIOR, forgetting=gamma)
+    estimator.update(rows, values)
+    weights = gamma ** np.arange(count - 1, -1, -1)
+    covariance = np.linalg.inv(
+        gamma**count * np.diag(1.0 / PRIOR**2) + rows.T @ (rows * weights[:, None])
+    )
+    assert_same(estimator.result(), covariance @ (rows.T @ (weights * values)), covariance)
+
+
+def test_random_walk_equals_the_kalman_recursion() -> None:
+    rows, values = davis_samples(200, seed=5)
+    walk = np.array([1e-2, 1e-4, 1e-6])
+    estimator = RecursiveLeastSquares(PRIOR, random_walk_std=walk)
+    estimator.update(rows, values, 0.01)
+    theta, covariance = np.zeros(3), np.diag(PRIOR**2)
+    for row, value in zip(rows, values, strict=True):
+        covariance = covariance + np.diag(walk**2)
+        gain = covariance @ row / (0.01 + row @ covariance @ row)
+        theta = theta + gain * (value - row @ theta)
+        remaining = np.eye(3) - np.outer(gain, row)
+        covariance = remaining @ covariance @ remaining.T + 0.01 * np.outer(gain, gain)
+    assert_same(estimator.result(), theta, covariance)
+
+
+def test_full_reset_returns_to_the_prior_uncertainty() -> None:
+    rows, values = davis_samples(100, seed=6)
+    estimator = RecursiveLeastSquares(PRIOR)
+    estimator.update(rows, values, 0.01)
+    learnt = estimator.result().theta
+    estimator.reset()
+    result = estimator.result()
+    np.testing.assert_allclose(result.covariance, np.diag(PRIOR**2), rtol=1e-12)
+    np.testing.assert_array_equal(result.theta, learnt)
+    assert (result.samples, result.resets, result.valid) == (0, 1, False)
+    estimator.reset(keep_estimate=False)
+    np.testing.assert_array_equal(estimator.result().theta, np.zeros(3))
+
+
+def test_partial_reset_keeps_what_was_learnt_about_the_others() -> None:
+    rows, values = davis_samples(100, seed=7)
+    estimator = RecursiveLeastSquares(PRIOR)
+    estimator.update(rows, values, 0.01)
+    before = estimator.result()
+    estimator.reset([0], keep_estimate=False)
+    after = estimator.result()
+    np.testing.assert_allclose(after.covariance[1:, 1:], before.covariance[1:, 1:], rtol=1e-9)
+    np.testing.assert_allclose(after.covariance[0], [PRIOR[0] ** 2, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_array_equal(after.theta, [0.0, *before.theta[1:]])
+    assert after.resets == 1
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@settings(max_examples=30, deadline=None)
+@given(
+    forgetting=st.sampled_from([0.9, 0.95, 0.99, 0.999, 1.0]),
+    constant=st.booleans(),
+    scale=st.floats(1e-3, 1e3),
+    seed=st.integers(0, 2**31),
+    resets=st.booleans(),
+)
+def test_never_loses_positive_definiteness(
+    dtype: type, forgetting: float, constant: bool, scale: float, seed: int, resets: bool
+) -> None:
+    """Where the conventional recursion does after some hundred samples (equations.md: 750)."""
+    rng = np.random.default_rng(seed)
+    count = 20_000
+    speed = np.full(count, 30.0) if constant else rng.uniform(0.0, 80.0, count)
+    rows = scale * np.column_stack([np.ones(count), speed, speed**2])
+    estimator = RecursiveLeastSquares(PRIOR, forgetting=forgetting, dtype=dtype)
+    for block in np.array_split(rows, 10):
+        estimator.update(block, block @ TRUE + rng.standard_normal(len(block)))
+        if resets:
+            estimator.reset([1])
+        assert_positive_definite(estimator)
+
+
+def assert_positive_definite(estimator: RecursiveLeastSquares) -> None:
+    """By its factors: a unit triangle and positive weights cannot be anything else."""
+    state = estimator.state()
+    upper, diagonal = np.array(state["upper"]), np.array(state["diagonal"])
+    assert np.all(np.isfinite(state["theta"]))
+    assert np.all(np.isfinite(upper))
+    np.testing.assert_array_equal(np.tril(upper), np.eye(3))
+    assert np.all(diagonal > 0.0)
+    assert np.all(np.isfinite(diagonal))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("forgetting", [0.9, 0.99, 1.0])
+def test_positive_definite_over_a_million_samples(dtype: type, forgetting: float) -> None:
+    estimator = RecursiveLeastSquares(PRIOR, forgetting=forgetting, dtype=dtype)
+    rng = np.random.default_rng(8)
+    for constant in (True, False, True):
+        count = 333_334
+        speed = np.full(count, 30.0) if constant else rng.uniform(0.0, 80.0, count)
+        rows = np.column_stack([np.ones(count), speed, speed**2])
+        estimator.update(rows, rows @ TRUE + 0.1 * rng.standard_normal(count))
+        assert_positive_definite(estimator)
+
+
+def test_the_conventional_recursion_loses_it() -> None:
+    """The reason for the factors: the same data, paper eqs. (19), (20), P as a matrix."""
+    rng = np.random.default_rng(9)
+    covariance = np.diag(PRIOR**2)
+    smallest = np.inf
+    for _ in range(3000):
+        speed = 30.0 + 1e-3 * rng.standard_normal()
+        row = np.array([1.0, speed, speed**2])
+        gain = covariance @ row / (0.95 + row @ covariance @ row)
+        covariance = (np.eye(3) - np.outer(gain, row)) @ covariance / 0.95
+        symmetric = (covariance + covariance.T) / 2.0
+        smallest = min(smallest, float(np.linalg.eigvalsh(symmetric)[0]))
+    assert smallest < 0.0
+
+
+def test_no_windup_without_excitation() -> None:
+    """Forgetting never makes a direction less certain than the prior was."""
+    estimator = RecursiveLeastSquares(PRIOR, forgetting=0.95)
+    rows = np.tile([1.0, 30.0, 900.0], (5000, 1))
+    estimator.update(rows, rows @ TRUE)
+    result = estimator.result()
+    assert np.all(np.array(estimator.state()["diagonal"]) <= PRIOR**2 * (1.0 + 1e-12))
+    assert not result.valid
+    assert result.excitation < 0.5
+    np.testing.assert_allclose(rows[0] @ result.theta, rows[0] @ TRUE, rtol=1e-9)
+
+
+def test_says_when_the_data_determine_the_answer() -> None:
+    rows, values = davis_samples(2000, seed=10)
+    estimator = RecursiveLeastSquares(PRIOR)
+    assert not estimator.result().valid
+    estimator.update(rows[:2], values[:2], 0.05**2)
+    assert not estimator.result().valid
+    estimator.update(rows[2:], values[2:], 0.05**2)
+    result = estimator.result()
+    assert result.valid
+    assert result.condition < 20.0
+    assert result.samples == 2000
+    z = (result.theta - TRUE) / np.sqrt(np.diag(result.covariance))
+    assert np.all(np.abs(z) < 4.0)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_saved_state_resumes_bit_for_bit(dtype: type) -> None:
+    rows, values = davis_samples(100, seed=11)
+    estimator = RecursiveLeastSquares(
+        PRIOR, forgetting=0.99, random_walk_std=1e-6 * PRIOR, dtype=dtype
+    )
+    estimator.update(rows[:60], values[:60])
+    estimator.reset([2])
+    resumed = RecursiveLeastSquares.resume(json.loads(json.dumps(estimator.state())))
+    for one in (estimator, resumed):
+        one.update(rows[60:], values[60:])
+    assert resumed.state() == estimator.state()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"version": 99}, {"format": "other"}, {"theta": [0.0]}, {"upper": None}, {"forgetting": 2.0}],
+)
+def test_foreign_state_is_refused(change: dict[str, object]) -> None:
+    state = RecursiveLeastSquares(PRIOR).state() | change
+    with pytest.raises(InputError):
+        RecursiveLeastSquares.resume(state)
+
+
+def test_incomplete_state_is_refused() -> None:
+    state = RecursiveLeastSquares(PRIOR).state()
+    del state["diagonal"]
+    with pytest.raises(InputError, match="incomplete"):
+        RecursiveLeastSquares.resume(state)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"prior_std": [1.0, -1.0]}, "prior_std"),
+        ({"prior_std": [1.0, np.nan]}, "prior_std"),
+        ({"prior_std": [1.0], "forgetting": 0.0}, "forgetting"),
+        ({"prior_std": [1.0], "forgetting": 1.1}, "forgetting"),
+        ({"prior_std": [1.0], "random_walk_std": [-1.0]}, "random_walk_std"),
+        ({"prior_std": [1.0, 1.0], "prior_mean": [0.0]}, "one value a parameter"),
+    ],
+)
+def test_bad_settings_are_refused(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        RecursiveLeastSquares(**arguments)  # type: ignore[arg-type]
+
+
+def test_bad_samples_are_refused_and_change_nothing() -> None:
+    estimator = RecursiveLeastSquares(PRIOR)
+    before = estimator.state()
+    for rows, values, variance in (
+        ([[1.0, 2.0]], [1.0], 1.0),
+        ([[1.0, 2.0, np.nan]], [1.0], 1.0),
+        ([[1.0, 2.0, 4.0]], [np.inf], 1.0),
+        ([[1.0, 2.0, 4.0]], [1.0], 0.0),
+        ([[1.0, 2.0, 4.0]], [1.0, 2.0], 1.0),
+    ):
+        with pytest.raises(InputError):
+            estimator.update(rows, values, variance)
+    assert estimator.state() == before
