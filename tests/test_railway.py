@@ -1,0 +1,161 @@
+"""Lines, trains, resistance and creep curves as data and pure functions."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trainlog.errors import InputError
+from trainlog.railway import (
+    Configuration,
+    CreepCurve,
+    CurvatureProfile,
+    Line,
+    RunningResistance,
+    Station,
+    StepProfile,
+    Train,
+    Tunnel,
+)
+from trainlog.railway.adhesion import DRY, WET
+
+LINE = Line(
+    name="test",
+    length=1000.0,
+    stations=(Station("A", 0.0), Station("B", 1000.0)),
+    speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([20.0, 30.0])),
+    gradients=StepProfile(np.array([0.0, 250.0, 500.0]), np.array([0.01, -0.02, 0.0])),
+    curvatures=CurvatureProfile(
+        np.array([0.0, 100.0, 200.0]), np.array([0.0, 0.0, 0.002]), np.array([0.0, 0.002, 0.002])
+    ),
+    tunnels=(Tunnel(300.0, 200.0, 40.0),),
+    altitude=500.0,
+)
+
+TRAIN = Train(
+    name="test",
+    mass=100_000.0,
+    rotating_mass_factor=0.1,
+    resistance=RunningResistance(2000.0, 50.0, 10.0),
+    max_tractive_effort=200e3,
+    max_traction_power=2e6,
+    tunnel_resistance=((24.0, 15.0), (40.0, 7.0)),
+)
+
+
+def test_steps_hold_from_their_position_to_the_next() -> None:
+    np.testing.assert_array_equal(LINE.speed_limit([0.0, 399.9, 400.0, 999.0]), [20, 20, 30, 30])
+
+
+def test_mean_of_a_step_profile_is_its_integral() -> None:
+    mean = LINE.gradients.mean(np.array([200.0, 0.0]), np.array([300.0, 1000.0]))
+    np.testing.assert_allclose(mean, [-0.005, (2.5 - 5.0) / 1000.0])
+
+
+def test_altitude_is_the_integral_of_the_gradient() -> None:
+    np.testing.assert_allclose(
+        LINE.altitudes([0.0, 250.0, 400.0, 1000.0]), [500, 502.5, 499.5, 497.5]
+    )
+
+
+def test_curvature_is_linear_in_transitions_and_constant_in_arcs() -> None:
+    np.testing.assert_allclose(LINE.curvature([50.0, 150.0, 600.0]), [0.0, 0.001, 0.002])
+
+
+@given(st.floats(0.001, 999.9))
+def test_the_reversed_line_is_the_same_line(position: float) -> None:
+    other = LINE.reversed()
+    if np.min(np.abs(LINE.breakpoints - position)) < 1e-6:
+        return
+    there = LINE.length - position
+    assert other.speed_limit(there) == LINE.speed_limit(position)
+    assert other.gradient(there) == -LINE.gradient(position)
+    assert other.curvature(there) == pytest.approx(-LINE.curvature(position), abs=1e-15)
+    assert other.tunnel_cross_section(there) == LINE.tunnel_cross_section(position)
+    assert other.altitudes(there) == pytest.approx(LINE.altitudes(position))
+
+
+def test_reversing_twice_changes_nothing() -> None:
+    twice = LINE.reversed().reversed()
+    assert twice.speed_limits == LINE.speed_limits
+    assert twice.gradients == LINE.gradients
+    assert twice.stations == LINE.stations
+    assert twice.tunnels == LINE.tunnels
+
+
+def test_track_resistance_against_hand_calculation() -> None:
+    at_10_permil = 9.81 * 0.01 / np.sqrt(1.0 + 1e-4)
+    assert LINE.track_acceleration(10.0) == pytest.approx(at_10_permil)
+    assert LINE.track_acceleration(600.0) == pytest.approx(9.81 * 0.6 * 0.002)
+
+
+def test_tunnel_coefficient_meets_the_published_sections_and_vanishes_outside() -> None:
+    np.testing.assert_allclose(TRAIN.tunnel_coefficient([24.0, 40.0, 0.0]), [15.0, 7.0, 0.0])
+    assert 7.0 < TRAIN.tunnel_coefficient(30.0) < 15.0
+
+
+def test_effort_falls_with_speed_at_the_power_limit() -> None:
+    np.testing.assert_allclose(TRAIN.tractive_effort_limit([0.0, 5.0, 20.0]), [200e3, 200e3, 100e3])
+
+
+def test_creep_curves_peak_where_the_paper_says() -> None:
+    # Corrected values of paper 003, figure 2.
+    assert DRY.peak_slip == pytest.approx(1.210, abs=5e-4)
+    assert DRY.peak == pytest.approx(0.2862, abs=5e-5)
+    assert WET.peak_slip == pytest.approx(2.984, abs=5e-4)
+    assert WET.peak == pytest.approx(0.1471, abs=5e-5)
+
+
+@given(st.floats(0.0, 20.0))
+def test_creep_curve_is_odd_and_never_beyond_its_peak(slip: float) -> None:
+    assert DRY(slip) == -DRY(-slip)
+    assert 0.0 <= DRY(slip) <= DRY.peak + 1e-15
+
+
+@pytest.mark.parametrize(
+    "curve", [(1.2, 0.54, 1.0, 1.0), (0.5, 1.2, 1.0, 0.9), (-0.1, 1.0, 1.0, 1.0)]
+)
+def test_curves_that_do_not_rise_from_zero_are_refused(curve: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match="creep curve"):
+        CreepCurve(*curve)
+
+
+def test_nonsensical_lines_are_refused_with_the_place() -> None:
+    def line(**changes: object) -> Line:
+        fields = {
+            "name": "L",
+            "length": 1000.0,
+            "stations": (Station("A", 0.0), Station("B", 1000.0)),
+            "speed_limits": StepProfile(np.array([0.0]), np.array([20.0])),
+            "gradients": StepProfile(np.array([0.0]), np.array([0.0])),
+        }
+        return Line(**{**fields, **changes})  # type: ignore[arg-type]
+
+    with pytest.raises(InputError, match=r"speed limit at km 0\.400 is not positive"):
+        line(speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([20.0, 0.0])))
+    with pytest.raises(InputError, match="steeper than 200 per mille"):
+        line(gradients=StepProfile(np.array([0.0]), np.array([11.9])))
+    with pytest.raises(InputError, match="beyond the line's end"):
+        line(speed_limits=StepProfile(np.array([0.0, 1500.0]), np.array([20.0, 30.0])))
+    with pytest.raises(InputError, match="not in the order"):
+        line(stations=(Station("B", 900.0), Station("A", 0.0)))
+    with pytest.raises(InputError, match="leaves the line"):
+        line(tunnels=(Tunnel(900.0, 200.0, 40.0),))
+    with pytest.raises(InputError, match="positions must increase, they do not at 5"):
+        StepProfile(np.array([0.0, 10.0, 5.0]), np.zeros(3))
+    with pytest.raises(InputError, match="finite"):
+        StepProfile(np.array([0.0]), np.array([np.nan]))
+
+
+def test_nonsensical_trains_are_refused() -> None:
+    from dataclasses import replace
+
+    with pytest.raises(InputError, match=r"mass -1\.0 is not positive"):
+        replace(TRAIN, mass=-1.0)
+    with pytest.raises(InputError, match=r"efficiency_traction 90\.0 is not between 0 and 1"):
+        replace(TRAIN, efficiency_traction=90.0)
+
+
+def test_a_configuration_with_negative_resistance_is_refused() -> None:
+    with pytest.raises(InputError, match="running resistance is negative at"):
+        Configuration("c", 1e5, 1e4, RunningResistance(1000.0, -200.0, 0.1), 1e6)

@@ -1,0 +1,90 @@
+"""Trips and the table of topics."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from trainlog.errors import LogError
+from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, column_field, columns
+from trainlog.trip import Trip, frame_of, interpolated, seconds
+
+SECOND = 1_000_000_000
+
+
+def state(times: list[float], speeds: list[float]) -> pd.DataFrame:
+    return frame_of(TRAIN_STATE, np.array(times) * SECOND, {"speed": speeds})
+
+
+def test_every_number_has_a_unit_and_every_field_a_meaning() -> None:
+    for topic in TOPICS.values():
+        names = [field.name for field in topic.fields]
+        assert len(names) == len(set(names))
+        for field in topic.fields:
+            assert field.meaning
+            assert field.unit or field.interpolation == "none"
+
+
+def test_columns_of_axles_are_numbered_from_one() -> None:
+    assert columns(TRAIN_AXLES, 2) == (
+        "wheel_speed_1",
+        "wheel_speed_2",
+        "wheel_effort_1",
+        "wheel_effort_2",
+    )
+    assert column_field(TRAIN_AXLES, "wheel_speed_12").unit == "m/s"
+    for wrong in ("wheel_speed", "wheel_speed_0", "wheel_speed_x", "speed"):
+        with pytest.raises(KeyError):
+            column_field(TRAIN_AXLES, wrong)
+
+
+def test_frames_carry_units_and_absent_fields_are_nan() -> None:
+    frame = state([0, 1], [3.0, 4.0])
+    assert frame.attrs["topic"] == "/train/state"
+    assert frame.attrs["units"]["speed"] == "m/s"
+    assert frame["position"].isna().all()
+    assert str(frame.index.dtype) == "datetime64[ns, UTC]"
+
+
+def test_frames_take_axles_as_a_matrix() -> None:
+    frame = frame_of(TRAIN_AXLES, [0, SECOND], {"wheel_speed": np.arange(6.0).reshape(2, 3)})
+    assert list(frame.columns) == ["wheel_speed_1", "wheel_speed_2", "wheel_speed_3"]
+    assert frame["wheel_speed_3"].tolist() == [2.0, 5.0]
+
+
+def test_frames_refuse_columns_that_the_topic_does_not_have() -> None:
+    with pytest.raises(KeyError):
+        frame_of(TRAIN_STATE, [0], {"velocity": [1.0]})
+
+
+def test_a_missing_topic_is_told_with_those_present() -> None:
+    trip = Trip({"/train/state": state([0], [1.0])}, {"trip": "t7"})
+    with pytest.raises(LogError, match=r"t7.*no topic /gnss/fix; topics present: /train/state"):
+        trip["/gnss/fix"]
+
+
+def test_span_of_a_trip() -> None:
+    trip = Trip({"/train/state": state([10, 12.5], [1.0, 2.0])})
+    assert trip.duration == 2.5
+    with pytest.raises(LogError, match="holds no samples"):
+        _ = Trip({}).start
+
+
+def test_interpolation_follows_the_topic_table_and_invents_nothing() -> None:
+    wanted = pd.to_datetime(np.array([-1.0, 0.5, 1.5, 3.0]) * SECOND, utc=True)
+    speed = interpolated(state([0, 1, 2], [0.0, 10.0, 20.0]), "speed", wanted)
+    np.testing.assert_array_equal(speed, [np.nan, 5.0, 15.0, np.nan])
+    lever = frame_of(TRAIN_CONTROLS, np.array([0, 1, 2]) * SECOND, {"lever": [0.0, 0.5, 1.0]})
+    held = interpolated(lever, "lever", wanted)
+    np.testing.assert_array_equal(held, [np.nan, 0.0, 0.5, np.nan])
+
+
+def test_seconds_since_a_common_origin() -> None:
+    frame = state([10, 11], [0.0, 0.0])
+    np.testing.assert_array_equal(seconds(frame), [0.0, 1.0])
+    origin = pd.Timestamp(8 * SECOND, tz="UTC")
+    np.testing.assert_array_equal(seconds(frame, origin), [2.0, 3.0])
+
+
+def test_steps_of_provenance_are_appended() -> None:
+    trip = Trip({}).with_step("ingest", file="a.csv").with_step("fit")
+    assert [step["step"] for step in trip.provenance] == ["ingest", "fit"]

@@ -1,0 +1,52 @@
+"""Units are converted once, exactly, and wrong ones are refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trainlog.errors import InputError
+from trainlog.units import from_si, to_si
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "si", "expected"),
+    [
+        (36.0, "km/h", "m/s", 10.0),
+        (11.9, "permil", "1", 0.0119),
+        (11.9, "‰", "1", 0.0119),
+        (10.0, "%", "1", 0.1),
+        (0.5, "-", "1", 0.5),
+        (200.0, "kN", "N", 200_000.0),
+        (0.00093264, "kN/(km/h)^2", "N/(m/s)^2", 0.93264 * 3.6**2),
+        (0.01698165, "kN/(km/h)", "N/(m/s)", 16.98165 * 3.6),
+        (20.0, "degC", "K", 293.15),
+        (68.0, "t", "kg", 68_000.0),
+        (2600.0, "kW", "W", 2.6e6),
+        (1.1, "m/s²", "m/s^2", 1.1),
+    ],
+)
+def test_known_conversions(value: float, unit: str, si: str, expected: float) -> None:
+    assert to_si(value, unit, si) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("unit", ["kg", "furlong per", "", "km", "m/s/", "[m]"])
+def test_wrong_units_are_refused_with_the_unit_named(unit: str) -> None:
+    with pytest.raises(InputError, match="cannot be read as m/s") as caught:
+        to_si(1.0, unit, "m/s")
+    assert f"'{unit}'" in str(caught.value)
+    assert "declare a unit" in str(caught.value)
+
+
+@given(st.integers(0, 40_000))
+def test_values_of_a_file_survive_reading_and_writing(tenths: int) -> None:
+    shown = tenths / 10.0
+    for unit, si in (("km/h", "m/s"), ("permil", "1"), ("kN", "N"), ("t", "kg"), ("degC", "K")):
+        if unit != "degC":
+            assert float(from_si(to_si(shown, unit, si), unit, si)) == shown
+
+
+@given(st.floats(-1e9, 1e9, allow_subnormal=False))
+def test_writing_twice_changes_nothing(value: float) -> None:
+    once = from_si(value, "km/h", "m/s")
+    assert np.array_equal(from_si(to_si(once, "km/h", "m/s"), "km/h", "m/s"), once)
