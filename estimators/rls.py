@@ -310,7 +310,7 @@ class RecursiveLeastSquares:
 _STATE_ARRAYS = ("prior_mean", "prior_variance", "walk", "theta", "upper", "diagonal")
 
 
-@njit(cache=True)
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _block(
     theta: FloatArray,
     upper: FloatArray,
@@ -353,7 +353,7 @@ def _block(
     return innovations
 
 
-@njit(cache=True)
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _measurement_update(
     theta: FloatArray,
     upper: FloatArray,
@@ -386,7 +386,7 @@ def _measurement_update(
         theta[i] += gain[i] * (innovation / alpha)
 
 
-@njit(cache=True)
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _time_update(
     upper: FloatArray, diagonal: FloatArray, keep: FloatArray, added: FloatArray
 ) -> None:
