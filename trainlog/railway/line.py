@@ -6,7 +6,7 @@ gives the same line travelled the other way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -140,6 +140,17 @@ class Geometry:
     longitudes: FloatArray
     quality: str
 
+    def __post_init__(self) -> None:
+        if self.positions.shape != self.latitudes.shape or self.positions.size < 2:
+            raise InputError("geometry: needs at least two points, each with two coordinates")
+        check_positions("geometry", self.positions - self.positions[0], self.latitudes)
+        check_positions("geometry", self.positions - self.positions[0], self.longitudes)
+        if np.any(np.abs(self.latitudes) > 90.0) or np.any(np.abs(self.longitudes) > 180.0):
+            raise InputError(
+                "geometry: a coordinate is beyond 90° of latitude or 180° of longitude",
+                remedy="give degrees, latitude first",
+            )
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Geometry) and bool(
             np.array_equal(self.positions, other.positions)
@@ -186,6 +197,8 @@ class Line:
     geometry : Geometry or None
     source : str
         Where the data come from.
+    braking_parameters : dict of str to float
+        ETCS braking parameters of the track by their published names and in published units.
     """
 
     name: str
@@ -198,6 +211,7 @@ class Line:
     altitude: float = 0.0
     geometry: Geometry | None = None
     source: str = ""
+    braking_parameters: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         where = f"line '{self.name}'"
@@ -220,10 +234,11 @@ class Line:
             ("gradient", self.gradients.positions),
             ("station", np.array([station.position for station in self.stations])),
         ):
-            if positions.size and not 0.0 <= positions[-1] <= self.length:
+            outside = positions[(positions < 0.0) | (positions > self.length)]
+            if outside.size:
                 raise InputError(
-                    f"{where}: {name} at km {positions[-1] / 1e3:.3f} lies beyond the line's end"
-                    f" at km {self.length / 1e3:.3f}"
+                    f"{where}: {name} at km {outside[0] / 1e3:.3f} lies beyond the line, which"
+                    f" ends at km {self.length / 1e3:.3f}"
                 )
         order = [station.position for station in self.stations]
         if order != sorted(order):
@@ -309,6 +324,7 @@ class Line:
             altitude=float(self.altitudes(self.length)),
             geometry=None if self.geometry is None else self.geometry.reversed(self.length),
             source=self.source,
+            braking_parameters=self.braking_parameters,
         )
 
 

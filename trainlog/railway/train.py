@@ -86,6 +86,8 @@ class Train:
     brake : Brake
     braking_curves : BrakingCurves or None
     source : str
+    assumed : tuple of str
+        Fields that the source does not give: they hold assumptions.
     """
 
     name: str
@@ -111,6 +113,7 @@ class Train:
     seats: int | None = None
     coaches: int | None = None
     source: str = ""
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"train '{self.name}'"

@@ -1,0 +1,190 @@
+"""Files on disk: written whole or not at all, read with errors that name the place."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+from trainlog.errors import InputError
+
+_REMEDIES = {
+    errno.ENOENT: "create its folder first",
+    errno.ENOTDIR: "create its folder first",
+    errno.EACCES: "choose a folder you may write to, and close programs that hold the file open",
+    errno.EPERM: "choose a folder you may write to",
+    errno.EROFS: "choose a folder you may write to",
+    errno.ENOSPC: "free some space on the disk and try again",
+    errno.EDQUOT: "free some of your quota and try again",
+    errno.EFBIG: "write to a file system that holds files of this size",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+
+
+@contextmanager
+def atomic_write(path: str | Path) -> Iterator[Path]:
+    """Write a file whole or not at all.
+
+    Yields a temporary path beside the target, with the target's suffix. When the block succeeds
+    the temporary file takes the target's place; when it fails, also by interruption, the temporary
+    file is removed and an older target stays as it was.
+
+    Raises
+    ------
+    InputError
+        If the folder is missing or read-only, the disk is full, or the target is not a file.
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise InputError("exists and is not a file", file=path, remedy="choose another name")
+    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
+    try:
+        temporary.touch(exist_ok=False)
+    except OSError as error:
+        _refuse_writing(path, error)
+    try:
+        yield temporary
+        _flush_to_disk(temporary)
+        temporary.replace(target)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        # An error about another file, say an input, is not ours to explain.
+        about = {None, str(temporary), str(target)}
+        if error.errno in _REMEDIES and error.filename in about:
+            _refuse_writing(path, error)
+        raise
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write `data` to `path`, whole or not at all; errors as `atomic_write`."""
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The content of a file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, a folder, or may not be read.
+    """
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        _refuse_reading(path, error)
+
+
+def sha256(data: bytes) -> str:
+    """SHA-256 of `data`, as 64 hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def sha256_of(path: str | Path) -> str:
+    """SHA-256 of a file's content, as 64 hexadecimal digits; errors as `read_bytes`."""
+    try:
+        with Path(path).open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        _refuse_reading(path, error)
+
+
+def read_json(path: str | Path) -> Any:
+    """The value that a JSON file holds; errors as `read_bytes` and `parse_json`."""
+    return parse_json(read_bytes(path), file=path)
+
+
+def parse_json(data: bytes, *, file: str | Path) -> Any:
+    """The value that the bytes of a JSON file hold.
+
+    Stricter than the standard library where that would hide a mistake: a key that comes twice in
+    one object, and NaN or Infinity, which JSON does not have, are refused.
+
+    Parameters
+    ----------
+    data : bytes
+    file : path
+        What to call the file in errors.
+
+    Raises
+    ------
+    InputError
+        With line and column where the text ceases to be JSON.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "is not UTF-8 text", file=file, place=f"byte {error.start}", remedy="expected JSON"
+        ) from error
+    if not text.strip():
+        raise InputError("is empty", file=file, remedy="expected JSON")
+    try:
+        return json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_object)
+    except json.JSONDecodeError as error:
+        ends = error.pos >= len(text.rstrip())
+        raise InputError(
+            "the file ends in the middle: truncated?" if ends else f"is not JSON: {error.msg}",
+            file=file,
+            place=f"line {error.lineno}, column {error.colno}",
+            remedy="copy the file again" if ends else "correct it there or just before",
+        ) from error
+    except InputError as error:
+        place = error.place or _constant_place(text)
+        raise InputError(error.problem, file=file, place=place, remedy=error.remedy) from error
+    except RecursionError as error:
+        raise InputError("is nested too deeply", file=file, remedy="expected JSON") from error
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError("comes twice in one object", place=twice, remedy="remove one of them")
+    return found
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise InputError(f"{name} is not a JSON number", remedy="give a finite number, or leave it out")
+
+
+def _constant_place(text: str) -> str:
+    """Where the first NaN or Infinity stands that is not part of a string."""
+    found = (m for m in re.finditer(r'"(?:\\.|[^"\\])*"|NaN|-?Infinity', text) if m[0][0] != '"')
+    start = next(found).start()
+    return (
+        f"line {text.count(chr(10), 0, start) + 1}, column {start - text.rfind(chr(10), 0, start)}"
+    )
+
+
+def _flush_to_disk(path: Path) -> None:
+    with path.open("rb+") as stream:
+        os.fsync(stream.fileno())
+
+
+def _refuse_writing(path: str | Path, error: OSError) -> NoReturn:
+    reason = (error.strerror or str(error)).lower()
+    if not Path(path).absolute().parent.is_dir():
+        reason = "its folder does not exist"
+    remedy = _REMEDIES.get(error.errno or 0, "choose another place")
+    raise InputError(f"cannot be written: {reason}", file=path, remedy=remedy) from error
+
+
+def _refuse_reading(path: str | Path, error: OSError) -> NoReturn:
+    if isinstance(error, FileNotFoundError):
+        raise InputError("does not exist", file=path, remedy="check the path") from error
+    if Path(path).is_dir():
+        raise InputError("is a folder", file=path, remedy="name a file in it") from error
+    reason = (error.strerror or str(error)).lower()
+    raise InputError(f"cannot be read: {reason}", file=path, remedy="check the path") from error

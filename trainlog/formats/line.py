@@ -1,0 +1,206 @@
+"""The line format, ``"trainlog/line"``; docs/formats.md describes its keys."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.schema import (
+    Column,
+    File,
+    FloatArray,
+    Named,
+    Part,
+    Quantity,
+    Table,
+    built,
+    readable,
+)
+from trainlog.railway.line import (
+    CurvatureProfile,
+    Geometry,
+    Line,
+    Station,
+    StepProfile,
+    Tunnel,
+)
+
+_POSITION = Column("position", "m", "m")
+_Length = Annotated[float, Quantity("m", "m")]
+_Stations = Annotated[tuple[Any, ...], Table((Column("name"), _POSITION))]
+_Limits = Annotated[tuple[Any, ...], Table((_POSITION, Column("speed", "km/h", "m/s")))]
+_Gradients = Annotated[tuple[Any, ...], Table((_POSITION, Column("gradient", "permil", "1")))]
+_Curvatures = Annotated[
+    tuple[Any, ...],
+    Table(
+        (
+            _POSITION,
+            Column("radius_at_start", "m", "m", infinite=True),
+            Column("radius_at_end", "m", "m", infinite=True),
+        )
+    ),
+]
+_Tunnels = Annotated[
+    tuple[Any, ...],
+    Table((_POSITION, Column("length", "m", "m"), Column("cross_section", "m^2", "m^2"))),
+]
+_Braking = Annotated[
+    dict[str, float], Named({"M_NVAVADH": Quantity("1", "1"), "Kt_int": Quantity("1", "1")})
+]
+_Track = Annotated[
+    tuple[Any, ...],
+    Table((_POSITION, Column("latitude", "deg", "deg"), Column("longitude", "deg", "deg"))),
+]
+
+
+class _Geometry(Part):
+    quality: str
+    track: _Track
+
+    def geometry(self) -> Geometry:
+        positions, latitudes, longitudes = self.track
+        return Geometry(positions, latitudes, longitudes, self.quality)
+
+
+class _LineFile(File):
+    FORMAT: ClassVar[str] = "trainlog/line"
+
+    name: str = Field(min_length=1)
+    source: str = ""
+    length: _Length
+    altitude: _Length = 0.0
+    stations: _Stations
+    speed_limits: _Limits
+    gradients: _Gradients
+    curvatures: _Curvatures | None = None
+    tunnels: _Tunnels | None = None
+    braking_parameters: _Braking | None = None
+    geometry: _Geometry | None = None
+
+    def line(self) -> Line:
+        """The line that the file describes."""
+        geometry = self.geometry
+        return Line(
+            name=self.name,
+            length=self.length,
+            stations=tuple(
+                Station(name, float(at)) for name, at in zip(*self.stations, strict=True)
+            ),
+            speed_limits=profile("speed_limits", *self.speed_limits),
+            gradients=profile("gradients", *self.gradients),
+            curvatures=None if self.curvatures is None else curvature_profile(*self.curvatures),
+            tunnels=()
+            if self.tunnels is None
+            else tuple(Tunnel(*map(float, row)) for row in zip(*self.tunnels, strict=True)),
+            altitude=self.altitude,
+            geometry=None if geometry is None else geometry.geometry(),
+            source=self.source,
+            braking_parameters=self.braking_parameters or {},
+        )
+
+    @staticmethod
+    def of(line: Line) -> _LineFile:
+        """The file that describes a line."""
+        curves, geometry, limits = line.curvatures, line.geometry, line.speed_limits
+        return _LineFile.model_construct(
+            name=line.name,
+            source=line.source,
+            length=line.length,
+            altitude=line.altitude,
+            stations=([s.name for s in line.stations], [s.position for s in line.stations]),
+            speed_limits=(limits.positions, limits.values),
+            gradients=(line.gradients.positions, line.gradients.values),
+            curvatures=None if curves is None else radii(curves),
+            tunnels=tuple(
+                [getattr(tunnel, name) for tunnel in line.tunnels]
+                for name in ("position", "length", "cross_section")
+            )
+            if line.tunnels
+            else None,
+            braking_parameters=line.braking_parameters or None,
+            geometry=None
+            if geometry is None
+            else _Geometry.model_construct(
+                quality=geometry.quality,
+                track=(geometry.positions, geometry.latitudes, geometry.longitudes),
+            ),
+        )
+
+
+def profile(place: str, positions: FloatArray, values: FloatArray) -> StepProfile:
+    """A step profile, whose errors name the row of the table at `place`."""
+    _check_rows(place, positions)
+    return StepProfile(positions, values)
+
+
+def curvature_profile(
+    positions: FloatArray, start_radii: FloatArray, end_radii: FloatArray
+) -> CurvatureProfile:
+    """Curvature from signed radii [m], infinite on straight track; errors name the row."""
+    _check_rows("curvatures", positions)
+    none = (start_radii == 0.0) | (end_radii == 0.0)
+    if np.any(none):
+        raise InputError(
+            "the radius is 0 m",
+            place=f"curvatures.values[{int(np.argmax(none))}]",
+            remedy="straight track has the radius 'infinity'",
+        )
+    return CurvatureProfile(positions, 1.0 / start_radii, 1.0 / end_radii)
+
+
+def _check_rows(place: str, positions: FloatArray) -> None:
+    if positions.size == 0 or positions[0] != 0.0:
+        raise InputError(
+            "the first row is not at position 0",
+            place=f"{place}.values",
+            remedy="say what holds from the line's start",
+        )
+    falling = np.flatnonzero(np.diff(positions) <= 0.0)
+    if falling.size:
+        row = int(falling[0]) + 1
+        raise InputError(
+            f"position {positions[row]:.12g} m follows {positions[row - 1]:.12g} m",
+            place=f"{place}.values[{row}]",
+            remedy="positions must increase",
+        )
+
+
+def radii(curves: CurvatureProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions and signed radii [m] at start and end."""
+    return curves.positions, _radii(curves.start), _radii(curves.end)
+
+
+def _radii(curvature: FloatArray) -> FloatArray:
+    with np.errstate(divide="ignore", over="ignore"):
+        return readable(curvature, 1.0 / curvature, lambda radius: 1.0 / radius)
+
+
+def line_from_bytes(data: bytes, *, file: str | Path = "line.json") -> Line:
+    """The line in the bytes of a line file; `file` is what errors call it.
+
+    Raises
+    ------
+    InputError
+        If they are not a line file, naming the place and the remedy.
+    """
+    return built(_LineFile.from_bytes(data, file).line, file)
+
+
+def line_to_bytes(line: Line) -> bytes:
+    """The bytes of the line's file: the same line gives the same bytes."""
+    return _LineFile.of(line).to_bytes()
+
+
+def read_line(path: str | Path) -> Line:
+    """Read a line file; errors as `line_from_bytes`, and if the file cannot be read."""
+    return line_from_bytes(read_bytes(path), file=path)
+
+
+def write_line(line: Line, path: str | Path) -> None:
+    """Write a line file, whole or not at all."""
+    write_bytes(path, line_to_bytes(line))

@@ -1,0 +1,340 @@
+"""Declared units and checked keys: what every file of the project has in common.
+
+A format is a pydantic model whose fields are in SI units. `Quantity`, `Table` and `Array`, given
+as annotations, say how a field stands in the file: with which unit it is written, and which
+dimension it must have on reading, in whatever unit the file declares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from trainlog.errors import InputError
+from trainlog.formats.files import parse_json
+from trainlog.formats.layout import plain, shortest, to_bytes
+from trainlog.units import factor, to_si
+
+FloatArray = NDArray[np.float64]
+
+_NUMBER = core_schema.float_schema(strict=True, allow_inf_nan=False)
+_TEXT = core_schema.str_schema(strict=True)
+
+
+class Part(BaseModel):
+    """A part of a file: strict types, unknown keys refused, values in SI units."""
+
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, arbitrary_types_allowed=True
+    )
+
+
+class File(Part):
+    """A whole file: a part that names its format and version."""
+
+    FORMAT: ClassVar[str]
+    VERSION: ClassVar[int] = 1
+
+    @classmethod
+    def from_bytes(cls, data: bytes, file: str | Path) -> Self:
+        """Read and check the bytes of a file; `file` is what errors call it.
+
+        Raises
+        ------
+        InputError
+            One line with the place, for example ``gradients.values[3][1]``, and the remedy.
+        """
+        content = parse_json(data, file=file)
+        name = cls.FORMAT
+        if not isinstance(content, dict) or "format" not in content:
+            raise InputError(
+                f"is not a {name} file: it has no key 'format'",
+                file=file,
+                remedy="bring foreign files in with 'trainlog import'",
+            )
+        if content["format"] != name:
+            raise InputError(
+                f"is a file of format '{content['format']}', expected '{name}'",
+                file=file,
+                place="format",
+                remedy="check which file is meant",
+            )
+        version = content.get("version")
+        if version != cls.VERSION or isinstance(version, bool):
+            newer = isinstance(version, int) and version > cls.VERSION
+            raise InputError(
+                f"version {version} is {'newer than' if newer else 'not one that'} this trainlog"
+                f" {f'knows ({cls.VERSION})' if newer else 'reads'}",
+                file=file,
+                place="version",
+                remedy="update trainlog" if newer else f"expected {cls.VERSION}",
+            )
+        body = {key: value for key, value in content.items() if key not in ("format", "version")}
+        return checked(cls, body, file)
+
+    def to_bytes(self) -> bytes:
+        """The file's bytes: canonical units, parts that say nothing left out."""
+        body = self.model_dump(exclude_none=True)
+        return to_bytes({"format": self.FORMAT, "version": self.VERSION} | plain(body))
+
+
+Model = TypeVar("Model", bound=BaseModel)
+Result = TypeVar("Result")
+
+
+def checked(model: type[Model], content: Any, file: str | Path) -> Model:
+    """Validate `content`; pydantic's complaints become one InputError in one line."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise told(error, file) from error
+
+
+def built(make: Callable[[], Result], file: str | Path) -> Result:
+    """`make()`, with the file's name added to the InputError it may raise."""
+    try:
+        return make()
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(
+            error.problem, file=file, place=error.place, remedy=error.remedy
+        ) from error
+
+
+def told(error: ValidationError, file: str | Path) -> InputError:
+    """The first complaint in one line, and how many more there are; misspelt keys go first."""
+    complaints = error.errors(include_url=False)
+    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
+    place = ""
+    for part in first["loc"]:
+        place += f"[{part}]" if isinstance(part, int) else f".{part}"
+    if first["type"] == "unit":
+        place += f".{first['ctx']['where']}"
+    key = first["loc"][-1] if first["loc"] else "file"
+    problem, remedy = {
+        "missing": (f"'{key}' is missing", "add it"),
+        "extra_forbidden": (f"unknown key '{key}'", "correct its spelling or remove it"),
+        "finite_number": ("is not a finite number", "give one"),
+    }.get(first["type"], (_sentence(first["msg"]), None))
+    others = len(complaints) - 1
+    if others:
+        problem += f" (and {others} more {'problem' if others == 1 else 'problems'})"
+    return InputError(problem, file=file, place=place.lstrip(".") or None, remedy=remedy)
+
+
+def _sentence(message: str) -> str:
+    return message[:1].lower() + message[1:]
+
+
+def declared(values: ArrayLike, unit: str, si: str) -> Any:
+    """SI values in a file's unit, as plain numbers that read back as they were."""
+    slope, offset = factor(unit, si)
+    numbers = np.asarray(values, dtype=np.float64)
+    if (slope, offset) == (1.0, 0.0):
+        return shortest(numbers.tolist())
+    written = readable(numbers, (numbers - offset) / slope, lambda x: to_si(x, unit, si))
+    return shortest(written.tolist())
+
+
+def readable(
+    values: FloatArray, converted: FloatArray, read: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """`converted` with as few digits, from 12 on, as `read` needs to return `values` exactly.
+
+    Where no double reads back exactly it has 12 digits, which read and write to themselves.
+    """
+    written = _rounded(converted, 12)
+    for digits in (15, 16, 17):
+        inexact = read(written) != values
+        if not np.any(inexact):
+            break
+        candidate = _rounded(converted, digits)
+        written = np.where(inexact & (read(candidate) == values), candidate, written)
+    return written
+
+
+def _rounded(values: FloatArray, digits: int) -> FloatArray:
+    return np.array([float(f"{x:.{digits}g}") for x in values.ravel()]).reshape(values.shape)
+
+
+def _to_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:
+    """Convert, telling a wrong unit in pydantic's way so that its place is kept."""
+    try:
+        converted = to_si(values, unit, si)
+    except InputError as error:
+        raise PydanticCustomError(
+            "unit",
+            "{problem}; {remedy}",
+            {"where": where, "problem": error.problem, "remedy": error.remedy or ""},
+        ) from error
+    if not np.all(np.isfinite(converted)):
+        raise PydanticCustomError("finite_number", "is not a finite number")
+    return converted
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its unit: ``{"value": 122, "unit": "t"}``; a float in `si` inside.
+
+    Attributes
+    ----------
+    unit : str
+        What it is written in.
+    si : str
+    """
+
+    unit: str
+    si: str
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(
+            self._read,
+            _keys(value=_NUMBER, unit=_TEXT),
+            serialization=core_schema.plain_serializer_function_ser_schema(self.write),
+        )
+
+    def _read(self, found: dict[str, Any]) -> float:
+        return float(_to_si(found["value"], found["unit"], self.si))
+
+    def write(self, value: float) -> dict[str, Any]:
+        """The number as it stands in the file."""
+        return {"value": declared(value, self.unit, self.si), "unit": self.unit}
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """Numbers under published names, each a `Quantity`; a dict of float inside.
+
+    Attributes
+    ----------
+    quantities : dict of str to Quantity
+        Every name that may occur.
+    """
+
+    quantities: dict[str, Quantity]
+
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.typed_dict_schema(
+            {
+                name: core_schema.typed_dict_field(
+                    quantity.__get_pydantic_core_schema__(float, handler), required=False
+                )
+                for name, quantity in self.quantities.items()
+            },
+            extra_behavior="forbid",
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _write(self, content: dict[str, float]) -> dict[str, Any]:
+        for name in content:
+            if name not in self.quantities:
+                raise InputError(
+                    f"parameter '{name}' is not known, so its unit is not either",
+                    remedy=f"known are {', '.join(self.quantities)}",
+                )
+        return {
+            name: quantity.write(content[name])
+            for name, quantity in self.quantities.items()
+            if name in content
+        }
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table: its name, the unit it is written in and the SI unit it holds.
+
+    Without units it is text; `infinite` columns hold radii and may say ``"infinity"``.
+    """
+
+    name: str
+    unit: str = ""
+    si: str = ""
+    infinite: bool = False
+
+    @property
+    def cell(self) -> CoreSchema:
+        """What one cell may hold."""
+        if not self.unit:
+            return _TEXT
+        if self.infinite:
+            words = core_schema.literal_schema(["infinity"])
+            return core_schema.union_schema(
+                [words, _NUMBER],
+                custom_error_type="radius",
+                custom_error_message="should be a finite number or 'infinity'",
+            )
+        return _NUMBER
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows with declared units: ``{"units": {"position": "m", ...}, "values": [[...], ...]}``.
+
+    Inside, a tuple with one member a column: an array in SI units, or a tuple of str.
+    """
+
+    columns: tuple[Column, ...]
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        row = core_schema.tuple_positional_schema([c.cell for c in self.columns], strict=False)
+        units = {column.name: _TEXT for column in self.columns if column.unit}
+        return core_schema.no_info_after_validator_function(
+            self._read,
+            _keys(units=_keys(**units), values=core_schema.list_schema(row, strict=True)),
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _read(self, found: dict[str, Any]) -> tuple[Any, ...]:
+        cells = list(zip(*found["values"], strict=True)) or [()] * len(self.columns)
+        return tuple(
+            self._column(column, values, found["units"])
+            for column, values in zip(self.columns, cells, strict=True)
+        )
+
+    @staticmethod
+    def _column(column: Column, values: tuple[Any, ...], units: dict[str, str]) -> Any:
+        if not column.unit:
+            return values
+        where = f"units.{column.name}"
+        if not column.infinite:
+            return _to_si(values, units[column.name], column.si, where)
+        straight = np.array([value == "infinity" for value in values], dtype=bool)
+        numbers = [0.0 if value == "infinity" else value for value in values]
+        converted = _to_si(numbers, units[column.name], column.si, where)
+        return np.where(straight, np.inf, converted)
+
+    def _write(self, content: tuple[Any, ...]) -> dict[str, Any]:
+        cells = []
+        for column, values in zip(self.columns, content, strict=True):
+            if not column.unit:
+                cells.append(list(values))
+                continue
+            numbers = np.asarray(values, dtype=np.float64)
+            straight = np.isinf(numbers)
+            written = declared(np.where(straight, 0.0, numbers), column.unit, column.si)
+            cells.append(
+                ["infinity" if s else v for s, v in zip(straight, written, strict=True)]
+                if column.infinite
+                else written
+            )
+        return {
+            "units": {column.name: column.unit for column in self.columns if column.unit},
+            "values": [list(row) for row in zip(*cells, strict=True)],
+        }
+
+
+def _keys(**fields: CoreSchema) -> CoreSchema:
+    """An object with exactly these keys."""
+    return core_schema.typed_dict_schema(
+        {name: core_schema.typed_dict_field(schema) for name, schema in fields.items()},
+        extra_behavior="forbid",
+        strict=True,
+    )

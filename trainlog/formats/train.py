@@ -1,0 +1,203 @@
+"""The train format, ``"trainlog/train"``; docs/formats.md describes its keys."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
+
+Mass = Annotated[float, Quantity("t", "kg")]
+Effort = Annotated[float, Quantity("kN", "N")]
+Power = Annotated[float, Quantity("kW", "W")]
+Linear = Annotated[float, Quantity("kN/(km/h)", "N/(m/s)")]
+Quadratic = Annotated[float, Quantity("kN/(km/h)^2", "N/(m/s)^2")]
+Speed = Annotated[float, Quantity("km/h", "m/s")]
+Acceleration = Annotated[float, Quantity("m/s^2", "m/s^2")]
+Length = Annotated[float, Quantity("m", "m")]
+Time = Annotated[float, Quantity("s", "s")]
+Share = Annotated[float, Quantity("%", "1")]
+
+_Tunnels = Annotated[
+    tuple[Any, ...],
+    Table(
+        (Column("cross_section", "m^2", "m^2"), Column("coefficient", "kN/(km/h)^2", "N/(m/s)^2"))
+    ),
+]
+_Curve = Annotated[
+    tuple[Any, ...],
+    Table((Column("speed", "km/h", "m/s"), Column("deceleration", "m/s^2", "m/s^2"))),
+]
+BRAKING_PARAMETERS = {
+    "K_dry_rst": Quantity("1", "1"),
+    "K_wet_rst": Quantity("1", "1"),
+    "T_traction": Quantity("s", "s"),
+    "T_be": Quantity("s", "s"),
+    "v_uncertainty": Quantity("%", "%"),
+    "T_bs": Quantity("s", "s"),
+}
+"""ETCS braking parameters of a train by their published names, in their published units."""
+
+
+class _Resistance(Part):
+    r0: Effort
+    r1: Linear
+    r2: Quadratic
+
+
+class _Axles(Part):
+    count: int = Field(gt=0)
+    adhesive_mass: Mass
+    wheel_radius: Length
+    rotating_mass: Mass
+
+
+class _Brake(Part):
+    dead_time: Time
+    lag: Time
+
+
+class _BrakingCurves(Part):
+    emergency: _Curve | None = None
+    service: _Curve | None = None
+    parameters: Annotated[dict[str, float], Named(BRAKING_PARAMETERS)] | None = None
+
+
+class _TrainFile(File):
+    FORMAT: ClassVar[str] = "trainlog/train"
+
+    name: str = Field(min_length=1)
+    source: str = ""
+    assumed: list[str] | None = None
+    mass: Mass
+    rotating_mass_factor: Share
+    length: Length | None = None
+    max_load: Mass | None = None
+    seats: int | None = Field(default=None, gt=0)
+    coaches: int | None = Field(default=None, gt=0)
+    running_resistance: _Resistance
+    tunnel_resistance: _Tunnels | None = None
+    max_speed: Speed
+    max_acceleration: Acceleration
+    max_deceleration: Acceleration
+    max_tractive_effort: Effort
+    max_traction_power: Power
+    max_dynamic_braking_effort: Effort
+    max_dynamic_braking_power: Power
+    max_pneumatic_braking_effort: Effort
+    efficiency_traction: Share
+    efficiency_regeneration: Share
+    axles: _Axles
+    brake: _Brake
+    braking_curves: _BrakingCurves | None = None
+
+    def train(self) -> Train:
+        """The train that the file describes."""
+        given = {name: getattr(self, name) for name in _SAME}
+        curves = self.braking_curves
+        _check_positive("axles", self.axles, ("adhesive_mass", "wheel_radius"))
+        return Train(
+            **given,
+            length=self.length or 0.0,
+            max_load=self.max_load or 0.0,
+            assumed=tuple(self.assumed or ()),
+            resistance=RunningResistance(**dict(self.running_resistance)),
+            tunnel_resistance=pairs(self.tunnel_resistance),
+            axles=Axles(**dict(self.axles)),
+            brake=Brake(**dict(self.brake)),
+            braking_curves=None
+            if curves is None
+            else BrakingCurves(
+                pairs(curves.emergency), pairs(curves.service), curves.parameters or {}
+            ),
+        )
+
+    @staticmethod
+    def of(train: Train) -> _TrainFile:
+        """The file that describes a train."""
+        given = {name: getattr(train, name) for name in _SAME}
+        curves = train.braking_curves
+        return _TrainFile.model_construct(
+            **given,
+            length=train.length or None,
+            max_load=train.max_load or None,
+            assumed=list(train.assumed) or None,
+            running_resistance=_part(_Resistance, train.resistance),
+            tunnel_resistance=columns(train.tunnel_resistance),
+            axles=_part(_Axles, train.axles),
+            brake=_part(_Brake, train.brake),
+            braking_curves=None
+            if curves is None
+            else _BrakingCurves.model_construct(
+                emergency=columns(curves.emergency),
+                service=columns(curves.service),
+                parameters=curves.parameters or None,
+            ),
+        )
+
+
+_SAME = {field.name for field in fields(Train)} & set(_TrainFile.model_fields) - {
+    "length",
+    "max_load",
+    "assumed",
+    "tunnel_resistance",
+    "axles",
+    "brake",
+    "braking_curves",
+}
+"""Fields that are the same in the file and in the train."""
+
+
+def pairs(table: tuple[NDArray[np.float64], ...] | None) -> tuple[tuple[float, float], ...]:
+    """The rows of a table of two columns."""
+    return () if table is None else tuple((float(x), float(y)) for x, y in zip(*table, strict=True))
+
+
+def columns(rows: tuple[tuple[float, float], ...]) -> tuple[tuple[float, ...], ...] | None:
+    """The two columns of a table, or None if it has no rows."""
+    return tuple(zip(*rows, strict=True)) or None
+
+
+def _part(model: type[Part], value: Any) -> Any:
+    return model.model_construct(**{name: getattr(value, name) for name in model.model_fields})
+
+
+def _check_positive(place: str, part: Part, names: tuple[str, ...]) -> None:
+    for name in names:
+        if not getattr(part, name) > 0.0:
+            raise InputError("must be positive", place=f"{place}.{name}", remedy="correct it")
+
+
+def train_from_bytes(data: bytes, *, file: str | Path = "train.json") -> Train:
+    """The train in the bytes of a train file; `file` is what errors call it.
+
+    Raises
+    ------
+    InputError
+        If they are not a train file, naming the place and the remedy.
+    """
+    return built(_TrainFile.from_bytes(data, file).train, file)
+
+
+def train_to_bytes(train: Train) -> bytes:
+    """The bytes of the train's file: the same train gives the same bytes."""
+    return _TrainFile.of(train).to_bytes()
+
+
+def read_train(path: str | Path) -> Train:
+    """Read a train file; errors as `train_from_bytes`, and if the file cannot be read."""
+    return train_from_bytes(read_bytes(path), file=path)
+
+
+def write_train(train: Train, path: str | Path) -> None:
+    """Write a train file, whole or not at all."""
+    write_bytes(path, train_to_bytes(train))
