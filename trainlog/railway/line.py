@@ -237,8 +237,8 @@ class Line:
             outside = positions[(positions < 0.0) | (positions > self.length)]
             if outside.size:
                 raise InputError(
-                    f"{where}: {name} at km {outside[0] / 1e3:.3f} lies beyond the line, which"
-                    f" ends at km {self.length / 1e3:.3f}"
+                    f"{where}: {name} at km {outside[0] / 1e3:.3f} lies before the line's start"
+                    f" or beyond the line's end at km {self.length / 1e3:.3f}"
                 )
         order = [station.position for station in self.stations]
         if order != sorted(order):

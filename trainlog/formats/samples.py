@@ -1,0 +1,81 @@
+"""The sample logs, line, train and map that come with trainlog."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes, write_bytes
+
+DEFAULT_LINE = "CH_StGallen_Wil.line.json"
+"""The line that is used where none is named."""
+
+DEFAULT_TRAIN = "CH_Stadler_FLIRT_TPF.train.json"
+"""The train that is used where none is named."""
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_PLACES = (_PACKAGE / "sample_logs", _PACKAGE.parent / "sample_logs")
+
+
+def folder() -> Path:
+    """The folder of the samples: inside the installed package, or beside it in a checkout.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    for place in _PLACES:
+        if (place / DEFAULT_LINE).is_file():
+            return place
+    raise InputError(
+        "the sample files are missing from this installation",
+        file=_PLACES[0],
+        remedy="install trainlog again, or name a line and a train",
+    )
+
+
+def sample(name: str) -> Path:
+    """The path of the sample called `name`.
+
+    Raises
+    ------
+    InputError
+        If there is no such sample; lists those that there are.
+    """
+    path = folder() / name
+    if not path.is_file():
+        raise InputError(f"there is no sample '{name}'", remedy=f"there are {', '.join(names())}")
+    return path
+
+
+def names() -> list[str]:
+    """Names of all samples, in alphabetical order."""
+    return sorted(
+        path.name
+        for path in folder().iterdir()
+        if path.is_file() and path.suffix != ".py" and not path.name.startswith(".")
+    )
+
+
+def copy_samples(output: str | os.PathLike[str]) -> list[Path]:
+    """Copy all samples to the folder `output`, which is made if need be; the copies' paths.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be made or written to.
+    """
+    target = Path(output)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot be made: {(error.strerror or str(error)).lower()}",
+            file=target,
+            remedy="choose another folder",
+        ) from error
+    for name in names():
+        write_bytes(target / name, read_bytes(sample(name)))
+    return [target / name for name in names()]
