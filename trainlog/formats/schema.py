@@ -331,6 +331,53 @@ class Table:
         }
 
 
+@dataclass(frozen=True)
+class Array:
+    """Numbers with one unit: ``{"unit": "m/s", "values": [[...], ...]}``; an array inside.
+
+    Attributes
+    ----------
+    si : str
+        What it is written in, exactly, and what it holds.
+    dimensions : {1, 2}
+    gaps : bool
+        Whether values may be missing: ``null`` in the file, NaN inside.
+    """
+
+    si: str
+    dimensions: int = 1
+    gaps: bool = False
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        values: CoreSchema = core_schema.nullable_schema(_NUMBER) if self.gaps else _NUMBER
+        for _dimension in range(self.dimensions):
+            values = core_schema.list_schema(values, strict=True)
+        return core_schema.no_info_after_validator_function(
+            self._read,
+            _keys(unit=_TEXT, values=values),
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _read(self, found: dict[str, Any]) -> FloatArray:
+        rows = found["values"]
+        if self.dimensions == 2 and len({len(row) for row in rows}) > 1:
+            raise PydanticCustomError("ragged", "rows differ in length")
+        numbers = np.array(rows, dtype=np.float64)
+        missing = np.isnan(numbers)
+        converted = _to_si(np.where(missing, 0.0, numbers), found["unit"], self.si)
+        return np.where(missing, np.nan, converted)
+
+    def _write(self, content: FloatArray) -> dict[str, Any]:
+        values = shortest(np.asarray(content, dtype=np.float64).tolist())
+        return {"unit": self.si, "values": _with_gaps(values) if self.gaps else values}
+
+
+def _with_gaps(values: Any) -> Any:
+    if isinstance(values, list):
+        return [_with_gaps(value) for value in values]
+    return None if np.isnan(values) else values
+
+
 def _keys(**fields: CoreSchema) -> CoreSchema:
     """An object with exactly these keys."""
     return core_schema.typed_dict_schema(

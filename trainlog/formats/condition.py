@@ -1,0 +1,121 @@
+"""The track-condition map's format, ``"trainlog/condition"``; docs/formats.md has its keys."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.layout import plain
+from trainlog.formats.parameters import Details
+from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+
+_Length = Annotated[float, Quantity("m", "m")]
+_Bins = Annotated[FloatArray, Array("1")]
+_Estimates = Annotated[FloatArray, Array("1", gaps=True)]
+
+
+class _Layer(Part):
+    log_mean: _Estimates
+    log_std: _Estimates
+    observed: list[bool]
+    events: _Bins
+    weight: _Bins
+    weighted_log: _Bins
+    censored: Annotated[FloatArray, Array("1", dimensions=2)]
+
+    def layer(self, place: str, bins: int, levels: int) -> ConditionLayer:
+        """The layer that the part describes."""
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        fields["observed"] = np.array(self.observed, dtype=np.bool_)
+        for name, values in fields.items():
+            needed = (bins, levels) if name == "censored" else (bins,)
+            if values.shape != needed:
+                raise InputError(
+                    f"has {' by '.join(map(str, values.shape))} values, needs"
+                    f" {' by '.join(map(str, needed))}",
+                    place=f"{place}.{name}",
+                    remedy="one row a bin of the line",
+                )
+        return ConditionLayer(**fields)
+
+    @staticmethod
+    def of(layer: ConditionLayer) -> _Layer:
+        """The part that describes a layer."""
+        fields = {name: getattr(layer, name) for name in _Layer.model_fields}
+        return _Layer.model_construct(**fields | {"observed": layer.observed.tolist()})
+
+
+class _MapFile(File):
+    FORMAT: ClassVar[str] = "trainlog/condition"
+
+    line: str
+    length: _Length
+    bin_length: _Length
+    levels: _Bins
+    layers: dict[str, _Layer]
+    settings: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = Field(default_factory=dict)
+    trips: list[Details] = Field(default_factory=list)
+
+    def map(self) -> TrackConditionMap:
+        """The map that the file describes."""
+        for name in ("length", "bin_length"):
+            if not getattr(self, name) > 0.0:
+                raise InputError("must be positive", place=name, remedy="correct it")
+        empty = TrackConditionMap(
+            line=self.line,
+            length=self.length,
+            bin_length=self.bin_length,
+            levels=self.levels,
+            layers={},
+            trips=tuple(self.trips),
+            settings=self.settings,
+        )
+        bins, levels = empty.bins, self.levels.size
+        layers = {n: part.layer(f"layers.{n}", bins, levels) for n, part in self.layers.items()}
+        return replace(empty, layers=layers)
+
+    @staticmethod
+    def of(condition: TrackConditionMap) -> _MapFile:
+        """The file that describes a map."""
+        return _MapFile.model_construct(
+            line=condition.line,
+            length=condition.length,
+            bin_length=condition.bin_length,
+            levels=condition.levels,
+            layers={name: _Layer.of(layer) for name, layer in condition.layers.items()},
+            settings=plain(condition.settings, "settings"),
+            trips=plain(condition.trips, "trips"),
+        )
+
+
+def map_from_bytes(data: bytes, *, file: str | Path = "map.json") -> TrackConditionMap:
+    """The track-condition map in the bytes of a map file; `file` is what errors call it.
+
+    Raises
+    ------
+    InputError
+        If they are not a map file, naming the place and the remedy.
+    """
+    return built(_MapFile.from_bytes(data, file).map, file)
+
+
+def map_to_bytes(condition: TrackConditionMap) -> bytes:
+    """The bytes of the map's file: doubles exact, the same map gives the same bytes."""
+    return _MapFile.of(condition).to_bytes()
+
+
+def read_map(path: str | Path) -> TrackConditionMap:
+    """Read a track-condition map; errors as `map_from_bytes`, and if the file cannot be read."""
+    return map_from_bytes(read_bytes(path), file=path)
+
+
+def write_map(condition: TrackConditionMap, path: str | Path) -> None:
+    """Write a track-condition map, whole or not at all."""
+    write_bytes(path, map_to_bytes(condition))

@@ -1,0 +1,112 @@
+"""The trajectory format, ``"trainlog/trajectory"``; docs/formats.md describes its keys."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.layout import plain
+from trainlog.formats.parameters import ConfigurationPart, Details
+from trainlog.formats.schema import Array, File, FloatArray, Quantity, built
+from trainlog.railway.trajectory import Trajectory
+
+
+_ROUNDING = 1e-6
+"""What a solver's zero may fall short of zero [N], [m/s]."""
+
+
+class _TrajectoryFile(File):
+    FORMAT: ClassVar[str] = "trainlog/trajectory"
+
+    line: str
+    train: str
+    running_time: Annotated[float, Quantity("s", "s")]
+    configurations: list[ConfigurationPart] = Field(min_length=1)
+    positions: Annotated[FloatArray, Array("m")]
+    tractive_effort: Annotated[FloatArray, Array("N")]
+    braking_effort: Annotated[FloatArray, Array("N", dimensions=2)]
+    speeds: Annotated[FloatArray, Array("m/s", dimensions=2)]
+    times: Annotated[FloatArray, Array("s", dimensions=2)]
+    certificate: Details = Field(default_factory=dict)
+    provenance: Details = Field(default_factory=dict)
+
+    def trajectory(self) -> Trajectory:
+        """The trajectory that the file describes."""
+        self.check()
+        return Trajectory(
+            line=self.line,
+            train=self.train,
+            positions=self.positions,
+            configurations=tuple(part.configuration() for part in self.configurations),
+            speeds=self.speeds,
+            times=self.times,
+            tractive_effort=self.tractive_effort,
+            braking_effort=self.braking_effort,
+            running_time=self.running_time,
+            certificate=self.certificate,
+            provenance=self.provenance,
+        )
+
+    def check(self) -> None:
+        """Refuse what no train can do."""
+        falling = np.flatnonzero(np.diff(self.positions) <= 0.0)
+        if falling.size or self.positions.size < 2:
+            row = int(falling[0]) + 1 if falling.size else 0
+            raise InputError(
+                "positions must increase",
+                place=f"positions.values[{row}]",
+                remedy="give at least two",
+            )
+        for name in ("tractive_effort", "braking_effort", "speeds"):
+            if np.any(getattr(self, name) < -_ROUNDING):
+                raise InputError("must not be negative", place=f"{name}.values")
+
+    @staticmethod
+    def of(trajectory: Trajectory) -> _TrajectoryFile:
+        """The file that describes a trajectory."""
+        file = _TrajectoryFile.model_construct(
+            line=trajectory.line,
+            train=trajectory.train,
+            running_time=trajectory.running_time,
+            configurations=[ConfigurationPart.of(item) for item in trajectory.configurations],
+            positions=trajectory.positions,
+            tractive_effort=trajectory.tractive_effort,
+            braking_effort=trajectory.braking_effort,
+            speeds=trajectory.speeds,
+            times=trajectory.times,
+            certificate=plain(trajectory.certificate, "certificate"),
+            provenance=plain(trajectory.provenance, "provenance"),
+        )
+        file.check()
+        return file
+
+
+def trajectory_from_bytes(data: bytes, *, file: str | Path = "trajectory.json") -> Trajectory:
+    """The trajectory in the bytes of a trajectory file; `file` is what errors call it.
+
+    Raises
+    ------
+    InputError
+        If they are not a trajectory file, naming the place and the remedy.
+    """
+    return built(_TrajectoryFile.from_bytes(data, file).trajectory, file)
+
+
+def trajectory_to_bytes(trajectory: Trajectory) -> bytes:
+    """The bytes of the file: doubles exact, the same trajectory gives the same bytes."""
+    return _TrajectoryFile.of(trajectory).to_bytes()
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Read a trajectory file; errors as `trajectory_from_bytes`, and if it cannot be read."""
+    return trajectory_from_bytes(read_bytes(path), file=path)
+
+
+def write_trajectory(trajectory: Trajectory, path: str | Path) -> None:
+    """Write a trajectory file, whole or not at all."""
+    write_bytes(path, trajectory_to_bytes(trajectory))
