@@ -15,7 +15,6 @@ from trainlog.formats.parameters import ConfigurationPart, Details
 from trainlog.formats.schema import Array, File, FloatArray, Quantity, built
 from trainlog.railway.trajectory import Trajectory
 
-
 _ROUNDING = 1e-6
 """What a solver's zero may fall short of zero [N], [m/s]."""
 
