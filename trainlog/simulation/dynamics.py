@@ -1,0 +1,379 @@
+"""The longitudinal dynamics in compiled code: one train, its powered axles, its brakes.
+
+The train is a single particle; each powered axle has its own wheel speed and pulls the train only
+through the adhesion between wheel and rail:
+
+    M dv/dt   = sum F_i - R(v) - m g (sin alpha + k_C |kappa|) - r_T v² - F_B
+    J dw_i/dt = T_i - F_i,        F_i = mu(w_i - v; mu_max(s)) W
+
+(paper 003, eq. 1, 8, 10; paper 004, eq. 1, 5, 6, 10). `M` moves with the train, `J` is the inertia
+of one powered axle, both as masses at the wheel rim; `T_i` is the motor torque over the wheel
+radius. The efforts follow their demand with a first-order lag, the friction brake after a dead
+time as well. Classical Runge-Kutta of fourth order with a fixed step; the works of all forces are
+integrated beside the motion, so that the energy balance can be checked.
+
+The state is one vector: position, train speed, friction braking effort, the wheel speeds, the
+lagged efforts of the motors, and the works listed in `WORKS`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from trainlog.railway.resistance import CURVE_COEFFICIENT
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+POSITION, SPEED, FRICTION, WHEELS = 0, 1, 2, 3
+"""Where the state vector holds position, speed, friction braking effort and the first wheel."""
+
+WORKS = ("traction", "dynamic_braking", "friction_braking", "running_resistance", "track", "slip")
+"""The works [J] at the end of the state vector, in this order; all but `track` only grow."""
+
+SAMPLE = (
+    "position",
+    "speed",
+    "acceleration",
+    "tractive_effort",
+    "dynamic_braking_effort",
+    "pneumatic_braking_effort",
+    "running_resistance",
+    "maximum_adhesion",
+    "energy",
+    "protected_axles",
+)
+"""Columns of a recorded sample; the wheel speeds and the wheel efforts of the axles follow."""
+
+NORMAL, CUT, RECOVERING = 0, 1, 2
+"""What the slip protection of an axle is doing."""
+
+
+class Parameters(NamedTuple):
+    """Constants of one train on one trip, in SI units, per powered axle where so named."""
+
+    mass: float
+    body_inertia: float
+    axle_inertia: float
+    axle_weight: float
+    trailing_weight: float
+    r0: float
+    r1: float
+    r2: float
+    axle_effort: float
+    axle_power: float
+    axle_braking_effort: float
+    axle_braking_power: float
+    braking_fade_speed: float
+    motor_lag: float
+    friction_effort: float
+    friction_dead_time: float
+    friction_lag: float
+    slip_threshold: float
+    slip_release: float
+    slip_cut: float
+    slip_reapply: float
+    slip_ramp: float
+    step: float
+
+
+@njit(cache=True)
+def adhesion(slip: float, rail: FloatArray) -> float:
+    """Adhesion at a slip speed [m/s] on one row of the rail table (start, mu_max, a, b, scale)."""
+    size = abs(slip)
+    found = rail[4] * (np.exp(-rail[2] * size) - np.exp(-rail[3] * size))
+    return found if slip >= 0.0 else -found
+
+
+@njit(cache=True)
+def motor_effort(lagged: float, wheel: float, p: Parameters) -> float:
+    """Effort of one axle's motor [N] within its power limit; braking fades out at low speed."""
+    if lagged >= 0.0:
+        return min(lagged, p.axle_power / max(wheel, 1e-3))
+    fade = min(1.0, max(wheel, 0.0) / p.braking_fade_speed)
+    limit = min(p.axle_braking_effort * fade, p.axle_braking_power / max(wheel, 1e-3))
+    return -min(-lagged, limit)
+
+
+@njit(cache=True)
+def derivative(
+    y: FloatArray,
+    out: FloatArray,
+    command: FloatArray,
+    friction_demand: float,
+    track: FloatArray,
+    rail: FloatArray,
+    moving: bool,
+    weights: FloatArray,
+    p: Parameters,
+) -> float:
+    """Right-hand side; returns the net force on the train [N].
+
+    `track` and `rail` are the rows of the two tables under the train. Unless `moving`, the brakes
+    and the resistances hold the train where it stands.
+    """
+    n = command.size
+    v = y[1] if moving else 0.0
+    works = 3 + 2 * n
+    resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
+    curvature = track[2] + track[3] * (y[0] - track[0])
+    along = p.mass * GRAVITY * (track[1] + CURVE_COEFFICIENT * abs(curvature))
+    friction = min(y[2], rail[1] * p.trailing_weight)
+    pull = 0.0
+    traction = 0.0
+    braking = 0.0
+    slip_power = 0.0
+    for i in range(n):
+        wheel = y[3 + i]
+        lagged = y[3 + n + i]
+        effort = motor_effort(lagged, wheel, p)
+        contact = adhesion(wheel - v, rail) * weights[i]
+        out[3 + i] = (effort - contact) / p.axle_inertia
+        out[3 + n + i] = (command[i] - lagged) / p.motor_lag
+        pull += contact
+        slip_power += contact * (wheel - v)
+        if effort >= 0.0:
+            traction += effort * wheel
+        else:
+            braking -= effort * wheel
+    net = pull - resistance - along - friction
+    out[0] = v
+    out[1] = net / p.body_inertia if moving else 0.0
+    out[2] = (friction_demand - y[2]) / p.friction_lag
+    out[works] = traction
+    out[works + 1] = braking
+    out[works + 2] = friction * v
+    out[works + 3] = resistance * v
+    out[works + 4] = along * v
+    out[works + 5] = slip_power
+    return net
+
+
+@njit(cache=True)
+def runge_kutta(
+    y: FloatArray,
+    h: float,
+    command: FloatArray,
+    friction_demand: float,
+    track: FloatArray,
+    rail: FloatArray,
+    moving: bool,
+    weights: FloatArray,
+    p: Parameters,
+    work: FloatArray,
+) -> None:
+    """One classical Runge-Kutta step of `h` [s] from `y` into ``work[0]``."""
+    end, stage, slope = work[0], work[1], work[2]
+    for k in range(4):
+        if k == 0:
+            stage[:] = y
+            end[:] = y
+        else:
+            reach = h if k == 3 else 0.5 * h
+            for j in range(y.size):
+                stage[j] = y[j] + reach * slope[j]
+        derivative(stage, slope, command, friction_demand, track, rail, moving, weights, p)
+        share = h / 6.0 if k in (0, 3) else h / 3.0
+        for j in range(y.size):
+            end[j] += share * slope[j]
+
+
+@njit(cache=True)
+def protect(
+    y: FloatArray,
+    wanted: float,
+    mode: IntArray,
+    memory: FloatArray,
+    cap: FloatArray,
+    command: FloatArray,
+    p: Parameters,
+) -> None:
+    """Anti-slip control of every axle: the effort commanded [N], from the effort wanted.
+
+    Beyond the slip threshold the effort is cut; once the wheel is back it is re-applied up to a
+    share of the effort at which it slipped, then slowly to what is wanted.
+    """
+    n = command.size
+    for i in range(n):
+        slip = abs(y[3 + i] - y[1])
+        if slip > p.slip_threshold and mode[i] != CUT:
+            mode[i] = CUT
+            memory[i] = abs(motor_effort(y[3 + n + i], y[3 + i], p))
+            cap[i] = p.slip_cut * memory[i]
+        elif mode[i] == CUT and slip < p.slip_release:
+            mode[i] = RECOVERING
+        elif mode[i] == RECOVERING:
+            fast = cap[i] < p.slip_reapply * memory[i]
+            cap[i] += p.step * p.slip_ramp * memory[i] * (15.0 if fast else 1.0)
+            if cap[i] >= abs(wanted):
+                mode[i] = NORMAL
+        held = abs(wanted) if mode[i] == NORMAL else min(cap[i], abs(wanted))
+        command[i] = held if wanted >= 0.0 else -held
+
+
+@njit(cache=True)
+def locate(table: FloatArray, position: float, index: int) -> int:
+    """Row of `table` (first column: start) that holds `position`, walking from `index`."""
+    last = table.shape[0] - 1
+    while index < last and position >= table[index + 1, 0]:
+        index += 1
+    while index > 0 and position < table[index, 0]:
+        index -= 1
+    return index
+
+
+@njit(cache=True)
+def dynamic_limit(speed: float, p: Parameters) -> float:
+    """Largest dynamic braking effort of one axle [N] at a speed [m/s]."""
+    return -motor_effort(-p.axle_braking_effort, speed, p)
+
+
+@njit(cache=True)
+def move(
+    y: FloatArray,
+    command: FloatArray,
+    friction_demand: float,
+    track: FloatArray,
+    rail: FloatArray,
+    weights: FloatArray,
+    p: Parameters,
+    work: FloatArray,
+) -> None:
+    """Advance the state by one step, in place; a train that comes to rest stays at rest."""
+    moving = y[1] > 0.0 or (
+        derivative(y, work[2], command, friction_demand, track, rail, True, weights, p) > 0.0
+    )
+    runge_kutta(y, p.step, command, friction_demand, track, rail, moving, weights, p, work)
+    if not moving or work[0, 1] > 0.0:
+        y[:] = work[0]
+        return
+    if y[1] <= 0.0:
+        runge_kutta(y, p.step, command, friction_demand, track, rail, False, weights, p, work)
+        y[:] = work[0]
+        return
+    # The train stops within this step: find the instant (secant), then hold it there.
+    before, after = 0.0, p.step
+    v_before, v_after = y[1], work[0, 1]
+    instant = after
+    for _ in range(40):
+        instant = before + (after - before) * v_before / (v_before - v_after)
+        runge_kutta(y, instant, command, friction_demand, track, rail, True, weights, p, work)
+        if abs(work[0, 1]) < 1e-13:
+            break
+        if work[0, 1] > 0.0:
+            before, v_before = instant, work[0, 1]
+        else:
+            after, v_after = instant, work[0, 1]
+    y[:] = work[0]
+    y[1] = 0.0
+    rest = p.step - instant
+    runge_kutta(y, rest, command, friction_demand, track, rail, False, weights, p, work)
+    y[:] = work[0]
+
+
+@njit(cache=True)
+def sample(
+    y: FloatArray,
+    out: FloatArray,
+    command: FloatArray,
+    friction_demand: float,
+    track: FloatArray,
+    rail: FloatArray,
+    weights: FloatArray,
+    modes: IntArray,
+    p: Parameters,
+    work: FloatArray,
+) -> None:
+    """Write what `SAMPLE` lists, then wheel speeds and wheel efforts, into `out`."""
+    n = command.size
+    net = derivative(y, work[2], command, friction_demand, track, rail, True, weights, p)
+    out[0] = y[0]
+    out[1] = y[1]
+    out[2] = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
+    out[3:6] = 0.0
+    for i in range(n):
+        effort = motor_effort(y[3 + n + i], y[3 + i], p)
+        if effort > 0.0:
+            out[3] += effort
+        else:
+            out[4] -= effort
+        out[10 + i] = y[3 + i]
+        out[10 + n + i] = effort + 0.0  # no negative zero
+    out[5] = min(y[2], rail[1] * p.trailing_weight)
+    out[6] = p.r0 + (p.r1 + p.r2 * y[1]) * y[1] if y[1] > 0.0 else 0.0
+    out[7] = rail[1]
+    out[8] = y[3 + 2 * n]
+    out[9] = np.sum(modes == CUT)
+
+
+@njit(cache=True)
+def advance(
+    y: FloatArray,
+    demand: FloatArray,
+    steps: int,
+    every: int,
+    out: FloatArray,
+    track_table: FloatArray,
+    rail_table: FloatArray,
+    weights: FloatArray,
+    memory: FloatArray,
+    delay: FloatArray,
+    places: IntArray,
+    p: Parameters,
+) -> None:
+    """Advance the state by `steps` steps under one demand, recording every `every` steps.
+
+    Parameters
+    ----------
+    y : (3 + 2n + 6,) array
+        State, changed in place.
+    demand : (2,) array [N]
+        Tractive and braking effort of the whole train.
+    out : (steps // every, 10 + 2n) array
+    memory : (2, n) array
+        Effort at the last slip and present cap of each axle, changed in place.
+    delay : (k,) array [N]
+        Friction braking demands of the last dead time, a ring, changed in place.
+    places : (3 + n,) array
+        Rows under the train in the two tables, head of the ring, and mode of each axle's slip
+        protection; changed in place.
+    """
+    n = weights.size
+    work = np.empty((3, y.size))
+    command = np.empty(n)
+    traction = min(max(demand[0], 0.0) / n, p.axle_effort)
+    braking = max(demand[1], 0.0)
+    dead_time = p.friction_dead_time + p.friction_lag
+    for k in range(steps):
+        places[0] = locate(track_table, y[0], places[0])
+        places[1] = locate(rail_table, y[0], places[1])
+        track = track_table[places[0]]
+        rail = rail_table[places[1]]
+        wanted = traction
+        friction_demand = 0.0
+        if braking > 0.0:
+            wanted = -min(braking / n, dynamic_limit(y[1], p))
+        protect(y, wanted, places[3:], memory[0], memory[1], command, p)
+        if braking > 0.0:
+            # The friction brake is asked in time for what the dynamic brake will have lost.
+            ahead = max(y[1] - braking / p.body_inertia * dead_time, 0.0)
+            soon = min(braking / n, dynamic_limit(ahead, p))
+            friction_demand = braking
+            for i in range(n):
+                friction_demand -= soon if places[3 + i] == NORMAL else min(soon, memory[1, i])
+            friction_demand = min(max(friction_demand, 0.0), p.friction_effort)
+        if delay.size > 0:
+            head = places[2]
+            delayed = delay[head]
+            delay[head] = friction_demand
+            places[2] = (head + 1) % delay.size
+            friction_demand = delayed
+        move(y, command, friction_demand, track, rail, weights, p, work)
+        if (k + 1) % every == 0:
+            row = out[k // every]
+            sample(y, row, command, friction_demand, track, rail, weights, places[3:], p, work)

@@ -1,0 +1,375 @@
+"""The train as a plant: built from a line and a train, advanced under a demand.
+
+`Plant` prepares the tables that the compiled dynamics (`trainlog.simulation.dynamics`) walks
+along; `PlantState` is where the train is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway import Line, RunningResistance, StepProfile, Train
+from trainlog.railway.adhesion import DRY, WET
+from trainlog.simulation import dynamics
+from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, Parameters
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How the drive and its anti-slip control behave.
+
+    Attributes
+    ----------
+    motor_lag : float [s]
+        First-order lag of the motor torque.
+    braking_fade_speed : float [m/s]
+        Below it the dynamic brake fades out in proportion to speed.
+    slip_threshold, slip_release : float [m/s]
+        Slip speed at which the effort of an axle is cut, and at which it is re-applied.
+    slip_cut, slip_reapply : float
+        Shares of the effort at which the wheel slipped: what is left after the cut, and where the
+        quick re-application ends.
+    slip_ramp : float [1/s]
+        Slow re-application: share of the effort at which the wheel slipped, a second.
+    """
+
+    motor_lag: float = 0.1
+    braking_fade_speed: float = 3.0
+    slip_threshold: float = 3.0
+    slip_release: float = 1.0
+    slip_cut: float = 0.1
+    slip_reapply: float = 0.7
+    slip_ramp: float = 0.1
+
+
+@dataclass
+class PlantState:
+    """Where the train is and what its drive and brakes are doing; changed by `Plant.advance`.
+
+    Attributes
+    ----------
+    values : (3 + 2n + 6,) array
+        Position [m], train speed [m/s], friction braking effort [N], n wheel speeds [m/s], n
+        lagged motor efforts [N] and the works of `dynamics.WORKS` [J].
+    slip_memory : (2, n) array [N]
+    friction_delay : (k,) array [N]
+    places : (3 + n,) int array
+    """
+
+    values: FloatArray
+    slip_memory: FloatArray
+    friction_delay: FloatArray
+    places: NDArray[np.int64]
+
+    @property
+    def position(self) -> float:
+        """Chainage [m]."""
+        return float(self.values[dynamics.POSITION])
+
+    @property
+    def speed(self) -> float:
+        """Train speed [m/s]."""
+        return float(self.values[dynamics.SPEED])
+
+    @property
+    def wheel_speeds(self) -> FloatArray:
+        """Circumferential speed of the powered wheels [m/s]."""
+        return self.values[WHEELS : WHEELS + self.slip_memory.shape[1]]
+
+    @property
+    def works(self) -> dict[str, float]:
+        """Work of each force since the beginning [J]."""
+        return dict(zip(WORKS, self.values[-len(WORKS) :].tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Plant:
+    """One train on one line on one trip.
+
+    Build it with `Plant.of`; the attributes are the tables and constants of the compiled code.
+    """
+
+    parameters: Parameters
+    track: FloatArray
+    rail: FloatArray
+    weights: FloatArray
+    length: float = field(default=np.inf)
+
+    @staticmethod
+    def of(
+        line: Line,
+        train: Train,
+        *,
+        mass: float | None = None,
+        rotating_mass: float | None = None,
+        resistance: RunningResistance | None = None,
+        max_power: float | None = None,
+        maximum_adhesion: StepProfile | None = None,
+        axle_adhesion: FloatArray | None = None,
+        drive: Drive | None = None,
+        step: float = 0.005,
+    ) -> Plant:
+        """Prepare a train for a line.
+
+        Parameters
+        ----------
+        line : Line
+            As travelled.
+        train : Train
+        mass : float [kg], optional
+            Loaded, without the rotating part; default: the empty train.
+        rotating_mass : float [kg], optional
+            Of all rotating parts; default: the train's own.
+        resistance : RunningResistance, optional
+        max_power : float [W], optional
+        maximum_adhesion : StepProfile, optional
+            By position; default: the dry rail of paper 003 everywhere.
+        axle_adhesion : (n,) array, optional
+            Adhesion of each axle over the profile's; default 1.
+        drive : Drive, optional
+        step : float [s]
+            Of the integration.
+
+        Raises
+        ------
+        InputError
+            For a train that cannot be, or a step too coarse for the axles' inertia.
+        """
+        drive = drive or Drive()
+        axles = train.axles
+        mass = train.mass if mass is None else mass
+        rotating = train.rotating_mass if rotating_mass is None else rotating_mass
+        resistance = resistance or train.resistance
+        power = train.max_traction_power if max_power is None else max_power
+        if maximum_adhesion is None:
+            maximum_adhesion = StepProfile(np.zeros(1), np.array([DRY.peak]))
+        check_train(train, mass, rotating, power, step)
+        weight = GRAVITY * axles.adhesive_mass * mass / train.mass
+        rail = rail_table(maximum_adhesion)
+        relative = np.ones(axles.count) if axle_adhesion is None else np.asarray(axle_adhesion)
+        if relative.shape != (axles.count,) or np.any(relative <= 0.0):
+            raise InputError(
+                f"train '{train.name}': adhesion of the axles needs {axles.count} positive values"
+            )
+        parameters = Parameters(
+            mass=mass,
+            body_inertia=mass + rotating - axles.count * axles.rotating_mass,
+            axle_inertia=axles.rotating_mass,
+            axle_weight=weight / axles.count,
+            trailing_weight=GRAVITY * mass - weight,
+            r0=resistance.r0,
+            r1=resistance.r1,
+            r2=resistance.r2,
+            axle_effort=train.max_tractive_effort / axles.count,
+            axle_power=power / axles.count,
+            axle_braking_effort=train.max_dynamic_braking_effort / axles.count,
+            axle_braking_power=train.max_dynamic_braking_power / axles.count,
+            braking_fade_speed=drive.braking_fade_speed,
+            motor_lag=drive.motor_lag,
+            friction_effort=train.max_pneumatic_braking_effort,
+            friction_dead_time=train.brake.dead_time,
+            friction_lag=max(train.brake.lag, 2.0 * step),
+            slip_threshold=drive.slip_threshold,
+            slip_release=drive.slip_release,
+            slip_cut=drive.slip_cut,
+            slip_reapply=drive.slip_reapply,
+            slip_ramp=drive.slip_ramp,
+            step=step,
+        )
+        plant = Plant(
+            parameters,
+            track_table(line, train),
+            rail,
+            relative * parameters.axle_weight,
+            line.length,
+        )
+        plant.check_step()
+        return plant
+
+    @property
+    def axles(self) -> int:
+        """Number of powered axles."""
+        return int(self.weights.size)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns that `advance` returns."""
+        numbers = range(1, self.axles + 1)
+        return (
+            *SAMPLE,
+            *(f"wheel_speed_{i}" for i in numbers),
+            *(f"wheel_effort_{i}" for i in numbers),
+        )
+
+    def check_step(self) -> None:
+        """Refuse a step that cannot resolve how fast creep pulls a wheel to the train's speed."""
+        stiffness = float(np.max(self.rail[:, 4] * (self.rail[:, 3] - self.rail[:, 2])))
+        p = self.parameters
+        rate = stiffness * float(self.weights.max()) * (1.0 / p.axle_inertia + 1.0 / p.body_inertia)
+        if p.step * rate > 1.0:
+            raise InputError(
+                f"step of {1e3 * p.step:g} ms is too coarse for axles of"
+                f" {p.axle_inertia:g} kg rotating mass",
+                remedy=f"use at most {1e3 / rate:.1f} ms",
+            )
+
+    def at(self, position: float = 0.0, speed: float = 0.0) -> PlantState:
+        """The state of a train at `position` [m] rolling at `speed` [m/s] without effort.
+
+        At standstill the friction brake is applied.
+        """
+        if not (0.0 <= position <= self.length and speed >= 0.0):
+            raise InputError(
+                f"a train cannot start at km {position / 1e3:.3f} with {speed} m/s",
+                remedy=f"the line ends at km {self.length / 1e3:.3f}; speed must not be negative",
+            )
+        n = self.axles
+        values = np.zeros(WHEELS + 2 * n + len(WORKS))
+        values[dynamics.POSITION] = position
+        values[dynamics.SPEED] = speed
+        values[WHEELS : WHEELS + n] = speed
+        steps = round(self.parameters.friction_dead_time / self.parameters.step)
+        delay = np.zeros(steps)
+        if speed == 0.0:
+            # Enough to hold the steepest gradient that a line may have.
+            hold = min(0.2 * self.parameters.mass * GRAVITY, self.parameters.friction_effort)
+            values[dynamics.FRICTION] = hold
+            delay[:] = hold
+        return PlantState(values, np.zeros((2, n)), delay, np.zeros(3 + n, dtype=np.int64))
+
+    def advance(
+        self,
+        state: PlantState,
+        tractive_effort: float,
+        braking_effort: float,
+        steps: int,
+        every: int = 1,
+    ) -> FloatArray:
+        """Let `steps` integration steps pass under one demand; `state` is changed in place.
+
+        Parameters
+        ----------
+        state : PlantState
+        tractive_effort, braking_effort : float [N]
+            Demand for the whole train; braking overrules traction.
+        steps : int
+        every : int
+            Steps between two recorded samples.
+
+        Returns
+        -------
+        (steps // every, columns) array
+            The samples; see `columns`.
+        """
+        out = np.empty((steps // every, len(SAMPLE) + 2 * self.axles))
+        dynamics.advance(
+            state.values,
+            np.array([tractive_effort, braking_effort], dtype=np.float64),
+            steps,
+            every,
+            out,
+            self.track,
+            self.rail,
+            self.weights,
+            state.slip_memory,
+            state.friction_delay,
+            state.places,
+            self.parameters,
+        )
+        return out
+
+    def kinetic_energy(self, state: PlantState) -> float:
+        """Kinetic energy of the train and of its powered axles [J]."""
+        p = self.parameters
+        wheels = float(np.sum(state.wheel_speeds**2))
+        return 0.5 * (p.body_inertia * state.speed**2 + p.axle_inertia * wheels)
+
+
+def check_train(train: Train, mass: float, rotating: float, power: float, step: float) -> None:
+    """Refuse trains that cannot be.
+
+    Raises
+    ------
+    InputError
+    """
+    axles = train.axles
+    where = f"train '{train.name}'"
+    if not (mass > 0.0 and power > 0.0 and step > 0.0):
+        raise InputError(
+            f"{where}: mass {mass} kg, power {power} W and step {step} s must be positive"
+        )
+    if axles.count < 1 or not axles.rotating_mass > 0.0:
+        raise InputError(f"{where}: needs at least one powered axle with a rotating mass")
+    if axles.count * axles.rotating_mass > rotating:
+        raise InputError(
+            f"{where}: {axles.count} powered axles of {axles.rotating_mass:g} kg rotating mass"
+            f" exceed the train's {rotating:g} kg in all",
+            remedy="state the rotating mass of this train's axles",
+        )
+    if not 0.0 < axles.adhesive_mass <= train.mass:
+        raise InputError(
+            f"{where}: {axles.adhesive_mass:g} kg cannot rest on the powered axles of a train of"
+            f" {train.mass:g} kg",
+            remedy="state the adhesive mass of this train's axles",
+        )
+
+
+def track_table(line: Line, train: Train) -> FloatArray:
+    """Track under the train: one row a piece between two breakpoints of the line.
+
+    Returns
+    -------
+    (n, 5) array
+        Start [m], sine of the gradient, curvature at the start [1/m], its change [1/m²], and the
+        tunnel's quadratic resistance [N/(m/s)²].
+    """
+    start = line.breakpoints
+    start = start[start < line.length]
+    width = np.diff(np.append(start, line.length))
+    inside = start + 1e-6 * width
+    nearly = start + (1.0 - 1e-6) * width
+    slope = line.gradient(start)
+    bend = line.curvature(inside)
+    change = (line.curvature(nearly) - bend) / (nearly - inside)
+    section = line.tunnel_cross_section(start)
+    return np.ascontiguousarray(
+        np.column_stack(
+            [start, slope / np.hypot(1.0, slope), bend, change, train.tunnel_coefficient(section)]
+        )
+    )
+
+
+def rail_table(maximum_adhesion: StepProfile) -> FloatArray:
+    """Adhesion along the line: one row a step of the profile.
+
+    The creep curve is that of paper 003, eq. (10), scaled to the maximum. Its shape goes from the
+    wet rail's (maximum 0.147 and below) to the dry rail's (0.286 and above) with the maximum.
+
+    Returns
+    -------
+    (n, 5) array
+        Start [m], maximum adhesion, a and b [s/m], and the common factor of both exponentials.
+
+    Raises
+    ------
+    InputError
+        If an adhesion is not between 0 and 1.
+    """
+    peak = maximum_adhesion.values
+    if np.any((peak <= 0.0) | (peak >= 1.0)):
+        bad = int(np.argmax((peak <= 0.0) | (peak >= 1.0)))
+        at = maximum_adhesion.positions[bad] / 1e3
+        raise InputError(f"maximum adhesion {peak[bad]} at km {at:.3f} is not between 0 and 1")
+    dryness = np.clip((peak - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
+    a = WET.a + dryness * (DRY.a - WET.a)
+    b = WET.b + dryness * (DRY.b - WET.b)
+    at_peak = np.log(b / a) / (b - a)
+    scale = peak / (np.exp(-a * at_peak) - np.exp(-b * at_peak))
+    return np.ascontiguousarray(np.column_stack([maximum_adhesion.positions, peak, a, b, scale]))

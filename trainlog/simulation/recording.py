@@ -1,0 +1,235 @@
+"""From an exact run to a trip: what the train would have recorded, and the truth beside it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trainlog import __version__
+from trainlog.formats.files import sha256
+from trainlog.formats.line import line_to_bytes
+from trainlog.formats.train import train_to_bytes
+from trainlog.simulation import sensors as measuring
+from trainlog.simulation.sensors import NANOSECONDS
+from trainlog.topics import EVENTS, REFERENCE, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
+
+if TYPE_CHECKING:
+    from trainlog.simulation.scenario import Run, Scenario
+
+FloatArray = NDArray[np.float64]
+
+SCENARIO_ATTACHMENT = "scenario.json"
+"""Attachment that holds the truth of a simulated trip."""
+
+INFO, WARNING = 2, 3
+"""Levels of foxglove.Log."""
+
+
+def recorded(scenario: Scenario, run: Run) -> Trip:
+    """The trip that the train's recorder would hold, with the truth in ``/truth``."""
+    columns = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
+    time = scenario.start + np.round(run.seconds * NANOSECONDS).astype(np.int64)
+    generator = np.random.default_rng(scenario.seed)
+    axles = scenario.train.axles.count
+    scale, own = measuring.wheel_scales(axles, scenario.sensors, generator)
+    state = measuring.train_state(
+        time,
+        columns["position"],
+        columns["speed"],
+        columns["acceleration"],
+        scale,
+        scenario.sensors,
+        generator,
+    )
+    believed = state["position"].to_numpy()
+    fix, motion, changes = measuring.gnss(
+        scenario.travelled,
+        time,
+        columns["position"],
+        columns["speed"],
+        scenario.sensors,
+        generator,
+    )
+    frames = [
+        state,
+        controls(scenario, run, columns, time, generator),
+        axle_frame(scenario, columns, time, own, generator),
+        fix,
+        motion,
+        measuring.environment(scenario.travelled, time, believed, scenario.temperature),
+        events(scenario, columns, time, changes),
+        reference(scenario, run, believed, time),
+        truth(columns, time),
+    ]
+    line, train, content = (
+        line_to_bytes(scenario.line),
+        train_to_bytes(scenario.train),
+        scenario.truth(),
+    )
+    trip = Trip(
+        topics={frame.attrs["topic"]: frame for frame in frames if frame is not None},
+        metadata=metadata(scenario),
+        attachments={
+            LINE_ATTACHMENT: line,
+            TRAIN_ATTACHMENT: train,
+            SCENARIO_ATTACHMENT: content,
+        },
+    )
+    return trip.with_step(
+        "simulate",
+        software=f"trainlog {__version__}",
+        seed=scenario.seed,
+        inputs={
+            LINE_ATTACHMENT: sha256(line),
+            TRAIN_ATTACHMENT: sha256(train),
+            SCENARIO_ATTACHMENT: sha256(content),
+        },
+    )
+
+
+def metadata(scenario: Scenario) -> dict[str, str]:
+    """What is known of the trip, as the log's metadata."""
+    known = {
+        "trip": scenario.name,
+        "train": scenario.train.name,
+        "line": scenario.line.name,
+        "direction": scenario.direction,
+        "load": f"{scenario.load:.0f}",
+        "weather": scenario.weather,
+        "clock": "UTC, simulated",
+        "start": pd.Timestamp(scenario.start, tz="UTC").isoformat(),
+        "software": f"trainlog {__version__}",
+        "seed": str(scenario.seed),
+    }
+    if scenario.trajectory is not None:
+        known["configuration"] = scenario.trajectory.configurations[scenario.row].name
+    return known
+
+
+def controls(
+    scenario: Scenario,
+    run: Run,
+    columns: dict[str, FloatArray],
+    time: NDArray[np.int64],
+    generator: np.random.Generator,
+) -> pd.DataFrame:
+    """The ``/train/controls`` topic."""
+    train = scenario.train
+    service = train.max_deceleration * (scenario.mass + scenario.rotating_mass)
+    traction, braking = run.demands.T
+    available = np.minimum(
+        train.max_tractive_effort, train.max_traction_power / np.maximum(columns["speed"], 0.1)
+    )
+    lever = np.where(braking > 0.0, -braking / service, traction / available)
+    data = {
+        name: measuring.measured_effort(columns[name], scenario.sensors, generator)
+        for name in ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
+    }
+    return frame_of(
+        TRAIN_CONTROLS,
+        time,
+        {
+            "lever": np.round(np.clip(lever, -1.0, 1.0), 3) + 0.0,
+            "tractive_effort_demand": np.round(traction, 0),
+            "braking_effort_demand": np.round(braking, 0),
+            **data,
+        },
+    )
+
+
+def axle_frame(
+    scenario: Scenario,
+    columns: dict[str, FloatArray],
+    time: NDArray[np.int64],
+    scales: FloatArray,
+    generator: np.random.Generator,
+) -> pd.DataFrame:
+    """The ``/train/axles`` topic: speeds and efforts of one instant in one row."""
+    numbers = range(1, scenario.train.axles.count + 1)
+    speeds = np.column_stack([columns[f"wheel_speed_{i}"] for i in numbers])
+    efforts = np.column_stack([columns[f"wheel_effort_{i}"] for i in numbers])
+    return frame_of(
+        TRAIN_AXLES,
+        time,
+        {
+            "wheel_speed": measuring.measured_speed(speeds, scales, scenario.sensors, generator),
+            "wheel_effort": measuring.measured_effort(efforts, scenario.sensors, generator),
+        },
+    )
+
+
+def events(
+    scenario: Scenario,
+    columns: dict[str, FloatArray],
+    time: NDArray[np.int64],
+    changes: list[tuple[int, str]],
+) -> pd.DataFrame:
+    """The ``/events`` topic: departures, arrivals, slip protection, satellites."""
+    found = [(when, WARNING if "lost" in text else INFO, text, "gnss") for when, text in changes]
+    moving = columns["speed"] > 0.0
+    for edge in np.flatnonzero(np.diff(moving.astype(np.int8))) + 1:
+        where = place(scenario, float(columns["position"][edge]))
+        text = f"departure from {where}" if moving[edge] else f"arrival at {where}"
+        found.append((int(time[edge]), INFO, text, "train"))
+    active = columns["protected_axles"] > 0.0
+    for edge in np.flatnonzero(np.diff(active.astype(np.int8)) > 0) + 1:
+        how = "traction" if columns["tractive_effort"][edge] > 0.0 else "braking"
+        found.append((int(time[edge]), WARNING, f"slip protection active in {how}", "drive"))
+    found.sort(key=lambda event: event[0])
+    when, level, message, name = zip(*found, strict=True) if found else ((), (), (), ())
+    return frame_of(
+        EVENTS,
+        np.array(when, dtype=np.int64),
+        {
+            "level": np.array(level, dtype=np.int64),
+            "message": np.array(message, dtype=object),
+            "name": np.array(name, dtype=object),
+        },
+    )
+
+
+def place(scenario: Scenario, position: float) -> str:
+    """The station at a position, or the kilometre."""
+    for station in scenario.travelled.stations:
+        if abs(station.position - position) < 50.0:
+            return station.name
+    return f"km {position / 1e3:.3f}"
+
+
+def reference(
+    scenario: Scenario, run: Run, position: FloatArray, time: NDArray[np.int64]
+) -> pd.DataFrame | None:
+    """The ``/reference`` topic; None when no trajectory is followed."""
+    trajectory = scenario.trajectory
+    if trajectory is None:
+        return None
+    row = scenario.row
+    cell = trajectory.cell_of(position)
+    return frame_of(
+        REFERENCE,
+        time,
+        {
+            "speed": trajectory.speed_at(row, position),
+            "tractive_effort": trajectory.tractive_effort[cell],
+            "braking_effort": trajectory.braking_effort[row, cell],
+            "lateness": run.seconds
+            - np.interp(position, trajectory.positions, trajectory.times[row]),
+        },
+    )
+
+
+def truth(columns: dict[str, FloatArray], time: NDArray[np.int64]) -> pd.DataFrame:
+    """The ``/truth`` topic."""
+    names = (
+        "position",
+        "speed",
+        "acceleration",
+        "running_resistance",
+        "maximum_adhesion",
+        "energy",
+    )
+    return frame_of(TRUTH, time, {name: columns[name] for name in names})

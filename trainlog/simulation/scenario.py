@@ -1,0 +1,437 @@
+"""Scenarios: who drives what, where, in which weather; and the trips that come of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
+from trainlog.simulation.adhesion_truth import base_map, trip_profile
+from trainlog.simulation.drivers import (
+    PERIOD,
+    Demand,
+    Driver,
+    Habits,
+    Observation,
+    Stop,
+    TimetableDriver,
+    TrajectoryDriver,
+)
+from trainlog.simulation.plant import Plant, PlantState
+from trainlog.simulation.recording import recorded
+from trainlog.simulation.sensors import NANOSECONDS, Sensors
+from trainlog.simulation.timetable import plan
+from trainlog.trip import Trip
+
+FloatArray = NDArray[np.float64]
+
+START = pd.Timestamp("2024-10-07T06:00:00Z").value
+"""When the first of several drawn trips begins [ns since 1970 UTC]."""
+
+RAIL_CLEANING = (0.97, 0.99, 1.01, 1.03)
+"""Adhesion of the powered axles from front to rear: each cleans the rail for the next."""
+
+STANDING = 10.0
+"""Recorded after the arrival [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """Everything that determines a simulated trip.
+
+    Attributes
+    ----------
+    name : str
+    line : Line
+        In its own direction.
+    train : Train
+        As its file says; what the train truly is on this trip follows.
+    direction : {"forward", "reverse"}
+    weather : {"dry", "wet"}
+    mass : float [kg]
+        Loaded, without the rotating part.
+    rotating_mass : float [kg]
+    resistance : RunningResistance
+    max_power : float [W]
+    maximum_adhesion : StepProfile
+        Along the line in its own direction.
+    stops : tuple of Stop
+        Positions in the direction of travel; ignored when a trajectory is followed.
+    habits : Habits
+    sensors : Sensors
+    seed : int
+        Of the sensors' noise.
+    start : int [ns since 1970 UTC]
+    temperature : float [K]
+    trajectory : Trajectory or None
+        To follow instead of the timetable.
+    row : int
+        The trajectory's configuration.
+    """
+
+    name: str
+    line: Line
+    train: Train
+    direction: str
+    weather: str
+    mass: float
+    rotating_mass: float
+    resistance: RunningResistance
+    max_power: float
+    maximum_adhesion: StepProfile
+    stops: tuple[Stop, ...] = ()
+    habits: Habits = field(default_factory=Habits)
+    sensors: Sensors = field(default_factory=Sensors)
+    seed: int = 0
+    start: int = START
+    temperature: float = 285.0
+    trajectory: Trajectory | None = None
+    row: int = 0
+
+    def __post_init__(self) -> None:
+        if self.direction not in ("forward", "reverse"):
+            raise InputError(f"scenario '{self.name}': direction '{self.direction}' is unknown")
+
+    @property
+    def load(self) -> float:
+        """Mass above that of the empty train [kg]."""
+        return self.mass - self.train.mass
+
+    @property
+    def travelled(self) -> Line:
+        """The line in the direction of travel."""
+        return self.line if self.direction == "forward" else self.line.reversed()
+
+    @property
+    def rail(self) -> StepProfile:
+        """Maximum adhesion in the direction of travel."""
+        if self.direction == "forward":
+            return self.maximum_adhesion
+        return self.maximum_adhesion.reversed(self.line.length)
+
+    def plant(self) -> Plant:
+        """The train on its line."""
+        count = self.train.axles.count
+        cleaning = np.interp(
+            np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, 4), np.array(RAIL_CLEANING)
+        )
+        return Plant.of(
+            self.travelled,
+            self.train,
+            mass=self.mass,
+            rotating_mass=self.rotating_mass,
+            resistance=self.resistance,
+            max_power=self.max_power,
+            maximum_adhesion=self.rail,
+            axle_adhesion=cleaning if count > 1 else None,
+        )
+
+    def driver(self) -> Driver:
+        """Who drives."""
+        if self.trajectory is not None:
+            return TrajectoryDriver(self.trajectory, self.row)
+        return TimetableDriver(self.travelled, self.train, self.stops, self.habits, self.mass)
+
+    def truth(self) -> bytes:
+        """The scenario as JSON: what estimators must not see and tests judge them by."""
+        profile = self.maximum_adhesion
+        content: dict[str, Any] = {
+            "format": "trainlog/scenario",
+            "version": 1,
+            "name": self.name,
+            "line": self.line.name,
+            "train": self.train.name,
+            "direction": self.direction,
+            "weather": self.weather,
+            "seed": self.seed,
+            "mass": self.mass,
+            "load": self.load,
+            "rotating_mass": self.rotating_mass,
+            "r0": self.resistance.r0,
+            "r1": self.resistance.r1,
+            "r2": self.resistance.r2,
+            "max_power": self.max_power,
+            "maximum_adhesion": {
+                "direction": "forward",
+                "positions": profile.positions.tolist(),
+                "values": profile.values.tolist(),
+            },
+            "stops": [asdict(stop) for stop in self.stops],
+            "habits": asdict(self.habits),
+            "sensors": asdict(self.sensors),
+        }
+        if self.trajectory is not None:
+            content["configuration"] = self.trajectory.configurations[self.row].name
+        return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What happened, exactly.
+
+    Attributes
+    ----------
+    seconds : (n,) array [s]
+        Since the beginning of the trip.
+    samples : (n, columns) array
+        See `Plant.columns`.
+    demands : (n, 2) array [N]
+        Tractive and braking effort asked for.
+    stands : tuple of (arrival, departure, position)
+        Times [s] and places [m] at which the train stood.
+    """
+
+    seconds: FloatArray
+    samples: FloatArray
+    demands: FloatArray
+
+
+def drive(scenario: Scenario) -> Run:
+    """Let the driver drive the plant from the first stop to the last.
+
+    Raises
+    ------
+    InfeasibleError
+        If the train does not arrive within three times its planned time.
+    """
+    plant = scenario.plant()
+    driver = scenario.driver()
+    trajectory = scenario.trajectory
+    if trajectory is None:
+        origin, patience = scenario.stops[0].position, 3.0 * scenario.stops[-1].arrival
+    else:
+        origin, patience = float(trajectory.positions[0]), 3.0 * trajectory.running_time
+    state = plant.at(origin)
+    steps = round(PERIOD / plant.parameters.step)
+    rate = round(scenario.sensors.rate * PERIOD)
+    blocks: list[FloatArray] = []
+    demands: list[Demand] = []
+    acceleration = 0.0
+    arrived: float | None = None
+    while True:
+        time = len(blocks) * PERIOD
+        seen = Observation(time, state.position, state.speed, acceleration)
+        demands.append(driver.demand(seen))
+        if arrived is None and driver.finished:
+            arrived = time
+        if arrived is not None and time >= arrived + STANDING:
+            break
+        if time > patience + 600.0:
+            raise InfeasibleError(
+                f"trip '{scenario.name}': the train does not arrive; at km"
+                f" {state.position / 1e3:.3f} after {time:.0f} s",
+                remedy="check adhesion, gradients and tractive effort there",
+            )
+        block = _period(plant, state, demands[-1], steps, steps // rate)
+        acceleration = float(block[-1, 2])
+        blocks.append(block)
+    samples = np.concatenate(blocks)
+    asked = np.array([(d.tractive_effort, d.braking_effort) for d in demands[: len(blocks)]])
+    return Run(
+        (np.arange(len(samples)) + 1.0) / scenario.sensors.rate,
+        samples,
+        np.repeat(asked, rate, axis=0),
+    )
+
+
+def _period(plant: Plant, state: PlantState, demand: Demand, steps: int, every: int) -> FloatArray:
+    return plant.advance(state, demand.tractive_effort, demand.braking_effort, steps, every)
+
+
+def simulate(scenario: Scenario) -> Trip:
+    """Drive a scenario and record it as the train's sensors would.
+
+    Raises
+    ------
+    InputError
+        For a train or stops that cannot be.
+    InfeasibleError
+        If the train does not arrive.
+    """
+    return recorded(scenario, drive(scenario))
+
+
+def draw_scenarios(
+    line: Line,
+    train: Train,
+    count: int = 12,
+    seed: int = 1,
+    sensors: Sensors | None = None,
+) -> list[Scenario]:
+    """Draw trips of one train over one line, in both directions and in dry and wet weather.
+
+    Load, running resistance, power, driver and timetable vary from trip to trip; the slippery
+    places of the line stay.
+
+    Parameters
+    ----------
+    line : Line
+    train : Train
+        Without a stated largest load, up to 20 t are loaded.
+    count : int
+    seed : int
+        The same seed draws the same trips.
+    sensors : Sensors, optional
+
+    Raises
+    ------
+    InputError
+        If `count` is not positive or the line has no two stations.
+    """
+    if count < 1:
+        raise InputError(f"cannot draw {count} scenarios", remedy="give a count of 1 or more")
+    if len(line.stations) < 2:
+        raise InputError(f"line '{line.name}' has fewer than two stations")
+    sensors = sensors or Sensors()
+    bases = {weather: base_map(line, weather, seed) for weather in ("dry", "wet")}
+    return [_drawn(line, train, number, seed, sensors, bases) for number in range(count)]
+
+
+def _drawn(
+    line: Line,
+    train: Train,
+    number: int,
+    seed: int,
+    sensors: Sensors,
+    bases: dict[str, FloatArray],
+) -> Scenario:
+    """Trip `number` of a series."""
+    generator = np.random.default_rng([seed, 3, number])
+    direction = "forward" if number % 2 == 0 else "reverse"
+    weather = ("dry", "dry", "wet", "wet")[number % 4]
+    travelled = line if direction == "forward" else line.reversed()
+    scale = 1.0 + np.clip(0.07 * generator.standard_normal(3), -0.15, 0.15)
+    nominal = train.resistance
+    load = np.round(generator.uniform(0.0, train.max_load or 20_000.0), -2)
+    stations = [station for station in travelled.stations[1:-1]]
+    kept = generator.uniform(size=len(stations)) < generator.choice([0.0, 0.5, 1.0])
+    calls = [station for station, stop in zip(stations, kept, strict=True) if stop]
+    wet = weather == "wet"
+    habits = Habits(
+        lever=float(generator.uniform(0.4, 0.7) if wet else generator.uniform(0.6, 0.95)),
+        lever_rate=float(generator.uniform(0.15, 0.35)),
+        margin=float(generator.uniform(0.4, 1.2)),
+        deceleration=float(generator.uniform(0.45, 0.6) if wet else generator.uniform(0.5, 0.75)),
+        reaction=float(generator.uniform(0.6, 1.1)),
+        coasting=float(generator.uniform(1.5, 4.0)),
+        coasting_spacing=float(generator.uniform(2500.0, 6000.0)),
+        dwell=float(generator.uniform(25.0, 40.0)),
+    )
+    return Scenario(
+        name=f"trip-{number + 1:02d}",
+        line=line,
+        train=train,
+        direction=direction,
+        weather=weather,
+        mass=train.mass + float(load),
+        rotating_mass=train.rotating_mass,
+        resistance=RunningResistance(
+            nominal.r0 * float(scale[0]), nominal.r1 * float(scale[1]), nominal.r2 * float(scale[2])
+        ),
+        max_power=train.max_traction_power * float(generator.uniform(0.92, 1.0)),
+        maximum_adhesion=trip_profile(line, bases[weather], weather, generator),
+        stops=plan(
+            travelled,
+            train,
+            (travelled.stations[0], *calls, travelled.stations[-1]),
+            reserve=float(generator.uniform(0.05, 0.09)),
+        ),
+        habits=habits,
+        sensors=sensors,
+        seed=int(generator.integers(2**31)),
+        start=START + number * 3600 * NANOSECONDS,
+        temperature=float(np.round(generator.uniform(278.0, 288.0), 1)),
+    )
+
+
+def trajectory_scenarios(
+    trajectory: Trajectory,
+    line: Line,
+    train: Train,
+    names: Iterable[str],
+    seed: int = 1,
+    *,
+    weather: str = "dry",
+    direction: str = "forward",
+    sensors: Sensors | None = None,
+) -> list[Scenario]:
+    """Scenarios in which trains in certain configurations follow a trajectory.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    line : Line
+        In its own direction.
+    train : Train
+    names : iterable of str
+        Configurations of the trajectory.
+    seed : int
+    weather, direction : str
+        Of the trips; the trajectory's positions are those of this direction.
+
+    Raises
+    ------
+    InputError
+        If the trajectory has no such configuration or leaves the line.
+    """
+    if float(trajectory.positions[-1]) > line.length + 1.0:
+        raise InputError(
+            f"trajectory ends at km {trajectory.positions[-1] / 1e3:.3f}, line '{line.name}' at"
+            f" km {line.length / 1e3:.3f}",
+            remedy="give the line that the trajectory was made for",
+        )
+    base = base_map(line, weather, seed)
+    scenarios = []
+    for number, name in enumerate(names):
+        row = trajectory.index_of(name)
+        configuration = trajectory.configurations[row]
+        generator = np.random.default_rng([seed, 4, number])
+        scenarios.append(
+            Scenario(
+                name=f"driven-{name}",
+                line=line,
+                train=train,
+                direction=direction,
+                weather=weather,
+                mass=configuration.mass,
+                rotating_mass=configuration.rotating_mass,
+                resistance=configuration.resistance,
+                max_power=configuration.max_power,
+                maximum_adhesion=trip_profile(line, base, weather, generator),
+                sensors=sensors or Sensors(),
+                seed=int(generator.integers(2**31)),
+                start=START + (24 + number) * 3600 * NANOSECONDS,
+                trajectory=trajectory,
+                row=row,
+            )
+        )
+    return scenarios
+
+
+def with_sensors(scenario: Scenario, sensors: Sensors) -> Scenario:
+    """The same trip seen by other sensors."""
+    return replace(scenario, sensors=sensors)
+
+
+def run_scenarios(
+    scenarios: Iterable[Scenario], progress: Callable[[int, Trip], None] | None = None
+) -> Iterator[Trip]:
+    """Simulate one scenario after the other.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with the number of trips done and the last of them.
+    """
+    for done, scenario in enumerate(scenarios, start=1):
+        trip = simulate(scenario)
+        if progress is not None:
+            progress(done, trip)
+        yield trip

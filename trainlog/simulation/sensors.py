@@ -1,0 +1,276 @@
+"""What a train's sensors make of a true motion.
+
+Everything here turns the plant's exact samples into what a real train would have recorded: noise,
+quantisation, wheel diameters that are not what the odometer believes, chainage that drifts and is
+set right at balises, satellites that are lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway import Line
+from trainlog.topics import ENVIRONMENT, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
+from trainlog.trip import frame_of
+
+FloatArray = NDArray[np.float64]
+
+EARTH_RADIUS = 6_371_008.8
+"""Mean radius of the earth [m]."""
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """How good the sensors of a train are.
+
+    Attributes
+    ----------
+    rate : int [Hz]
+        Of the on-board topics; a multiple of 10 that divides 200.
+    speed_noise, speed_resolution : float [m/s]
+    acceleration_noise, acceleration_resolution : float [m/s²]
+    effort_noise : float
+        Standard deviation over the effort itself.
+    effort_resolution : float [N]
+    diameter_error : float
+        Standard deviation of the wheel diameter over the believed one, common to the trip; a
+        third of it again from axle to axle.
+    balise_spacing, balise_error : float [m]
+        Mean distance between balises, and standard deviation of the chainage after one.
+    gnss_position_noise : float [m]
+        Standard deviation of each horizontal axis, correlated over half a minute.
+    gnss_speed_noise : float [m/s]
+    outages : float [1/s]
+        Satellite outages begin at this rate, each lasting 10 to 60 s.
+    """
+
+    rate: int = 10
+    speed_noise: float = 0.03
+    speed_resolution: float = 0.01
+    acceleration_noise: float = 0.03
+    acceleration_resolution: float = 0.01
+    effort_noise: float = 0.01
+    effort_resolution: float = 100.0
+    diameter_error: float = 0.003
+    balise_spacing: float = 1250.0
+    balise_error: float = 0.5
+    gnss_position_noise: float = 2.5
+    gnss_speed_noise: float = 0.08
+    outages: float = 1.0 / 600.0
+
+    def __post_init__(self) -> None:
+        if self.rate < 10 or self.rate % 10 or 200 % self.rate:
+            raise InputError(
+                f"sensors: rate {self.rate} Hz does not divide the simulation's 200 Hz",
+                remedy="use 10, 20, 40, 50, 100 or 200 Hz",
+            )
+        for name in self.__slots__:
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"sensors: {name} {getattr(self, name)} is negative")
+
+
+def rounded(values: FloatArray, resolution: float) -> FloatArray:
+    """Values as a display with that resolution shows them; 0 means infinitely fine."""
+    if resolution == 0.0:
+        return values
+    # Dividing by the whole number of steps a unit gives 12.34, not 12.340000000000002.
+    per_unit = 1.0 / resolution
+    if abs(per_unit - round(per_unit)) < 1e-9 * per_unit:
+        return np.asarray(np.round(values * round(per_unit)) / round(per_unit) + 0.0)
+    return np.asarray(np.round(values / resolution) * resolution + 0.0)
+
+
+def wheel_scales(
+    axles: int, sensors: Sensors, generator: np.random.Generator
+) -> tuple[float, FloatArray]:
+    """Believed over true wheel diameter: of the odometer's axle, and of each powered axle."""
+    common = 1.0 + sensors.diameter_error * generator.standard_normal()
+    own = common + sensors.diameter_error / 3.0 * generator.standard_normal(axles)
+    return common, own
+
+
+def measured_speed(
+    speed: FloatArray, scale: float | FloatArray, sensors: Sensors, generator: np.random.Generator
+) -> FloatArray:
+    """Speed from turning wheels [m/s]: never negative, exactly 0 when they stand."""
+    noisy = speed * scale + sensors.speed_noise * generator.standard_normal(speed.shape)
+    noisy = np.where(speed > 0.0, np.maximum(noisy, 0.0), 0.0)
+    return rounded(noisy, sensors.speed_resolution)
+
+
+def measured_effort(
+    effort: FloatArray, sensors: Sensors, generator: np.random.Generator
+) -> FloatArray:
+    """Effort [N] from the converter's torque estimate: proportional noise, quantised."""
+    noisy = effort * (1.0 + sensors.effort_noise * generator.standard_normal(effort.shape))
+    return rounded(noisy, sensors.effort_resolution)
+
+
+def odometry(
+    position: FloatArray, scale: float, sensors: Sensors, generator: np.random.Generator
+) -> FloatArray:
+    """Chainage [m] as the train believes it: dead reckoning, set right at each balise."""
+    start, end = float(position[0]), float(position[-1])
+    count = int((end - start) / max(sensors.balise_spacing, 1.0)) + 2
+    spacing = sensors.balise_spacing * generator.uniform(0.8, 1.2, count)
+    balises = np.concatenate(([start], start + np.cumsum(spacing)))
+    error = sensors.balise_error * generator.standard_normal(balises.size)
+    index = np.clip(np.searchsorted(balises, position, side="right") - 1, 0, balises.size - 1)
+    # The train learns of a balise at the first sample beyond it.
+    last = balises[index]
+    return np.asarray(np.round(last + error[index] + (position - last) * scale, 2))
+
+
+def train_state(
+    time: NDArray[np.int64],
+    position: FloatArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    scale: float,
+    sensors: Sensors,
+    generator: np.random.Generator,
+) -> pd.DataFrame:
+    """What the odometry says: the ``/train/state`` topic."""
+    noisy = acceleration + sensors.acceleration_noise * generator.standard_normal(time.size)
+    return frame_of(
+        TRAIN_STATE,
+        time,
+        {
+            "position": odometry(position, scale, sensors, generator),
+            "speed": measured_speed(speed, scale, sensors, generator),
+            "acceleration": rounded(noisy, sensors.acceleration_resolution),
+        },
+    )
+
+
+def correlated(
+    count: int, period: float, memory: float, generator: np.random.Generator
+) -> FloatArray:
+    """Ornstein-Uhlenbeck noise of unit variance at `count` instants `period` [s] apart."""
+    from scipy.signal import lfilter
+
+    keep = np.exp(-period / memory)
+    white = generator.standard_normal(count)
+    white[1:] *= np.sqrt(1.0 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], white))
+
+
+def outage_mask(
+    seconds: FloatArray, hidden: NDArray[np.bool_], sensors: Sensors, generator: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Where the satellites are seen: not in tunnels (`hidden`), nor in random outages."""
+    seen = ~hidden
+    expected = sensors.outages * float(seconds[-1] - seconds[0])
+    for _ in range(int(generator.poisson(expected))):
+        begin = generator.uniform(seconds[0], seconds[-1])
+        seen &= (seconds < begin) | (seconds >= begin + generator.uniform(10.0, 60.0))
+    seen[0] = True
+    return np.asarray(seen)
+
+
+def gnss(
+    line: Line,
+    time: NDArray[np.int64],
+    position: FloatArray,
+    speed: FloatArray,
+    sensors: Sensors,
+    generator: np.random.Generator,
+) -> tuple[pd.DataFrame | None, pd.DataFrame, list[tuple[int, str]]]:
+    """Satellite fixes at 5 Hz.
+
+    Parameters
+    ----------
+    line : Line
+        As travelled.
+    time : (n,) int array [ns]
+        Of the true samples.
+    position, speed : (n,) array [m], [m/s]
+
+    Returns
+    -------
+    fix : DataFrame or None
+        ``/gnss/fix``; None where the line's place on the earth is not known.
+    motion : DataFrame
+        ``/gnss/motion``.
+    changes : list of (time [ns], text)
+        When the satellites were lost and found again.
+    """
+    period = NANOSECONDS // 5
+    ticks = np.arange(time[0], time[-1] + 1, period, dtype=np.int64)
+    s = np.interp(ticks - time[0], time - time[0], position)
+    v = np.interp(ticks - time[0], time - time[0], speed)
+    seen = outage_mask(
+        (ticks - ticks[0]) / NANOSECONDS, line.tunnel_cross_section(s) > 0.0, sensors, generator
+    )
+    count = ticks.size
+    quality = np.exp(0.25 * correlated(count, 0.2, 60.0, generator))
+    east, north, up = (
+        sensors.gnss_position_noise * quality * correlated(count, 0.2, 30.0, generator)
+        for _ in range(3)
+    )
+    satellites = np.clip(np.round(11.0 - 4.0 * (quality - 1.0)), 4, 16)
+    noisy = np.abs(v + sensors.gnss_speed_noise * quality * generator.standard_normal(count))
+    motion = frame_of(
+        GNSS_MOTION,
+        ticks[seen],
+        {
+            "speed": np.round(noisy, 3)[seen],
+            "speed_accuracy": np.round(sensors.gnss_speed_noise * quality, 3)[seen],
+            "satellites": satellites[seen],
+            "pdop": np.round(1.6 * quality, 2)[seen],
+        },
+    )
+    edges = np.flatnonzero(np.diff(seen.astype(np.int8))) + 1
+    words = {True: "satellites found again", False: "satellites lost"}
+    changes = [(int(ticks[edge]), words[bool(seen[edge])]) for edge in edges]
+    if line.geometry is None:
+        return None, motion, changes
+    latitude, longitude = line.geometry.at(s)
+    metre = np.degrees(1.0 / EARTH_RADIUS)
+    fix = frame_of(
+        GNSS_FIX,
+        ticks[seen],
+        {
+            "latitude": np.round(latitude + north * metre, 7)[seen],
+            "longitude": np.round(longitude + east * metre / np.cos(np.radians(latitude)), 7)[seen],
+            "altitude": np.round(line.altitudes(s) + 1.5 * up, 3)[seen],
+            "horizontal_accuracy": np.round(sensors.gnss_position_noise * quality, 3)[seen],
+            "vertical_accuracy": np.round(1.5 * sensors.gnss_position_noise * quality, 3)[seen],
+        },
+    )
+    return fix, motion, changes
+
+
+def environment(
+    line: Line, time: NDArray[np.int64], position: FloatArray, temperature: float
+) -> pd.DataFrame:
+    """The line under the train once a second: the ``/environment`` topic.
+
+    Parameters
+    ----------
+    position : (n,) array [m]
+        As the train believes it.
+    temperature : float [K]
+        Of the air; it warms by a degree an hour.
+    """
+    ticks = np.arange(time[0], time[-1] + 1, NANOSECONDS, dtype=np.int64)
+    elapsed = (ticks - time[0]).astype(np.float64)
+    s = np.interp(elapsed, (time - time[0]).astype(np.float64), position)
+    s = np.clip(s, 0.0, line.length)
+    return frame_of(
+        ENVIRONMENT,
+        ticks,
+        {
+            "speed_limit": line.speed_limit(s),
+            "gradient": line.gradient(s),
+            "curvature": line.curvature(s),
+            "air_temperature": np.round(temperature + elapsed / NANOSECONDS / 3600.0, 1),
+        },
+    )
