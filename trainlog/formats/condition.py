@@ -13,7 +13,8 @@ from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes, write_bytes
 from trainlog.formats.layout import plain
 from trainlog.formats.parameters import Details
-from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
+from trainlog.formats.quantities import Array, FloatArray, Quantity
+from trainlog.formats.schema import File, Part, built
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 
 _Length = Annotated[float, Quantity("m", "m")]

@@ -10,17 +10,16 @@ from pydantic import Field
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes, write_bytes
-from trainlog.formats.schema import (
+from trainlog.formats.quantities import (
+    INFINITY,
     Column,
-    File,
     FloatArray,
     Named,
-    Part,
     Quantity,
     Table,
-    built,
     readable,
 )
+from trainlog.formats.schema import File, Part, built
 from trainlog.railway.line import (
     CurvatureProfile,
     Geometry,
@@ -40,8 +39,8 @@ _Curvatures = Annotated[
     Table(
         (
             _POSITION,
-            Column("radius_at_start", "m", "m", infinite=True),
-            Column("radius_at_end", "m", "m", infinite=True),
+            Column("radius_at_start", "m", "m", INFINITY),
+            Column("radius_at_end", "m", "m", INFINITY),
         )
     ),
 ]

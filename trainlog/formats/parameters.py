@@ -11,7 +11,8 @@ from pydantic import Field, JsonValue
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes, write_bytes
 from trainlog.formats.layout import plain, shortest
-from trainlog.formats.schema import File, FloatArray, Part, Quantity, built
+from trainlog.formats.quantities import FloatArray, Quantity
+from trainlog.formats.schema import File, Part, built
 from trainlog.railway.configuration import Configuration, ParameterSet
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import factor

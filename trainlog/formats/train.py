@@ -12,7 +12,8 @@ from pydantic import Field
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes, write_bytes
-from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built
+from trainlog.formats.quantities import Column, Named, Quantity, Table
+from trainlog.formats.schema import File, Part, built
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
 
