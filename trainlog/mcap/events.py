@@ -1,0 +1,67 @@
+"""Events: ``foxglove.Log`` messages, whose texts differ in length."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from mcap.opcode import Opcode
+
+from trainlog.errors import LogError
+from trainlog.mcap.layout import MESSAGE, RECORD_HEAD
+
+_HIGHEST_LEVEL = 5
+"""foxglove.Log.FATAL."""
+
+
+def encode_events(channel: int, frame: pd.DataFrame) -> list[bytes]:
+    """The message records of an event frame's rows.
+
+    Raises
+    ------
+    LogError
+        If a level is none of foxglove.Log's, or a text cannot be written as UTF-8.
+    """
+    times = pd.DatetimeIndex(frame.index).as_unit("ns").asi8.tolist()
+    records = []
+    texts = zip(_texts(frame, "message"), _texts(frame, "name"), strict=True)
+    for row, (time, level, (message, name)) in enumerate(
+        zip(times, _levels(frame), texts, strict=True)
+    ):
+        log = Log(level=level, message=message, name=name)
+        log.timestamp.seconds, log.timestamp.nanos = divmod(time, 10**9)
+        data = log.SerializeToString(deterministic=True)
+        length = MESSAGE.size - RECORD_HEAD + len(data)
+        head = MESSAGE.pack(Opcode.MESSAGE, length, channel, row & 0xFFFFFFFF, time, time)
+        records.append(head + data)
+    return records
+
+
+def _levels(frame: pd.DataFrame) -> list[Log.Level.ValueType]:
+    if "level" not in frame:
+        return [Log.UNKNOWN] * len(frame)
+    levels = frame["level"].to_numpy(dtype=np.float64, na_value=np.nan)
+    wrong = np.flatnonzero(~np.isin(levels, range(_HIGHEST_LEVEL + 1)))
+    if len(wrong):
+        raise LogError(
+            f"{frame['level'].iloc[wrong[0]]} is not a level of an event",
+            place=f"row {wrong[0]}, column level",
+            remedy=f"give a whole number from 0 to {_HIGHEST_LEVEL}",
+        )
+    return [Log.Level.ValueType(int(level)) for level in levels]
+
+
+def _texts(frame: pd.DataFrame, column: str) -> list[str]:
+    if column not in frame:
+        return [""] * len(frame)
+    texts = ["" if pd.isna(text) else str(text) for text in frame[column]]
+    for row, text in enumerate(texts):
+        try:
+            text.encode()
+        except UnicodeEncodeError as error:
+            raise LogError(
+                "the text cannot be written as UTF-8",
+                place=f"row {row}, column {column}",
+                remedy="remove the broken characters",
+            ) from error
+    return texts

@@ -1,0 +1,217 @@
+"""Records of an MCAP file, taken apart with every length checked.
+
+The official package reads records from a stream and trusts their lengths; here a length that
+leads out of the file, or a content that does not parse, is a `LogError` at a byte offset.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Protocol, TypeVar
+
+import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from trainlog.errors import LogError
+from trainlog.mcap.layout import MESSAGE, RECORD_HEAD
+
+Index = dict[int, NDArray[np.uint64]]
+"""Log time and offset in the chunk, shape (n, 2), of the messages by channel id."""
+
+_LARGEST_CHUNK = 2**30
+"""Larger chunks are not believed [bytes]; a forged length must not exhaust the memory."""
+
+_CHUNK_HEAD = struct.Struct("<QQQII")
+
+_R_co = TypeVar("_R_co", covariant=True)
+
+
+class _Readable(Protocol[_R_co]):
+    """A record class of the mcap package."""
+
+    def read(self, stream: ReadDataStream) -> _R_co: ...
+
+
+@dataclass(frozen=True)
+class StoredChunk:
+    """A chunk as it stands in the file, or a run of messages outside of chunks as if it were one.
+
+    Attributes
+    ----------
+    offset : int
+        Where its record begins in the file.
+    compression : str
+    data : memoryview
+        Its content as stored.
+    size : int
+        Length of its content when decompressed, as the record says [bytes].
+    checksum : int
+        CRC-32 of its content when decompressed; 0 if the file does not have it.
+    """
+
+    offset: int
+    compression: str
+    data: memoryview
+    size: int
+    checksum: int
+
+
+def records(data: memoryview, start: int = 0) -> Iterator[tuple[int, int, memoryview]]:
+    """Offset, opcode and content of each record from `start` to the end of `data`.
+
+    Raises
+    ------
+    LogError
+        Where a record leads out of `data`.
+    """
+    at = start
+    while at < len(data):
+        if at + RECORD_HEAD > len(data):
+            raise damaged(at, "the file ends inside a record")
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        behind = at + RECORD_HEAD + length
+        if behind > len(data):
+            raise damaged(
+                at,
+                f"a record of {length:,} bytes begins and only "
+                f"{len(data) - at - RECORD_HEAD:,} follow",
+            )
+        if opcode == 0:
+            raise damaged(at, "there is no record with opcode 0")
+        yield at, opcode, data[at + RECORD_HEAD : behind]
+        at = behind
+
+
+def parsed(kind: _Readable[_R_co], content: memoryview, offset: int) -> _R_co:
+    """The record whose content this is, as a class of the mcap package.
+
+    Raises
+    ------
+    LogError
+        If the content does not parse.
+    """
+    try:
+        return kind.read(ReadDataStream(BytesIO(content)))
+    except (McapError, struct.error, ValueError, OverflowError, MemoryError) as error:
+        name = getattr(kind, "__name__", "record").lower()
+        raise damaged(offset, f"the {name} record cannot be read") from error
+
+
+def stored_chunk(content: memoryview, offset: int) -> StoredChunk:
+    """The chunk whose record's content this is."""
+    try:
+        _, _, size, checksum, width = _CHUNK_HEAD.unpack_from(content)
+        at = _CHUNK_HEAD.size + width
+        compression = str(content[_CHUNK_HEAD.size : at], "utf-8")
+        (length,) = struct.unpack_from("<Q", content, at)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise damaged(offset, "the chunk record cannot be read") from error
+    data = content[at + 8 :]
+    if len(data) != length:
+        raise damaged(offset, "the chunk's length contradicts its record's")
+    return StoredChunk(offset, compression, data, size, checksum)
+
+
+def opened(chunk: StoredChunk, *, check: bool = False) -> bytes:
+    """The chunk's content, decompressed.
+
+    Parameters
+    ----------
+    chunk : StoredChunk
+    check : bool
+        Whether to compare with the chunk's checksum, where it has one.
+
+    Raises
+    ------
+    LogError
+        If it cannot be decompressed, has another length than declared, or fails the check.
+    """
+    if chunk.size > _LARGEST_CHUNK:
+        raise damaged(chunk.offset, f"a chunk claims to hold {chunk.size:,} bytes")
+    try:
+        content = _decompressed(chunk)
+    except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError) as error:
+        raise damaged(chunk.offset, "a chunk cannot be decompressed") from error
+    if len(content) != chunk.size:
+        raise damaged(chunk.offset, "a chunk has another length than it declares")
+    if check and chunk.checksum and zlib.crc32(content) != chunk.checksum:
+        raise damaged(chunk.offset, "a chunk fails its checksum")
+    return content
+
+
+def _decompressed(chunk: StoredChunk) -> bytes:
+    if chunk.compression == "zstd":
+        declared = zstandard.get_frame_parameters(chunk.data).content_size
+        unknown = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
+        if declared not in (chunk.size, *unknown):
+            raise ValueError("content size")
+        return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.size)
+    if chunk.compression == "lz4":
+        content: bytes = lz4.frame.decompress(chunk.data)
+        return content
+    if chunk.compression == "":
+        return bytes(chunk.data)
+    raise LogError(
+        f"a chunk is compressed as '{chunk.compression}'",
+        place=f"byte {chunk.offset}",
+        remedy="compress it with zstd or lz4",
+    )
+
+
+def stored_index(content: memoryview, offset: int) -> tuple[int, NDArray[np.uint64]]:
+    """Channel and entries of the message index record whose content this is."""
+    if len(content) >= 6:
+        channel, length = struct.unpack_from("<HI", content)
+        if length == len(content) - 6 and length % 16 == 0:
+            return channel, np.frombuffer(content, dtype="<u8", offset=6).reshape(-1, 2)
+    raise damaged(offset, "the message index record cannot be read")
+
+
+def index_of(content: bytes | memoryview, offset: int) -> Index:
+    """The message index of a chunk, found by going through its records.
+
+    Parameters
+    ----------
+    content : bytes
+        The chunk's content, decompressed.
+    offset : int
+        Where the chunk stands in the file, for errors.
+    """
+    found: dict[int, list[tuple[int, int]]] = {}
+    try:
+        for at, opcode, body in records(memoryview(content)):
+            if opcode == Opcode.MESSAGE:
+                channel, _, time = struct.unpack_from("<HIQ", body)
+                found.setdefault(channel, []).append((time, at))
+    except (LogError, struct.error) as error:
+        raise damaged(offset, "the records in a chunk cannot be told apart") from error
+    return {channel: np.array(pairs, dtype=np.uint64) for channel, pairs in found.items()}
+
+
+def message_data(content: bytes, offset: int, channel: int) -> tuple[int, bytes] | None:
+    """Log time and data of the message at `offset` of a chunk; None if there is none."""
+    if offset + MESSAGE.size > len(content):
+        return None
+    opcode, length, found, _, time, _ = MESSAGE.unpack_from(content, offset)
+    end = offset + RECORD_HEAD + length
+    if (
+        opcode != Opcode.MESSAGE
+        or found != channel
+        or not offset + MESSAGE.size <= end <= len(content)
+    ):
+        return None
+    return time, content[offset + MESSAGE.size : end]
+
+
+def damaged(offset: int, problem: str) -> LogError:
+    """The error that says where a file is damaged."""
+    return LogError(problem, place=f"byte {offset}")
