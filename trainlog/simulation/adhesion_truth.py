@@ -24,6 +24,11 @@ SPOTS = {"dry": (0.09, 0.14), "wet": (0.06, 0.12)}
 """Range of the maximum adhesion in slippery spots, by weather."""
 
 
+def bin_centres(count: int) -> FloatArray:
+    """Centres [m] of the first `count` bins of a line."""
+    return np.asarray((np.arange(count) + 0.5) * BIN_LENGTH, dtype=np.float64)
+
+
 def smooth_variation(count: int, generator: np.random.Generator) -> FloatArray:
     """Ornstein-Uhlenbeck process of unit variance over `count` bins."""
     from scipy.signal import lfilter
@@ -75,7 +80,7 @@ def base_map(line: Line, weather: str, seed: int) -> FloatArray:
     # The same places are slippery in the dry and in the wet, more so in the wet.
     where = np.random.default_rng([seed, 1])
     generator = np.random.default_rng([seed, 2, sorted(BASE).index(weather)])
-    centres = (np.arange(int(np.ceil(line.length / BIN_LENGTH))) + 0.5) * BIN_LENGTH
+    centres = bin_centres(int(np.ceil(line.length / BIN_LENGTH)))
     median, spread = BASE[weather]
     logarithm = np.log(median) + spread * smooth_variation(centres.size, generator)
     for start in likely_places(line, where):
@@ -95,12 +100,12 @@ def trip_profile(
     StepProfile
         In the line's own direction.
     """
-    centres = (np.arange(base.size) + 0.5) * BIN_LENGTH
+    centres = bin_centres(base.size)
     logarithm = np.log(base) + 0.04 * smooth_variation(base.size, generator)
     for _ in range(int(generator.poisson(2.0 if weather == "wet" else 0.5))):
         start = generator.uniform(0.0, line.length)
         length = generator.uniform(50.0, 150.0)
         depth = generator.uniform(*SPOTS[weather])
         logarithm = np.minimum(logarithm, spot(centres, start, length, depth))
-    edges = np.arange(base.size) * BIN_LENGTH
-    return StepProfile(edges, np.minimum(np.exp(logarithm), 0.5))
+    edges = centres - 0.5 * BIN_LENGTH
+    return StepProfile(edges, np.asarray(np.minimum(np.exp(logarithm), 0.5)))

@@ -16,6 +16,9 @@ The state is one vector: position, train speed, friction braking effort, the whe
 lagged efforts of the motors, and the works listed in `WORKS`.
 """
 
+# The decorator of numba carries no types.
+# mypy: disable-error-code="untyped-decorator, no-any-return"
+
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -50,6 +53,9 @@ SAMPLE = (
 )
 """Columns of a recorded sample; the wheel speeds and the wheel efforts of the axles follow."""
 
+QUICK_REAPPLICATION = 1.5
+"""Quick re-application after a slip: share of the effort at which the wheel slipped, a second."""
+
 NORMAL, CUT, RECOVERING = 0, 1, 2
 """What the slip protection of an axle is doing."""
 
@@ -75,6 +81,7 @@ class Parameters(NamedTuple):
     friction_dead_time: float
     friction_lag: float
     slip_threshold: float
+    slip_delay: float
     slip_release: float
     slip_cut: float
     slip_reapply: float
@@ -189,27 +196,30 @@ def protect(
     wanted: float,
     mode: IntArray,
     memory: FloatArray,
-    cap: FloatArray,
     command: FloatArray,
     p: Parameters,
 ) -> None:
     """Anti-slip control of every axle: the effort commanded [N], from the effort wanted.
 
-    Beyond the slip threshold the effort is cut; once the wheel is back it is re-applied up to a
-    share of the effort at which it slipped, then slowly to what is wanted.
+    A wheel that slips beyond the threshold for longer than the delay has its effort cut; once it
+    is back the effort is re-applied quickly up to a share of that at which it slipped, then slowly
+    up to what is wanted. The rows of `memory` are the effort at the last slip, the present cap,
+    and how long the wheel has been slipping.
     """
     n = command.size
+    slipped, cap, lasting = memory[0], memory[1], memory[2]
     for i in range(n):
         slip = abs(y[3 + i] - y[1])
-        if slip > p.slip_threshold and mode[i] != CUT:
+        lasting[i] = lasting[i] + p.step if slip > p.slip_threshold else 0.0
+        if lasting[i] > p.slip_delay and mode[i] != CUT:
             mode[i] = CUT
-            memory[i] = abs(motor_effort(y[3 + n + i], y[3 + i], p))
-            cap[i] = p.slip_cut * memory[i]
+            slipped[i] = abs(motor_effort(y[3 + n + i], y[3 + i], p))
+            cap[i] = p.slip_cut * slipped[i]
         elif mode[i] == CUT and slip < p.slip_release:
             mode[i] = RECOVERING
         elif mode[i] == RECOVERING:
-            fast = cap[i] < p.slip_reapply * memory[i]
-            cap[i] += p.step * p.slip_ramp * memory[i] * (15.0 if fast else 1.0)
+            fast = cap[i] < p.slip_reapply * slipped[i]
+            cap[i] += p.step * slipped[i] * (QUICK_REAPPLICATION if fast else p.slip_ramp)
             if cap[i] >= abs(wanted):
                 mode[i] = NORMAL
         held = abs(wanted) if mode[i] == NORMAL else min(cap[i], abs(wanted))
@@ -326,7 +336,7 @@ def advance(
     places: IntArray,
     p: Parameters,
 ) -> None:
-    """Advance the state by `steps` steps under one demand, recording every `every` steps.
+    """Advance the state by `steps` steps under one demand, recording before every `every`-th.
 
     Parameters
     ----------
@@ -334,9 +344,9 @@ def advance(
         State, changed in place.
     demand : (2,) array [N]
         Tractive and braking effort of the whole train.
-    out : (steps // every, 10 + 2n) array
-    memory : (2, n) array
-        Effort at the last slip and present cap of each axle, changed in place.
+    out : (ceil(steps / every), 10 + 2n) array
+    memory : (3, n) array
+        Of the slip protection of each axle (see `protect`), changed in place.
     delay : (k,) array [N]
         Friction braking demands of the last dead time, a ring, changed in place.
     places : (3 + n,) array
@@ -358,7 +368,7 @@ def advance(
         friction_demand = 0.0
         if braking > 0.0:
             wanted = -min(braking / n, dynamic_limit(y[1], p))
-        protect(y, wanted, places[3:], memory[0], memory[1], command, p)
+        protect(y, wanted, places[3:], memory, command, p)
         if braking > 0.0:
             # The friction brake is asked in time for what the dynamic brake will have lost.
             ahead = max(y[1] - braking / p.body_inertia * dead_time, 0.0)
@@ -373,7 +383,7 @@ def advance(
             delay[head] = friction_demand
             places[2] = (head + 1) % delay.size
             friction_demand = delayed
-        move(y, command, friction_demand, track, rail, weights, p, work)
-        if (k + 1) % every == 0:
+        if k % every == 0:
             row = out[k // every]
             sample(y, row, command, friction_demand, track, rail, weights, places[3:], p, work)
+        move(y, command, friction_demand, track, rail, weights, p, work)

@@ -20,6 +20,9 @@ from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
 
+HOLDING = 0.7
+"""Friction braking effort of a standing train over its mass [m/s²]; holds on 70 per mille."""
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -33,6 +36,8 @@ class Drive:
         Below it the dynamic brake fades out in proportion to speed.
     slip_threshold, slip_release : float [m/s]
         Slip speed at which the effort of an axle is cut, and at which it is re-applied.
+    slip_delay : float [s]
+        How long a wheel slips before the cut.
     slip_cut, slip_reapply : float
         Shares of the effort at which the wheel slipped: what is left after the cut, and where the
         quick re-application ends.
@@ -43,6 +48,7 @@ class Drive:
     motor_lag: float = 0.1
     braking_fade_speed: float = 3.0
     slip_threshold: float = 3.0
+    slip_delay: float = 0.15
     slip_release: float = 1.0
     slip_cut: float = 0.1
     slip_reapply: float = 0.7
@@ -58,7 +64,7 @@ class PlantState:
     values : (3 + 2n + 6,) array
         Position [m], train speed [m/s], friction braking effort [N], n wheel speeds [m/s], n
         lagged motor efforts [N] and the works of `dynamics.WORKS` [J].
-    slip_memory : (2, n) array [N]
+    slip_memory : (3, n) array [N], [N], [s]
     friction_delay : (k,) array [N]
     places : (3 + n,) int array
     """
@@ -177,6 +183,7 @@ class Plant:
             friction_dead_time=train.brake.dead_time,
             friction_lag=max(train.brake.lag, 2.0 * step),
             slip_threshold=drive.slip_threshold,
+            slip_delay=drive.slip_delay,
             slip_release=drive.slip_release,
             slip_cut=drive.slip_cut,
             slip_reapply=drive.slip_reapply,
@@ -238,11 +245,10 @@ class Plant:
         steps = round(self.parameters.friction_dead_time / self.parameters.step)
         delay = np.zeros(steps)
         if speed == 0.0:
-            # Enough to hold the steepest gradient that a line may have.
-            hold = min(0.2 * self.parameters.mass * GRAVITY, self.parameters.friction_effort)
+            hold = min(HOLDING * self.parameters.mass, self.parameters.friction_effort)
             values[dynamics.FRICTION] = hold
             delay[:] = hold
-        return PlantState(values, np.zeros((2, n)), delay, np.zeros(3 + n, dtype=np.int64))
+        return PlantState(values, np.zeros((3, n)), delay, np.zeros(3 + n, dtype=np.int64))
 
     def advance(
         self,
@@ -265,10 +271,10 @@ class Plant:
 
         Returns
         -------
-        (steps // every, columns) array
-            The samples; see `columns`.
+        (ceil(steps / every), columns) array
+            Samples taken before every `every`-th step, the first at the beginning; see `columns`.
         """
-        out = np.empty((steps // every, len(SAMPLE) + 2 * self.axles))
+        out = np.empty((-(-steps // every), len(SAMPLE) + 2 * self.axles))
         dynamics.advance(
             state.values,
             np.array([tractive_effort, braking_effort], dtype=np.float64),

@@ -13,6 +13,7 @@ from trainlog.formats.files import sha256
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.simulation import sensors as measuring
+from trainlog.simulation.drivers import DEPARTURE
 from trainlog.simulation.sensors import NANOSECONDS
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
@@ -217,6 +218,7 @@ def reference(
             "tractive_effort": trajectory.tractive_effort[cell],
             "braking_effort": trajectory.braking_effort[row, cell],
             "lateness": run.seconds
+            - DEPARTURE
             - np.interp(position, trajectory.positions, trajectory.times[row]),
         },
     )

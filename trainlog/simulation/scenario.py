@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,14 +20,13 @@ from trainlog.simulation.drivers import (
     Driver,
     Habits,
     Observation,
-    Stop,
     TimetableDriver,
     TrajectoryDriver,
 )
-from trainlog.simulation.plant import Plant, PlantState
+from trainlog.simulation.plant import Plant
 from trainlog.simulation.recording import recorded
 from trainlog.simulation.sensors import NANOSECONDS, Sensors
-from trainlog.simulation.timetable import plan
+from trainlog.simulation.timetable import Stop, plan
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]
@@ -136,7 +135,7 @@ class Scenario:
     def driver(self) -> Driver:
         """Who drives."""
         if self.trajectory is not None:
-            return TrajectoryDriver(self.trajectory, self.row)
+            return TrajectoryDriver(self.trajectory, self.row, self.travelled, self.train)
         return TimetableDriver(self.travelled, self.train, self.stops, self.habits, self.mass)
 
     def truth(self) -> bytes:
@@ -160,8 +159,8 @@ class Scenario:
             "max_power": self.max_power,
             "maximum_adhesion": {
                 "direction": "forward",
-                "positions": profile.positions.tolist(),
-                "values": profile.values.tolist(),
+                "positions": list(profile.positions),
+                "values": list(profile.values),
             },
             "stops": [asdict(stop) for stop in self.stops],
             "habits": asdict(self.habits),
@@ -184,8 +183,6 @@ class Run:
         See `Plant.columns`.
     demands : (n, 2) array [N]
         Tractive and braking effort asked for.
-    stands : tuple of (arrival, departure, position)
-        Times [s] and places [m] at which the train stood.
     """
 
     seconds: FloatArray
@@ -229,20 +226,20 @@ def drive(scenario: Scenario) -> Run:
                 f" {state.position / 1e3:.3f} after {time:.0f} s",
                 remedy="check adhesion, gradients and tractive effort there",
             )
-        block = _period(plant, state, demands[-1], steps, steps // rate)
-        acceleration = float(block[-1, 2])
-        blocks.append(block)
+        wanted, speed = demands[-1], state.speed
+        blocks.append(
+            plant.advance(
+                state, wanted.tractive_effort, wanted.braking_effort, steps, steps // rate
+            )
+        )
+        acceleration = (state.speed - speed) / PERIOD
     samples = np.concatenate(blocks)
     asked = np.array([(d.tractive_effort, d.braking_effort) for d in demands[: len(blocks)]])
     return Run(
-        (np.arange(len(samples)) + 1.0) / scenario.sensors.rate,
+        np.arange(len(samples)) / scenario.sensors.rate,
         samples,
         np.repeat(asked, rate, axis=0),
     )
-
-
-def _period(plant: Plant, state: PlantState, demand: Demand, steps: int, every: int) -> FloatArray:
-    return plant.advance(state, demand.tractive_effort, demand.braking_effort, steps, every)
 
 
 def simulate(scenario: Scenario) -> Trip:
@@ -310,7 +307,7 @@ def _drawn(
     scale = 1.0 + np.clip(0.07 * generator.standard_normal(3), -0.15, 0.15)
     nominal = train.resistance
     load = np.round(generator.uniform(0.0, train.max_load or 20_000.0), -2)
-    stations = [station for station in travelled.stations[1:-1]]
+    stations = travelled.stations[1:-1]
     kept = generator.uniform(size=len(stations)) < generator.choice([0.0, 0.5, 1.0])
     calls = [station for station, stop in zip(stations, kept, strict=True) if stop]
     wet = weather == "wet"
@@ -341,7 +338,7 @@ def _drawn(
             travelled,
             train,
             (travelled.stations[0], *calls, travelled.stations[-1]),
-            reserve=float(generator.uniform(0.05, 0.09)),
+            reserve=float(generator.uniform(0.08, 0.13)),
         ),
         habits=habits,
         sensors=sensors,
@@ -415,9 +412,31 @@ def trajectory_scenarios(
     return scenarios
 
 
-def with_sensors(scenario: Scenario, sensors: Sensors) -> Scenario:
-    """The same trip seen by other sensors."""
-    return replace(scenario, sensors=sensors)
+def choose_configurations(trajectory: Trajectory, choice: str = "hardest") -> list[str]:
+    """Names of the configurations to drive a trajectory with.
+
+    Parameters
+    ----------
+    choice : str
+        ``"all"``; names separated by commas; or ``"hardest"``: the largest and the smallest
+        running resistance and the smallest power, all for the mass to be moved.
+
+    Raises
+    ------
+    InputError
+        If the trajectory was not made for a configuration so named.
+    """
+    every = trajectory.configurations
+    if choice == "all":
+        return [configuration.name for configuration in every]
+    if choice != "hardest":
+        names = [name.strip() for name in choice.split(",")]
+        return [every[trajectory.index_of(name)].name for name in names]
+    cruising = float(np.max(trajectory.speeds))
+    drag = [float(c.resistance(cruising)) / c.inertia for c in every]
+    power = [c.max_power / c.inertia for c in every]
+    chosen = (int(np.argmax(drag)), int(np.argmin(drag)), int(np.argmin(power)))
+    return [every[row].name for row in dict.fromkeys(chosen)]
 
 
 def run_scenarios(

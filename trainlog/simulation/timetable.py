@@ -1,20 +1,87 @@
-"""Timetables: how long a train needs at the least, and what is planned for it."""
+"""Timetables: what a driver knows of the route, and when he is due where."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from trainlog.errors import InputError
 from trainlog.railway import Line, Station, Train
-from trainlog.simulation.drivers import GRID, Stop, braking_ceiling, permitted_speeds
 
 FloatArray = NDArray[np.float64]
 
+GRID = 5.0
+"""Spacing of a driver's route knowledge [m]."""
 
-@njit(cache=True)
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A timetabled stop.
+
+    Attributes
+    ----------
+    station : str
+    position : float [m]
+        Where the train's front comes to stand.
+    arrival, departure : float [s]
+        Since the beginning of the trip.
+    """
+
+    station: str
+    position: float
+    arrival: float
+    departure: float
+
+
+def check_stops(line: Line, stops: tuple[Stop, ...]) -> None:
+    """Refuse stops that no train can make.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, one lies beyond the line, or they are out of order.
+    """
+    if len(stops) < 2:
+        raise InputError(f"line '{line.name}': a trip needs two stops at least")
+    for stop in stops:
+        if not 0.0 <= stop.position <= line.length:
+            raise InputError(
+                f"line '{line.name}': stop '{stop.station}' at km {stop.position / 1e3:.3f} lies"
+                f" beyond the line's end at km {line.length / 1e3:.3f}"
+            )
+        if stop.departure < stop.arrival:
+            raise InputError(f"stop '{stop.station}': departure is before arrival")
+    for first, second in pairwise(stops):
+        if second.position <= first.position or second.arrival <= first.departure:
+            raise InputError(
+                f"stops '{first.station}' and '{second.station}' are not in the order of travel"
+            )
+
+
+def permitted_speeds(line: Line, train_length: float, grid: FloatArray) -> FloatArray:
+    """Permitted speed [m/s] for a whole train, whose rear must also have passed a restriction."""
+    starts, values = line.speed_limits.positions, line.speed_limits.values
+    ends = np.append(starts[1:], np.inf)
+    allowed = np.full(grid.shape, np.inf)
+    for start, end, value in zip(starts, ends, values, strict=True):
+        under = (grid >= start) & (grid - train_length < end)
+        allowed[under] = np.minimum(allowed[under], value)
+    return allowed
+
+
+def braking_ceiling(grid: FloatArray, limits: FloatArray, deceleration: float) -> FloatArray:
+    """Highest speed [m/s] at each grid point from which every limit ahead can be kept."""
+    energy = limits**2 + 2.0 * deceleration * grid
+    reachable = np.minimum.accumulate(energy[::-1])[::-1] - 2.0 * deceleration * grid
+    return np.asarray(np.sqrt(np.maximum(reachable, 0.0)))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def fastest_speeds(
     ceiling: FloatArray,
     slope: FloatArray,
@@ -89,7 +156,7 @@ def plan(
     train: Train,
     stations: tuple[Station, ...],
     *,
-    reserve: float = 0.07,
+    reserve: float = 0.1,
     dwell: float = 42.0,
     first_departure: float = 15.0,
 ) -> tuple[Stop, ...]:
