@@ -93,9 +93,7 @@ class _LineFile(File):
             speed_limits=profile("speed_limits", *self.speed_limits),
             gradients=profile("gradients", *self.gradients),
             curvatures=None if self.curvatures is None else curvature_profile(*self.curvatures),
-            tunnels=()
-            if self.tunnels is None
-            else tuple(Tunnel(*map(float, row)) for row in zip(*self.tunnels, strict=True)),
+            tunnels=tunnels(self.tunnels),
             altitude=self.altitude,
             geometry=None if geometry is None else geometry.geometry(),
             source=self.source,
@@ -115,12 +113,7 @@ class _LineFile(File):
             speed_limits=(limits.positions, limits.values),
             gradients=(line.gradients.positions, line.gradients.values),
             curvatures=None if curves is None else radii(curves),
-            tunnels=tuple(
-                [getattr(tunnel, name) for tunnel in line.tunnels]
-                for name in ("position", "length", "cross_section")
-            )
-            if line.tunnels
-            else None,
+            tunnels=tunnel_columns(line.tunnels),
             braking_parameters=line.braking_parameters or None,
             geometry=None
             if geometry is None
@@ -150,6 +143,19 @@ def curvature_profile(
             remedy="straight track has the radius 'infinity'",
         )
     return CurvatureProfile(positions, 1.0 / start_radii, 1.0 / end_radii)
+
+
+def tunnels(table: tuple[FloatArray, ...] | None) -> tuple[Tunnel, ...]:
+    """Tunnels from the columns of their table."""
+    if table is None:
+        return ()
+    return tuple(Tunnel(*map(float, row)) for row in zip(*table, strict=True))
+
+
+def tunnel_columns(rows: tuple[Tunnel, ...]) -> tuple[list[float], ...] | None:
+    """The columns of the table of tunnels, or None if there are none."""
+    names = ("position", "length", "cross_section")
+    return tuple([getattr(tunnel, name) for tunnel in rows] for name in names) if rows else None
 
 
 def _check_rows(place: str, positions: FloatArray) -> None:
