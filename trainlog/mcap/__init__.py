@@ -1,6 +1,19 @@
 """The log: trips as MCAP files."""
 
+from trainlog.mcap.describe import (
+    AttachmentDescription,
+    LogDescription,
+    TopicDescription,
+    describe,
+)
 from trainlog.mcap.reader import read_log
 from trainlog.mcap.writer import write_log
 
-__all__ = ["read_log", "write_log"]
+__all__ = [
+    "AttachmentDescription",
+    "LogDescription",
+    "TopicDescription",
+    "describe",
+    "read_log",
+    "write_log",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -55,16 +55,21 @@ def read_log(path: str | Path, topics: Iterable[str] | None = None) -> Trip:
     with in_file(path):
         contents = contents_of(data)
         if contents.damage is not None:
-            raise _damage(contents)
-        sources = _sources(contents)
-        metadata = metadata_of(contents)
-        _check_version(contents, metadata, sources)
-        return Trip(
-            topics=_frames(contents, [s for s in sources if s.topic.name in wanted]),
-            metadata=metadata.get(TRIP_RECORD, {}),
-            provenance=provenance_of(metadata),
-            attachments={each.name: each.data for each in contents.attachments},
-        )
+            raise _damage(contents, contents.damage)
+        return trip_of(contents, wanted)
+
+
+def trip_of(contents: Contents, wanted: Container[str]) -> Trip:
+    """The trip with the topics `wanted` that a file's contents hold; LogError as `read_log`."""
+    sources = _sources(contents)
+    metadata = metadata_of(contents)
+    _check_version(contents, metadata, sources)
+    return Trip(
+        topics=_frames(contents, [source for source in sources if source.topic.name in wanted]),
+        metadata=metadata.get(TRIP_RECORD, {}),
+        provenance=_provenance(metadata),
+        attachments={each.name: each.data for each in contents.attachments},
+    )
 
 
 def metadata_of(contents: Contents) -> dict[str, dict[str, str]]:
@@ -76,14 +81,8 @@ def metadata_of(contents: Contents) -> dict[str, dict[str, str]]:
     return found
 
 
-def provenance_of(metadata: dict[str, dict[str, str]]) -> tuple[dict[str, Any], ...]:
-    """The processing steps that a file's metadata records tell, oldest first.
-
-    Raises
-    ------
-    LogError
-        If one is not a JSON object.
-    """
+def _provenance(metadata: dict[str, dict[str, str]]) -> tuple[dict[str, Any], ...]:
+    """The processing steps that a file's metadata records tell, oldest first."""
     steps = []
     for key, text in sorted(metadata.get(PROVENANCE_RECORD, {}).items()):
         try:
@@ -247,10 +246,8 @@ def _check_version(
         )
 
 
-def _damage(contents: Contents) -> LogError:
+def _damage(contents: Contents, damage: LogError) -> LogError:
     """The error for a damaged file, telling what of it is readable."""
-    damage = contents.damage
-    assert damage is not None
     count = contents.counts().total()
     return LogError(
         f"is damaged: {damage.problem}",

@@ -1,0 +1,145 @@
+"""A log's description as a person reads it, for the command line."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+from rich import box
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from trainlog.mcap.describe import LogDescription, TopicDescription
+
+_LONGEST = 160
+"""Metadata values are cut to this many characters."""
+
+
+def render(description: LogDescription) -> RenderableType:
+    """What is in a log, as something that rich prints."""
+    parts: list[RenderableType] = [
+        Text(str(description.path), style="bold"),
+        _overview(description),
+    ]
+    parts.append(_topics(description))
+    if any(topic.units for topic in description.topics):
+        parts.append(_fields(description))
+    if description.metadata:
+        parts.append(_pairs("Metadata", description.metadata))
+    if description.provenance:
+        steps = {
+            f"{number} {step.get('step', '')}".strip(): ", ".join(
+                f"{key} {value}" for key, value in step.items() if key != "step"
+            )
+            for number, step in enumerate(description.provenance, start=1)
+        }
+        parts.append(_pairs("Provenance", steps))
+    if description.attachments:
+        parts.append(_attachments(description))
+    return Group(*(Padding(part, (0, 0, 1, 0)) for part in parts))
+
+
+def _overview(description: LogDescription) -> Table:
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    first, last = description.first, description.last
+    if first is not None and last is not None:
+        duration = _duration((last - first).total_seconds())
+        table.add_row("time", f"{_time(first)} to {_time(last)} UTC ({duration})")
+    if description.position_span is not None:
+        start, end = description.position_span
+        table.add_row(
+            "position", f"km {start / 1e3:.3f} to km {end / 1e3:.3f} ({(end - start) / 1e3:.3f} km)"
+        )
+    table.add_row("messages", f"{description.count:,} in {_chunks(description)}")
+    table.add_row("file", f"{_size(description.size)}, SHA-256 {description.sha256}")
+    if description.schema_version is not None:
+        table.add_row("topics", f"version {description.schema_version} of the table of topics")
+    state = "whole, checksums hold" if description.complete else "damaged, readable part listed"
+    table.add_row("state", state)
+    if description.problem is not None:
+        table.add_row("problem", Text(description.problem, style="red"))
+    return table
+
+
+def _chunks(description: LogDescription) -> str:
+    kinds = " and ".join(kind or "no" for kind in description.compression) or "no"
+    return (
+        f"{description.chunks:,} chunks, {_size(description.stored_size)} with {kinds} compression "
+        f"({_size(description.content_size)} without)"
+    )
+
+
+def _topics(description: LogDescription) -> Table:
+    table = Table("Topic", "Message", box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("Count", "Rate", "From", "To", "Gaps", "Longest"):
+        table.add_column(heading, justify="right")
+    for topic in description.topics:
+        table.add_row(
+            topic.name,
+            topic.message or topic.encoding,
+            f"{topic.count:,}",
+            _number(topic.rate, "Hz"),
+            _time_of_day(topic.first),
+            _time_of_day(topic.last),
+            f"{topic.gaps:,}",
+            _number(topic.largest_gap, "s"),
+        )
+    return table
+
+
+def _fields(description: LogDescription) -> Table:
+    table = Table("Topic", "Fields and units", box=box.SIMPLE_HEAD, pad_edge=False)
+    for topic in description.topics:
+        if topic.units:
+            table.add_row(topic.name, ", ".join(_field(topic, name) for name in topic.units))
+    return table
+
+
+def _field(topic: TopicDescription, name: str) -> str:
+    unit = topic.units[name]
+    told = name if unit in ("", "1") else f"{name} [{unit}]"
+    return f"{told} of {topic.axles[name]} axles" if name in topic.axles else told
+
+
+def _pairs(heading: str, pairs: dict[str, str]) -> Table:
+    table = Table(heading, "", box=box.SIMPLE_HEAD, pad_edge=False)
+    for key, value in pairs.items():
+        shown = value if len(value) <= _LONGEST else f"{value[:_LONGEST]} …"
+        table.add_row(Text(key), Text(shown))
+    return table
+
+
+def _attachments(description: LogDescription) -> Table:
+    table = Table("Attachment", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("Size", justify="right")
+    table.add_column("SHA-256")
+    for attachment in description.attachments:
+        table.add_row(attachment.name, _size(attachment.size), attachment.sha256)
+    return table
+
+
+def _time(time: pd.Timestamp) -> str:
+    return f"{time:%Y-%m-%d %H:%M:%S}.{time.microsecond // 1000:03d}"
+
+
+def _time_of_day(time: pd.Timestamp | None) -> str:
+    return "" if time is None else f"{time:%H:%M:%S}"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(seconds, 60)
+    return f"{minutes:.0f} min {rest:.1f} s" if minutes else f"{rest:.1f} s"
+
+
+def _number(value: float, unit: str) -> str:
+    return "" if math.isnan(value) else f"{value:.3g} {unit}"
+
+
+def _size(size: int) -> str:
+    if size < 10_000:
+        return f"{size:,} B"
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
