@@ -48,7 +48,7 @@ class Drive:
     motor_lag: float = 0.1
     braking_fade_speed: float = 3.0
     slip_threshold: float = 3.0
-    slip_delay: float = 0.15
+    slip_delay: float = 0.3
     slip_release: float = 1.0
     slip_cut: float = 0.1
     slip_reapply: float = 0.7
