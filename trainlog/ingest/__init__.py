@@ -1,1 +1,31 @@
-"""Recorded formats become trips."""
+"""Recorded formats become trips: read by a registered format, repaired by stated rules.
+
+>>> from trainlog.ingest import ingest, report_of
+>>> trip = ingest("run.csv", profile="recorder.profile.toml")    # doctest: +SKIP
+>>> report_of(trip).lines()                                      # doctest: +SKIP
+"""
+
+from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest
+from trainlog.ingest.profile import Profile, profile_of, read_profile
+from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table
+from trainlog.ingest.registry import Format, formats
+from trainlog.ingest.report import Report, report_of
+from trainlog.ingest.rules import RULES, Rule
+
+__all__ = [
+    "NO_TIME",
+    "PROFILE_ATTACHMENT",
+    "RULES",
+    "Finding",
+    "Format",
+    "Profile",
+    "Recording",
+    "Report",
+    "Rule",
+    "Table",
+    "formats",
+    "ingest",
+    "profile_of",
+    "read_profile",
+    "report_of",
+]

@@ -1,0 +1,440 @@
+"""The profile: a TOML file that tells how a recorder writes, and how its columns become topics."""
+
+from __future__ import annotations
+
+import datetime
+import difflib
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes
+from trainlog.topics import TOPICS
+from trainlog.topics import Field as Item
+from trainlog.units import factor, to_si
+
+PROFILE_FORMAT = "trainlog/recorder-profile"
+
+MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-", "--", "---")
+"""Cells that mean "no value" unless the profile lists others."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Quantity(_Strict):
+    """A number with its unit."""
+
+    value: float
+    unit: str
+
+    def si(self, unit: str) -> float:
+        """The number in the SI unit `unit`."""
+        return float(to_si(self.value, self.unit, unit))
+
+
+class FileOptions(_Strict):
+    """How the file is written ([file]).
+
+    Attributes
+    ----------
+    format : str, optional
+        Name of the registered format, such as ``"csv"``; detected if absent.
+    delimiter, decimal, encoding : str
+    header : int, optional
+        Line that holds the names of the columns, counted from 1; 0 if there is none, the columns
+        are then called "1", "2" ... Default: the first line that is neither empty nor a comment.
+    skip_after_header : int
+        Lines after the header that hold no data, such as a line of units.
+    comment : str
+        First character of lines to be passed over; none if empty.
+    missing : list of str
+        Cells that mean "no value".
+    """
+
+    format: str | None = None
+    delimiter: str = Field(default=",", min_length=1, max_length=1)
+    decimal: Literal[".", ","] = "."
+    encoding: str = "utf-8"
+    header: int | None = Field(default=None, ge=0)
+    skip_after_header: int = Field(default=0, ge=0)
+    comment: str = Field(default="#", max_length=1)
+    missing: tuple[str, ...] = MISSING
+
+    @pydantic.model_validator(mode="after")
+    def _distinct(self) -> Self:
+        if self.delimiter == self.decimal:
+            raise ValueError(f"delimiter and decimal are both '{self.decimal}'")
+        try:
+            "".encode(self.encoding)
+        except LookupError:
+            raise ValueError(
+                f"encoding '{self.encoding}' is not known, for example 'utf-8' or 'cp1252'"
+            ) from None
+        return self
+
+
+class TimeOptions(_Strict):
+    """Where the time of a row stands ([time]).
+
+    Attributes
+    ----------
+    column : str
+    columns : list of str
+        Either one column, or several: joined by a blank and read with `format`, or, with
+        ``format = "parts"``, year, month, day, hour, minute, second as numbers.
+    format : str
+        ``"iso"``, ``"epoch"`` (since 1970 UTC), ``"elapsed"`` (since `start`), ``"parts"``, or a
+        pattern such as ``"%d.%m.%Y %H:%M:%S.%f"``.
+    unit : {"s", "ms", "us", "ns"}
+        Of ``"epoch"`` and ``"elapsed"``.
+    timezone : str
+        Of times that name no offset: ``"UTC"``, ``"Europe/Zurich"``, ``"+02:00"``.
+    start : datetime
+        Instant of elapsed time 0.
+    date : date
+        For patterns that hold the time of day only: the day of the first row. Midnight is noticed.
+    """
+
+    column: str | None = None
+    columns: tuple[str, ...] = ()
+    format: str = "iso"
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    timezone: str = "UTC"
+    start: datetime.datetime | None = None
+    date: datetime.date | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns that make the time."""
+        return self.columns if self.column is None else (self.column,)
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.column is None) == (not self.columns):
+            raise ValueError("needs either column or columns")
+        if self.format == "parts" and len(self.names) != 6:
+            raise ValueError("format 'parts' needs 6 columns: year month day hour minute second")
+        if self.format in ("epoch", "elapsed") and len(self.names) != 1:
+            raise ValueError(f"format '{self.format}' needs one column")
+        if (self.format == "elapsed") != (self.start is not None):
+            raise ValueError("format 'elapsed' and start = ... go together")
+        patterned = self.format not in ("iso", "epoch", "elapsed", "parts")
+        if patterned and "%" not in self.format:
+            raise ValueError(
+                f"format '{self.format}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
+                " pattern such as '%d.%m.%Y %H:%M:%S'"
+            )
+        if self.date is not None and not (patterned and "%d" not in self.format):
+            raise ValueError("date is for a pattern that holds the time of day only")
+        _check_timezone(self.timezone)
+        return self
+
+
+class Column(_Strict):
+    """How a field of our topics comes from columns of the file ([columns]).
+
+    ``field = sign * part(raw * scale + offset)``, in `unit`, then converted to SI.
+
+    Attributes
+    ----------
+    column : str
+        Name of the column; `columns` for the fields that have one value an axle; or a constant
+        `value`.
+    unit : str
+        Unit of the number after `scale` and `offset`.
+    scale, offset : float
+    part : {"all", "positive", "negative"}
+        Of a signed column, only the positive values, or the size of the negative ones; 0 otherwise.
+    sign : {1, -1}
+    optional : bool
+        Whether the file may lack the column.
+    """
+
+    column: str | None = None
+    columns: tuple[str, ...] = ()
+    value: float | str | None = None
+    unit: str | None = None
+    scale: float = Field(default=1.0, allow_inf_nan=False)
+    offset: float = Field(default=0.0, allow_inf_nan=False)
+    part: Literal["all", "positive", "negative"] = "all"
+    sign: Literal[1, -1] = 1
+    optional: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns of the file, one an axle where the field has one value an axle."""
+        return self.columns if self.column is None else (self.column,)
+
+
+class TripOptions(_Strict):
+    """What holds for the whole trip ([trip]).
+
+    Attributes
+    ----------
+    name, train, line, clock : str, optional
+    direction : {"forward", "reverse"}, optional
+        Along the line as its file gives it.
+    weather : {"dry", "wet"}, optional
+    load, mass : Quantity, optional
+        Load, or mass of the loaded train without the rotating part (needs the train).
+    start_position : Quantity, optional
+        Where the first row's position is; the recorded one then counts from an arbitrary 0.
+    """
+
+    name: str | None = None
+    train: str | None = None
+    line: str | None = None
+    clock: str | None = None
+    direction: Literal["forward", "reverse"] | None = None
+    weather: Literal["dry", "wet"] | None = None
+    load: Quantity | None = None
+    mass: Quantity | None = None
+    start_position: Quantity | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _units(self) -> Self:
+        for name, unit in (("load", "kg"), ("mass", "kg"), ("start_position", "m")):
+            quantity: Quantity | None = getattr(self, name)
+            if quantity is not None:
+                _check_unit(name, quantity.unit, unit)
+        if self.load is not None and self.mass is not None:
+            raise ValueError("give load or mass, not both")
+        return self
+
+
+class Limit(_Strict):
+    """What a field can be: bounds, and how fast it can change (`unit`; `rate` in `unit`/s)."""
+
+    unit: str
+    min: float | None = None
+    max: float | None = None
+    rate: float | None = Field(default=None, gt=0.0)
+    tolerance: float | None = Field(default=None, ge=0.0)
+
+
+class Limits(_Strict):
+    """Thresholds of the rules ([limits]).
+
+    Attributes
+    ----------
+    sort_within : float [s]
+        Rows out of order by no more than this are sorted in, others dropped.
+    pause : float [s]
+        A pause beyond it is not within one trip.
+    gap : float [s], optional
+        Time between two rows that counts as a gap; default five usual steps, at least 1 s.
+    columns : dict of str to Limit
+        By ``"/topic.field"``, in place of the built-in ones (docs/ingest.md).
+    """
+
+    sort_within: float = Field(default=10.0, ge=0.0)
+    pause: float = Field(default=21_600.0, gt=0.0)
+    gap: float | None = Field(default=None, gt=0.0)
+    columns: dict[str, Limit] = Field(default_factory=dict)
+
+    @pydantic.model_validator(mode="after")
+    def _known(self) -> Self:
+        for name, limit in self.columns.items():
+            _check_unit(name, limit.unit, _known_field(name).unit)
+        return self
+
+
+class Repair(_Strict):
+    """Which rules apply ([repair]); each can be switched off. See `trainlog.ingest.rules`."""
+
+    truncated_rows: bool = True
+    not_a_number: bool = True
+    empty: bool = True
+    before_first_fix: bool = True
+    time_unreadable: bool = True
+    clock_jump: bool = True
+    time_backwards: bool = True
+    duplicates: bool = True
+    subsecond: bool = True
+    same_time: bool = True
+    no_fix: bool = True
+    out_of_limits: bool = True
+    spikes: bool = True
+    inconsistent: bool = True
+    gaps: bool = True
+    off_line: bool = True
+
+    @property
+    def switched_off(self) -> tuple[str, ...]:
+        """Names of the rules that are off."""
+        return tuple(name for name in type(self).model_fields if not getattr(self, name))
+
+
+class Profile(_Strict):
+    """A recorder's profile; docs/ingest.md describes it with an example."""
+
+    format: Literal["trainlog/recorder-profile"]
+    version: Literal[1]
+    name: str
+    file: FileOptions = FileOptions()
+    time: TimeOptions | None = None
+    columns: dict[str, Column] = Field(default_factory=dict)
+    trip: TripOptions = TripOptions()
+    metadata: dict[str, str] = Field(default_factory=dict)
+    limits: Limits = Limits()
+    repair: Repair = Repair()
+
+    @pydantic.model_validator(mode="after")
+    def _columns_fit(self) -> Self:
+        for name, column in self.columns.items():
+            _check_column(name, column)
+        return self
+
+
+def read_profile(path: str | Path) -> Profile:
+    """Read a profile from a TOML file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, no TOML, or does not fit; the message names the key and what would fit.
+    """
+    return parse_profile(read_bytes(path), file=path)
+
+
+def parse_profile(data: bytes, *, file: str | Path) -> Profile:
+    """The profile that the bytes of a TOML file hold; errors as `read_profile`."""
+    try:
+        content = tomllib.loads(data.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "is not UTF-8 text", file=file, place=f"byte {error.start}", remedy="expected TOML"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(
+            f"is not TOML: {error}", file=file, remedy="correct it there or just before"
+        ) from error
+    return profile_of(content, file=file)
+
+
+def profile_of(content: dict[str, Any], *, file: str | Path | None = None) -> Profile:
+    """The profile that a dict of the same layout describes; errors as `read_profile`."""
+    told = content.get("format")
+    if told != PROFILE_FORMAT:
+        raise InputError(
+            f"is not a recorder profile: format is {told!r}",
+            file=file,
+            remedy=f"begin the file with format = '{PROFILE_FORMAT}' and version = 1",
+        )
+    try:
+        return Profile.model_validate(content)
+    except pydantic.ValidationError as error:
+        raise _in_one_line(error, file) from error
+
+
+def _in_one_line(error: pydantic.ValidationError, file: str | Path | None) -> InputError:
+    first, *others = error.errors(include_url=False)
+    place = "".join(f'."{part}"' if "/" in str(part) else f".{part}" for part in first["loc"])
+    key = str(first["loc"][-1]) if first["loc"] else ""
+    problem = first["msg"].removeprefix("Value error, ")
+    remedy = None
+    if first["type"] == "extra_forbidden":
+        known = _keys_beside(tuple(first["loc"]))
+        problem, remedy = f"unknown key '{key}'", suggestion(key, known)
+    elif first["type"] == "missing":
+        problem = f"key '{key}' is missing"
+    else:
+        problem, _, told = problem.partition("; ")
+        remedy = told or None
+    if others:
+        problem += f" (and {len(others)} more)"
+    return InputError(problem, file=file, place=place.lstrip(".") or None, remedy=remedy)
+
+
+def _keys_beside(place: tuple[int | str, ...]) -> Iterable[str]:
+    """The keys that a profile knows at the same level as the key at `place`."""
+    sections: dict[str, type[BaseModel]] = {
+        "file": FileOptions,
+        "time": TimeOptions,
+        "columns": Column,
+        "trip": TripOptions,
+        "limits": Limits,
+        "repair": Repair,
+    }
+    model: type[BaseModel] = Profile
+    if len(place) > 1:
+        model = sections.get(str(place[0]), Profile)
+    if place[0] == "limits" and len(place) == 4:
+        model = Limit
+    if place[0] == "trip" and len(place) == 3:
+        model = Quantity
+    return model.model_fields
+
+
+def suggestion(name: str, known: Iterable[str], what: str = "known") -> str:
+    """Remedy for a name that is not among the `known` ones: close matches, then all of them."""
+    names = [str(candidate) for candidate in known]
+    lowered = {candidate.casefold(): candidate for candidate in names}
+    close = difflib.get_close_matches(name.casefold(), list(lowered), n=3, cutoff=0.6)
+    matches = " or ".join(f"'{lowered[match]}'" for match in close)
+    if matches:
+        return f"did you mean {matches}?"
+    shown = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
+    return f"{what}: {shown or 'none'}"
+
+
+def _known_field(name: str) -> Item:
+    """The field that ``"/topic.field"`` names; ValueError with close matches if there is none."""
+    topic_name, _, column = name.rpartition(".")
+    if topic_name not in TOPICS:
+        every = [f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields]
+        raise ValueError(f"unknown field '{name}'; {suggestion(name, every)}")
+    fields = {item.name: item for item in TOPICS[topic_name].fields}
+    if column not in fields:
+        raise ValueError(
+            f"topic {topic_name} has no field '{column}'; {suggestion(column, fields)}"
+        )
+    return fields[column]
+
+
+def _check_column(name: str, column: Column) -> None:
+    item = _known_field(name)
+    given = [column.column is not None, bool(column.columns), column.value is not None]
+    if sum(given) != 1:
+        raise ValueError(f'columns."{name}" needs one of column, columns and value')
+    if column.value is None and item.per_axle != bool(column.columns):
+        kind = "columns, one an axle" if item.per_axle else "one column"
+        raise ValueError(f'columns."{name}" needs {kind}')
+    if isinstance(column.value, str) != (name in WORDS) and column.value is not None:
+        raise ValueError(f'columns."{name}" needs a {"text" if name in WORDS else "number"}')
+    if item.unit:
+        unit = column.unit if column.unit is not None or item.unit != "1" else "1"
+        if unit is None:
+            raise ValueError(f"columns.\"{name}\" needs a unit; for example unit = '{item.unit}'")
+        _check_unit(f'columns."{name}"', unit, item.unit)
+    elif column.unit:
+        raise ValueError(f'columns."{name}" has no unit')
+
+
+WORDS = ("/events.message", "/events.name")
+"""Fields that hold text."""
+
+
+def _check_unit(name: str, unit: str, si: str) -> None:
+    try:
+        factor(unit, si)
+    except InputError as error:
+        raise ValueError(f"{name}: {error.problem}; {error.remedy}") from None
+
+
+def _check_timezone(name: str) -> None:
+    import pandas as pd
+
+    try:
+        pd.Timestamp(0, tz=name)
+    except Exception:  # noqa: BLE001 - pandas raises what its zone library raises
+        raise ValueError(
+            f"timezone '{name}' is not known; for example 'UTC', 'Europe/Zurich' or '+02:00'"
+        ) from None

@@ -1,0 +1,146 @@
+"""What a recorded file says before repair: tables of numbers in SI, with the file's row numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainlog.topics import TOPICS, Field, Topic, column_field
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+NO_TIME = int(np.iinfo(np.int64).min)
+"""Time of a row whose clock could not be read."""
+
+SHOWN_ROWS = 5
+"""How many of the rows concerned a finding names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One kind of defect in one column (or in whole rows), and how often it was met.
+
+    Attributes
+    ----------
+    rule : str
+        Name of the rule that dealt with it; see `trainlog.ingest.rules`.
+    count : int
+        Rows, cells or, for gaps, places.
+    rows : tuple of int
+        The first rows of the file concerned, as an editor counts them.
+    column : str
+        ``"/topic.field"``; empty if the rule deals with whole rows.
+    note : str
+        A figure that belongs to it, such as the longest gap.
+    """
+
+    rule: str
+    count: int
+    rows: tuple[int, ...] = ()
+    column: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Samples that share a clock.
+
+    Attributes
+    ----------
+    time : (n,) int64 array [ns]
+        UTC since 1970; `NO_TIME` where it could not be read.
+    rows : (n,) int64 array
+        Row of the file that each sample comes from, as an editor counts them.
+    signals : dict of str to (n,) array
+        By ``"/topic.column"`` (``"/train/axles.wheel_speed_2"``), in SI; NaN where absent.
+    texts : dict of str to (n,) object array
+        The same for the fields that are words; empty where absent.
+    """
+
+    time: IntArray
+    rows: IntArray
+    signals: dict[str, FloatArray]
+    texts: dict[str, NDArray[np.object_]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def take(self, index: IntArray | BoolArray) -> Table:
+        """The table with the rows that `index` selects, in its order."""
+        return Table(
+            self.time[index],
+            self.rows[index],
+            {name: values[index] for name, values in self.signals.items()},
+            {name: texts[index] for name, texts in self.texts.items()},
+        )
+
+    def at(self, time: IntArray) -> Table:
+        """The same samples at other times [ns]."""
+        return replace(self, time=time)
+
+    def without(self, name: str, cells: BoolArray) -> Table:
+        """The table in which the marked cells of a column are absent."""
+        values = np.where(cells, np.nan, self.signals[name])
+        return replace(self, signals={**self.signals, name: values})
+
+    def found(self, rule: str, cells: BoolArray, column: str = "", note: str = "") -> list[Finding]:
+        """The finding that `rule` met the marked rows; none if there are none."""
+        count = int(np.count_nonzero(cells))
+        if not count:
+            return []
+        first = np.sort(self.rows[cells])[:SHOWN_ROWS]
+        return [Finding(rule, count, tuple(int(row) for row in first), column, note)]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a format's reader hands over: SI units, nothing repaired that later rules repair.
+
+    Attributes
+    ----------
+    tables : tuple of Table
+        One a clock; no two tables hold columns of the same topic.
+    rows_read : int
+        Rows of data in the file, those included that could not be split into cells.
+    findings : tuple of Finding
+        What the reader itself met: ragged rows, cells that are empty or no number.
+    constants : dict of str to float or str
+        By ``"/topic.field"``, in SI: what does not change over the trip.
+    metadata : dict of str to str
+        What the file says of the trip, such as the recorder's clock.
+    """
+
+    tables: tuple[Table, ...]
+    rows_read: int
+    findings: tuple[Finding, ...] = ()
+    constants: dict[str, float | str] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
+def field_of(name: str) -> tuple[Topic, str, Field]:
+    """Topic, column and field of ``"/topic.column"``.
+
+    A field with one value an axle may be named with the number of an axle or, for all of them,
+    without.
+
+    Raises
+    ------
+    KeyError
+        If the table of topics has no such column.
+    """
+    topic_name, _, column = name.rpartition(".")
+    topic = TOPICS[topic_name]
+    for item in topic.fields:
+        if item.name == column:
+            return topic, column, item
+    return topic, column, column_field(topic, column)
+
+
+def base_name(name: str) -> str:
+    """``"/topic.field"`` of a column, without the number of the axle."""
+    topic, _, item = field_of(name)
+    return f"{topic.name}.{item.name}"
