@@ -35,6 +35,9 @@ DEPARTURE = 5.0
 AT_REST = 0.02
 """Below this speed [m/s] a train counts as standing."""
 
+CREEPING = 0.3
+"""Tractive effort over inertia [m/s²] with which a train that would stop short moves up."""
+
 STOPPING_ERROR = 3.0
 """A train that stands within this distance [m] of its stop has arrived."""
 
@@ -127,24 +130,27 @@ class StoppingBrake:
         Deceleration by the track every `GRID` metres.
     largest : float [m/s²]
         Largest deceleration asked for.
+    short : float [m]
+        Aimed short of the place by this much: nobody wants to stand beyond the signal.
     """
 
-    def __init__(self, mass: float, inertia: float, slope: FloatArray, largest: float) -> None:
+    def __init__(
+        self, mass: float, inertia: float, slope: FloatArray, largest: float, short: float
+    ) -> None:
         self._mass = mass
         self._inertia = inertia
         self._slope = slope
         self._largest = largest
+        self._short = short
         self._correction = 0.0
 
     def reset(self) -> None:
         """Forget the correction of the last stop."""
         self._correction = 0.0
 
-    @staticmethod
-    def needed(seen: Observation, distance: float, lead: float = 0.0) -> float:
+    def needed(self, seen: Observation, distance: float, lead: float = 0.0) -> float:
         """Deceleration [m/s²] that stops the train `distance` ahead, acting after `lead` [s]."""
-        # Aimed a little short: no driver wants to stand beyond the signal.
-        return 0.5 * seen.speed**2 / max(distance - 0.3 - seen.speed * lead, 0.05)
+        return 0.5 * seen.speed**2 / max(distance - self._short - seen.speed * lead, 0.05)
 
     def effort(self, seen: Observation, deceleration: float) -> float:
         """Braking effort [N] for a deceleration [m/s²]."""
@@ -206,7 +212,7 @@ class TimetableDriver:
         lasting = GRID / (0.5 * (self._ceiling[1:] + self._ceiling[:-1]))
         self._time_to_end = np.append(np.cumsum(lasting[::-1])[::-1], 0.0)
         self._brake = StoppingBrake(
-            self.mass, self.inertia, self._slope, 1.2 * train.max_deceleration
+            self.mass, self.inertia, self._slope, 1.2 * train.max_deceleration, short=0.3
         )
         self._leg = 0
         self._lever = 0.0
@@ -312,6 +318,9 @@ class TimetableDriver:
             return -self._share(max(self.inertia * wanted - holding, 0.0))
         if self._coasts(seen, target, distance):
             return 0.0
+        if distance < 100.0:
+            # Close to the stop no more than it takes to move up.
+            target = min(target, math.sqrt(habits.deceleration * max(distance, 0.0)))
         missing = target - speed
         if missing > 2.0:
             self._integral = 0.0
@@ -399,14 +408,15 @@ class TrajectoryDriver:
         self._positions = trajectory.positions
         self._squares = trajectory.speeds[row] ** 2
         self._end = float(trajectory.positions[-1])
-        braked = np.flatnonzero(trajectory.braking_effort[row] <= 0.0)
-        # From here on the reference brakes to its end.
-        self._last_braking = float(
-            trajectory.positions[braked[-1] + 1] if braked.size else trajectory.positions[0]
-        )
+        # From here on the reference only brakes to its end: the brake aims at the place itself.
+        rolling = (trajectory.braking_effort[row] <= 0.0) | (trajectory.speeds[row, :-1] > 10.0)
+        last = int(np.flatnonzero(rolling)[-1]) if rolling.any() else -1
+        self._final = float(trajectory.positions[last + 1])
         grid = np.arange(0.0, line.length + 2.0 * GRID, GRID)
         slope = line.track_acceleration(np.minimum(grid, line.length))
-        self._brake = StoppingBrake(self.mass, self.inertia, slope, 1.2 * train.max_deceleration)
+        self._brake = StoppingBrake(
+            self.mass, self.inertia, slope, 1.2 * train.max_deceleration, short=0.05
+        )
         self._arrived = False
 
     @property
@@ -424,10 +434,12 @@ class TrajectoryDriver:
             return Demand(0.0, HOLDING * self.mass)
         if observation.time < DEPARTURE:
             return Demand()
-        if observation.position >= self._last_braking:
-            needed = self._brake.needed(observation, distance)
-            return Demand(0.0, self._brake.effort(observation, needed))
-        return self._follow(observation)
+        if observation.position < self._final:
+            return self._follow(observation)
+        if observation.speed < 1.0 and distance > STOPPING_ERROR:
+            return Demand(CREEPING * self.inertia, 0.0)
+        needed = self._brake.needed(observation, distance)
+        return Demand(0.0, self._brake.effort(observation, needed))
 
     def _follow(self, seen: Observation) -> Demand:
         """The trajectory's efforts at the position, and the brake where the train is too fast."""

@@ -63,7 +63,7 @@ def recorded(scenario: Scenario, run: Run) -> Trip:
         motion,
         measuring.environment(scenario.travelled, time, believed, scenario.temperature),
         events(scenario, columns, time, changes),
-        reference(scenario, run, believed, time),
+        reference(scenario, run, columns, time),
         truth(columns, time),
     ]
     line, train, content = (
@@ -202,14 +202,19 @@ def place(scenario: Scenario, position: float) -> str:
 
 
 def reference(
-    scenario: Scenario, run: Run, position: FloatArray, time: NDArray[np.int64]
+    scenario: Scenario, run: Run, columns: dict[str, FloatArray], time: NDArray[np.int64]
 ) -> pd.DataFrame | None:
-    """The ``/reference`` topic; None when no trajectory is followed."""
+    """The ``/reference`` topic; None when no trajectory is followed.
+
+    The lateness begins with the departure and keeps its last value after the arrival.
+    """
     trajectory = scenario.trajectory
     if trajectory is None:
         return None
-    row = scenario.row
+    row, position = scenario.row, columns["position"]
     cell = trajectory.cell_of(position)
+    last_moving = np.flatnonzero(columns["speed"] > 0.0)[-1]
+    under_way = np.clip(run.seconds, DEPARTURE, run.seconds[last_moving]) - DEPARTURE
     return frame_of(
         REFERENCE,
         time,
@@ -217,8 +222,7 @@ def reference(
             "speed": trajectory.speed_at(row, position),
             "tractive_effort": trajectory.tractive_effort[cell],
             "braking_effort": trajectory.braking_effort[row, cell],
-            "lateness": run.seconds
-            - DEPARTURE
+            "lateness": under_way
             - np.interp(position, trajectory.positions, trajectory.times[row]),
         },
     )

@@ -1,0 +1,370 @@
+"""The plant obeys the laws it is made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.integrate import solve_ivp
+from simulated_world import flirt, hilly_line, level_line, steps
+
+from trainlog.errors import InputError
+from trainlog.railway import Axles, Brake, RunningResistance
+from trainlog.railway.adhesion import DRY, WET
+from trainlog.simulation.plant import Drive, Plant, PlantState, rail_table
+from trainlog.units import GRAVITY
+
+NO_DRAG = RunningResistance(0.0, 0.0, 0.0)
+
+
+def columns(plant: Plant, rows: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip(plant.columns, rows.T, strict=True))
+
+
+def slips(plant: Plant, rows: np.ndarray) -> np.ndarray:
+    found = columns(plant, rows)
+    speeds = [found[f"wheel_speed_{axle + 1}"] for axle in range(plant.axles)]
+    return np.column_stack(speeds) - found["speed"][:, None]
+
+
+def rolling(plant: Plant, position: float, speed: float) -> PlantState:
+    state = plant.at(position, speed)
+    assert state.speed == speed
+    return state
+
+
+def released(plant: Plant, position: float = 0.0) -> PlantState:
+    """A train at standstill whose friction brake is already off."""
+    state = plant.at(position)
+    state.values[2] = 0.0
+    state.friction_delay[:] = 0.0
+    return state
+
+
+def energy_residual(plant: Plant, state: PlantState, before: float = 0.0) -> tuple[float, float]:
+    """Kinetic energy less the sum of the works, and all the work done."""
+    works = state.works
+    gained = works["traction"] - sum(v for k, v in works.items() if k != "traction")
+    total = sum(abs(value) for value in works.values())
+    return abs(plant.kinetic_energy(state) - before - gained), total
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    demands=st.lists(
+        st.tuples(
+            st.sampled_from(["traction", "coast", "brake"]),
+            st.floats(0.0, 250e3),
+            st.integers(50, 4_000),
+        ),
+        min_size=3,
+        max_size=10,
+    ),
+    peak=st.floats(0.05, 0.4),
+)
+def test_energy_is_conserved(demands: list[tuple[str, float, int]], peak: float) -> None:
+    rail = steps((0.0, 0.3), (300.0, peak), (900.0, 0.25), (2_000.0, 0.8 * peak), (3_000.0, 0.3))
+    plant = Plant.of(hilly_line(), flirt(), mass=130e3, maximum_adhesion=rail)
+    state = plant.at()
+    for kind, effort, steps_ in [("traction", 150e3, 4_000), *demands]:
+        plant.advance(
+            state, effort * (kind == "traction"), effort * (kind == "brake"), steps_, steps_
+        )
+    residual, work = energy_residual(plant, state)
+    assert work > 1e6
+    assert residual <= 1e-8 * work
+
+
+def test_momentum_is_conserved_without_outer_forces() -> None:
+    train = flirt(resistance=NO_DRAG)
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 20.0)
+    state.wheel_speeds[:] = [26.0, 21.0, 15.0, 20.5]
+    p = plant.parameters
+
+    def momentum() -> float:
+        return p.body_inertia * state.speed + p.axle_inertia * float(state.wheel_speeds.sum())
+
+    before = momentum()
+    spread = float(np.ptp(state.wheel_speeds))
+    plant.advance(state, 0.0, 0.0, 2_000, 2_000)
+    assert float(np.ptp(state.wheel_speeds)) < 1e-6 * spread
+    assert momentum() == pytest.approx(before, rel=1e-13)
+
+
+@pytest.mark.parametrize("effort", [20e3, 40e3])
+def test_constant_effort_reaches_equilibrium_speed(effort: float) -> None:
+    train = flirt(max_traction_power=50e6)
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 45.0)
+    plant.advance(state, effort, 0.0, 700_000, 700_000)
+    r = train.resistance
+    expected = (-r.r1 + np.sqrt(r.r1**2 - 4.0 * r.r2 * (r.r0 - effort))) / (2.0 * r.r2)
+    assert state.speed == pytest.approx(expected, rel=1e-9)
+
+
+def test_coasting_follows_the_closed_form() -> None:
+    drag = RunningResistance(2_400.0, 0.0, 12.0)
+    train = flirt(resistance=drag)
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 40.0)
+    rows = columns(plant, plant.advance(state, 0.0, 0.0, 60_000, 200))
+    time = np.arange(300.0)
+    # M v' = -(r0 + r2 v²): the arctangent of v falls linearly.
+    rate = np.sqrt(drag.r0 * drag.r2) / (train.mass + train.rotating_mass)
+    ratio = np.sqrt(drag.r2 / drag.r0)
+    expected = np.tan(np.arctan(40.0 * ratio) - rate * time) / ratio
+    # The wheels lag by the creep that slows them down, some mm/s.
+    np.testing.assert_allclose(rows["speed"], expected, rtol=0.0, atol=2e-4)
+
+
+def test_rotating_mass_counts_once() -> None:
+    train = flirt(resistance=NO_DRAG, rotating_mass_factor=0.2)
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 5.0)
+    rows = columns(plant, plant.advance(state, 60e3, 0.0, 1_000, 10))
+    assert rows["acceleration"][-1] == pytest.approx(60e3 / (1.2 * train.mass), rel=2e-5)
+
+
+def test_gradient_curve_and_tunnel_forces() -> None:
+    line, train = hilly_line(), flirt(resistance=NO_DRAG)
+    plant = Plant.of(line, train, mass=140e3)
+    inertia = 140e3 + train.rotating_mass
+    for position in (500.0, 1_050.0, 1_500.0, 1_960.0, 2_600.0, 7_000.0, 9_000.0):
+        state = rolling(plant, position, 20.0)
+        plant.advance(state, 0.0, 0.0, 200, 200)
+        rows = columns(plant, plant.advance(state, 0.0, 0.0, 1, 1))
+        tunnel = 15.2 * rows["speed"][0] ** 2 if 2_200.0 <= position < 2_800.0 else 0.0
+        force = 140e3 * float(line.track_acceleration(rows["position"][0])) + tunnel
+        assert rows["acceleration"][0] == pytest.approx(-force / inertia, rel=2e-3, abs=1e-6)
+
+
+def smooth_end(step: float) -> np.ndarray:
+    """State after 20 s of soft traction with heavy axles, which allow coarse steps."""
+    axles = Axles(count=4, adhesive_mass=64_000.0, rotating_mass=40_000.0)
+    train = flirt(rotating_mass_factor=2.0, axles=axles)
+    plant = Plant.of(level_line(), train, drive=Drive(motor_lag=2.0), step=step)
+    state = rolling(plant, 0.0, 15.0)
+    count = round(20.0 / step)
+    plant.advance(state, 60e3, 0.0, count, count)
+    return state.values[[0, 1, 3, 7, 11]]
+
+
+def test_integration_is_of_fourth_order() -> None:
+    exact = smooth_end(0.0125)
+    errors = [np.abs(smooth_end(step) - exact) for step in (0.2, 0.1)]
+    order = np.log2(errors[0] / errors[1])
+    assert np.all(order > 3.7)
+    assert np.all(order < 4.5)
+
+
+def test_agrees_with_an_adaptive_solver() -> None:
+    """The same equations written again, from the textbook, and solved by SciPy."""
+    train = flirt()
+    plant = Plant.of(level_line(gradient=0.008), train, mass=132e3)
+    inertia = 132e3 + train.rotating_mass - 4 * train.axles.rotating_mass
+    weight = GRAVITY * train.axles.adhesive_mass * 132e3 / train.mass / 4
+    effort = 25e3
+    sine = 0.008 / np.sqrt(1.0 + 0.008**2)
+
+    def slope(_: float, y: np.ndarray) -> list[float]:
+        _, speed, wheel, lagged = y
+        contact = float(DRY(wheel - speed)) * weight
+        drag = float(train.resistance(speed)) + 132e3 * GRAVITY * sine
+        return [
+            speed,
+            (4.0 * contact - drag) / inertia,
+            (lagged - contact) / train.axles.rotating_mass,
+            (effort - lagged) / 0.1,
+        ]
+
+    peer = solve_ivp(
+        slope, (0.0, 15.0), [0.0, 8.0, 8.0, 0.0], method="LSODA", rtol=1e-10, atol=1e-9
+    )
+    state = rolling(plant, 0.0, 8.0)
+    plant.advance(state, 4.0 * effort, 0.0, 3_000, 3_000)
+    np.testing.assert_allclose(state.values[[0, 1, 3]], peer.y[:3, -1], rtol=1e-7)
+
+
+def test_effort_and_power_stay_within_their_limits() -> None:
+    train = flirt()
+    plant = Plant.of(level_line(), train, max_power=2.4e6)
+    state = released(plant)
+    rows = columns(plant, plant.advance(state, 1e6, 0.0, 24_000, 5))
+    power = sum(rows[f"wheel_effort_{axle}"] * rows[f"wheel_speed_{axle}"] for axle in range(1, 5))
+    assert rows["tractive_effort"].max() <= train.max_tractive_effort * (1.0 + 1e-12)
+    assert power.max() <= 2.4e6 * (1.0 + 1e-12)
+    assert power[-1] == pytest.approx(2.4e6)
+    rows = columns(plant, plant.advance(state, 0.0, 1e6, 2_000, 5))
+    assert np.all(
+        rows["dynamic_braking_effort"] * rows["speed"] <= 1.02 * train.max_dynamic_braking_power
+    )
+
+
+def test_friction_brake_has_dead_time_and_lag() -> None:
+    """Paper 004, eq. (1): nothing for the dead time, then 1 - exp(-t/lag)."""
+    train = flirt(max_dynamic_braking_effort=0.0, brake=Brake(dead_time=0.6, lag=0.4))
+    plant = Plant.of(level_line(), train)
+    state = rolling(plant, 0.0, 30.0)
+    effort = columns(plant, plant.advance(state, 0.0, 50e3, 600, 1))["pneumatic_braking_effort"]
+    time = 0.005 * np.arange(600)
+    expected = np.where(time > 0.6, 50e3 * -np.expm1(-(time - 0.6) / 0.4), 0.0)
+    np.testing.assert_allclose(effort, expected, atol=1.0)
+
+
+def test_brakes_blend_to_what_is_asked() -> None:
+    plant = Plant.of(level_line(), flirt(), maximum_adhesion=steps((0.0, 0.35)))
+    state = rolling(plant, 0.0, 38.0)
+    rows = columns(plant, plant.advance(state, 0.0, 110e3, 10_000, 20))
+    total = rows["dynamic_braking_effort"] + rows["pneumatic_braking_effort"]
+    steady = (rows["speed"] > 0.5) & (np.arange(len(total)) > 30)
+    assert np.all(rows["dynamic_braking_effort"][steady & (rows["speed"] > 30.0)] < 90e3)
+    np.testing.assert_allclose(total[steady], 110e3, rtol=0.12)
+    assert state.speed == 0.0
+
+
+@pytest.mark.parametrize("gradient", [0.04, -0.04])
+def test_a_braked_train_stands_on_gradients(gradient: float) -> None:
+    plant = Plant.of(level_line(gradient=gradient), flirt())
+    state = plant.at(1_000.0)
+    rows = columns(plant, plant.advance(state, 0.0, 90e3, 4_000, 10))
+    assert np.all(rows["position"] == 1_000.0)
+    assert np.all(rows["speed"] == 0.0)
+    assert np.all(rows["acceleration"] == 0.0)
+
+
+def test_a_train_never_rolls_back_and_starts_when_it_can() -> None:
+    train = flirt()
+    plant = Plant.of(level_line(gradient=0.03), train)
+    state = released(plant)
+    needed = train.mass * GRAVITY * 0.03 / np.sqrt(1.0 + 0.03**2) + train.resistance.r0
+    plant.advance(state, 0.98 * needed, 0.0, 2_000, 2_000)
+    assert state.position == 0.0
+    plant.advance(state, 1.02 * needed, 0.0, 2_000, 2_000)
+    assert 0.0 < state.speed < 0.3
+    plant.advance(state, 0.0, 0.0, 4_000, 4_000)
+    assert state.speed == 0.0
+
+
+def test_a_stop_is_clean() -> None:
+    plant = Plant.of(level_line(), flirt())
+    state = rolling(plant, 0.0, 10.0)
+    rows = columns(plant, plant.advance(state, 0.0, 100e3, 6_000, 1))
+    stopped = int(np.argmax(rows["speed"] == 0.0))
+    assert stopped > 0
+    assert np.all(rows["speed"][stopped:] == 0.0)
+    assert np.ptp(rows["position"][stopped:]) == 0.0
+    assert np.all(np.diff(rows["position"]) >= 0.0)
+    # The wheels come to rest with the train.
+    assert np.abs(state.wheel_speeds).max() < 1e-12
+
+
+def test_wheels_roll_with_the_train_when_nothing_is_asked() -> None:
+    plant = Plant.of(level_line(), flirt())
+    state = rolling(plant, 0.0, 25.0)
+    rows = plant.advance(state, 0.0, 0.0, 10_000, 50)
+    # Creep only carries the deceleration of the wheels themselves.
+    assert np.abs(slips(plant, rows)).max() < 5e-3
+
+
+def test_slip_only_where_demand_exceeds_adhesion() -> None:
+    train = flirt(max_traction_power=20e6)
+    rail = steps((0.0, 0.28), (400.0, 0.08), (600.0, 0.28))
+    plant = Plant.of(level_line(), train, maximum_adhesion=rail)
+    weight = GRAVITY * train.axles.adhesive_mass
+    for share, expected in ((0.9, False), (1.5, True)):
+        state = rolling(plant, 300.0, 15.0)
+        rows = plant.advance(state, share * 0.08 * weight, 0.0, 4_000, 5)
+        beyond = np.abs(slips(plant, rows)).max(axis=1) > WET.peak_slip + 0.1
+        assert beyond.any() == expected
+        at = columns(plant, rows)["position"][beyond]
+        assert np.all((at >= 400.0) & (at <= 660.0))
+
+
+@pytest.mark.parametrize("braking", [False, True])
+def test_slip_protection_catches_the_wheels(braking: bool) -> None:
+    plant = Plant.of(level_line(), flirt(), maximum_adhesion=steps((0.0, 0.1)))
+    state = rolling(plant, 0.0, 20.0)
+    effort = 110e3
+    rows = plant.advance(state, 0.0 if braking else effort, effort if braking else 0.0, 2_000, 5)
+    slip = slips(plant, rows)
+    size = np.abs(slip)
+    assert 3.0 < size.max() < 7.0
+    assert np.all(np.sign(slip[size > 1.5]) == (-1.0 if braking else 1.0))
+    # Caught within two seconds, again and again.
+    runaway = (size > 3.0).any(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], runaway.astype(int), [0]))))
+    assert len(edges) >= 4
+    assert np.diff(edges)[::2].max() * 0.025 < 2.0
+    found = columns(plant, rows)
+    assert found["protected_axles"].max() == 4.0
+
+
+def test_contact_force_never_exceeds_adhesion() -> None:
+    rail = steps((0.0, 0.12))
+    plant = Plant.of(level_line(), flirt(resistance=NO_DRAG), maximum_adhesion=rail)
+    state = released(plant)
+    rows = columns(plant, plant.advance(state, 200e3, 0.0, 6_000, 1))
+    pull = rows["acceleration"] * plant.parameters.body_inertia
+    assert pull.max() <= 0.12 * plant.weights.sum() * (1.0 + 1e-9)
+    assert pull.max() >= 0.119 * plant.weights.sum()
+
+
+def test_creep_curves_are_those_of_the_paper_at_its_two_rails() -> None:
+    table = rail_table(steps((0.0, DRY.peak), (100.0, WET.peak), (200.0, 0.2)))
+    slip = np.linspace(0.0, 8.0, 100)
+    for row, curve in ((table[0], DRY), (table[1], WET)):
+        found = row[4] * (np.exp(-row[2] * slip) - np.exp(-row[3] * slip))
+        np.testing.assert_allclose(found, curve(slip), atol=1e-12)
+    between = table[2]
+    found = between[4] * (np.exp(-between[2] * slip) - np.exp(-between[3] * slip))
+    assert found.max() == pytest.approx(0.2, rel=1e-3)
+    assert WET.peak_slip > slip[int(np.argmax(found))] > DRY.peak_slip
+
+
+def test_load_rests_on_the_powered_axles_too() -> None:
+    train = flirt()
+    empty, loaded = Plant.of(level_line(), train), Plant.of(level_line(), train, mass=142e3)
+    assert loaded.weights.sum() == pytest.approx(train.adhesive_weight(20e3))
+    assert loaded.weights.sum() / empty.weights.sum() == pytest.approx(142.0 / 122.0)
+
+
+def test_recording_changes_nothing() -> None:
+    plant = Plant.of(hilly_line(), flirt())
+    ends = []
+    for every in (1, 7, 20, 1_000):
+        state = plant.at()
+        plant.advance(state, 90e3, 0.0, 1_000, every)
+        ends.append(state.values.copy())
+    assert all(np.array_equal(ends[0], end) for end in ends)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mass": -1.0}, "must be positive"),
+        ({"max_power": 0.0}, "must be positive"),
+        ({"step": 0.05}, "too coarse for axles of 2000 kg"),
+        ({"step": -0.005}, "must be positive"),
+        ({"rotating_mass": 7_000.0}, "exceed the train's 7000 kg"),
+        ({"maximum_adhesion": steps((0.0, 0.3), (50.0, 0.0))}, "at km 0.050"),
+        ({"axle_adhesion": np.ones(3)}, "needs 4 positive values"),
+    ],
+)
+def test_impossible_trains_are_refused(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Plant.of(level_line(), flirt(), **arguments)  # type: ignore[arg-type]
+
+
+def test_more_adhesive_mass_than_train_is_refused() -> None:
+    train = replace(flirt(), axles=Axles(adhesive_mass=200_000.0))
+    with pytest.raises(InputError, match="cannot rest on the powered axles"):
+        Plant.of(level_line(), train)
+
+
+def test_a_train_cannot_start_beyond_the_line() -> None:
+    plant = Plant.of(level_line(length=1_000.0), flirt())
+    with pytest.raises(InputError, match=r"line ends at km 1\.000"):
+        plant.at(1_200.0)
