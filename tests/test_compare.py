@@ -1,0 +1,84 @@
+"""Energy and time of trips, and what a trajectory saves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.compare import savings, trip_cost
+from trainlog.errors import LogError
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
+
+
+def trip(name: str = "t", effort: float = 50_000.0, stop: bool = False, **metadata: str) -> Trip:
+    """Stands 10 s, runs 600 s at 20 m/s (with a stop of 20 s on demand), stands 10 s."""
+    speed = np.concatenate((np.zeros(100), np.full(6000, 20.0), np.zeros(100)))
+    if stop:
+        speed[3000:3200] = 0.0
+    time = np.arange(speed.size) * 100_000_000
+    position = np.concatenate(([0.0], np.cumsum(speed[:-1]) * 0.1))
+    running = speed > 0.0
+    return Trip(
+        {
+            "/train/state": frame_of(TRAIN_STATE, time, {"speed": speed, "position": position}),
+            "/train/controls": frame_of(
+                TRAIN_CONTROLS,
+                time,
+                {
+                    "tractive_effort": effort * running,
+                    "dynamic_braking_effort": 10_000.0 * running,
+                },
+            ),
+        },
+        {"trip": name, "direction": "forward", "load": "10000", **metadata},
+        attachments={
+            LINE_ATTACHMENT: sample(DEFAULT_LINE).read_bytes(),
+            TRAIN_ATTACHMENT: sample(DEFAULT_TRAIN).read_bytes(),
+        },
+    )
+
+
+def test_work_is_effort_times_distance() -> None:
+    cost = trip_cost(trip())
+    assert cost.distance == pytest.approx(12_000.0)
+    assert cost.traction == pytest.approx(50_000.0 * 12_000.0, rel=1e-3)
+    assert cost.dynamic_braking == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
+    # The FLIRT's efficiencies are 90 % both ways.
+    assert cost.line == pytest.approx(cost.traction / 0.9 - 0.9 * cost.dynamic_braking)
+    assert cost.mass == 132_000.0
+
+
+def test_standing_before_departure_and_after_arrival_is_not_running_time() -> None:
+    assert trip_cost(trip()).running_time == pytest.approx(600.0, abs=0.2)
+    assert trip_cost(trip()).stops == 0
+    assert trip_cost(trip(stop=True)).stops == 1
+
+
+def test_a_trip_that_never_moves_is_refused() -> None:
+    still = trip()
+    state = still["/train/state"].assign(speed=0.0)
+    state.attrs = still["/train/state"].attrs
+    with pytest.raises(LogError, match="never moves"):
+        trip_cost(still.with_topic(state))
+
+
+def test_savings_pair_the_same_configuration_only() -> None:
+    drivers = [trip("a", 50_000.0), trip("b", 60_000.0, stop=True)]
+    followed = [
+        trip("driven-a", 40_000.0, configuration="a"),
+        trip("driven-b", 40_000.0, configuration="b"),
+        trip("driven-c", 40_000.0, configuration="c"),
+    ]
+    (pair,) = savings(drivers, followed)
+    assert pair.driver.name == "a"
+    assert pair.traction == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
+
+
+def test_nothing_comparable_is_told() -> None:
+    backwards = replace(trip("a"), metadata={**trip("a").metadata, "direction": "reverse"})
+    with pytest.raises(LogError, match="comparable trip by a driver; needs one non-stop trip"):
+        savings([backwards], [trip("driven-a", configuration="a")])

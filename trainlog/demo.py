@@ -1,0 +1,64 @@
+"""The demo: the public commands, one after the other, as a user would type them."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+from rich.console import Console
+
+
+def commands(output: Path) -> list[list[str]]:
+    """The commands of the demo, without the leading ``trainlog``; results go to `output`."""
+    samples, trips, recorded = output / "sample_logs", output / "trips", output / "recorded"
+    driven = output / "driven"
+    parameters, condition = output / "parameters.json", output / "map.json"
+    trajectory = output / "trajectory.json"
+    profile = ["--profile", samples / "recorder.profile.toml"]
+    plan = ["--trajectory", trajectory, "--map", condition]
+    steps: list[list[str | Path]] = [
+        ["samples", samples],
+        ["simulate", "--count", "12", "--seed", "1", "-o", trips],
+        ["ingest", samples / "recorder.csv", *profile, "-o", recorded],
+        ["ingest", samples / "gnss.csv", "-o", recorded],
+        ["info", trips / "trip-01.mcap", recorded / "gnss.mcap"],
+        ["fit", trips, "-o", parameters],
+        ["map", "update", trips, "--map", condition],
+        ["optimise", parameters, "--as-fast-as", trips, "-o", trajectory],
+        ["simulate", "--trajectory", trajectory, "--configurations", "all", "-o", driven],
+        ["compare", trips, "--with", driven],
+        ["replay", trips / "trip-01.mcap", driven, *plan, "-o", output / "replay.rrd"],
+        ["report", output],
+    ]
+    return [[str(word) for word in step] for step in steps]
+
+
+def run_demo(output: Path, console: Console, run: Callable[[list[str]], object]) -> None:
+    """Run the whole chain and say where the results are.
+
+    Parameters
+    ----------
+    output : path
+        Folder of the results; earlier results in it are replaced.
+    console : rich Console
+    run : callable
+        Runs one command, given as a list of words.
+    """
+    begin = perf_counter()
+    steps = commands(output)
+    for number, step in enumerate(steps, start=1):
+        console.rule(f"[dim]{number} of {len(steps)}, {perf_counter() - begin:.0f} s", align="left")
+        console.print(f"[bold]$ trainlog {shlex.join(step)}", highlight=False, soft_wrap=True)
+        run(step)
+    console.rule(f"[dim]done in {perf_counter() - begin:.0f} s", align="left")
+    console.print(f"Everything is in {output}. Next, try:", highlight=False)
+    for command in (
+        f"trainlog replay {output / 'trips'} -o {output / 'all.rrd'}",
+        f"trainlog optimise {output / 'parameters.json'} --map {output / 'map.json'} --layer wet"
+        f" -o {output / 'wet.json'}",
+        f"trainlog ingest YOUR.csv --profile {output / 'sample_logs' / 'recorder.profile.toml'}"
+        f" -o {output / 'recorded'}",
+    ):
+        console.print(f"  {command}", highlight=False, soft_wrap=True)
