@@ -53,18 +53,12 @@ def sample_line(track: str | Path) -> tuple[Line, Placement]:
         for station in STATIONS
         if station.name in COORDINATES
     )
-    placed = place(line, anchors, "", tolerance=0.4)
-    worst = float(placed.residuals.max())
-    quality = (
-        "reconstructed from the published curvature, fitted to station coordinates; not surveyed:"
-        f" scale {placed.scale:.4f}, stations up to {worst:.0f} m off"
-    )
+    placed = place(line, anchors, tolerance=0.4)
     geometry = replace(
         placed.geometry,
         positions=np.round(placed.geometry.positions, 3),
         latitudes=np.round(placed.geometry.latitudes, 7),
         longitudes=np.round(placed.geometry.longitudes, 7),
-        quality=quality,
     )
     source = (
         f"{line.source}; description Stations between the ends are approximate: from the line's"

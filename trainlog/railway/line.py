@@ -68,6 +68,8 @@ class StepProfile:
 class CurvatureProfile:
     """Signed track curvature: circular arcs and, between them, linear transitions.
 
+    Positive curvature bends to the right in the direction of travel.
+
     Attributes
     ----------
     positions : (n,) array [m]
