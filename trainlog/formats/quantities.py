@@ -46,15 +46,17 @@ def readable(
 ) -> FloatArray:
     """`converted` with as few digits, from 12 on, as `read` needs to return `values` exactly.
 
-    Where no double reads back exactly it has 12 digits, which read and write to themselves.
+    Where no double reads back exactly it has 14 digits, which read and write to themselves.
     """
-    written = _rounded(converted, 12)
-    for digits in (15, 16, 17):
-        inexact = read(written) != values
-        if not np.any(inexact):
-            break
+    written = _rounded(converted, 14)
+    exact = np.zeros(values.shape, dtype=np.bool_)
+    for digits in (12, 14, 15, 16, 17):
         candidate = _rounded(converted, digits)
-        written = np.where(inexact & (read(candidate) == values), candidate, written)
+        found = ~exact & (read(candidate) == values)
+        written = np.where(found, candidate, written)
+        exact |= found
+        if np.all(exact):
+            break
     return written
 
 

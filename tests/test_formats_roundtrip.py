@@ -1,0 +1,239 @@
+"""What is written is read back: lines and trains to the last digits, results to the last bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_worlds import (
+    PARAMETER_SETS,
+    TRAINS,
+    assert_same,
+    journeys,
+    lines,
+    maps,
+    trajectories,
+)
+from hypothesis import HealthCheck, given, settings
+
+from trainlog.errors import InputError, LogError
+from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
+from trainlog.formats.files import read_json
+from trainlog.formats.journey import (
+    journey_from_bytes,
+    journey_to_bytes,
+    read_journey,
+    write_journey,
+)
+from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
+from trainlog.formats.parameters import (
+    parameters_from_bytes,
+    parameters_to_bytes,
+    read_parameters,
+    write_parameters,
+)
+from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
+from trainlog.formats.trajectory import (
+    read_trajectory,
+    trajectory_from_bytes,
+    trajectory_to_bytes,
+    write_trajectory,
+)
+from trainlog.railway import (
+    Configuration,
+    Line,
+    ParameterSet,
+    RunningResistance,
+    Station,
+    StepProfile,
+    TrackConditionMap,
+    Train,
+    Trajectory,
+)
+from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.trip import Trip
+
+quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+ROUNDING = 5e-14
+"""Values that no number in the file's unit gives exactly keep 14 significant digits."""
+
+
+@quick
+@given(lines())
+def test_lines_survive(line: Line) -> None:
+    data = line_to_bytes(line)
+    found = line_from_bytes(data)
+    assert_same(found, line, ROUNDING)
+    assert line_to_bytes(found) == data
+
+
+@quick
+@given(TRAINS)
+def test_trains_survive(train: Train) -> None:
+    data = train_to_bytes(train)
+    found = train_from_bytes(data)
+    assert_same(found, train, ROUNDING)
+    assert train_to_bytes(found) == data
+
+
+@quick
+@given(journeys())
+def test_journeys_survive(journey: Journey) -> None:
+    data = journey_to_bytes(journey)
+    found = journey_from_bytes(data)
+    assert_same(found, journey, ROUNDING)
+    assert journey_to_bytes(found) == data
+
+
+@quick
+@given(PARAMETER_SETS)
+def test_parameter_sets_survive_to_the_last_bit(parameters: ParameterSet) -> None:
+    data = parameters_to_bytes(parameters)
+    found = parameters_from_bytes(data)
+    assert_same(found, parameters)
+    assert parameters_to_bytes(found) == data
+
+
+@quick
+@given(trajectories())
+def test_trajectories_survive_to_the_last_bit(trajectory: Trajectory) -> None:
+    data = trajectory_to_bytes(trajectory)
+    found = trajectory_from_bytes(data)
+    assert_same(found, trajectory)
+    assert trajectory_to_bytes(found) == data
+
+
+@quick
+@given(maps())
+def test_maps_survive_to_the_last_bit(condition: TrackConditionMap) -> None:
+    data = map_to_bytes(condition)
+    found = map_from_bytes(data)
+    assert_same(found, condition)
+    assert map_to_bytes(found) == data
+    for layer in found.layers.values():
+        assert layer.observed.dtype == np.bool_
+
+
+def simple_line() -> Line:
+    return Line(
+        name="L",
+        length=1000.0,
+        stations=(Station("A", 0.0), Station("B", 1000.0)),
+        speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([90.0, 125.0]) / 3.6),
+        gradients=StepProfile(np.array([0.0]), np.array([0.0119])),
+    )
+
+
+def simple_train() -> Train:
+    return Train("T", 122e3, 0.1, RunningResistance(2378.88, 61.1, 12.08), 200e3, 2.6e6)
+
+
+def test_numbers_stand_in_the_file_as_railway_people_write_them(tmp_path: Path) -> None:
+    write_line(simple_line(), tmp_path / "line.json")
+    content = read_json(tmp_path / "line.json")
+    assert content["speed_limits"] == {
+        "units": {"position": "m", "speed": "km/h"},
+        "values": [[0, 90], [400, 125]],
+    }
+    assert content["gradients"]["values"] == [[0, 11.9]]
+    write_train(simple_train(), tmp_path / "train.json")
+    content = read_json(tmp_path / "train.json")
+    assert content["mass"] == {"value": 122, "unit": "t"}
+    assert content["running_resistance"]["r0"] == {"value": 2.37888, "unit": "kN"}
+
+
+def test_one_row_of_a_table_is_one_line_of_the_file() -> None:
+    text = line_to_bytes(simple_line()).decode()
+    assert "\n      [0, 90],\n      [400, 125]\n" in text
+    assert text.endswith("}\n")
+
+
+@pytest.mark.parametrize(
+    ("written", "declared"),
+    [
+        ('{"value": 1000, "unit": "m"}', '{"value": 1, "unit": "km"}'),
+        ("[0, 90],\n      [400, 125]", "[0, 25],\n      [0.4, 34.72222222222222]"),
+        ("[0, 11.9]", "[0, 1.19]"),
+    ],
+)
+def test_any_unit_of_the_right_dimension_is_read(written: str, declared: str) -> None:
+    text = line_to_bytes(simple_line()).decode()
+    assert written in text
+    changed = text.replace(written, declared)
+    if "34.7" in declared:
+        changed = changed.replace('"m", "speed": "km/h"', '"km", "speed": "m/s"')
+    if "1.19" in declared:
+        changed = changed.replace("permil", "%")
+    assert_same(line_from_bytes(changed.encode()), simple_line(), 1e-15)
+
+
+def test_files_and_bytes_agree(tmp_path: Path) -> None:
+    configuration = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
+    zeros = np.zeros((1, 2))
+    trajectory = Trajectory(
+        "L",
+        "T",
+        np.array([0.0, 9.0]),
+        (configuration,),
+        zeros,
+        zeros,
+        zeros[0, :1],
+        zeros[:, :1],
+        9.0,
+    )
+    condition = TrackConditionMap("L", 25.0, 25.0, np.array([0.1]), {})
+    journey = Journey("J", "L", (TimingPoint(0.0), TimingPoint(9.0)))
+    write_parameters(ParameterSet("T", (configuration,)), tmp_path / "p.json")
+    assert read_parameters(tmp_path / "p.json").configurations == (configuration,)
+    write_trajectory(trajectory, tmp_path / "t.json")
+    assert_same(read_trajectory(tmp_path / "t.json"), trajectory)
+    write_map(condition, tmp_path / "m.json")
+    assert_same(read_map(tmp_path / "m.json"), condition)
+    write_journey(journey, tmp_path / "j.json")
+    assert read_journey(tmp_path / "j.json") == journey
+    write_line(simple_line(), tmp_path / "l.json")
+    assert read_line(tmp_path / "l.json") == simple_line()
+    write_train(simple_train(), tmp_path / "v.json")
+    assert read_train(tmp_path / "v.json") == simple_train()
+
+
+def test_what_json_cannot_say_is_refused_when_written() -> None:
+    with pytest.raises(InputError, match=r"provenance\.gap: inf cannot be written"):
+        parameters_to_bytes(ParameterSet("T", (), provenance={"gap": np.inf}))
+    with pytest.raises(InputError, match=r"details\[0\]\.a: a object cannot be written"):
+        parameters_to_bytes(ParameterSet("T", (), details=[{"a": object()}]))
+
+
+def test_numpy_numbers_in_details_are_written_as_numbers() -> None:
+    details = [{"a": np.float64(0.1), "b": np.int64(3), "c": np.array([[1.5]]), "d": (True, None)}]
+    found = parameters_from_bytes(parameters_to_bytes(ParameterSet("T", (), details=details)))
+    assert found.details == [{"a": 0.1, "b": 3, "c": [[1.5]], "d": [True, None]}]
+
+
+def trip(**metadata: str) -> Trip:
+    attachments = {
+        "line.json": line_to_bytes(simple_line()),
+        "train.json": train_to_bytes(simple_train()),
+    }
+    return Trip({}, {"trip": "t1", **metadata}, attachments=attachments)
+
+
+def test_a_trip_gives_its_line_in_the_direction_of_travel() -> None:
+    assert line_of(trip()) == simple_line()
+    assert line_of(trip(direction="forward")) == simple_line()
+    assert line_of(trip(direction="reverse")) == simple_line().reversed()
+    assert train_of(trip()) == simple_train()
+
+
+def test_a_trip_without_line_or_with_a_damaged_one_is_refused() -> None:
+    with pytest.raises(
+        LogError, match=r"trip 't1' carries no line\.json; attachments present: none"
+    ):
+        line_of(Trip({}, {"trip": "t1"}))
+    with pytest.raises(LogError, match="direction is 'backwards'"):
+        line_of(trip(direction="backwards"))
+    damaged = Trip({}, {"trip": "t1"}, attachments={"train.json": b'{"format": '})
+    with pytest.raises(InputError, match=r"^train\.json of trip 't1', line 1, column 12: "):
+        train_of(damaged)
