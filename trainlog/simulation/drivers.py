@@ -453,4 +453,5 @@ class TrajectoryDriver:
         braking = float(self.trajectory.braking_effort[self.row, cell])
         if braking > 0.0 or over > 0.1:
             braking = max(braking + 0.5 * self.inertia * over, 0.0)
-        return Demand(0.0 if braking > 0.0 else traction, braking)
+        # Never one against the other: what is too much is taken off the traction first.
+        return Demand(max(traction - braking, 0.0), max(braking - traction, 0.0))

@@ -53,8 +53,11 @@ SAMPLE = (
 )
 """Columns of a recorded sample; the wheel speeds and the wheel efforts of the axles follow."""
 
-QUICK_REAPPLICATION = 1.5
-"""Quick re-application after a slip: share of the effort at which the wheel slipped, a second."""
+RUNAWAY = 1.4
+"""Slip speed over the threshold at which the slip protection does not wait."""
+
+QUICK_REAPPLICATION = 1.0
+"""Quick re-application after a slip: share of the largest effort, a second."""
 
 NORMAL, CUT, RECOVERING = 0, 1, 2
 """What the slip protection of an axle is doing."""
@@ -83,7 +86,6 @@ class Parameters(NamedTuple):
     slip_threshold: float
     slip_delay: float
     slip_release: float
-    slip_cut: float
     slip_reapply: float
     slip_ramp: float
     step: float
@@ -201,25 +203,25 @@ def protect(
 ) -> None:
     """Anti-slip control of every axle: the effort commanded [N], from the effort wanted.
 
-    A wheel that slips beyond the threshold for longer than the delay has its effort cut; once it
-    is back the effort is re-applied quickly up to a share of that at which it slipped, then slowly
-    up to what is wanted. The rows of `memory` are the effort at the last slip, the present cap,
-    and how long the wheel has been slipping.
+    A wheel that slips beyond the threshold for longer than the delay, or that runs away, has its
+    effort taken off; once it is back the effort is re-applied, quickly up to a share of that at
+    which it slipped, then slowly up to what is wanted. The rows of `memory` are the effort at the
+    last slip, the present cap, and how long the wheel has been slipping.
     """
     n = command.size
     slipped, cap, lasting = memory[0], memory[1], memory[2]
     for i in range(n):
         slip = abs(y[3 + i] - y[1])
         lasting[i] = lasting[i] + p.step if slip > p.slip_threshold else 0.0
-        if lasting[i] > p.slip_delay and mode[i] != CUT:
+        if mode[i] != CUT and (lasting[i] > p.slip_delay or slip > RUNAWAY * p.slip_threshold):
             mode[i] = CUT
             slipped[i] = abs(motor_effort(y[3 + n + i], y[3 + i], p))
-            cap[i] = p.slip_cut * slipped[i]
+            cap[i] = 0.0
         elif mode[i] == CUT and slip < p.slip_release:
             mode[i] = RECOVERING
         elif mode[i] == RECOVERING:
             fast = cap[i] < p.slip_reapply * slipped[i]
-            cap[i] += p.step * slipped[i] * (QUICK_REAPPLICATION if fast else p.slip_ramp)
+            cap[i] += p.step * p.axle_effort * (QUICK_REAPPLICATION if fast else p.slip_ramp)
             if cap[i] >= abs(wanted):
                 mode[i] = NORMAL
         held = abs(wanted) if mode[i] == NORMAL else min(cap[i], abs(wanted))

@@ -35,14 +35,13 @@ class Drive:
     braking_fade_speed : float [m/s]
         Below it the dynamic brake fades out in proportion to speed.
     slip_threshold, slip_release : float [m/s]
-        Slip speed at which the effort of an axle is cut, and at which it is re-applied.
+        Slip speed at which the effort of an axle is taken off, and at which it is re-applied.
     slip_delay : float [s]
-        How long a wheel slips before the cut.
-    slip_cut, slip_reapply : float
-        Shares of the effort at which the wheel slipped: what is left after the cut, and where the
-        quick re-application ends.
+        How long a wheel slips before that.
+    slip_reapply : float
+        Where the quick re-application ends: share of the effort at which the wheel slipped.
     slip_ramp : float [1/s]
-        Slow re-application: share of the effort at which the wheel slipped, a second.
+        Slow re-application: share of the largest effort, a second.
     """
 
     motor_lag: float = 0.1
@@ -50,9 +49,8 @@ class Drive:
     slip_threshold: float = 3.0
     slip_delay: float = 0.3
     slip_release: float = 1.0
-    slip_cut: float = 0.1
     slip_reapply: float = 0.7
-    slip_ramp: float = 0.1
+    slip_ramp: float = 0.06
 
 
 @dataclass
@@ -185,7 +183,6 @@ class Plant:
             slip_threshold=drive.slip_threshold,
             slip_delay=drive.slip_delay,
             slip_release=drive.slip_release,
-            slip_cut=drive.slip_cut,
             slip_reapply=drive.slip_reapply,
             slip_ramp=drive.slip_ramp,
             step=step,

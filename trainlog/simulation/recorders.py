@@ -110,7 +110,9 @@ def write_recorder_csv(trip: Trip, path: str | Path, seed: int = 1) -> Defects:
 def _spoilt(table: pd.DataFrame, generator: np.random.Generator, path: Path) -> Defects:
     """Give the vehicle recorder's table its defects and write it."""
     count = len(table)
-    places = generator.permutation(np.arange(20, count - 120, 3))
+    lost = int(generator.integers(count // 3, 2 * count // 3))
+    usable = np.concatenate((np.arange(20, lost - 3, 3), np.arange(lost + 60, count - 20, 3)))
+    places = generator.permutation(usable)
     missing, outliers, twice, swapped = np.split(places[:40], [20, 25, 37])
     speed = table["V_kmh"].to_numpy(copy=True)
     speed[missing] = np.nan
@@ -118,7 +120,6 @@ def _spoilt(table: pd.DataFrame, generator: np.random.Generator, path: Path) -> 
     table = table.assign(V_kmh=speed)
     order = np.arange(count, dtype=np.float64)
     order[swapped], order[swapped + 1] = order[swapped + 1].copy(), order[swapped].copy()
-    lost = int(generator.integers(count // 3, 2 * count // 3))
     order[lost : lost + 42] = np.nan
     rows = np.concatenate([order, order[twice]])
     rank = np.concatenate([np.arange(count), twice + 0.5])

@@ -1,0 +1,238 @@
+"""Drivers keep limits, stop where they should, and are roughly on time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_world import flirt, hilly_line, level_line, steps, trajectory_of
+
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.railway import Station
+from trainlog.simulation.drivers import (
+    Demand,
+    Habits,
+    Observation,
+    TimetableDriver,
+    TrajectoryDriver,
+)
+from trainlog.simulation.plant import Plant
+from trainlog.simulation.scenario import (
+    Run,
+    Scenario,
+    choose_configurations,
+    draw_scenarios,
+    drive,
+    simulate,
+    trajectory_scenarios,
+)
+from trainlog.simulation.timetable import Stop, permitted_speeds, plan, running_time
+
+
+def journey(line=None, adhesion: float = 0.3, **changes: object) -> Scenario:
+    line = line or hilly_line()
+    train = flirt()
+    known: dict[str, object] = {
+        "name": "journey",
+        "line": line,
+        "train": train,
+        "direction": "forward",
+        "weather": "dry",
+        "mass": train.mass + 10_000.0,
+        "rotating_mass": train.rotating_mass,
+        "resistance": train.resistance,
+        "max_power": train.max_traction_power,
+        "maximum_adhesion": steps((0.0, adhesion)),
+        "stops": plan(line, train, line.stations),
+    }
+    return Scenario(**{**known, **changes})  # type: ignore[arg-type]
+
+
+def columns(scenario: Scenario, run: Run) -> dict[str, np.ndarray]:
+    return dict(zip(scenario.plant().columns, run.samples.T, strict=True))
+
+
+def stands(found: dict[str, np.ndarray]) -> np.ndarray:
+    """Positions at which the train stood."""
+    return np.unique(found["position"][found["speed"] == 0.0])
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    lever=st.floats(0.4, 1.0),
+    margin=st.floats(0.2, 1.5),
+    deceleration=st.floats(0.4, 0.8),
+    reaction=st.floats(0.2, 1.2),
+    coasting=st.floats(0.0, 4.0),
+    load=st.floats(0.0, 20_000.0),
+)
+def test_timetable_driver_keeps_limits_and_stops(
+    lever: float, margin: float, deceleration: float, reaction: float, coasting: float, load: float
+) -> None:
+    habits = Habits(
+        lever=lever,
+        margin=margin,
+        deceleration=deceleration,
+        reaction=reaction,
+        coasting=coasting,
+    )
+    scenario = journey(habits=habits, mass=122_000.0 + load)
+    found = columns(scenario, drive(scenario))
+    limit = permitted_speeds(scenario.line, scenario.train.length, found["position"])
+    assert np.max(found["speed"] - limit) <= 1.0 / 3.6
+    wanted = [station.position for station in scenario.line.stations]
+    np.testing.assert_allclose(stands(found), wanted, atol=1.5)
+
+
+def test_timetable_driver_waits_and_is_roughly_on_time() -> None:
+    scenario = journey()
+    run = drive(scenario)
+    found = columns(scenario, run)
+    for stop in scenario.stops[1:-1]:
+        standing = run.seconds[
+            (found["speed"] == 0.0) & (np.abs(found["position"] - stop.position) < 2.0)
+        ]
+        assert standing[-1] - standing[0] >= scenario.habits.dwell
+        assert standing[-1] >= stop.departure - 0.2
+        assert abs(standing[0] - stop.arrival) < 40.0
+
+
+def test_driver_stops_on_slippery_rails() -> None:
+    scenario = journey(adhesion=0.13)
+    found = columns(scenario, drive(scenario))
+    wanted = [station.position for station in scenario.line.stations]
+    np.testing.assert_allclose(stands(found), wanted, atol=3.0)
+    assert found["protected_axles"].max() > 0.0
+
+
+def test_early_driver_runs_more_slowly() -> None:
+    tight, loose = (
+        journey(stops=plan(hilly_line(), flirt(), hilly_line().stations, reserve=reserve))
+        for reserve in (0.05, 0.25)
+    )
+    fast, slow = (columns(s, drive(s))["speed"].max() for s in (tight, loose))
+    assert slow < fast - 1.0
+
+
+def test_a_train_that_cannot_climb_is_told() -> None:
+    line = replace(hilly_line(), gradients=steps((0.0, 0.0), (3_000.0, 0.06)))
+    with pytest.raises(InfeasibleError, match="does not arrive; at km 3"):
+        drive(journey(line, adhesion=0.05))
+
+
+def test_running_time_of_a_level_run() -> None:
+    """Constant acceleration, cruising and braking in closed form."""
+    train = replace(flirt(), max_traction_power=1e9, max_tractive_effort=100e3, length=0.0)
+    train = replace(train, resistance=type(train.resistance)(0.0, 0.0, 0.0))
+    line = level_line(length=10_000.0, limit=25.0)
+    a, b = 100e3 / (train.mass + train.rotating_mass), 0.5
+    expected = 25.0 / a + 25.0 / b + (10_000.0 - 25.0**2 / (2 * a) - 25.0**2 / (2 * b)) / 25.0
+    found = running_time(line, train, 0.0, 10_000.0, deceleration=b, lever=1.0)
+    assert found == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_whole_train_must_have_passed_a_restriction() -> None:
+    line = replace(level_line(), speed_limits=steps((0.0, 20.0), (500.0, 30.0), (800.0, 10.0)))
+    grid = np.array([0.0, 499.0, 501.0, 550.0, 559.0, 799.0, 801.0])
+    np.testing.assert_array_equal(
+        permitted_speeds(line, 58.6, grid), [20.0, 20.0, 20.0, 20.0, 30.0, 30.0, 10.0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("stops", "message"),
+    [
+        ((Stop("A", 0.0, 0.0, 5.0),), "two stops at least"),
+        ((Stop("A", 0.0, 0.0, 5.0), Stop("Z", 12e3, 500.0, 500.0)), "'Z' at km 12.000 lies"),
+        ((Stop("A", 0.0, 0.0, 5.0), Stop("B", 4e3, 300.0, 200.0)), "departure is before arrival"),
+        ((Stop("A", 4e3, 0.0, 5.0), Stop("B", 0.0, 300.0, 300.0)), "order of travel"),
+        ((Stop("A", 0.0, 0.0, 90.0), Stop("B", 4e3, 80.0, 100.0)), "order of travel"),
+    ],
+)
+def test_impossible_stops_are_refused(stops: tuple[Stop, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        TimetableDriver(hilly_line(), flirt(), stops)
+
+
+@pytest.mark.parametrize("weather", ["dry", "wet"])
+def test_trajectory_is_followed(weather: str) -> None:
+    line, train = hilly_line(), flirt()
+    trajectory = trajectory_of(line, train, (0.9, 1.0, 1.1))
+    for scenario in trajectory_scenarios(trajectory, line, train, ["r0.9", "r1.1"], seed=3):
+        scenario = replace(scenario, weather=weather)
+        trip = simulate(scenario)
+        truth, reference = trip["/truth"], trip["/reference"]
+        assert truth.speed.iloc[-1] == 0.0
+        assert abs(truth.position.iloc[-1] - line.length) < 0.5
+        limit = line.speed_limit(np.minimum(truth.position, line.length))
+        assert np.max(truth.speed - limit) < 0.3
+        assert reference.lateness.iloc[0] == 0.0
+        assert abs(reference.lateness.iloc[-1]) < 10.0
+        np.testing.assert_allclose(
+            reference.speed, trajectory.speed_at(scenario.row, truth.position)
+        )
+        # Traction is the trajectory's own wherever the train is not too fast.
+        controls = trip["/train/controls"]
+        driven = (truth.speed > 1.0) & (truth.speed < reference.speed)
+        driven &= (reference.braking_effort == 0.0) & (truth.position < line.length - 200.0)
+        assert driven.sum() > 500
+        np.testing.assert_allclose(
+            controls.tractive_effort_demand[driven], reference.tractive_effort[driven], atol=0.5
+        )
+        assert trip.metadata["configuration"] == trajectory.configurations[scenario.row].name
+        assert float(trip.metadata["load"]) == 8_000.0
+
+
+def test_trajectory_driver_creeps_up_when_it_would_stop_short() -> None:
+    line, train = hilly_line(), flirt()
+    trajectory = trajectory_of(line, train, (1.0,))
+    driver = TrajectoryDriver(trajectory, 0, line, train)
+    short = Observation(time=400.0, position=line.length - 20.0, speed=0.0, acceleration=0.0)
+    assert driver.demand(short).tractive_effort > 0.0
+    assert not driver.finished
+    there = replace(short, position=line.length - 0.1)
+    assert driver.demand(there).braking_effort > 0.0
+    assert driver.finished
+
+
+def test_choice_of_configurations() -> None:
+    trajectory = trajectory_of(hilly_line(), flirt(), (0.9, 1.0, 1.1))
+    assert choose_configurations(trajectory, "all") == ["r0.9", "r1", "r1.1"]
+    assert set(choose_configurations(trajectory)) == {"r0.9", "r1.1"}
+    assert choose_configurations(trajectory, "r1, r0.9") == ["r1", "r0.9"]
+    with pytest.raises(InputError, match="no configuration 'r7'"):
+        choose_configurations(trajectory, "r7")
+    with pytest.raises(InputError, match="number 3"):
+        TrajectoryDriver(trajectory, 3, hilly_line(), flirt())
+
+
+def test_trajectory_of_another_line_is_refused() -> None:
+    trajectory = trajectory_of(hilly_line(), flirt(), (1.0,))
+    with pytest.raises(InputError, match=r"ends at km 11\.000"):
+        trajectory_scenarios(trajectory, level_line(length=5_000.0), flirt(), ["r1"])
+
+
+def test_any_driver_can_drive() -> None:
+    """The protocol is all a controller needs."""
+
+    class Half:
+        finished = False
+
+        def demand(self, observation: Observation) -> Demand:
+            return Demand(50e3 if observation.speed < 10.0 else 0.0, 0.0)
+
+    driver, plant = Half(), Plant.of(level_line(), flirt())
+    state = plant.at()
+    for tick in range(600):
+        asked = driver.demand(Observation(0.1 * tick, state.position, state.speed, 0.0))
+        plant.advance(state, asked.tractive_effort, asked.braking_effort, 20)
+    assert state.speed == pytest.approx(10.0, abs=0.1)
+
+
+def test_a_line_without_stations_in_between_runs_through() -> None:
+    line = replace(hilly_line(), stations=(Station("Aach", 0.0), Station("Dorf", 11_000.0)))
+    for scenario in draw_scenarios(line, flirt(), 2, seed=4):
+        assert len(scenario.stops) == 2

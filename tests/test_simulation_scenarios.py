@@ -1,0 +1,288 @@
+"""Drawn trips: what varies, what stays, what is recorded; and the same again for the same seed."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from simulated_world import flirt, hilly_line
+
+from trainlog.errors import InputError, LogError
+from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.files import sha256
+from trainlog.mcap import read_log, write_log
+from trainlog.simulation.adhesion_truth import base_map
+from trainlog.simulation.recorders import OVERFLOW, write_recorder_csv, write_ublox_csv
+from trainlog.simulation.scenario import (
+    Scenario,
+    draw_scenarios,
+    run_scenarios,
+    simulate,
+)
+from trainlog.simulation.sensors import Sensors
+from trainlog.topics import TOPICS, units
+from trainlog.trip import Trip
+
+
+@cache
+def drawn() -> tuple[Scenario, ...]:
+    return tuple(draw_scenarios(hilly_line(), flirt(), count=12, seed=1))
+
+
+@cache
+def trips() -> tuple[Trip, ...]:
+    return tuple(simulate(scenario) for scenario in drawn()[:4])
+
+
+def test_scenarios_vary_as_they_should() -> None:
+    scenarios = drawn()
+    assert [s.direction for s in scenarios] == ["forward", "reverse"] * 6
+    assert sum(s.weather == "wet" for s in scenarios) == 6
+    assert len({(s.direction, s.weather) for s in scenarios}) == 4
+    loads = np.array([s.load for s in scenarios])
+    assert np.all((loads >= 0.0) & (loads <= 20_000.0))
+    assert np.ptp(loads) > 8_000.0
+    nominal = flirt().resistance
+    for name in ("r0", "r1", "r2"):
+        factor = np.array([getattr(s.resistance, name) for s in scenarios]) / getattr(nominal, name)
+        assert 0.03 < np.std(factor) < 0.12
+        assert np.all(np.abs(factor - 1.0) <= 0.15 + 1e-12)
+    assert len({len(s.stops) for s in scenarios}) > 1
+    assert len({s.seed for s in scenarios}) == 12
+    assert len({s.start for s in scenarios}) == 12
+
+
+def test_slippery_places_stay_from_trip_to_trip() -> None:
+    line = hilly_line()
+    line_bins = np.arange(440) * 25.0
+    for weather, base, low in (("dry", 0.325, 0.16), ("wet", 0.185, 0.13)):
+        layer = base_map(line, weather, 1)
+        assert np.median(layer) == pytest.approx(base, rel=0.1)
+        spots = layer < low
+        assert 0.02 < np.mean(spots) < 0.4
+        assert np.all(layer > 0.05)
+        for scenario in (s for s in drawn() if s.weather == weather):
+            met = scenario.maximum_adhesion(line_bins)
+            assert np.std(np.log(met / layer)) < 0.25
+            assert np.mean(met[spots] < 1.2 * low) > 0.95
+    assert not np.array_equal(base_map(line, "wet", 1), base_map(line, "wet", 2))
+
+
+def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
+    for attempt in ("one", "two"):
+        scenario = draw_scenarios(hilly_line(), flirt(), count=3, seed=7)[2]
+        trip = simulate(scenario)
+        write_log(trip, tmp_path / f"{attempt}.mcap")
+        write_recorder_csv(trip, tmp_path / f"{attempt}.csv")
+        write_ublox_csv(trip, tmp_path / f"{attempt}.ublox.csv")
+    for name in ("{}.mcap", "{}.csv", "{}.ublox.csv"):
+        one, two = ((tmp_path / name.format(k)).read_bytes() for k in ("one", "two"))
+        assert one == two
+    other = simulate(draw_scenarios(hilly_line(), flirt(), count=3, seed=8)[2])
+    assert not other["/truth"].equals(trip["/truth"])
+
+
+def test_the_first_trips_do_not_depend_on_how_many_are_drawn() -> None:
+    few = draw_scenarios(hilly_line(), flirt(), count=2, seed=1)
+    assert [s.truth() for s in few] == [s.truth() for s in drawn()[:2]]
+
+
+def test_trips_hold_all_that_was_recorded() -> None:
+    for scenario, trip in zip(drawn(), trips(), strict=False):
+        assert set(trip.topics) == {
+            "/train/state",
+            "/train/controls",
+            "/train/axles",
+            "/gnss/fix",
+            "/gnss/motion",
+            "/environment",
+            "/events",
+            "/truth",
+        }
+        for name, frame in trip.topics.items():
+            assert frame.attrs["units"] == units(TOPICS[name], 4)
+            assert frame.index.is_monotonic_increasing
+            absent = [c for c in frame.columns if frame[c].isna().any()]
+            assert absent == (["head_wind"] if name == "/environment" else [])
+        assert trip.start == pd.Timestamp(scenario.start, tz="UTC")
+        assert set(trip.metadata) >= {
+            "trip",
+            "train",
+            "line",
+            "direction",
+            "load",
+            "weather",
+            "clock",
+            "start",
+            "software",
+            "seed",
+        }
+        travelled = line_of(trip)
+        assert travelled.name == "hilly"
+        assert travelled.stations[0].name == scenario.stops[0].station
+        assert train_of(trip).mass == 122_000.0
+        (step,) = trip.provenance
+        assert step["seed"] == scenario.seed
+        assert step["inputs"] == {k: sha256(v) for k, v in trip.attachments.items()}
+
+
+def test_truth_is_attached() -> None:
+    for scenario, trip in zip(drawn(), trips(), strict=False):
+        truth = json.loads(trip.attachments["scenario.json"])
+        assert truth["mass"] == scenario.mass
+        assert (truth["r0"], truth["r1"], truth["r2"]) == (
+            scenario.resistance.r0,
+            scenario.resistance.r1,
+            scenario.resistance.r2,
+        )
+        frame = trip["/truth"]
+        profile = truth["maximum_adhesion"]
+        position = frame.position
+        if scenario.direction == "reverse":
+            position = scenario.line.length - position
+        bins = np.searchsorted(profile["positions"], position, side="right") - 1
+        # Bin edges belong to the bin ahead of the train.
+        same = np.array(profile["values"])[bins] == frame.maximum_adhesion
+        assert np.mean(same) > 0.999
+        expected = scenario.resistance(frame.speed)
+        np.testing.assert_allclose(
+            frame.running_resistance, np.where(frame.speed > 0.0, expected, 0.0)
+        )
+
+
+def test_trips_keep_limits_and_arrive() -> None:
+    for scenario, trip in zip(drawn(), trips(), strict=False):
+        truth = trip["/truth"]
+        limit = scenario.travelled.speed_limit(truth.position)
+        assert np.max(truth.speed - limit) <= 1.0 / 3.6
+        assert abs(truth.position.iloc[-1] - scenario.line.length) < 2.0
+        assert truth.speed.iloc[-1] == 0.0
+        assert np.all(np.diff(truth.energy) >= 0.0)
+
+
+def test_sensors_see_the_truth_within_their_errors() -> None:
+    for trip in trips():
+        state, truth, axles = trip["/train/state"], trip["/truth"], trip["/train/axles"]
+        cruising = (truth.speed > 15.0).to_numpy()
+        ratio = (state.speed / truth.speed)[cruising]
+        scale = np.mean(ratio)
+        assert abs(scale - 1.0) < 0.012
+        noise = (state.speed - scale * truth.speed)[cruising]
+        assert np.std(noise) == pytest.approx(0.0301, rel=0.1)
+        assert np.max(np.abs(state.position - truth.position)) < 15.0
+        rolling = cruising & (trip["/train/controls"].tractive_effort == 0.0)
+        rolling &= trip["/train/controls"].dynamic_braking_effort == 0.0
+        slip = axles.wheel_speed_1[rolling] - state.speed[rolling]
+        assert abs(np.median(slip)) < 0.2
+
+
+def test_events_tell_what_happened() -> None:
+    for scenario, trip in zip(drawn(), trips(), strict=False):
+        events = trip["/events"]
+        told = [m for m in events.message if m.startswith(("departure", "arrival"))]
+        names = [stop.station for stop in scenario.stops]
+        expected = [f"departure from {names[0]}"]
+        for name in names[1:-1]:
+            expected += [f"arrival at {name}", f"departure from {name}"]
+        expected.append(f"arrival at {names[-1]}")
+        assert told == expected
+        truth, axles = trip["/truth"], trip["/train/axles"]
+        for when in events.index[events.message.str.contains("slip protection")]:
+            speeds = axles.loc[when, [f"wheel_speed_{k}" for k in range(1, 5)]]
+            around = truth.speed.loc[when]
+            assert np.abs(speeds - around).max() > 1.0
+
+
+def test_on_board_rate_is_a_parameter() -> None:
+    scenario = replace(drawn()[0], sensors=Sensors(rate=50))
+    trip, usual = simulate(scenario), trips()[0]
+    step = np.diff(trip["/train/axles"].index.asi8)
+    assert np.all(step == 20_000_000)
+    np.testing.assert_array_equal(trip["/truth"].speed[::5], usual["/truth"].speed)
+
+
+def test_run_scenarios_one_by_one() -> None:
+    seen: list[tuple[int, str]] = []
+    scenarios = drawn()[:2]
+    names = [
+        trip.name
+        for trip in run_scenarios(scenarios, lambda done, trip: seen.append((done, trip.name)))
+    ]
+    assert names == [s.name for s in scenarios]
+    assert seen == [(1, names[0]), (2, names[1])]
+
+
+def test_written_trip_reads_back(tmp_path: Path) -> None:
+    trip = trips()[0]
+    write_log(trip, tmp_path / "trip.mcap")
+    again = read_log(tmp_path / "trip.mcap")
+    assert again.metadata.items() >= trip.metadata.items()
+    for name, frame in trip.topics.items():
+        pd.testing.assert_frame_equal(again[name], frame, check_freq=False)
+
+
+def test_vehicle_recorder_file(tmp_path: Path) -> None:
+    trip = trips()[2]
+    told = write_recorder_csv(trip, tmp_path / "recorder.csv")
+    raw = (tmp_path / "recorder.csv").read_bytes()
+    assert raw.endswith(b"\r\n")
+    frame = pd.read_csv(io.BytesIO(raw), sep=";", decimal=",", encoding="latin-1")
+    assert len(frame) == told.rows
+    time = pd.to_datetime(frame.Date + " " + frame.Time, format="%d.%m.%Y %H:%M:%S.%f")
+    step = np.diff(time.to_numpy()) / np.timedelta64(1, "s")
+    assert np.sum(step == 0.0) == told.duplicates == 12
+    assert np.sum(step < 0.0) == told.backwards == 3
+    assert np.sum(step >= 1.0) == told.gaps == 1
+    assert frame.V_kmh.isna().sum() == told.missing == 20
+    assert np.sum(frame.V_kmh == OVERFLOW) == told.outliers == 5
+    utc = time.dt.tz_localize("Europe/Zurich").dt.tz_convert("UTC")
+    state = trip["/train/state"]
+    good = frame.V_kmh.notna() & (frame.V_kmh != OVERFLOW)
+    expected = state.speed.reindex(pd.DatetimeIndex(utc[good]))
+    np.testing.assert_allclose(frame.V_kmh[good] / 3.6, expected, atol=0.0015)
+    assert frame.F_ebrake_kN.max() <= 0.0
+    assert frame.F_ebrake_kN.min() < -10.0
+
+
+def test_ublox_file(tmp_path: Path) -> None:
+    trip = trips()[2]
+    told = write_ublox_csv(trip, tmp_path / "ublox.csv")
+    lines = (tmp_path / "ublox.csv").read_text().splitlines()
+    assert lines[0] == (
+        "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt1,Alt2,hAcc,vAcc,speed,speedAcc,PDOP,"
+    )
+    assert all(line.endswith(",") for line in lines)
+    rows = np.array([[int(part) for part in line.split(",")[:-1]] for line in lines[1:]])
+    assert len(rows) == told.rows == len(trip["/gnss/fix"])
+    np.testing.assert_allclose(rows[:, 7] * 1e-7, trip["/gnss/fix"].longitude, atol=1e-9)
+    np.testing.assert_allclose(rows[:, 10] * 1e-3, trip["/gnss/fix"].altitude, atol=1e-3)
+    assert np.sum(rows[:, 13] > 70_000) == told.outliers
+    _, a_second = np.unique(rows[:, :6], axis=0, return_counts=True)
+    assert np.median(a_second) == 5
+    assert a_second.max() == 5
+
+
+def test_foreign_files_need_what_they_hold(tmp_path: Path) -> None:
+    trip = trips()[0]
+    bare = replace(trip, topics={k: v for k, v in trip.topics.items() if k != "/gnss/fix"})
+    with pytest.raises(LogError, match="/gnss/fix"):
+        write_ublox_csv(bare, tmp_path / "x.csv")
+    short = replace(trip, topics={k: v.iloc[:100] for k, v in trip.topics.items()})
+    with pytest.raises(LogError, match="too short"):
+        write_recorder_csv(short, tmp_path / "x.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_wishes_are_refused() -> None:
+    with pytest.raises(InputError, match="cannot draw 0"):
+        draw_scenarios(hilly_line(), flirt(), count=0)
+    with pytest.raises(InputError, match="fewer than two stations"):
+        draw_scenarios(replace(hilly_line(), stations=()), flirt())
+    with pytest.raises(InputError, match="direction 'up' is unknown"):
+        replace(drawn()[0], direction="up")
