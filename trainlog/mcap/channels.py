@@ -13,6 +13,7 @@ from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from trainlog.errors import LogError
+from trainlog.mcap.errors import shown
 from trainlog.mcap.samples import Codec, fix_codec, sample_codec
 from trainlog.mcap.schemas import descriptor_set, is_location_fix, wire_fields
 from trainlog.topics import EVENTS, TOPICS, Topic
@@ -72,7 +73,8 @@ def codec_of(channel: Channel, schema: Schema) -> Codec | None:
         declared = channel.metadata.get(f"{UNIT}{field.name}", field.unit)
         if declared != field.unit:
             raise LogError(
-                f"channel {topic.name} gives {field.name} in '{declared}', not in '{field.unit}'",
+                f"channel {topic.name} gives {field.name} in {shown(declared)}, "
+                f"not in {shown(field.unit)}",
                 remedy="bring it in as a recorded log, which converts units",
             )
     if topic is EVENTS:

@@ -15,11 +15,11 @@ from mcap.records import Attachment, Channel, DataEnd, Footer, Metadata, Schema,
 from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
+from trainlog.mcap.errors import damaged, shown
 from trainlog.mcap.layout import RECORD_HEAD
 from trainlog.mcap.records import (
     Index,
     StoredChunk,
-    damaged,
     index_of,
     opened,
     parsed,
@@ -136,7 +136,7 @@ def _collect(opcode: int, content: memoryview, at: int, found: Contents) -> None
         attachment = parsed(Attachment, content, at)
         checksum = int.from_bytes(content[-4:], "little")
         if checksum and zlib.crc32(content[:-4]) != checksum:
-            raise damaged(at, f"attachment {attachment.name} fails its checksum")
+            raise damaged(at, f"attachment {shown(attachment.name)} fails its checksum")
         found.attachments.append(attachment)
     elif opcode == Opcode.CHUNK:
         found.chunks.append((stored_chunk(content, at), {}))

@@ -16,7 +16,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 
-from trainlog.errors import LogError
+from trainlog.mcap.errors import unusable
 from trainlog.mcap.samples import Columns, accuracies
 from trainlog.topics import EVENTS, GNSS_FIX, Topic
 
@@ -35,15 +35,15 @@ def decoder_of(channel: Channel, schema: Schema) -> Decoder:
     try:
         decoder = DecoderFactory().decoder_for(channel.message_encoding, schema)
     except (McapError, DecodeError, KeyError, TypeError, ValueError) as error:
-        raise LogError(f"the schema of {channel.topic} cannot be used") from error
+        raise unusable(f"the schema of {channel.topic} cannot be used") from error
     if decoder is None:
-        raise LogError(f"channel {channel.topic} does not hold protobuf messages")
+        raise unusable(f"channel {channel.topic} does not hold protobuf messages")
 
     def decode(data: bytes) -> Any:
         try:
             return decoder(data)
         except DecodeError as error:
-            raise LogError(f"a message of {channel.topic} is not a {schema.name}") from error
+            raise unusable(f"a message of {channel.topic} is not a {schema.name}") from error
 
     return decode
 
@@ -60,7 +60,7 @@ def columns_of(topic: Topic, messages: Sequence[Any]) -> Columns:
     try:
         return read(messages) if read else _samples(topic, messages)
     except (AttributeError, TypeError, ValueError) as error:
-        raise LogError(
+        raise unusable(
             f"messages of {topic.name} do not have the fields of {topic.message}"
         ) from error
 

@@ -15,7 +15,8 @@ from trainlog.errors import LogError
 from trainlog.formats.files import read_bytes, sha256
 from trainlog.mcap.channels import AXLES, UNIT
 from trainlog.mcap.contents import Contents, contents_of
-from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, in_file
+from trainlog.mcap.errors import in_file
+from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
 from trainlog.mcap.reader import metadata_of, trip_of
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip

@@ -19,12 +19,16 @@ from trainlog.formats.files import read_bytes
 from trainlog.mcap.channels import codec_of, topic_of
 from trainlog.mcap.contents import Contents, contents_of
 from trainlog.mcap.decode import Decoder, columns_of, decoder_of
+from trainlog.mcap.errors import damaged, in_file, shown, unusable
 from trainlog.mcap.layout import LOG_TIME, gather
-from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, in_file
-from trainlog.mcap.records import damaged, message_data, opened
+from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
+from trainlog.mcap.records import message_data, opened
 from trainlog.mcap.samples import Codec, Columns
 from trainlog.topics import EVENTS, SCHEMA_VERSION, TOPICS, Topic, column_field
 from trainlog.trip import Trip, frame_of
+
+_MOST_NAMED = 8
+"""Topics of a foreign file that an error names."""
 
 
 def read_log(path: str | Path, topics: Iterable[str] | None = None) -> Trip:
@@ -88,9 +92,9 @@ def _provenance(metadata: dict[str, dict[str, str]]) -> tuple[dict[str, Any], ..
         try:
             step = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise LogError(f"step {key} of the provenance is not JSON") from error
+            raise unusable(f"step {shown(key)} of the provenance is not JSON") from error
         if not isinstance(step, dict):
-            raise LogError(f"step {key} of the provenance is not a JSON object")
+            raise unusable(f"step {shown(key)} of the provenance is not an object")
         steps.append(step)
     return tuple(steps)
 
@@ -157,12 +161,12 @@ class _Table:
     def frame(self) -> pd.DataFrame:
         """The topic's frame, in the order of time."""
         if np.any(self.time > np.uint64(pd.Timestamp.max.value)):
-            raise LogError(f"{self.topic.name} has times after {pd.Timestamp.max.year}")
+            raise unusable(f"{self.topic.name} has times after {pd.Timestamp.max.year}")
         time = self.time.astype(np.int64)
         data: dict[str, Any] = dict(self.columns)
         if self.texts:
             data = {
-                name: pd.concat([pd.Series(t[name]) for t in self.texts]).to_numpy()
+                name: np.concatenate([np.asarray(part[name]) for part in self.texts])
                 for name in self.texts[0]
             }
         if np.any(np.diff(time) < 0):
@@ -232,15 +236,16 @@ def _check_version(
 ) -> None:
     """Refuse files that hold no trip, and those of a later version."""
     if FORMAT_RECORD not in metadata and not sources:
-        held = ", ".join(sorted({channel.topic for channel in contents.channels.values()}))
+        held = sorted({shown(channel.topic) for channel in contents.channels.values()})
         raise LogError(
-            f"holds no topic of trainlog, but {held or 'no topic at all'}",
+            f"holds no topic of trainlog, but {', '.join(held[:_MOST_NAMED]) or 'none at all'}"
+            + (f" and {len(held) - _MOST_NAMED} more" if len(held) > _MOST_NAMED else ""),
             remedy="bring recordings of other programs in as a table (CSV, Parquet)",
         )
     version = metadata.get(FORMAT_RECORD, {}).get("schema_version", str(SCHEMA_VERSION))
     if not version.isdecimal() or int(version) > SCHEMA_VERSION:
         raise LogError(
-            f"follows version {version} of the table of topics, this trainlog knows "
+            f"follows version {shown(version)} of the table of topics, this trainlog knows "
             f"{SCHEMA_VERSION}",
             remedy="update trainlog",
         )

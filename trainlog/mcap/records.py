@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
+from trainlog.mcap.errors import damaged, shown
 from trainlog.mcap.layout import MESSAGE, RECORD_HEAD
 
 Index = dict[int, NDArray[np.uint64]]
@@ -161,7 +162,7 @@ def _decompressed(chunk: StoredChunk) -> bytes:
     if chunk.compression == "":
         return bytes(chunk.data)
     raise LogError(
-        f"a chunk is compressed as '{chunk.compression}'",
+        f"a chunk is compressed as {shown(chunk.compression)}",
         place=f"byte {chunk.offset}",
         remedy="compress it with zstd or lz4",
     )
@@ -210,8 +211,3 @@ def message_data(content: bytes, offset: int, channel: int) -> tuple[int, bytes]
     ):
         return None
     return time, content[offset + MESSAGE.size : end]
-
-
-def damaged(offset: int, problem: str) -> LogError:
-    """The error that says where a file is damaged."""
-    return LogError(problem, place=f"byte {offset}")

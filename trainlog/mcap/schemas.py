@@ -22,7 +22,7 @@ from google.protobuf.message import DecodeError
 from mcap.records import Schema
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from trainlog.errors import LogError
+from trainlog.mcap.errors import shown, unusable
 from trainlog.topics import Topic
 
 _FOXGLOVE = {"foxglove.LocationFix": LocationFix, "foxglove.Log": Log}
@@ -71,7 +71,8 @@ def wire_fields(schema: Schema) -> tuple[WireField, ...] | None:
         If the schema is not a FileDescriptorSet, or does not declare the message it is named for.
     """
     declared = sorted(_declared(schema).field, key=lambda field: field.number)
-    names = {field.name for field in declared if field.name.isidentifier()}
+    # In a broken descriptor a name can come as bytes that are not UTF-8.
+    names = {field.name for field in declared if str(field.name).isidentifier()}
     numbers = {field.number for field in declared if 0 < field.number <= _HIGHEST_NUMBER}
     if len(names) < len(declared) or len(numbers) < len(declared):
         return None
@@ -105,12 +106,12 @@ def _declared(schema: Schema) -> DescriptorProto:
     try:
         files = FileDescriptorSet.FromString(schema.data)
     except DecodeError as error:
-        raise LogError(f"schema {schema.name} is not a protobuf descriptor") from error
+        raise unusable(f"schema {shown(schema.name)} is not a protobuf descriptor") from error
     for file in files.file:
         for message in file.message_type:
             if f"{file.package}.{message.name}" == schema.name:
                 return message
-    raise LogError(f"schema {schema.name} does not declare the message it is named for")
+    raise unusable(f"schema {shown(schema.name)} does not declare the message it is named for")
 
 
 def _file(topic: Topic) -> FileDescriptorProto:

@@ -7,7 +7,6 @@ import math
 import pandas as pd
 from rich import box
 from rich.console import Group, RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -19,11 +18,7 @@ _LONGEST = 160
 
 def render(description: LogDescription) -> RenderableType:
     """What is in a log, as something that rich prints."""
-    parts: list[RenderableType] = [
-        Text(str(description.path), style="bold"),
-        _overview(description),
-    ]
-    parts.append(_topics(description))
+    parts: list[RenderableType] = [_overview(description), _topics(description)]
     if any(topic.units for topic in description.topics):
         parts.append(_fields(description))
     if description.metadata:
@@ -38,7 +33,7 @@ def render(description: LogDescription) -> RenderableType:
         parts.append(_pairs("Provenance", steps))
     if description.attachments:
         parts.append(_attachments(description))
-    return Group(*(Padding(part, (0, 0, 1, 0)) for part in parts))
+    return Group(Text(str(description.path), style="bold"), *parts)
 
 
 def _overview(description: LogDescription) -> Table:
@@ -58,10 +53,10 @@ def _overview(description: LogDescription) -> Table:
     table.add_row("file", f"{_size(description.size)}, SHA-256 {description.sha256}")
     if description.schema_version is not None:
         table.add_row("topics", f"version {description.schema_version} of the table of topics")
-    state = "whole, checksums hold" if description.complete else "damaged, readable part listed"
+    state = "ends properly" if description.complete else "damaged, only what is readable is listed"
     table.add_row("state", state)
     if description.problem is not None:
-        table.add_row("problem", Text(description.problem, style="red"))
+        table.add_row("problem", _plain(description.problem))
     return table
 
 
@@ -79,8 +74,8 @@ def _topics(description: LogDescription) -> Table:
         table.add_column(heading, justify="right")
     for topic in description.topics:
         table.add_row(
-            topic.name,
-            topic.message or topic.encoding,
+            _plain(topic.name),
+            _plain(topic.message or topic.encoding),
             f"{topic.count:,}",
             _number(topic.rate, "Hz"),
             _time_of_day(topic.first),
@@ -95,7 +90,8 @@ def _fields(description: LogDescription) -> Table:
     table = Table("Topic", "Fields and units", box=box.SIMPLE_HEAD, pad_edge=False)
     for topic in description.topics:
         if topic.units:
-            table.add_row(topic.name, ", ".join(_field(topic, name) for name in topic.units))
+            fields = ", ".join(_field(topic, name) for name in topic.units)
+            table.add_row(_plain(topic.name), _plain(fields))
     return table
 
 
@@ -109,7 +105,7 @@ def _pairs(heading: str, pairs: dict[str, str]) -> Table:
     table = Table(heading, "", box=box.SIMPLE_HEAD, pad_edge=False)
     for key, value in pairs.items():
         shown = value if len(value) <= _LONGEST else f"{value[:_LONGEST]} …"
-        table.add_row(Text(key), Text(shown))
+        table.add_row(_plain(key), _plain(shown))
     return table
 
 
@@ -118,8 +114,13 @@ def _attachments(description: LogDescription) -> Table:
     table.add_column("Size", justify="right")
     table.add_column("SHA-256")
     for attachment in description.attachments:
-        table.add_row(attachment.name, _size(attachment.size), attachment.sha256)
+        table.add_row(_plain(attachment.name), _size(attachment.size), attachment.sha256)
     return table
+
+
+def _plain(text: str) -> Text:
+    """Text from a file, which is neither markup nor allowed to steer the terminal."""
+    return Text("".join(letter if letter.isprintable() else " " for letter in text))
 
 
 def _time(time: pd.Timestamp) -> str:
@@ -131,7 +132,7 @@ def _time_of_day(time: pd.Timestamp | None) -> str:
 
 
 def _duration(seconds: float) -> str:
-    minutes, rest = divmod(seconds, 60)
+    minutes, rest = divmod(round(seconds, 1), 60)
     return f"{minutes:.0f} min {rest:.1f} s" if minutes else f"{rest:.1f} s"
 
 

@@ -32,7 +32,8 @@ from mcap.writer import MCAP0_MAGIC
 from trainlog.errors import LogError
 from trainlog.formats.files import atomic_write
 from trainlog.mcap.chunks import RawChunk, Stream, chunks
-from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, in_file
+from trainlog.mcap.errors import in_file
+from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
 from trainlog.mcap.streams import streams_of
 from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import Trip

@@ -1,0 +1,299 @@
+"""Damaged files give one `LogError` that names the byte, or the whole trip; nothing else."""
+
+from __future__ import annotations
+
+import re
+import struct
+import tracemalloc
+import zlib
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.reader import SeekingReader
+from mcap.records import Chunk
+from mcap_trips import assert_same, trip_of
+
+from trainlog.errors import LogError
+from trainlog.mcap import describe, read_log, write_log
+from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
+from trainlog.trip import Trip
+
+FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
+
+
+@pytest.fixture(scope="module")
+def trip() -> Trip:
+    # 30 s: three chunks.
+    return trip_of(rows=300, topics=[TRAIN_STATE.name, TRAIN_AXLES.name, EVENTS.name])
+
+
+@pytest.fixture(scope="module")
+def data(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("whole") / "trip.mcap"
+    write_log(trip, path)
+    return path.read_bytes()
+
+
+_T = TypeVar("_T")
+
+
+def outcome(read: Callable[[Path], _T], path: Path) -> _T | LogError:
+    """What reading gives: a result, or the one kind of error that it may raise, in one line."""
+    try:
+        return read(path)
+    except LogError as error:
+        found = error
+    assert found.file == path
+    assert found.remedy
+    assert str(found).isprintable()
+    return found
+
+
+def small(tmp_path: Path) -> tuple[Trip, bytes]:
+    trip = trip_of(rows=12, axles=2, topics=[TRAIN_STATE.name, GNSS_FIX.name, EVENTS.name])
+    write_log(trip, tmp_path / "small.mcap")
+    return trip, (tmp_path / "small.mcap").read_bytes()
+
+
+def test_a_file_cut_anywhere_says_where_and_what_is_readable(tmp_path: Path) -> None:
+    _, data = small(tmp_path)
+    path = tmp_path / "cut.mcap"
+    for length in range(0, len(data), 7):
+        path.write_bytes(data[:length])
+        with pytest.raises(LogError) as caught:
+            read_log(path)
+        error = caught.value
+        assert error.file == path
+        found = re.fullmatch(r"byte (\d+)", error.place or "")
+        assert found is not None
+        assert int(found[1]) <= length
+        assert error.remedy
+        if length < 8:
+            continue
+        described = describe(path)
+        assert not described.complete
+        assert described.problem is not None
+        assert f"{described.count:,} messages in {described.chunks:,} chunks" in error.remedy
+
+
+def test_a_cut_file_keeps_its_whole_chunks(trip: Trip, data: bytes, tmp_path: Path) -> None:
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) == 3
+    path = tmp_path / "cut.mcap"
+    ends = [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
+    for whole, end in enumerate(ends, start=1):
+        path.write_bytes(data[:end])
+        assert describe(path).count == whole * 100 * 3
+        path.write_bytes(data[: end - 1])
+        assert describe(path).count == (whole - 1) * 100 * 3
+    assert describe(path).metadata == trip.metadata
+    assert [each.name for each in describe(path).attachments] == sorted(trip.attachments)
+
+
+def test_flipped_bytes_are_noticed(trip: Trip, data: bytes, tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    path = tmp_path / "flipped.mcap"
+    noticed = 0
+    for _ in range(500):
+        flipped = bytearray(data)
+        flipped[random.integers(len(data))] ^= int(random.integers(1, 256))
+        path.write_bytes(flipped)
+        found = outcome(read_log, path)
+        if isinstance(found, LogError):
+            assert found.place
+            noticed += 1
+        else:
+            assert_same(trip, found)
+    assert noticed == 500
+
+
+def test_selected_topics_notice_damage_elsewhere(data: bytes, tmp_path: Path) -> None:
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    last = summary.chunk_indexes[-1]
+    flipped = bytearray(data)
+    flipped[last.chunk_start_offset + last.chunk_length // 2] ^= 0x10
+    (tmp_path / "flipped.mcap").write_bytes(flipped)
+    with pytest.raises(LogError, match=rf"byte {last.chunk_start_offset}: is damaged: a chunk"):
+        read_log(tmp_path / "flipped.mcap", topics=[])
+    assert describe(tmp_path / "flipped.mcap").count == 600
+
+
+def without_checksums(data: bytes) -> bytearray:
+    """The same log as a writer without checksums would leave it."""
+    stripped = bytearray(data)
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    for index in summary.chunk_indexes:
+        struct.pack_into("<I", stripped, index.chunk_start_offset + 9 + 24, 0)
+    footer = len(data) - 8 - 20
+    (summary_start,) = struct.unpack_from("<Q", data, footer)
+    struct.pack_into("<I", stripped, summary_start - 4, 0)
+    struct.pack_into("<I", stripped, footer + 16, 0)
+    return stripped
+
+
+def test_without_checksums_damage_still_raises_nothing_else(tmp_path: Path) -> None:
+    """Every parser meets broken bytes here: values may be wrong, other exceptions may not be."""
+    trip, data = small(tmp_path)
+    stripped = without_checksums(data)
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(stripped)
+    assert_same(trip, read_log(path))
+    random = np.random.default_rng(4)
+    refused = 0
+    for _ in range(500):
+        flipped = bytearray(stripped)
+        for _ in range(random.integers(1, 4)):
+            flipped[random.integers(len(flipped))] = random.integers(256)
+        path.write_bytes(flipped)
+        refused += isinstance(outcome(read_log, path), LogError)
+        outcome(describe, path)
+    assert refused > 50
+
+
+def test_uncompressed_messages_with_broken_bytes(tmp_path: Path) -> None:
+    """Damage inside a chunk that is not compressed reaches the message parsers."""
+    _, data = small(tmp_path)
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    (index,) = summary.chunk_indexes
+    start, end = index.chunk_start_offset, index.chunk_start_offset + index.chunk_length
+    content = zstandard.decompress(data[end - index.compressed_size : end])
+    builder = RecordBuilder()
+    Chunk("", content, index.message_end_time, index.message_start_time, 0, len(content)).write(
+        builder
+    )
+    plain = without_checksums(data)
+    chunk = builder.end()
+    random = np.random.default_rng(5)
+    path = tmp_path / "flipped.mcap"
+    refused = 0
+    for _ in range(500):
+        flipped = bytearray(chunk)
+        flipped[random.integers(len(chunk) - len(content), len(chunk))] = random.integers(256)
+        path.write_bytes(with_summary_moved(plain, start, end, bytes(flipped)))
+        refused += isinstance(outcome(read_log, path), LogError)
+    assert refused > 50
+
+
+def with_summary_moved(data: bytes, start: int, end: int, chunk: bytes) -> bytes:
+    """The file with another chunk in this place, its footer pointing right again."""
+    moved = bytearray(data[:start] + chunk + data[end:])
+    shift = len(chunk) - (end - start)
+    footer = len(moved) - 8 - 20
+    for at in (footer, footer + 8):
+        (offset,) = struct.unpack_from("<Q", moved, at)
+        struct.pack_into("<Q", moved, at, offset + shift)
+    return bytes(moved)
+
+
+@pytest.mark.parametrize("claimed", [2**20, 2**29, 2**31, 2**62, 2**64 - 1])
+def test_forged_chunk_sizes_do_not_exhaust_the_memory(
+    claimed: int, data: bytes, tmp_path: Path
+) -> None:
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    forged = without_checksums(data)
+    for index in summary.chunk_indexes:
+        struct.pack_into("<Q", forged, index.chunk_start_offset + 9 + 16, claimed)
+    (tmp_path / "forged.mcap").write_bytes(forged)
+    tracemalloc.start()
+    with pytest.raises(LogError):
+        read_log(tmp_path / "forged.mcap")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 50e6
+
+
+@pytest.mark.parametrize("opcode", [0x03, 0x04, 0x06, 0x07, 0x09, 0x0B, 0x0C])
+def test_forged_record_lengths(opcode: int, data: bytes, tmp_path: Path) -> None:
+    """A length field of each kind of record claims more than there is."""
+    at = 8
+    while data[at] != opcode:
+        (length,) = struct.unpack_from("<Q", data, at + 1)
+        at += 9 + length
+    (length,) = struct.unpack_from("<Q", data, at + 1)
+    for place in range(at + 1, at + 9 + min(length, 40) - 3):
+        for claimed in (0xFFFFFFFF, 0x7FFFFFFF, 0x00FFFFFF, 0):
+            forged = without_checksums(data)
+            struct.pack_into("<I", forged, place, claimed)
+            (tmp_path / "forged.mcap").write_bytes(forged)
+            outcome(read_log, tmp_path / "forged.mcap")
+
+
+def test_a_wrong_summary_is_noticed(data: bytes, tmp_path: Path) -> None:
+    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 8 - 20)
+    flipped = bytearray(data)
+    flipped[summary_start + 20] ^= 1
+    (tmp_path / "flipped.mcap").write_bytes(flipped)
+    with pytest.raises(LogError, match=f"byte {summary_start}: is damaged: the summary fails"):
+        read_log(tmp_path / "flipped.mcap")
+
+
+def test_statistics_that_contradict_the_indexes_do_not_hide_messages(
+    trip: Trip, data: bytes, tmp_path: Path
+) -> None:
+    """A message index that lists fewer messages than there are is not believed."""
+    forged = without_checksums(data)
+    at = forged.index(bytes([0x07]), 0)
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    at = summary.chunk_indexes[0].message_index_offsets[1]
+    # The channel's index becomes a private record, which readers pass over.
+    forged[at] = 0x87
+    (tmp_path / "forged.mcap").write_bytes(forged)
+    assert_same(trip, read_log(tmp_path / "forged.mcap"))
+
+
+def test_bytes_after_the_end_are_noticed(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / "long.mcap").write_bytes(data + b"\0")
+    with pytest.raises(LogError, match="does not end where its footer does"):
+        read_log(tmp_path / "long.mcap")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "is empty"),
+        (b"time,speed\n1,2\n", "is not an MCAP file"),
+        (b"\x89MCAP", "not an MCAP"),
+    ],
+)
+def test_files_that_are_no_log(content: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "trip.mcap").write_bytes(content)
+    for read in (read_log, describe):
+        with pytest.raises(LogError, match=said):
+            read(tmp_path / "trip.mcap")
+
+
+@pytest.mark.skipif(not FOREIGN.is_dir(), reason="the foreign MCAP files are not there")
+def test_foreign_files_cut_or_flipped(tmp_path: Path) -> None:
+    random = np.random.default_rng(6)
+    path = tmp_path / "foreign.mcap"
+    for source in sorted(FOREIGN.glob("*.mcap")):
+        data = source.read_bytes()
+        for length in range(0, len(data), 97):
+            path.write_bytes(data[:length])
+            with pytest.raises(LogError):
+                read_log(path)
+            if length >= 8:
+                assert not describe(path).complete
+        for _ in range(150):
+            flipped = bytearray(data)
+            flipped[random.integers(8, len(data))] ^= int(random.integers(1, 256))
+            path.write_bytes(flipped)
+            describe(path)
+
+
+def test_the_checksum_is_that_of_the_whole_data_section(data: bytes) -> None:
+    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 8 - 20)
+    (stored,) = struct.unpack_from("<I", data, summary_start - 4)
+    assert stored == zlib.crc32(data[: summary_start - 13])

@@ -1,0 +1,193 @@
+"""What `describe` tells of a log, and how it is shown."""
+
+from __future__ import annotations
+
+import hashlib
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from mcap.writer import Writer
+from mcap_trips import ATTACHMENTS, METADATA, PROVENANCE, START, trip_of
+from rich.console import Console
+
+from trainlog.errors import InputError, LogError
+from trainlog.mcap import LogDescription, describe, read_log, write_log
+from trainlog.mcap.show import render
+from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
+from trainlog.trip import Trip, frame_of
+
+FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
+foreign = pytest.mark.skipif(not FOREIGN.is_dir(), reason="the foreign MCAP files are not there")
+
+
+def described(trip: Trip, folder: Path) -> LogDescription:
+    write_log(trip, folder / "trip.mcap")
+    return describe(folder / "trip.mcap")
+
+
+def printed(description: LogDescription) -> str:
+    console = Console(file=StringIO(), width=140)
+    console.print(render(description))
+    assert isinstance(console.file, StringIO)
+    return console.file.getvalue()
+
+
+def test_everything_in_a_log_is_told(tmp_path: Path) -> None:
+    trip = trip_of(rows=120, axles=3)
+    found = described(trip, tmp_path)
+    data = (tmp_path / "trip.mcap").read_bytes()
+    assert found.path == tmp_path / "trip.mcap"
+    assert (found.size, found.sha256) == (len(data), hashlib.sha256(data).hexdigest())
+    assert found.problem is None
+    assert found.complete
+    assert found.schema_version == "1"
+    assert found.metadata == METADATA
+    assert found.provenance == PROVENANCE
+    assert [(a.name, a.size, a.sha256) for a in found.attachments] == [
+        (name, len(content), hashlib.sha256(content).hexdigest())
+        for name, content in sorted(ATTACHMENTS.items())
+    ]
+    assert [topic.name for topic in found.topics] == list(trip.topics)
+    for topic in found.topics:
+        frame = trip[topic.name]
+        assert topic.message == TOPICS[topic.name].message
+        assert topic.encoding == "protobuf"
+        assert topic.count == 120
+        assert topic.rate == pytest.approx(10.0)
+        assert topic.median_interval == pytest.approx(0.1)
+        assert topic.largest_gap == pytest.approx(0.1)
+        assert topic.gaps == 0
+        assert (topic.first, topic.last) == (frame.index[0], frame.index[-1])
+        assert topic.units == {field.name: field.unit for field in TOPICS[topic.name].fields}
+        per_axle = [field.name for field in TOPICS[topic.name].fields if field.per_axle]
+        assert topic.axles == dict.fromkeys(per_axle, 3)
+    assert (found.first, found.last) == (trip.start, trip.end)
+    assert found.count == 120 * len(TOPICS)
+    position = trip[TRAIN_STATE.name]["position"]
+    assert found.position_span == (position.min(), position.max())
+    assert (found.chunks, found.compression) == (2, ("zstd",))
+    assert 0 < found.stored_size < found.content_size
+
+
+def test_gaps_are_counted(tmp_path: Path) -> None:
+    steps = np.array([1, 1, 1, 3, 1, 4, 1, 0, 10, 1]) * 10**8
+    time = START + np.concatenate([[0], np.cumsum(steps)])
+    frame = frame_of(TRAIN_STATE, time, {"position": np.arange(11.0)})
+    (topic,) = described(Trip({TRAIN_STATE.name: frame}), tmp_path).topics
+    # Exactly three median intervals are not yet a gap.
+    assert topic.gaps == 2
+    assert topic.largest_gap == pytest.approx(1.0)
+    assert topic.rate == pytest.approx(10 / 2.3)
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_topics_without_intervals(rows: int, tmp_path: Path) -> None:
+    found = described(trip_of(rows=rows), tmp_path)
+    assert {topic.count for topic in found.topics} == {rows}
+    assert all(np.isnan([t.rate, t.median_interval, t.largest_gap]).all() for t in found.topics)
+    assert (found.first is None) == (rows == 0)
+    assert "/train/state" in printed(found)
+
+
+def test_position_that_is_absent_or_runs_back(tmp_path: Path) -> None:
+    def span(position: list[float]) -> tuple[float, float] | None:
+        frame = frame_of(TRAIN_STATE, START + np.arange(len(position)), {"position": position})
+        return described(Trip({TRAIN_STATE.name: frame}), tmp_path).position_span
+
+    assert span([np.nan, np.nan]) is None
+    assert span([50.0, np.nan, 90.0, -10.0]) == (-10.0, 90.0)
+    assert described(trip_of(rows=3, topics=[EVENTS.name]), tmp_path).position_span is None
+
+
+def test_what_a_person_reads(tmp_path: Path) -> None:
+    rows = 601
+    at = pd.Timestamp("2025-03-02T07:30:00Z").value + np.arange(rows) * 10**8
+    state = frame_of(TRAIN_STATE, at, {"position": np.linspace(0.0, 1240.0, rows)})
+    axles = frame_of(TRAIN_AXLES, at, {"wheel_speed": np.ones((rows, 2))})
+    trip = Trip({TRAIN_STATE.name: state, TRAIN_AXLES.name: axles}, METADATA, PROVENANCE)
+    text = printed(described(trip, tmp_path))
+    assert "2025-03-02 07:30:00.000 to 2025-03-02 07:31:00.000 UTC (1 min 0.0 s)" in text
+    assert "km 0.000 to km 1.240 (1.240 km)" in text
+    assert "1,202 in 7 chunks" in text
+    assert "ends properly" in text
+    assert "speed [m/s]" in text
+    assert "wheel_speed [m/s] of 2 axles" in text
+    assert "10 Hz" in text
+    assert "1 simulate" in text
+    assert METADATA["train"] in text
+
+
+def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None:
+    trip = Trip({}, {"trip": "[red]night[/red]", "note": "a\x1b[2Jb\nc", "long": "x" * 500})
+    text = printed(described(trip, tmp_path))
+    assert "[red]night[/red]" in text
+    assert "\x1b" not in text
+    assert "x" * 500 not in text.replace("\n", "").replace(" ", "")
+
+
+@foreign
+def test_foreign_files_are_listed_but_are_no_trip() -> None:
+    for path in sorted(FOREIGN.glob("*.mcap")):
+        found = describe(path)
+        assert found.complete
+        assert found.schema_version is None
+        assert found.problem is not None
+        assert found.problem.startswith("holds no topic of trainlog, but ")
+        assert found.topics
+        assert found.topics[0].name in printed(found)
+        with pytest.raises(LogError, match="holds no topic of trainlog") as caught:
+            read_log(path)
+        assert caught.value.file == path
+
+
+@foreign
+def test_a_known_foreign_file() -> None:
+    found = describe(FOREIGN / "rosbag2_py_test_resources_mcap_talker_talker.mcap")
+    assert {topic.name: topic.count for topic in found.topics} == {
+        "/rosout": 10,
+        "/parameter_events": 0,
+        "/topic": 10,
+    }
+    topic = next(topic for topic in found.topics if topic.name == "/topic")
+    assert (topic.message, topic.encoding) == ("std_msgs/msg/String", "cdr")
+    assert topic.rate == pytest.approx(2.0, rel=0.02)
+    assert topic.units == {}
+
+
+def test_metadata_and_late_times_of_foreign_files(tmp_path: Path) -> None:
+    with (tmp_path / "foreign.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_metadata("drive", {"weather": "wet"})
+        channel = writer.register_channel("/raw", "custom", 0)
+        writer.add_message(channel, 2**64 - 1, b"x", 0)
+        writer.finish()
+    found = describe(tmp_path / "foreign.mcap")
+    assert found.metadata == {"drive/weather": "wet"}
+    assert [(t.name, t.count, t.last) for t in found.topics] == [("/raw", 1, None)]
+    assert "drive/weather" in printed(found)
+
+
+def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path: Path) -> None:
+    trip = trip_of(rows=300)
+    write_log(trip, tmp_path / "trip.mcap")
+    data = (tmp_path / "trip.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    found = describe(tmp_path / "cut.mcap")
+    assert not found.complete
+    assert found.problem is not None
+    assert found.problem.startswith("byte ")
+    assert found.metadata == METADATA
+    assert found.provenance == PROVENANCE
+    assert 0 < found.count < 300 * len(TOPICS)
+    kept = trip[TRAIN_STATE.name].iloc[: found.topics[0].count]["position"]
+    assert found.position_span == (kept.min(), kept.max())
+    assert "damaged" in printed(found)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        describe(tmp_path / "nothing.mcap")

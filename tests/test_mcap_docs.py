@@ -1,0 +1,23 @@
+"""The page on the log says what the code does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from trainlog.mcap.documentation import topics_table
+from trainlog.topics import TOPICS
+
+PAGE = Path(__file__).parents[1] / "docs" / "log.md"
+
+
+def test_the_page_ends_with_todays_table_of_topics() -> None:
+    """To renew it, replace everything behind the comment with what the function returns."""
+    _, _, table = PAGE.read_text("utf-8").partition("topics_table() -->\n\n")
+    assert table == topics_table()
+
+
+def test_the_table_names_every_field_once() -> None:
+    table = topics_table()
+    fields = sum(len(topic.fields) for topic in TOPICS.values())
+    assert table.count("\n| `") == fields
+    assert table.count("### `/") == len(TOPICS)

@@ -1,0 +1,124 @@
+"""Files of every version of the table of topics stay readable, with the values they were given.
+
+``data/log_version_1.mcap`` is `kept_trip` as written when version 1 was current. It is never
+written again; a later version gets a file of its own.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.reader import SeekingReader
+from mcap_trips import assert_same
+
+from trainlog.mcap import describe, read_log, write_log
+from trainlog.topics import TOPICS
+from trainlog.trip import Trip, frame_of
+
+KEPT = Path(__file__).parent / "data" / "log_version_1.mcap"
+
+# What version 1 held, in full: the table of topics may grow, these columns may not go.
+COLUMNS = {
+    "/train/state": "position speed acceleration",
+    "/train/controls": "lever tractive_effort_demand braking_effort_demand tractive_effort "
+    "dynamic_braking_effort pneumatic_braking_effort",
+    "/train/axles": "wheel_speed_1 wheel_speed_2 wheel_speed_3 wheel_effort_1 wheel_effort_2 "
+    "wheel_effort_3",
+    "/gnss/fix": "latitude longitude altitude horizontal_accuracy vertical_accuracy",
+    "/gnss/motion": "speed speed_accuracy satellites pdop",
+    "/environment": "speed_limit gradient curvature air_temperature head_wind",
+    "/events": "level message name",
+    "/estimates/state": "position position_std speed speed_std acceleration acceleration_std",
+    "/estimates/running_resistance": "r0 r1 r2 mass resistance resistance_std",
+    "/estimates/adhesion": "adhesion_1 adhesion_2 adhesion_3 slip_speed_1 slip_speed_2 "
+    "slip_speed_3",
+    "/reference": "speed tractive_effort braking_effort lateness",
+    "/truth": "position speed acceleration running_resistance maximum_adhesion energy",
+}
+ROWS = 6
+START = 1_735_689_600 * 10**9
+"""2025-01-01T00:00:00Z"""
+
+METADATA = {"trip": "kept 1", "train": "FLIRT", "line": "St.Gallen–Wil", "direction": "reverse"}
+PROVENANCE = ({"step": "written by hand", "inputs": {"a": "00"}}, {"step": "second", "count": 2})
+ATTACHMENTS = {"line.json": b'{"kept": true}', "train.json": b"{}"}
+
+
+def time_of(topic: str) -> np.ndarray:
+    """Half a second between rows, the last two rows at the same time, each topic a bit later."""
+    steps = np.array([0, 1, 2, 3, 4, 4]) * 500_000_000
+    return START + steps + list(COLUMNS).index(topic)
+
+
+def column_of(topic: str, column: str) -> np.ndarray:
+    """Eighths that tell topic, column and row apart; the third row is absent."""
+    number = COLUMNS[topic].split().index(column)
+    values = list(COLUMNS).index(topic) * 100 + number * 10 + np.arange(ROWS) / 8
+    values[2] = np.nan
+    return values
+
+
+EVENTS = {
+    "level": [1, 2, 3, 4, 5, 0],
+    "message": ["departure", "slip", "", "Überlast", "a\nb", "arrival"],
+    "name": ["driver", "axle 1", "", "motor", "line", "driver"],
+}
+
+
+def kept_trip() -> Trip:
+    frames = {}
+    for name, columns in COLUMNS.items():
+        data = (
+            {key: np.array(values) for key, values in EVENTS.items()}
+            if name == "/events"
+            else {column: column_of(name, column) for column in columns.split()}
+        )
+        frames[name] = frame_of(TOPICS[name], time_of(name), data)
+    return Trip(frames, METADATA, PROVENANCE, ATTACHMENTS)
+
+
+def test_the_kept_file_opens_with_its_values() -> None:
+    trip = read_log(KEPT)
+    assert trip.metadata == METADATA
+    assert trip.provenance == PROVENANCE
+    assert trip.attachments == ATTACHMENTS
+    assert set(trip.topics) == set(COLUMNS)
+    for name, columns in COLUMNS.items():
+        frame = trip[name]
+        assert frame.index.equals(pd.to_datetime(time_of(name), utc=True))
+        for column in columns.split():
+            if name == "/events":
+                assert frame[column].tolist() == EVENTS[column]
+            else:
+                np.testing.assert_array_equal(frame[column], column_of(name, column))
+
+
+def test_the_kept_file_is_described() -> None:
+    described = describe(KEPT)
+    assert described.schema_version == "1"
+    assert described.problem is None
+    assert described.count == ROWS * len(COLUMNS)
+    assert described.position_span == (0.0, 5 / 8)
+
+
+def test_fields_keep_their_numbers() -> None:
+    """A field that moves in the table would be misread by programs with an older descriptor."""
+    summary = SeekingReader(BytesIO(KEPT.read_bytes())).get_summary()
+    assert summary is not None
+    for channel in summary.channels.values():
+        topic = TOPICS[channel.topic]
+        if topic.foxglove:
+            continue
+        files = FileDescriptorSet.FromString(summary.schemas[channel.schema_id].data)
+        for field in files.file[0].message_type[0].field:
+            assert topic.fields[field.number - 1].name == field.name
+            assert channel.metadata[f"unit.{field.name}"] == topic.field(field.name).unit
+
+
+def test_todays_writer_says_the_same(tmp_path: Path) -> None:
+    write_log(kept_trip(), tmp_path / "today.mcap")
+    assert_same(read_log(KEPT), read_log(tmp_path / "today.mcap"))

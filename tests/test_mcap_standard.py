@@ -1,0 +1,490 @@
+"""The file is an ordinary MCAP: other readers find in it what was written, and the reverse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from mcap.reader import SeekingReader, make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, IndexType, Writer
+from mcap_protobuf.decoder import DecoderFactory
+from mcap_trips import START, assert_same, trip_of
+from rerun.chunk import McapReader
+
+from trainlog.errors import LogError
+from trainlog.mcap import read_log, write_log
+from trainlog.mcap.schemas import descriptor_set
+from trainlog.topics import (
+    EVENTS,
+    GNSS_FIX,
+    SCHEMA_VERSION,
+    TOPICS,
+    TRAIN_AXLES,
+    TRAIN_CONTROLS,
+    TRAIN_STATE,
+    Topic,
+    columns,
+)
+from trainlog.trip import Trip, frame_of
+
+AXLES = 4
+
+
+@pytest.fixture(scope="module")
+def trip() -> Trip:
+    return trip_of(rows=700, axles=AXLES)
+
+
+@pytest.fixture(scope="module")
+def log(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "trip.mcap"
+    write_log(trip, path)
+    return path
+
+
+def message_class(topic: Topic) -> Any:
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(descriptor_set(topic)).file:
+        pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(topic.message))
+
+
+def row_of(topic: Topic, message: Any) -> list[float]:
+    """What a decoded message says, in the order of the frame's columns."""
+    if topic is EVENTS:
+        return [message.level, message.message, message.name]
+    if topic is GNSS_FIX:
+        east, *_, north, _, _, _, up = message.position_covariance
+        np.testing.assert_equal(east, north)
+        assert all(message.position_covariance[i] == 0.0 for i in (1, 2, 3, 5, 6, 7))
+        row = [message.latitude, message.longitude, message.altitude, east**0.5, up**0.5]
+        known = message.DIAGONAL_KNOWN if not np.isnan(east) else message.UNKNOWN
+        assert message.position_covariance_type == known
+        return row
+    row = []
+    for field in topic.fields:
+        value = getattr(message, field.name)
+        if field.per_axle:
+            assert len(value) == AXLES
+            row += list(value)
+        else:
+            assert message.HasField(field.name)
+            row.append(value)
+    return row
+
+
+def test_the_official_reader_reads_every_value_in_order(trip: Trip, log: Path) -> None:
+    rows: dict[str, list[list[float]]] = {name: [] for name in trip.topics}
+    times: dict[str, list[int]] = {name: [] for name in trip.topics}
+    before = 0
+    with log.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+            assert schema is not None
+            assert schema.name == TOPICS[channel.topic].message
+            assert message.log_time >= before
+            assert message.publish_time == message.log_time
+            assert message.sequence == len(rows[channel.topic])
+            before = message.log_time
+            times[channel.topic].append(message.log_time)
+            rows[channel.topic].append(row_of(TOPICS[channel.topic], decoded))
+            if hasattr(decoded, "timestamp"):
+                assert decoded.timestamp.ToNanoseconds() == message.log_time
+    for name, frame in trip.topics.items():
+        assert times[name] == frame.index.as_unit("ns").asi8.tolist()
+        if name == EVENTS.name:
+            assert rows[name] == frame.to_numpy().tolist()
+        else:
+            np.testing.assert_array_equal(np.array(rows[name]), frame.to_numpy())
+
+
+def test_streaming_and_seeking_reader_validate_every_checksum(log: Path) -> None:
+    with log.open("rb") as stream:
+        kinds = [
+            type(record).__name__ for record in StreamReader(stream, validate_crcs=True).records
+        ]
+    assert kinds.count("Message") == 700 * len(TOPICS)
+    # What explains the file stands before the first message, for tools that recover a cut file.
+    before = kinds[: kinds.index("Message")]
+    assert before.count("Schema") == before.count("Channel") == len(TOPICS)
+    assert before.count("Metadata") == 3
+    assert before.count("Attachment") == 2
+    with log.open("rb") as stream:
+        data_end = next(
+            record
+            for record in StreamReader(stream, emit_chunks=True).records
+            if type(record).__name__ == "DataEnd"
+        )
+    assert data_end.data_section_crc != 0
+
+
+def test_summary_is_right(trip: Trip, log: Path) -> None:
+    data = log.read_bytes()
+    reader = SeekingReader(BytesIO(data), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    counts = {
+        summary.channels[number].topic: count
+        for number, count in summary.statistics.channel_message_counts.items()
+    }
+    assert counts == {name: len(frame) for name, frame in trip.topics.items()}
+    assert summary.statistics.message_count == sum(counts.values())
+    assert summary.statistics.message_start_time == trip.start.value
+    assert summary.statistics.message_end_time == trip.end.value
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 5
+    assert summary.statistics.attachment_count == len(trip.attachments)
+    assert summary.statistics.metadata_count == 3
+    assert len(summary.schemas) == summary.statistics.schema_count == len(TOPICS)
+    assert {a.name: a.data for a in reader.iter_attachments()} == trip.attachments
+    stored = {record.name: record.metadata for record in reader.iter_metadata()}
+    assert stored["trainlog"] == trip.metadata
+    assert stored["trainlog.format"] == {"schema_version": str(SCHEMA_VERSION)}
+    assert list(stored["trainlog.provenance"]) == ["0001", "0002"]
+
+
+def test_chunks_do_not_overlap_and_their_indexes_point_to_messages(log: Path) -> None:
+    data = log.read_bytes()
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    end = 0
+    for index in summary.chunk_indexes:
+        assert end <= index.message_start_time <= index.message_end_time
+        assert index.message_end_time - index.message_start_time <= 10e9
+        assert index.uncompressed_size <= 2**20
+        assert data[index.chunk_start_offset] == 0x06
+        for channel, offset in index.message_index_offsets.items():
+            assert data[offset] == 0x07
+            assert int.from_bytes(data[offset + 9 : offset + 11], "little") == channel
+        end = index.message_end_time
+    # The official reader finds a message by these indexes alone.
+    reader = SeekingReader(BytesIO(data))
+    at = START + 30 * 10**9
+    found = list(
+        reader.iter_messages(topics=TRAIN_STATE.name, starting_at=at, ending_before=at + 1)
+    )
+    assert [message.log_time for _, _, message in found] == [at]
+
+
+def test_chunks_stay_below_their_largest_size(tmp_path: Path) -> None:
+    rows = 40_000
+    frame = frame_of(TRAIN_CONTROLS, START + np.arange(rows), {"lever": np.arange(float(rows))})
+    write_log(Trip({TRAIN_CONTROLS.name: frame}), tmp_path / "trip.mcap")
+    summary = SeekingReader(BytesIO((tmp_path / "trip.mcap").read_bytes())).get_summary()
+    assert summary is not None
+    sizes = [index.uncompressed_size for index in summary.chunk_indexes]
+    assert max(sizes) <= 2**20
+    assert len(sizes) == -(-rows * (31 + 6 * 9) // 2**20)
+    back = read_log(tmp_path / "trip.mcap")[TRAIN_CONTROLS.name]
+    assert back["lever"].tolist() == list(range(rows))
+
+
+@pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.message)
+def test_descriptors_and_channels_equal_the_table(topic: Topic, log: Path) -> None:
+    summary = SeekingReader(BytesIO(log.read_bytes())).get_summary()
+    assert summary is not None
+    channel = next(c for c in summary.channels.values() if c.topic == topic.name)
+    assert channel.message_encoding == "protobuf"
+    for field in topic.fields:
+        assert channel.metadata[f"unit.{field.name}"] == field.unit
+        assert channel.metadata[f"meaning.{field.name}"] == field.meaning
+        assert channel.metadata.get(f"axles.{field.name}") == ("4" if field.per_axle else None)
+    schema = summary.schemas[channel.schema_id]
+    assert (schema.name, schema.encoding) == (topic.message, "protobuf")
+    declared = message_class(topic).DESCRIPTOR
+    if topic.foxglove:
+        assert declared.full_name == topic.message
+        return
+    files = FileDescriptorSet.FromString(schema.data).file
+    fields = files[0].message_type[0].field
+    assert [(f.name, f.number) for f in fields] == [
+        (field.name, number) for number, field in enumerate(topic.fields, start=1)
+    ]
+    assert {f.type for f in fields} == {FieldDescriptorProto.TYPE_DOUBLE}
+    for field in topic.fields:
+        described = declared.fields_by_name[field.name]
+        assert described.has_presence is not field.per_axle
+
+
+def test_rerun_imports_typed_columns(trip: Trip, log: Path) -> None:
+    found: dict[tuple[str, str], pa.Array] = {}
+    for chunk in McapReader(log).stream():
+        batch = chunk.to_record_batch()
+        for field in batch.schema:
+            column = batch.column(batch.schema.get_field_index(field.name))
+            key = (str(chunk.entity_path), field.name)
+            found[key] = pa.concat_arrays([found[key], column]) if key in found else column
+    for name, frame in trip.topics.items():
+        topic = TOPICS[name]
+        if topic.foxglove:
+            continue
+        messages = found[name, f"{topic.message}:message"].flatten()
+        assert [messages.type.field(i).name for i in range(messages.type.num_fields)] == [
+            field.name for field in topic.fields
+        ]
+        for field in topic.fields:
+            values = messages.field(field.name)
+            if field.per_axle:
+                assert values.type.value_type == pa.float64()
+                axles = [f"{field.name}_{axle}" for axle in range(1, AXLES + 1)]
+                table = np.array(values.flatten()).reshape(-1, AXLES)
+                np.testing.assert_array_equal(table, frame[axles].to_numpy())
+            else:
+                assert values.type == pa.float64()
+                np.testing.assert_array_equal(np.array(values), frame[field.name].to_numpy())
+    points = np.array(found[GNSS_FIX.name, "GeoPoints:positions"].flatten().flatten())
+    np.testing.assert_array_equal(
+        points.reshape(-1, 2), trip[GNSS_FIX.name][["latitude", "longitude"]].to_numpy()
+    )
+    texts = found[EVENTS.name, "TextLog:text"].flatten().to_pylist()
+    assert texts == trip[EVENTS.name]["message"].tolist()
+
+
+# --- files with our topics that another program wrote
+
+
+def write_elsewhere(
+    path: Path,
+    batches: list[tuple[str, list[tuple[int, Any]]]],
+    topic: Topic = TRAIN_STATE,
+    **options: Any,
+) -> None:
+    """Write messages with the official writer: one channel for each batch, in turns."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        schema = writer.register_schema(topic.message, "protobuf", descriptor_set(topic))
+        for name, messages in batches:
+            channel = writer.register_channel(name, "protobuf", schema)
+            for time, message in messages:
+                writer.add_message(channel, time, message.SerializeToString(), time)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": CompressionType.LZ4},
+        {"compression": CompressionType.NONE},
+        {"use_chunking": False},
+        {"index_types": IndexType.NONE},
+        {"use_statistics": False, "use_summary_offsets": False},
+        {"repeat_channels": False, "repeat_schemas": False, "index_types": IndexType.CHUNK},
+        {"enable_crcs": False, "enable_data_crcs": True},
+        {"chunk_size": 100},
+    ],
+    ids=str,
+)
+def test_reads_what_other_writers_make_of_our_topics(options: Any, tmp_path: Path) -> None:
+    state = message_class(TRAIN_STATE)
+    messages = [(START + i, state(position=float(i), speed=i / 7)) for i in range(50)]
+    write_elsewhere(tmp_path / "trip.mcap", [(TRAIN_STATE.name, messages)], **options)
+    back = read_log(tmp_path / "trip.mcap")
+    expected = frame_of(
+        TRAIN_STATE,
+        START + np.arange(50),
+        {"position": np.arange(50.0), "speed": np.arange(50) / 7},
+    )
+    pd.testing.assert_frame_equal(back[TRAIN_STATE.name], expected, check_freq=False)
+    assert back.metadata == {}
+
+
+def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path: Path) -> None:
+    axles = message_class(TRAIN_AXLES)
+    first = [
+        (START + 5, axles(wheel_speed=[1.0, 2.0])),
+        (START + 1, axles(wheel_speed=[3.0], wheel_effort=[4.0])),
+    ]
+    second = [(START + 3, axles()), (START + 2, axles(wheel_effort=[5.0, 6.0, 7.0]))]
+    write_elsewhere(
+        tmp_path / "trip.mcap",
+        [(TRAIN_AXLES.name, first), (TRAIN_AXLES.name, second), ("/other", first)],
+        topic=TRAIN_AXLES,
+    )
+    frame = read_log(tmp_path / "trip.mcap")[TRAIN_AXLES.name]
+    nan = np.nan
+    expected = frame_of(
+        TRAIN_AXLES,
+        START + np.array([1, 2, 3, 5]),
+        {
+            "wheel_speed": np.array([[3.0, nan], [nan, nan], [nan, nan], [1.0, 2.0]]),
+            "wheel_effort": np.array([[4.0, nan, nan], [5.0, 6.0, 7.0], [nan] * 3, [nan] * 3]),
+        },
+    )
+    pd.testing.assert_frame_equal(frame, expected, check_freq=False)
+
+
+def test_foreign_location_fixes(tmp_path: Path) -> None:
+    fix = message_class(GNSS_FIX)
+    unknown = fix(latitude=47.0, longitude=9.0, position_covariance=[0.0] * 9)
+    known = fix(
+        latitude=47.5,
+        longitude=9.5,
+        altitude=600.0,
+        position_covariance=[9.0, 1.0, 0.0, 1.0, 16.0, 0.0, 0.0, 0.0, 25.0],
+        position_covariance_type=3,
+        frame_id="antenna",
+    )
+    write_elsewhere(
+        tmp_path / "trip.mcap",
+        [(GNSS_FIX.name, [(START, unknown), (START + 1, known)])],
+        topic=GNSS_FIX,
+    )
+    frame = read_log(tmp_path / "trip.mcap")[GNSS_FIX.name]
+    np.testing.assert_array_equal(
+        frame.to_numpy(),
+        [[47.0, 9.0, 0.0, np.nan, np.nan], [47.5, 9.5, 600.0, np.sqrt(12.5), 5.0]],
+    )
+
+
+def test_slow_and_fast_path_agree(
+    trip: Trip, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import trainlog.mcap.reader as reader
+
+    monkeypatch.setattr(reader, "gather", lambda *_: None)
+    assert_same(trip, read_log(log))
+
+
+def test_the_fast_path_is_taken_for_our_own_files(
+    trip: Trip, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import trainlog.mcap.reader as reader
+
+    def never(*_: Any) -> Any:
+        raise AssertionError("decoded one by one")
+
+    monkeypatch.setattr(reader, "message_data", never)
+    numbers = [name for name in trip.topics if name != EVENTS.name]
+    assert list(read_log(log, topics=numbers).topics) == numbers
+
+
+def edited(change: Callable[[Any], None], topic: Topic = TRAIN_STATE) -> bytes:
+    files = FileDescriptorSet.FromString(descriptor_set(topic))
+    change(files.file[-1].message_type[0])
+    return files.SerializeToString()
+
+
+def rename(old: str, new: str) -> Callable[[Any], None]:
+    def change(message: Any) -> None:
+        next(field for field in message.field if field.name == old).name = new
+
+    return change
+
+
+def write_with_schema(path: Path, schema: bytes, data: list[bytes], **metadata: str) -> None:
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        number = writer.register_schema(TRAIN_STATE.message, "protobuf", schema)
+        channel = writer.register_channel(TRAIN_STATE.name, "protobuf", number, metadata)
+        for row, each in enumerate(data):
+            writer.add_message(channel, START + row, each, START + row)
+        writer.finish()
+
+
+def test_fields_are_found_by_name_not_by_number(tmp_path: Path) -> None:
+    """A file of another version: one field less, one unknown, numbers moved."""
+
+    def change(message: Any) -> None:
+        rename("position", "mood")(message)
+        rename("speed", "position")(message)
+        rename("acceleration", "speed")(message)
+
+    values = np.array([1.5, 2.5, 3.5])
+    data = b"".join(
+        bytes([number << 3 | 1]) + value.tobytes() for number, value in enumerate(values, start=1)
+    )
+    write_with_schema(tmp_path / "trip.mcap", edited(change), [data, data])
+    frame = read_log(tmp_path / "trip.mcap")[TRAIN_STATE.name]
+    assert list(frame.columns) == list(columns(TRAIN_STATE, 0))
+    np.testing.assert_array_equal(frame.to_numpy(), [[2.5, 3.5, np.nan]] * 2)
+
+
+def test_numbers_of_other_kinds_are_read_one_by_one(tmp_path: Path) -> None:
+    def change(message: Any) -> None:
+        message.field[0].type = FieldDescriptorProto.TYPE_SINT32
+        message.field[1].type = FieldDescriptorProto.TYPE_FLOAT
+
+    data = b"\x08\x05" + b"\x15" + np.float32(2.5).tobytes()
+    write_with_schema(tmp_path / "trip.mcap", edited(change), [data])
+    frame = read_log(tmp_path / "trip.mcap")[TRAIN_STATE.name]
+    np.testing.assert_array_equal(frame.to_numpy(), [[-3.0, 2.5, np.nan]])
+
+
+@pytest.mark.parametrize(
+    ("schema", "data", "metadata", "said"),
+    [
+        (descriptor_set(TRAIN_STATE), b"\xff", {}, "not a trainlog.TrainState"),
+        (b"\xff\xff", b"", {}, "not a protobuf descriptor"),
+        (descriptor_set(TRAIN_AXLES), b"", {}, "does not declare"),
+        (
+            edited(
+                lambda message: setattr(message.field[0], "type", FieldDescriptorProto.TYPE_STRING)
+            ),
+            b"\x0a\x01x",
+            {},
+            "do not have the fields",
+        ),
+        (
+            edited(lambda message: setattr(message.field[0], "number", 2)),
+            b"",
+            {},
+            "schema of /train/state cannot be used",
+        ),
+        (
+            edited(lambda message: setattr(message.field[0], "number", -1)),
+            b"",
+            {},
+            "schema of /train/state cannot be used",
+        ),
+        (descriptor_set(TRAIN_STATE), b"", {"unit.speed": "km/h"}, "in 'km/h', not in 'm/s'"),
+    ],
+)
+def test_broken_and_contradicting_schemas_are_refused(
+    schema: bytes, data: bytes, metadata: dict[str, str], said: str, tmp_path: Path
+) -> None:
+    write_with_schema(tmp_path / "trip.mcap", schema, [data], **metadata)
+    with pytest.raises(LogError, match=said) as caught:
+        read_log(tmp_path / "trip.mcap")
+    assert caught.value.file == tmp_path / "trip.mcap"
+
+
+def test_a_later_version_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "trip.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_metadata("trainlog.format", {"schema_version": str(SCHEMA_VERSION + 1)})
+        writer.finish()
+    with pytest.raises(LogError, match="update trainlog"):
+        read_log(tmp_path / "trip.mcap")
+
+
+def test_times_beyond_pandas_are_refused(tmp_path: Path) -> None:
+    state = message_class(TRAIN_STATE)
+    write_elsewhere(tmp_path / "trip.mcap", [(TRAIN_STATE.name, [(2**63 + 5, state(speed=1.0))])])
+    with pytest.raises(LogError, match="times after 2262"):
+        read_log(tmp_path / "trip.mcap")
+
+
+def test_a_topic_of_another_program_with_our_name_is_not_ours(tmp_path: Path) -> None:
+    with (tmp_path / "trip.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("std_msgs/String", "ros2msg", b"string data")
+        writer.register_channel(EVENTS.name, "cdr", schema)
+        writer.register_channel(TRAIN_STATE.name, "json", 0)
+        writer.finish()
+    with pytest.raises(LogError, match="no topic of trainlog, but '/events', '/train/state'"):
+        read_log(tmp_path / "trip.mcap")
