@@ -17,10 +17,10 @@ FloatArray = NDArray[np.float64]
 CORRELATION_LENGTH = 120.0
 """Distance over which adhesion varies [m] (Ornstein-Uhlenbeck)."""
 
-BASE = {"dry": (0.325, 0.04), "wet": (0.185, 0.08)}
+BASE = {"dry": (0.325, 0.04), "wet": (0.175, 0.08)}
 """Median of the base map and standard deviation of its logarithm, by weather."""
 
-SPOTS = {"dry": (0.09, 0.14), "wet": (0.06, 0.12)}
+SPOTS = {"dry": (0.1, 0.16), "wet": (0.06, 0.12)}
 """Range of the maximum adhesion in slippery spots, by weather."""
 
 
@@ -48,14 +48,13 @@ def spot(centres: FloatArray, start: float, length: float, depth: float) -> Floa
 def likely_places(line: Line, generator: np.random.Generator) -> FloatArray:
     """Where persistent spots begin [m]: around the stations and on the climbs.
 
-    Each station has one on the one side or the other, where trains brake and leave; one climb in
-    four has one.
+    Each station has one or more on either side, where trains brake and leave; some climbs have one.
     """
     around = [
-        station.position + side * generator.uniform(150.0, 600.0)
+        station.position + side * generator.uniform(100.0, 550.0)
         for station in line.stations
-        for side in (-1.0, 1.0)
-        if generator.uniform() < 0.7
+        for side in (-1.0, -1.0, 1.0, 1.0)
+        if generator.uniform() < 0.4
     ]
     edges, slopes = line.gradients.positions, line.gradients.values
     climbs = edges[(np.abs(slopes) > 0.008) & (generator.uniform(size=edges.size) < 0.08)]
@@ -84,7 +83,7 @@ def base_map(line: Line, weather: str, seed: int) -> FloatArray:
     median, spread = BASE[weather]
     logarithm = np.log(median) + spread * smooth_variation(centres.size, generator)
     for start in likely_places(line, where):
-        length = where.uniform(100.0, 350.0)
+        length = where.uniform(100.0, 300.0)
         depth = generator.uniform(*SPOTS[weather])
         logarithm = np.minimum(logarithm, spot(centres, start, length, depth))
     return np.asarray(np.exp(logarithm))

@@ -154,13 +154,17 @@ class StoppingBrake:
 
     def effort(self, seen: Observation, deceleration: float) -> float:
         """Braking effort [N] for a deceleration [m/s²]."""
+        if seen.speed < 1.0:
+            # A light touch at the end: what little is left needs no more.
+            return self._inertia * min(deceleration, 0.5)
         wanted = min(deceleration, self._largest)
         missing = wanted + seen.acceleration
         self._correction = min(max(self._correction + 0.3 * missing * PERIOD, -0.2), 0.4)
         along = self._mass * float(
             self._slope[min(int(seen.position / GRID), len(self._slope) - 1)]
         )
-        return max(self._inertia * (wanted + self._correction + 0.2 * missing) - along, 0.0)
+        effort = self._inertia * (wanted + self._correction + 0.2 * missing) - along
+        return min(max(effort, 0.0), self._inertia * self._largest)
 
 
 class TimetableDriver:
@@ -212,7 +216,7 @@ class TimetableDriver:
         lasting = GRID / (0.5 * (self._ceiling[1:] + self._ceiling[:-1]))
         self._time_to_end = np.append(np.cumsum(lasting[::-1])[::-1], 0.0)
         self._brake = StoppingBrake(
-            self.mass, self.inertia, self._slope, 1.2 * train.max_deceleration, short=0.3
+            self.mass, self.inertia, self._slope, train.max_deceleration, short=0.3
         )
         self._leg = 0
         self._lever = 0.0
@@ -415,7 +419,7 @@ class TrajectoryDriver:
         grid = np.arange(0.0, line.length + 2.0 * GRID, GRID)
         slope = line.track_acceleration(np.minimum(grid, line.length))
         self._brake = StoppingBrake(
-            self.mass, self.inertia, slope, 1.2 * train.max_deceleration, short=0.05
+            self.mass, self.inertia, slope, train.max_deceleration, short=0.05
         )
         self._arrived = False
 

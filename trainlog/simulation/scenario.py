@@ -308,14 +308,14 @@ def _drawn(
     nominal = train.resistance
     load = np.round(generator.uniform(0.0, train.max_load or 20_000.0), -2)
     stations = travelled.stations[1:-1]
-    kept = generator.uniform(size=len(stations)) < generator.choice([0.0, 0.5, 1.0])
+    kept = generator.uniform(size=len(stations)) < generator.choice([0.0, 0.7, 1.0, 1.0])
     calls = [station for station, stop in zip(stations, kept, strict=True) if stop]
     wet = weather == "wet"
     habits = Habits(
-        lever=float(generator.uniform(0.4, 0.7) if wet else generator.uniform(0.6, 0.95)),
+        lever=float(generator.uniform(0.45, 0.7) if wet else generator.uniform(0.6, 0.9)),
         lever_rate=float(generator.uniform(0.15, 0.35)),
         margin=float(generator.uniform(0.4, 1.2)),
-        deceleration=float(generator.uniform(0.45, 0.6) if wet else generator.uniform(0.5, 0.75)),
+        deceleration=float(generator.uniform(0.5, 0.65) if wet else generator.uniform(0.55, 0.8)),
         reaction=float(generator.uniform(0.6, 1.1)),
         coasting=float(generator.uniform(1.5, 4.0)),
         coasting_spacing=float(generator.uniform(2500.0, 6000.0)),
