@@ -1,0 +1,255 @@
+"""The layout of a replay: one tab a trip, and one that lays the trips over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from trainlog.replay.clock import ELAPSED, POSITION, TIME, FloatArray
+from trainlog.replay.curves import PANELS, Colour, Panel
+from trainlog.replay.stream import path_of
+
+SHARED_AXIS = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
+"""Where Rerun keeps the time axis that linked plots share (its GLOBAL_VIEW_ID)."""
+
+PLAYBACK_SPEED = 20.0
+"""Seconds of a trip shown in one second."""
+
+PLAYBACK_POSITION = 400_000.0
+"""Millimetres of a line shown in one second, when playing over position."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What of a trip there is to show.
+
+    Attributes
+    ----------
+    name : str
+    root : str
+        Its entities lie below this path.
+    direction : str
+    line : str
+        Path of its line's entities; empty without coordinates.
+    colour : Colour
+        On the map and where trips lie over each other.
+    entities : frozenset of str
+        Paths below `root` that hold data.
+    layer : str
+        Layer of the track-condition map under it; empty without one.
+    tops : dict of str to float
+        Upper end of each panel's axis, in its unit.
+    extent : (2, 2) array [deg] or None
+        Least and greatest latitude, least and greatest longitude; None without coordinates.
+    """
+
+    name: str
+    root: str
+    direction: str
+    line: str
+    colour: Colour
+    entities: frozenset[str]
+    layer: str
+    tops: dict[str, float]
+    extent: FloatArray | None
+
+    def shows(self, panel: str) -> bool:
+        """Whether there is anything below the panel's entity."""
+        return any(entity.partition("/")[0] == panel for entity in self.entities)
+
+
+SIDE_MAP, LARGE_MAP = (350.0, 330.0), (800.0, 480.0)
+"""Height and width that the map of one trip, and that of all, have on a common screen [points]."""
+
+
+class SharedAxis:
+    """The shared time axis, from end to end of whichever timeline is shown.
+
+    Stands where a blueprint keeps a panel: Rerun has no part of its own for it.
+    """
+
+    def _log_to_stream(self, stream: Any) -> None:
+        whole = rr.TimeRange(
+            start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
+        )
+        stream.log(SHARED_AXIS, rrb.TimeAxis(view_range=whole))
+
+
+def blueprint(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -> Any:
+    """The layout for these trips, as Rerun's blueprint.
+
+    Parameters
+    ----------
+    trips : sequence of Shown
+    trajectory : bool
+        Whether there is one.
+    layers : sequence of str
+        Of the track-condition map.
+    """
+    tabs = [_trip(trip, trajectory) for trip in trips]
+    if len(tabs) == 1:
+        root = tabs[0]
+    else:
+        root = rrb.Tabs(_overview(trips, trajectory, layers), *tabs, active_tab=1)
+    several = len(trips) > 1
+    made = rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=ELAPSED if several else TIME,
+            playback_speed=PLAYBACK_SPEED,
+            fps=PLAYBACK_POSITION,
+            play_state="paused",
+        ),
+    )
+    made.top_panel = SharedAxis()
+    return made
+
+
+def _trip(trip: Shown, trajectory: bool) -> Any:
+    """Plots on the left, place, events and particulars on the right."""
+    planned = trajectory and (trip.direction != "reverse" or trip.shows("efforts/reference"))
+    rows = [_panel(trip, panel, planned) for panel in PANELS if trip.shows(panel.entity)]
+    shares = [panel.share for panel in PANELS if trip.shows(panel.entity)]
+    if trip.shows("phase"):
+        lane = rrb.StateTimelineView(
+            origin=f"{trip.root}/phase", name="Driving phase", time_view=_axis()
+        )
+        rows.insert(1, lane)
+        shares.insert(1, 1.0)
+    side = [
+        view for view in (_map([trip], trip.layer, SIDE_MAP), _events(trip), _about(trip)) if view
+    ]
+    beside = rrb.Vertical(*side, row_shares=[3.0, 2.0, 2.0][-len(side) :])
+    if not rows:
+        return rrb.Horizontal(beside, name=trip.name)
+    return rrb.Horizontal(
+        rrb.Vertical(*rows, row_shares=shares), beside, column_shares=[3.0, 1.0], name=trip.name
+    )
+
+
+def _panel(trip: Shown, panel: Panel, planned: bool) -> Any:
+    contents = [f"{trip.root}/{panel.entity}/**"]
+    if planned and panel.entity in ("speed", "efforts"):
+        contents.append(f"/trajectory/{panel.entity}")
+    title = panel.title
+    if panel.entity == "speed":
+        title = f"{trip.name}: {title[0].lower()}{title[1:]}"
+    return plot(contents, title, trip.tops[panel.entity] if panel.from_zero else None)
+
+
+def _overview(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -> Any:
+    """Speeds of all trips over each other, one plot a direction; the line's condition; the map."""
+    rows = []
+    for direction in dict.fromkeys(trip.direction for trip in trips):
+        group = [trip for trip in trips if trip.direction == direction]
+        contents = [f"{trip.root}/speed/measured" for trip in group]
+        contents.append(f"{group[0].root}/speed/limit")
+        if trajectory and direction != "reverse":
+            contents.append("/trajectory/speed")
+        coloured = {
+            f"{trip.root}/speed/measured": rr.SeriesLines(
+                names=trip.name, colors=[trip.colour]
+            ).visualizer()
+            for trip in group
+        }
+        top = max(trip.tops.get("speed", 1.0) for trip in group)
+        rows.append(plot(contents, f"Speed {direction} [km/h]", top, coloured))
+    rows.extend(
+        plot(
+            [f"{line}/maximum_adhesion/{path_of(layer)[1:]}/**" for layer in layers],
+            "Maximum adhesion along the line, in its own direction [1]",
+        )
+        for line in dict.fromkeys(trip.line for trip in trips if trip.layer)
+    )
+    chart = _map(trips, trips[0].layer, LARGE_MAP)
+    plots = rrb.Vertical(*rows)
+    if chart is None:
+        return rrb.Horizontal(plots, name="All trips")
+    return rrb.Horizontal(plots, chart, column_shares=[2.0, 1.0], name="All trips")
+
+
+def plot(
+    contents: list[str],
+    title: str,
+    top: float | None = None,
+    overrides: dict[str, Any] | None = None,
+) -> Any:
+    """A plot of entities on the shared time axis.
+
+    Parameters
+    ----------
+    contents : list of str
+        Entity paths.
+    title : str
+        With the unit.
+    top : float, optional
+        Upper end of the axis, which then begins at 0.
+    overrides : dict, optional
+        How single entities are drawn, by path.
+    """
+    return rrb.TimeSeriesView(
+        contents=contents,
+        name=title,
+        axis_x=_axis(),
+        axis_y=None if top is None else rrb.ScalarAxis(range=(0.0, top)),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+        overrides=overrides,
+    )
+
+
+def _axis() -> Any:
+    return rrb.TimeAxis(link="LinkToGlobal")
+
+
+def _map(trips: Sequence[Shown], layer: str, size: tuple[float, float]) -> Any | None:
+    """The line, the stations and the trains; None without coordinates."""
+    placed = [trip for trip in trips if trip.extent is not None]
+    if not placed:
+        return None
+    contents = [f"{trip.root}/place/**" for trip in placed]
+    title = "Line"
+    for line in dict.fromkeys(trip.line for trip in placed if trip.line):
+        contents += [f"{line}/track", f"{line}/stations/**"]
+        if layer:
+            contents.append(f"{line}/condition/{path_of(layer)[1:]}")
+            title = f"Line; dots: maximum adhesion, {layer}, bright is high"
+    extent = np.stack([trip.extent for trip in placed if trip.extent is not None])
+    whole = np.column_stack((extent[:, :, 0].min(axis=0), extent[:, :, 1].max(axis=0)))
+    return rrb.MapView(contents=contents, name=title, zoom=_zoom(whole, size))
+
+
+def _zoom(extent: FloatArray, size: tuple[float, float]) -> float:
+    """The map's zoom level at which `extent` fills `size` (height, width in points).
+
+    At level z the equator is 256 times 2^z points long (Web Mercator).
+    """
+    (south, north), (west, east) = extent
+    height, width = size
+    across = np.array([(north - south) / np.cos(np.radians(0.5 * (north + south))), east - west])
+    levels = np.log2(np.array([height, width]) * 360.0 / (256.0 * np.maximum(across, 1e-4)))
+    return float(np.clip(levels.min(), 1.0, 18.0))
+
+
+def _events(trip: Shown) -> Any | None:
+    if not trip.shows("events"):
+        return None
+    return rrb.TextLogView(
+        origin=f"{trip.root}/events",
+        name="Events",
+        columns=rrb.TextLogColumns(
+            timeline_columns=[ELAPSED, POSITION],
+            text_log_columns=["LogLevel", "Body"],
+        ),
+    )
+
+
+def _about(trip: Shown) -> Any:
+    return rrb.TextDocumentView(origin=f"{trip.root}/about", name="Trip")

@@ -1,0 +1,209 @@
+"""The Rerun viewer: opened for a person, or asked for a picture without a screen."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import rerun as rr
+from rerun.experimental import ViewerClient
+
+from trainlog.errors import InputError
+from trainlog.formats.files import atomic_write
+
+HOST = "127.0.0.1"
+"""Rerun would else listen on every network."""
+
+STARTING = 60.0
+"""How long a viewer may take until it shows a recording [s]."""
+
+SETTLING = 6.0
+"""How long it is left to draw, and its greetings to fade, before its picture is taken [s]."""
+
+
+def open_viewer(path: str | Path) -> str:
+    """Open a recording in the Rerun viewer if there is a display; tell what was done.
+
+    The viewer goes on when this process ends, sends no usage data, and listens on this machine
+    alone.
+
+    Returns
+    -------
+    str
+        For the user: that the viewer opens, or how to open the recording elsewhere.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    """
+    recording = Path(path).resolve()
+    if not recording.is_file():
+        raise InputError("does not exist", file=path, remedy="write it with record_replay")
+    if not has_display():
+        return (
+            f"No display here; the replay is {recording}. Where there is one:"
+            f" pip install rerun-sdk=={rr.__version__}, then: rerun {recording.name}"
+        )
+    subprocess.run(
+        _command("--detach-process", "--port", "auto", str(recording)),
+        env=quiet(os.environ),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+    )
+    return f"The Rerun viewer opens with {recording}"
+
+
+def has_display(environment: Mapping[str, str] | None = None, platform: str = sys.platform) -> bool:
+    """Whether a window can be opened for somebody to look at.
+
+    On Windows and macOS always, unless this is a remote shell or a continuous integration run;
+    elsewhere where X11 or Wayland say so.
+    """
+    variables = os.environ if environment is None else environment
+    if variables.get("CI"):
+        return False
+    if platform in ("win32", "cygwin", "darwin"):
+        return not variables.get("SSH_CONNECTION")
+    return bool(variables.get("DISPLAY") or variables.get("WAYLAND_DISPLAY"))
+
+
+def quiet(environment: Mapping[str, str]) -> dict[str, str]:
+    """The environment for a viewer that sends no usage data, whatever its own settings say.
+
+    Rerun sends none from continuous integration, which it knows by this variable.
+    """
+    return {**environment, "CI": "true"}
+
+
+def take_picture(
+    recording: str | Path,
+    image: str | Path,
+    *,
+    size: tuple[int, int] = (1600, 1000),
+    timeline: str | None = None,
+    at: int = 0,
+) -> list[str]:
+    """Show a recording in a viewer without a window and save what it shows.
+
+    Parameters
+    ----------
+    recording : path
+    image : path
+        PNG, written whole or not at all.
+    size : (int, int)
+        Width and height in pixels.
+    timeline : str, optional
+        To show instead of the layout's own.
+    at : int
+        Where on that timeline: nanoseconds or, on the position timeline, millimetres.
+
+    Returns
+    -------
+    list of str
+        Names of the views that are shown.
+
+    Raises
+    ------
+    InputError
+        If there is no such recording, it cannot be shown, or the picture not be written.
+    """
+    if not Path(recording).is_file():
+        raise InputError("does not exist", file=recording, remedy="write it with record_replay")
+    with _headless(Path(recording).resolve(), size) as viewer:
+        if timeline is not None:
+            _set_time(viewer, timeline, at)
+        time.sleep(SETTLING)
+        with atomic_write(image) as temporary:
+            viewer.save_screenshot(str(temporary.resolve()))
+        return sorted(view.name for view in viewer.get_state().views)
+
+
+@contextmanager
+def _headless(recording: Path, size: tuple[int, int]) -> Iterator[Any]:
+    """A client of a viewer that has loaded the recording; the viewer ends with the block."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        port = probe.getsockname()[1]
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        log = Path(folder) / "log"
+        environment = quiet({"XDG_RUNTIME_DIR": folder, **os.environ})
+        window = f"{size[0]}x{size[1]}"
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                _command(
+                    *("--headless", "--hide-welcome-screen", "--window-size", window),
+                    *("--port", str(port), str(recording)),
+                ),
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            try:
+                yield _connected(process, port, recording, log)
+            finally:
+                _end(process)
+
+
+def _connected(process: subprocess.Popen[bytes], port: int, recording: Path, log: Path) -> Any:
+    deadline = time.monotonic() + STARTING
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            viewer = ViewerClient(f"rerun+http://{HOST}:{port}/proxy")
+            state = viewer.get_state()
+        except (RuntimeError, ConnectionError, OSError, ValueError):
+            time.sleep(0.25)
+            continue
+        if not state.loading and any(each.timelines for each in state.recordings):
+            return viewer
+        time.sleep(0.25)
+    raise InputError(
+        f"the Rerun viewer does not show it{_last_words(log)}",
+        file=recording,
+        remedy="it needs a Vulkan driver, in software too (Debian: mesa-vulkan-drivers)",
+    )
+
+
+def _set_time(viewer: Any, timeline: str, at: int) -> None:
+    state = viewer.get_state()
+    kinds = {each.name: each.time_type for one in state.recordings for each in one.timelines}
+    if timeline not in kinds:
+        raise InputError(
+            f"the recording has no timeline '{timeline}'", remedy=f"it has: {', '.join(kinds)}"
+        )
+    kind = kinds[timeline]
+    viewer.set_time(timeline, play_state="paused", **{kind: at if kind == "sequence" else at / 1e9})
+
+
+def _command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "rerun_cli", "--bind", HOST, *arguments]
+
+
+def _last_words(log: Path) -> str:
+    """What the viewer said last, in one line."""
+    lines = [line for line in log.read_text("utf-8", "replace").splitlines() if line.strip()]
+    told = next((line for line in lines if "adapter" in line or "panicked" in line), "")
+    return f": {told.strip()}" if told else ""
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the viewer with the wrapper that started it."""
+    if sys.platform == "win32":
+        command = ["taskkill", "/PID", str(process.pid), "/T", "/F"]
+        subprocess.run(command, capture_output=True, check=False)
+    elif process.poll() is None:
+        os.killpg(process.pid, signal.SIGTERM)
+    process.wait(10.0)
