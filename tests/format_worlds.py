@@ -243,6 +243,6 @@ def assert_same(found: Any, expected: Any, tolerance: float = 0.0) -> None:
         for left, right in zip(found, expected, strict=True):
             assert_same(left, right, tolerance)
     elif isinstance(expected, float | np.ndarray):
-        np.testing.assert_allclose(found, expected, rtol=tolerance, atol=0.0)
+        np.testing.assert_allclose(found, expected, rtol=tolerance, atol=1e-290 * tolerance)
     else:
         assert found == expected

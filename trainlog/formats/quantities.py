@@ -67,7 +67,8 @@ def _rounded(values: FloatArray, digits: int) -> FloatArray:
 def _to_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:
     """Convert, telling a wrong unit in pydantic's way so that its place is kept."""
     try:
-        converted = to_si(values, unit, si)
+        with np.errstate(over="ignore"):
+            converted = to_si(values, unit, si)
     except InputError as error:
         raise PydanticCustomError(
             "unit",

@@ -10,7 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import PydanticSerializationError
 
 from trainlog.errors import InputError
 from trainlog.formats.files import parse_json
@@ -70,8 +72,7 @@ class File(Part):
 
     def to_bytes(self) -> bytes:
         """The file's bytes: canonical units, parts that say nothing left out."""
-        body = self.model_dump(exclude_none=True)
-        return to_bytes({"format": self.FORMAT, "version": self.VERSION} | plain(body))
+        return to_bytes({"format": self.FORMAT, "version": self.VERSION} | dumped(self))
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -86,10 +87,29 @@ def checked(model: type[Model], content: Any, file: str | Path) -> Model:
         raise told(error, file) from error
 
 
+def dumped(part: Part) -> dict[str, Any]:
+    """What a part writes into its file: keys and plain values, nothing for what is None.
+
+    Raises
+    ------
+    InputError
+        If a value cannot be written; names its key.
+    """
+    try:
+        content: dict[str, Any] = plain(part.model_dump(by_alias=True, exclude_none=True))
+    except PydanticSerializationError as error:
+        if isinstance(error.__cause__, InputError):
+            raise error.__cause__ from None
+        raise
+    return content
+
+
 def built(make: Callable[[], Result], file: str | Path) -> Result:
     """`make()`, with the file's name added to the InputError it may raise."""
     try:
-        return make()
+        # Numbers near the end of the doubles overflow in the checks, which then refuse them.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return make()
     except InputError as error:
         if error.file is not None:
             raise

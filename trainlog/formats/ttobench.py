@@ -15,8 +15,8 @@ from trainlog.formats import journey as journey_format
 from trainlog.formats import line as line_format
 from trainlog.formats import train as train_format
 from trainlog.formats.files import read_json, write_bytes
-from trainlog.formats.layout import plain, to_bytes
-from trainlog.formats.schema import built, checked
+from trainlog.formats.layout import to_bytes
+from trainlog.formats.schema import built, checked, dumped
 from trainlog.formats.ttobench_layout import JourneyLayout, Layout, TrackLayout, TrainLayout
 from trainlog.railway.journey import Journey
 from trainlog.railway.line import Line
@@ -142,7 +142,7 @@ def _read(model: type[_Layout], kind: Kind, path: str | Path) -> _Layout:
 
 
 def _write(layout: Layout, path: str | Path) -> None:
-    write_bytes(path, to_bytes(plain(layout.model_dump(by_alias=True, exclude_none=True))))
+    write_bytes(path, to_bytes(dumped(layout)))
 
 
 def _detect(content: Any, path: str | Path) -> Kind:

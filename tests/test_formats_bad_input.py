@@ -1,0 +1,333 @@
+"""Bad files are refused in one line that names the file, the place and what is wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_formats_roundtrip import simple_line, simple_train
+
+from trainlog.errors import InputError
+from trainlog.formats.condition import map_from_bytes, map_to_bytes
+from trainlog.formats.journey import journey_from_bytes, journey_to_bytes
+from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
+from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
+from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
+from trainlog.formats.trajectory import trajectory_from_bytes, trajectory_to_bytes
+from trainlog.railway import (
+    BrakingCurves,
+    Configuration,
+    ParameterSet,
+    RunningResistance,
+    TrackConditionMap,
+    Trajectory,
+)
+from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.journey import Journey, TimingPoint
+
+CONFIGURATION = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
+LAYER = ConditionLayer(
+    *(np.zeros(2) for _ in range(2)),
+    np.array([True, False]),
+    *(np.zeros(2) for _ in range(3)),
+    np.zeros((2, 3)),
+)
+GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
+    "line": (line_to_bytes(simple_line()), line_from_bytes),
+    "train": (train_to_bytes(simple_train()), train_from_bytes),
+    "journey": (
+        journey_to_bytes(Journey("J", "L", (TimingPoint(0.0, 0.0), TimingPoint(9.0, 5.0, 6.0)))),
+        journey_from_bytes,
+    ),
+    "parameters": (
+        parameters_to_bytes(
+            ParameterSet("T", (CONFIGURATION,), common_covariance=np.eye(3), provenance={"a": 1})
+        ),
+        parameters_from_bytes,
+    ),
+    "trajectory": (
+        trajectory_to_bytes(
+            Trajectory(
+                "L",
+                "T",
+                np.array([0.0, 5.0, 9.0]),
+                (CONFIGURATION,),
+                np.ones((1, 3)),
+                np.ones((1, 3)),
+                np.ones(2),
+                np.ones((1, 2)),
+                9.0,
+            )
+        ),
+        trajectory_from_bytes,
+    ),
+    "map": (
+        map_to_bytes(TrackConditionMap("L", 50.0, 25.0, np.array([0.1, 0.2, 0.3]), {"dry": LAYER})),
+        map_from_bytes,
+    ),
+}
+
+
+def refused(kind: str, change: Callable[[Any], None]) -> str:
+    """The one line with which a changed good file is refused."""
+    data, read = GOOD[kind]
+    content = json.loads(data)
+    change(content)
+    with pytest.raises(InputError) as caught:
+        read(json.dumps(content).encode(), file="f.json")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def setting(path: str, value: Any) -> Callable[[Any], None]:
+    """A change that sets ``a.b.3.c`` to a value."""
+
+    def change(content: Any) -> None:
+        *way, last = [int(part) if part.isdigit() else part for part in path.split(".")]
+        for part in way:
+            content = content[part]
+        content[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_good_files_are_good(kind: str) -> None:
+    data, read = GOOD[kind]
+    read(data, file="f.json")
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_a_file_of_another_format_is_told_so(kind: str) -> None:
+    told = refused(kind, setting("format", "trainlog/other"))
+    assert told.startswith("f.json, format: is a file of format 'trainlog/other', expected 'trai")
+    told = refused(kind, lambda content: content.pop("format"))
+    assert "has no key 'format'; bring foreign files in with 'trainlog import'" in told
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_a_newer_version_is_told_so(kind: str) -> None:
+    told = refused(kind, setting("version", 2))
+    assert (
+        told == "f.json, version: version 2 is newer than this trainlog knows (1); update trainlog"
+    )
+    assert "version None is not one that" in refused(kind, lambda content: content.pop("version"))
+    assert "version True is not one that" in refused(kind, setting("version", True))
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_an_unknown_key_is_named(kind: str) -> None:
+    told = refused(kind, setting("colour", "red"))
+    assert told == "f.json, colour: unknown key 'colour'; correct its spelling or remove it"
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_every_truncation_is_refused_in_one_line(kind: str) -> None:
+    data, read = GOOD[kind]
+    for end in range(0, len(data) - 2, 7):
+        with pytest.raises(InputError) as caught:
+            read(data[:end], file="f.json")
+        assert str(caught.value).startswith("f.json")
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", GOOD)
+@pytest.mark.parametrize("content", [b"[]", b"3", b'"text"', b"null", b'{"a": 1}'])
+def test_other_json_is_refused(kind: str, content: bytes) -> None:
+    with pytest.raises(InputError, match=r"^f\.json: is not a trainlog/"):
+        GOOD[kind][1](content, file="f.json")
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_no_wrong_value_anywhere_makes_a_traceback(kind: str) -> None:
+    """Every value of a good file in turn is replaced by nonsense of another type."""
+    data, read = GOOD[kind]
+
+    def places(content: Any) -> list[tuple[Any, Any]]:
+        items = content.items() if isinstance(content, dict) else enumerate(content)
+        found = []
+        for key, value in list(items):
+            found.append((content, key))
+            if isinstance(value, dict | list):
+                found += places(value)
+        return found
+
+    for index in range(len(places(json.loads(data)))):
+        for nonsense in ("x", None, [], {}, -7, True, 1e308, [[1]], {"value": 1}):
+            content = json.loads(data)
+            parent, key = places(content)[index]
+            parent[key] = nonsense
+            try:
+                read(json.dumps(content).encode(), file="f.json")
+            except InputError as error:
+                message = str(error)
+            else:
+                message = "f.json: free text or a number that may be anything"
+            assert message.startswith("f.json")
+            assert "\n" not in message
+
+
+LINE_CASES = [
+    ("length.unit", "kg", "f.json, length.unit: unit 'kg' cannot be read as m; declare a unit of"),
+    ("length.unit", "furlongish", "f.json, length.unit: unit 'furlongish' cannot be read as m"),
+    ("length.value", -1, "f.json: line 'L': length -1.0 m is not positive"),
+    ("length.value", "1", "f.json, length.value: input should be a valid number"),
+    ("length.value", True, "f.json, length.value: input should be a valid number"),
+    ("length", {"value": 1}, "f.json, length.unit: 'unit' is missing; add it"),
+    ("name", "", "f.json, name: string should have at least 1 character"),
+    ("speed_limits.units.speed", "m", "f.json, speed_limits.units.speed: unit 'm' cannot be read"),
+    ("speed_limits.values.1", [300], "f.json, speed_limits.values[1][1]: '1' is missing; add it"),
+    ("speed_limits.values.1", [0, 9], "f.json, speed_limits.values[1]: position 0 m follows 0 m"),
+    ("speed_limits.values.0.0", 5, "f.json, speed_limits.values: the first row is not at position"),
+    ("speed_limits.values", [], "f.json, speed_limits.values: the first row is not at position 0"),
+    ("speed_limits.values.1.1", 0, "f.json: line 'L': speed limit at km 0.400 is not positive; a"),
+    ("speed_limits.values.1.1", None, "f.json, speed_limits.values[1][1]: input should be a valid"),
+    ("gradients.values.0.1", 300, "f.json: line 'L': gradient at km 0.000 is steeper than 200 per"),
+    ("stations.values.1.1", 2000, "f.json: line 'L': station at km 2.000 lies before the line's"),
+    ("stations.values.0.0", 7, "f.json, stations.values[0][0]: input should be a valid string"),
+    (
+        "curvatures",
+        {
+            "units": {"position": "m", "radius_at_start": "m", "radius_at_end": "m"},
+            "values": [[0, "straight", 500]],
+        },
+        "f.json, curvatures.values[0][1]: should be a finite number or 'infinity'",
+    ),
+    (
+        "curvatures",
+        {
+            "units": {"position": "m", "radius_at_start": "m", "radius_at_end": "m"},
+            "values": [[0, "infinity", 500], [9, 500, 0]],
+        },
+        "f.json, curvatures.values[1]: the radius is 0 m; straight track has the radius 'infinity'",
+    ),
+    (
+        "tunnels",
+        {
+            "units": {"position": "m", "length": "m", "cross_section": "m^2"},
+            "values": [[900, 200, 40]],
+        },
+        "f.json: line 'L': tunnel at km 0.900 leaves the line",
+    ),
+    (
+        "geometry",
+        {
+            "quality": "q",
+            "track": {
+                "units": {"position": "m", "latitude": "deg", "longitude": "deg"},
+                "values": [[0, 9, 47], [9, 95, 47]],
+            },
+        },
+        "f.json: geometry: a coordinate is beyond 90° of latitude or 180° of longitude; give degr",
+    ),
+    (
+        "braking_parameters",
+        {"Kt_ind": {"value": 1, "unit": "1"}},
+        "f.json, braking_parameters.Kt_ind: unknown key 'Kt_ind'; correct its spelling",
+    ),
+]
+TRAIN_CASES = [
+    ("mass.value", -122, "f.json: train 'T': mass -122000.0 is not positive"),
+    ("mass.value", 0, "f.json: train 'T': mass 0.0 is not positive"),
+    ("mass.unit", "kN", "f.json, mass.unit: unit 'kN' cannot be read as kg"),
+    ("efficiency_traction.value", 900, "f.json: train 'T': efficiency_traction 9.0 is not between"),
+    ("axles.count", 0, "f.json, axles.count: input should be greater than 0"),
+    ("axles.count", 4.5, "f.json, axles.count: input should be a valid integer"),
+    ("axles.wheel_radius.value", 0, "f.json, axles.wheel_radius: must be positive"),
+    ("running_resistance.r3", 1, "f.json, running_resistance.r3: unknown key 'r3'"),
+    ("running_resistance.r1.unit", "kN", "f.json, running_resistance.r1.unit: unit 'kN' cannot"),
+    ("max_speed", 160, "f.json, max_speed: input should be a valid dictionary"),
+]
+OTHER_CASES = [
+    ("journey", "timing_points.values.0.1", -1, "f.json: journey 'J': time window at km 0.000 has"),
+    ("journey", "timing_points.values.1.2", 4, "f.json: journey 'J': time window at km 0.009 ends"),
+    ("journey", "timing_points.values.0.0", 50, "f.json: journey 'J': timing point at km 0.009 co"),
+    ("journey", "timing_points.values", [], "f.json: journey 'J': needs at least a departure and"),
+    ("parameters", "configurations.0.mass.value", -1, "f.json: configuration 'a': mass and power"),
+    ("parameters", "common_covariance.values.1", [1], "f.json, common_covariance.values: needs 3"),
+    (
+        "parameters",
+        "common_covariance.units.r1",
+        "N",
+        "f.json, common_covariance.units: unit 'N' c",
+    ),
+    ("trajectory", "positions.values", [0, 9, 9], "f.json, positions.values[2]: positions must in"),
+    (
+        "trajectory",
+        "positions.values",
+        [0, 9],
+        "f.json: trajectory: speeds has shape (1, 3), needs",
+    ),
+    ("trajectory", "speeds.values.0.1", -3, "f.json, speeds.values: must not be negative"),
+    ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times: rows differ in length"),
+    ("trajectory", "configurations", [], "f.json, configurations: list should have at least 1 it"),
+    ("map", "layers.dry.log_std.values", [1], "f.json, layers.dry.log_std: has 1 values, needs 2;"),
+    (
+        "map",
+        "layers.dry.observed",
+        [1, 0],
+        "f.json, layers.dry.observed[0]: input should be a vali",
+    ),
+    ("map", "bin_length.value", 0, "f.json, bin_length: must be positive"),
+    (
+        "map",
+        "length.value",
+        1e15,
+        "f.json, layers.dry.log_mean: has 2 values, needs 40000000000000",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "path", "value", "message"),
+    [
+        *(("line", *case) for case in LINE_CASES),
+        *(("train", *case) for case in TRAIN_CASES),
+        *OTHER_CASES,
+    ],
+)
+def test_nonsense_is_refused_at_its_place(kind: str, path: str, value: Any, message: str) -> None:
+    told = refused(kind, setting(path, value))
+    assert told.startswith(message), told
+
+
+def test_a_misspelt_key_is_named_before_the_missing_one() -> None:
+    def misspell(content: Any) -> None:
+        content["gradeints"] = content.pop("gradients")
+
+    told = refused("line", misspell)
+    assert told.startswith("f.json, gradeints: unknown key 'gradeints' (and 1 more problem); corr")
+
+
+@pytest.mark.parametrize("number", [b"NaN", b"Infinity", b"-Infinity"])
+def test_numbers_that_json_has_not_are_refused(number: bytes) -> None:
+    data = GOOD["train"][0].replace(b"122", number)
+    with pytest.raises(InputError, match=rf"^f\.json, line 6, column 21: {number.decode()} is not"):
+        train_from_bytes(data, file="f.json")
+
+
+def test_a_number_too_large_for_a_double_is_refused() -> None:
+    data = GOOD["train"][0].replace(b"122", b"1e999")
+    with pytest.raises(InputError, match=r"^f\.json, mass\.value: is not a finite number"):
+        train_from_bytes(data, file="f.json")
+
+
+def test_errors_name_the_file_that_was_read(tmp_path: Path) -> None:
+    path = tmp_path / "broken.json"
+    path.write_bytes(b"{")
+    for read in (read_line, read_train):
+        with pytest.raises(InputError) as caught:
+            read(path)
+        assert caught.value.file == path
+
+
+def test_unknown_braking_parameters_are_not_dropped_when_written() -> None:
+    from dataclasses import replace
+
+    train = replace(simple_train(), braking_curves=BrakingCurves(parameters={"T_new": 1.0}))
+    with pytest.raises(InputError, match="parameter 'T_new' is not known, so its unit is not"):
+        train_to_bytes(train)
