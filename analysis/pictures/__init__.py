@@ -1,0 +1,1 @@
+"""Pictures of results: matplotlib on an Agg canvas, km and km/h on the axes."""

@@ -1,0 +1,55 @@
+"""One look for all pictures: colours, sizes, how a figure is begun and written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from trainlog.formats.files import atomic_write
+
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#d55e00",
+    "#8e5ea2",
+    "#56b4e9",
+)
+"""Colours that colour-blind readers can tell apart (Okabe and Ito)."""
+
+INK, GREY, PALE = "#222222", "#7f7f7f", "#d0d0d0"
+"""Text and lines; data in the background; grids."""
+
+DOTS_PER_INCH = 150
+
+
+def new_figure(width: float = 9.0, height: float = 5.0) -> Figure:
+    """An empty figure of `width` by `height` [inch] on an Agg canvas; needs no display."""
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def dress(axes: Axes, *, x: str, y: str, title: str = "") -> Axes:
+    """Label an axes and give it the common look."""
+    axes.set_xlabel(x, color=INK)
+    axes.set_ylabel(y, color=INK)
+    if title:
+        axes.set_title(title, loc="left", fontsize=10, color=INK)
+    axes.grid(visible=True, color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(GREY)
+    axes.tick_params(colors=INK, labelsize=9)
+    return axes
+
+
+def write_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, whole or not at all, the same bytes for the same figure."""
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})

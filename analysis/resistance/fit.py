@@ -1,0 +1,336 @@
+"""Running resistance and mass of one trip, with the reason where it cannot be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.power import power_limit
+from analysis.resistance.recording import Prepared, SpeedScale, prepare
+from analysis.resistance.regression import Regression, regress
+from analysis.resistance.windows import Windows, build_windows
+from trainlog.errors import NotIdentifiableError
+from trainlog.formats.attached import line_of, train_of
+from trainlog.railway.line import Line
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Train
+from trainlog.topics import ESTIMATED_RESISTANCE
+from trainlog.trip import Trip, frame_of
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+
+LOWEST_SPEED = 5.0
+"""Lowest speed that is asked for unless the caller says otherwise [m/s]."""
+
+LARGEST_CONDITION = 300.0
+"""Column-normalised condition number beyond which the parameters cannot be told apart."""
+
+LARGEST_STD = 0.10
+"""Standard deviation of the curve, over the curve, beyond which it is refused."""
+
+FEWEST_WINDOWS = 20
+"""Fewer windows than this are too short a trip."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowPoints:
+    """The data as points of the drag curve, one a window; (n,) arrays.
+
+    Attributes
+    ----------
+    speed : array [m/s]
+    resistance, std : array [N]
+        Mean running resistance over the window, from the window alone and the fitted mass.
+    used : bool array
+        False for outliers.
+    """
+
+    speed: FloatArray
+    resistance: FloatArray
+    std: FloatArray
+    used: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """What the recursion knew after each window.
+
+    Attributes
+    ----------
+    time : (n,) DatetimeIndex
+    speed : (n,) array [m/s]
+    beta : (n, 4) array
+        r0, r1, r2 and mass.
+    covariance : (n, 4, 4) array
+    """
+
+    time: pd.DatetimeIndex
+    speed: FloatArray
+    beta: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class TripFit:
+    """Running resistance and mass as observed on one trip.
+
+    Attributes
+    ----------
+    trip, train : str
+    resistance : RunningResistance
+        On straight, level, open track.
+    mass : float [kg]
+        Loaded, without the rotating part.
+    covariance : (4, 4) array
+        Of r0 [N], r1 [N/(m/s)], r2 [N/(m/s)²] and mass [kg].
+    freedom : int
+        Degrees of freedom of the residuals.
+    rotating_mass : float [kg]
+        Taken from the train's file.
+    max_power : float or None [W]
+        From the stretches at the power limit; None if there was none.
+    asked : (float, float) [m/s]
+        Speeds between which the curve was asked for.
+    speed_range : (float, float) [m/s]
+        Speeds that the windows cover.
+    condition : float
+        Column-normalised condition number of the regressors.
+    scale : SpeedScale
+        What measured speed was divided by.
+    noise : dict of str to float
+        Sizes of the noise: ``speed`` [m/s], ``gradient``, ``position`` [m], ``effort``.
+    nuisance : dict of str to float
+        ``delay`` of the recorded effort [s], ``brake_scale``.
+    cluster_factor : float
+        What the noise model's variances were multiplied by because neighbouring windows err
+        together; 1 if they agree with it.
+    residual_std : float
+        Of the whitened residuals; 1 if the noise is what it is taken for.
+    residual_correlation : float
+        Between neighbouring whitened residuals; 0 if the model leaves nothing out.
+    windows : dict of str to int
+        ``used`` and left out as ``outlier``.
+    masked : dict of str to float [s]
+        Time masked, by reason.
+    points : WindowPoints
+    history : History
+    """
+
+    trip: str
+    train: str
+    resistance: RunningResistance
+    mass: float
+    covariance: FloatArray
+    freedom: int
+    rotating_mass: float
+    max_power: float | None
+    asked: tuple[float, float]
+    speed_range: tuple[float, float]
+    condition: float
+    scale: SpeedScale
+    noise: dict[str, float]
+    nuisance: dict[str, float]
+    cluster_factor: float
+    residual_std: float
+    residual_correlation: float
+    windows: dict[str, int]
+    masked: dict[str, float]
+    points: WindowPoints
+    history: History
+
+    @property
+    def mass_std(self) -> float:
+        """Standard deviation of the mass [kg]."""
+        return float(np.sqrt(self.covariance[3, 3]))
+
+    @property
+    def beta(self) -> FloatArray:
+        """r0, r1 and r2 as an array (3,)."""
+        return np.array([self.resistance.r0, self.resistance.r1, self.resistance.r2])
+
+    def std(self, speed: ArrayLike) -> FloatArray:
+        """Standard deviation of the curve [N] at each speed [m/s]."""
+        return curve_std(self.covariance[:3, :3], speed)
+
+    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end [N] of the 95 % band of the whole curve at each speed [m/s].
+
+        It holds the true curve between the speeds asked for, all of it, in 95 of 100 trips.
+        """
+        factor = band_factor(self.covariance[:3, :3], self.asked, self.freedom)
+        value, reach = self.resistance(speed), factor * self.std(speed)
+        return value - reach, value + reach
+
+
+def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
+    """Fit running resistance and mass to a trip.
+
+    Parameters
+    ----------
+    trip : Trip
+        With ``/train/state`` and ``/train/controls``, its line and its train; ``/train/axles``
+        and ``/gnss/motion`` make the fit sharper.
+    speeds : (float, float) [m/s], optional
+        Speeds between which the curve is asked for; default 5 m/s to the line's highest speed
+        that the train can do.
+
+    Returns
+    -------
+    TripFit
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the trip does not determine the curve; the message says why.
+    LogError
+        If the trip lacks a topic, its line or its train.
+    """
+    line, train = line_of(trip), train_of(trip)
+    asked = speeds or (LOWEST_SPEED, _line_speed(line, train))
+    prepared = prepare(trip, line, train)
+    windows = build_windows(prepared.recording)
+    _check_windows(trip, windows, prepared)
+    mass, mass_std = mass_prior(train)
+    regression = regress(windows, mass, mass_std)
+    covariance = _with_scale(regression, prepared.scale)
+    _check_curve(trip, regression, covariance, asked)
+    used = windows.select(regression.kept)
+    residual = regression.residual
+    return TripFit(
+        trip=trip.name,
+        train=train.name,
+        resistance=RunningResistance(*regression.beta[:3].tolist()),
+        mass=float(regression.beta[3]),
+        covariance=covariance,
+        freedom=used.count - 4,
+        rotating_mass=train.rotating_mass,
+        max_power=power_limit(trip, prepared),
+        asked=asked,
+        speed_range=(float(used.mean_speed.min()), float(used.mean_speed.max())),
+        condition=regression.condition,
+        scale=prepared.scale,
+        noise=dict(
+            zip(("speed", "gradient", "position", "effort"), regression.noise.sizes, strict=True)
+        ),
+        nuisance={"delay": regression.delay, "brake_scale": regression.brake_scale},
+        cluster_factor=regression.cluster_factor,
+        residual_std=float(np.sqrt(residual @ residual / max(residual.size - 4, 1))),
+        residual_correlation=float(
+            residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300)
+        ),
+        windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
+        masked=prepared.masked,
+        points=_points(windows, regression),
+        history=History(
+            time=prepared.index[0] + pd.to_timedelta(np.round(used.end, 3), unit="s"),
+            speed=used.end_speed,
+            beta=regression.history,
+            covariance=regression.history_covariance,
+        ),
+    )
+
+
+def estimated_resistance(fit: TripFit) -> pd.DataFrame:
+    """The ``/estimates/running_resistance`` topic: what the recursion knew as the trip went on.
+
+    It begins when the curve at the present speed is known to 50 %.
+    """
+    history = fit.history
+    v = history.speed
+    basis = powers(v)
+    resistance = np.sum(history.beta[:, :3] * basis, axis=1)
+    std = np.sqrt(np.einsum("ni,nij,nj->n", basis, history.covariance[:, :3, :3], basis))
+    known = np.maximum.accumulate(std < 0.5 * resistance)
+    return frame_of(
+        ESTIMATED_RESISTANCE,
+        pd.DatetimeIndex(history.time[known]),
+        {
+            "r0": history.beta[known, 0],
+            "r1": history.beta[known, 1],
+            "r2": history.beta[known, 2],
+            "mass": history.beta[known, 3],
+            "resistance": resistance[known],
+            "resistance_std": std[known],
+        },
+    )
+
+
+def mass_prior(train: Train) -> tuple[float, float]:
+    """Mass that is expected before the trip and its standard deviation [kg]: weak.
+
+    Half the largest load, give or take all of it; 15 % of the empty mass where no largest load is
+    stated.
+    """
+    largest = train.max_load or 0.15 * train.mass
+    return train.mass + 0.5 * largest, largest
+
+
+def _line_speed(line: Line, train: Train) -> float:
+    return float(min(np.max(line.speed_limits.values), train.max_speed))
+
+
+def _with_scale(regression: Regression, scale: SpeedScale) -> FloatArray:
+    """The covariance with the uncertainty of the speed scale added.
+
+    If true speed is measured speed over kappa, r1, r2 and mass come out as r1/kappa, r2/kappa²
+    and m/kappa.
+    """
+    effect = regression.beta * np.array([0.0, 1.0, 2.0, 1.0]) * scale.std
+    return np.asarray(regression.covariance + np.outer(effect, effect))
+
+
+def _check_windows(trip: Trip, windows: Windows, prepared: Prepared) -> None:
+    if windows.count >= FEWEST_WINDOWS:
+        return
+    total = float(prepared.recording.time[-1])
+    reasons = ", ".join(
+        f"{reason} {seconds:.0f} s" for reason, seconds in prepared.masked.items() if seconds > 0.0
+    )
+    raise NotIdentifiableError(
+        f"trip '{trip.name}': only {windows.count} windows of 10 s can be used of {total:.0f} s"
+        f" (masked: {reasons or 'nothing'})",
+        remedy=f"running resistance needs {FEWEST_WINDOWS} windows free of friction braking",
+    )
+
+
+def _check_curve(
+    trip: Trip, regression: Regression, covariance: FloatArray, asked: tuple[float, float]
+) -> None:
+    if regression.condition > LARGEST_CONDITION:
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': speed and effort vary too little to tell mass and coefficients"
+            f" apart (condition number {regression.condition:.0f}, at most"
+            f" {LARGEST_CONDITION:.0f})",
+            remedy="a trip with starts, coasting and several speeds",
+        )
+    speed = np.linspace(*asked, 61)
+    std = curve_std(covariance[:3, :3], speed)
+    curve = RunningResistance(*regression.beta[:3].tolist())(speed)
+    share = np.where(curve > 0.0, std / np.maximum(curve, 1e-9), np.inf)
+    worst = int(np.argmax(share))
+    if share[worst] > LARGEST_STD:
+        told = f"{100.0 * share[worst]:.0f} %" if np.isfinite(share[worst]) else "the whole"
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {told}"
+            f" of itself only (standard deviation, at most {100.0 * LARGEST_STD:.0f} %)",
+            remedy="ask for a narrower range of speeds, or give a longer or more varied trip",
+        )
+
+
+def _points(windows: Windows, regression: Regression) -> WindowPoints:
+    mass = regression.beta[3]
+    impulse = windows.x[:, 0] - regression.delay * windows.effort_change
+    impulse = impulse - (regression.brake_scale - 1.0) * windows.braking
+    sizes = regression.noise
+    variance = 2.0 * sizes.speed**2 + sizes.effort**2 * windows.effort_square / mass**2
+    return WindowPoints(
+        speed=windows.mean_speed,
+        resistance=(impulse - mass * windows.y) / windows.duration,
+        std=mass * np.sqrt(variance) / windows.duration,
+        used=regression.kept,
+    )

@@ -1,0 +1,312 @@
+"""From a trip to the arrays of the regression: what is used, what is masked and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.resistance.windows import Recording
+from estimators.kalman import smooth_motion
+from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.railway.line import Line
+from trainlog.railway.train import Train
+from trainlog.trip import Trip, interpolated, seconds
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+STANDSTILL = 2.0
+"""Slower than this [m/s] counts as standing: wheel impulses are too few, drag is not Davis's."""
+
+SLIP = 1.0
+"""A wheel that differs from the train's speed by more than this [m/s] slips; creep stays below."""
+
+PNEUMATIC = 0.0005
+"""Friction braking above this share of the train's weight masks: its effort is not measured but
+inferred from pressure, and 10 to 20 % wrong."""
+
+BRAKED = 0.25
+"""Deceleration [m/s²] that only a brake causes, gradient aside; used where no brake is recorded."""
+
+MARGIN = 1.0
+"""Masked before and after anything that is masked [s]."""
+
+LONGEST_GAP = 0.5
+"""Longest time between two samples that is interpolated [s]."""
+
+SMOOTHING = 1.0
+"""Speed is smoothed in blocks of this length [s]; masks need no finer."""
+
+POSITION_STEP = 10.0
+"""Half the distance over which the effect of a position error is measured [m]."""
+
+LONGEST_SECTION = 2000.0
+"""Pieces of the gradient profile are not taken to be longer than this [m]: surveys err anew."""
+
+UNCALIBRATED_SCALE_STD = 0.004
+"""Standard deviation of the speed scale where nothing calibrates it: worn wheels."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedScale:
+    """Measured speed over true speed: the effect of a wrong wheel diameter.
+
+    Attributes
+    ----------
+    factor, std : float
+    source : str
+        What it was calibrated against: ``"GNSS speed"``, ``"balises"`` or ``"nothing"``.
+    """
+
+    factor: float
+    std: float
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A trip made ready for the regression.
+
+    Attributes
+    ----------
+    recording : Recording
+    index : (n,) DatetimeIndex
+    scale : SpeedScale
+    masked : dict of str to float [s]
+        Time masked, by reason; reasons may overlap.
+    """
+
+    recording: Recording
+    index: pd.DatetimeIndex
+    scale: SpeedScale
+    masked: dict[str, float]
+
+
+def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
+    """Bring a trip's topics onto one clock and mask what the equation of motion does not cover.
+
+    Parameters
+    ----------
+    trip : Trip
+        With ``/train/state`` and ``/train/controls``; ``/train/axles`` and ``/gnss/motion`` help.
+    line : Line
+        As travelled.
+    train : Train
+
+    Raises
+    ------
+    NotIdentifiableError
+        If no speed, no position or no tractive effort is recorded.
+    LogError
+        If time does not increase.
+    """
+    state, controls = trip["/train/state"], trip["/train/controls"]
+    for frame, column in ((state, "speed"), (state, "position"), (controls, "tractive_effort")):
+        if len(frame) < 2 or not frame[column].notna().any():
+            raise NotIdentifiableError(
+                f"trip '{trip.name}': no {column.replace('_', ' ')} recorded",
+                place=f"topic {frame.attrs['topic']}",
+                remedy="running resistance needs speed, chainage and tractive effort",
+            )
+    index = pd.DatetimeIndex(state.index)
+    time = seconds(state)
+    if np.any(np.diff(time) <= 0.0):
+        raise LogError(
+            f"trip '{trip.name}': time does not increase",
+            place=f"topic /train/state, row {int(np.argmax(np.diff(time) <= 0.0)) + 1}",
+            remedy="ingest the recording again; that repairs it",
+        )
+    measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
+    scale = speed_scale(trip, time, measured, position)
+    speed = measured / scale.factor
+    smooth, acceleration = _smoothed(time, speed)
+    traction, dynamic, pneumatic = (
+        interpolated(controls, name, index)
+        for name in ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
+    )
+    wheels = _wheel_speeds(trip, index) / scale.factor
+    masks = {
+        "gap": _gaps(time, [state, controls], index) | ~np.isfinite(speed + position + traction),
+        "standstill": ~(smooth >= STANDSTILL),
+        "braking": _braking(
+            controls,
+            index,
+            dynamic,
+            pneumatic,
+            acceleration + line.track_acceleration(np.nan_to_num(position)),
+            train,
+        ),
+        "slip": _slipping(time, wheels, smooth),
+    }
+    step = np.gradient(time)
+    masked = {reason: float(np.sum(step[mask])) for reason, mask in masks.items()}
+    bad = _widened(time, np.logical_or.reduce(list(masks.values())))
+    speed, position, traction = (np.nan_to_num(a) for a in (speed, position, traction))
+    dynamic = np.nan_to_num(dynamic)
+    tunnel = train.tunnel_coefficient(line.tunnel_cross_section(position))
+    section, nearest = _pieces(line, position)
+    recording = Recording(
+        time=time,
+        speed=speed,
+        effort=traction - dynamic - np.nan_to_num(pneumatic) - tunnel * speed**2,
+        braking=dynamic,
+        rotating_momentum=_rotating_momentum(train, speed, wheels),
+        track=line.track_acceleration(position),
+        track_slope=(
+            line.track_acceleration(position + POSITION_STEP)
+            - line.track_acceleration(position - POSITION_STEP)
+        )
+        / (2.0 * POSITION_STEP),
+        section=section,
+        nearest_edge=nearest,
+        usable=~bad,
+    )
+    return Prepared(recording, index, scale, masked)
+
+
+def speed_scale(
+    trip: Trip, time: FloatArray, speed: FloatArray, position: FloatArray
+) -> SpeedScale:
+    """Measured over true speed, from satellites or from chainage that balises correct.
+
+    A scale error of 0.3 % shifts a well-determined curve by more than its band; it is taken out
+    where it can be and charged to the band where it cannot.
+    """
+    known = np.isfinite(speed)
+    if "/gnss/motion" in trip and np.count_nonzero(known) > 1:
+        motion = trip["/gnss/motion"]
+        there = seconds(motion, pd.DatetimeIndex(trip["/train/state"].index)[0])
+        gnss = motion["speed"].to_numpy(np.float64)
+        own = np.interp(there, time[known], speed[known], left=np.nan, right=np.nan)
+        both = np.isfinite(gnss) & np.isfinite(own) & (own > 5.0)
+        if np.count_nonzero(both) >= 300:
+            ratio = float(own[both] @ gnss[both] / (gnss[both] @ gnss[both]))
+            rest = own[both] - ratio * gnss[both]
+            # Twice: neighbouring fixes share part of their error.
+            std = 2.0 * float(np.std(rest) / np.sqrt(gnss[both] @ gnss[both]))
+            return SpeedScale(ratio, std, "GNSS speed")
+    both = known & np.isfinite(position)
+    if np.count_nonzero(both) > 1:
+        t, v, s = time[both], speed[both], position[both]
+        steps = np.diff(s) - 0.5 * (v[1:] + v[:-1]) * np.diff(t)
+        corrections = steps[np.abs(steps) > 0.5]
+        distance = float(s[-1] - s[0])
+        if distance > 5000.0 and corrections.size >= 3:
+            ratio = float(np.trapezoid(v, t)) / distance
+            # What was not yet corrected at the end is about as large as one correction.
+            return SpeedScale(ratio, float(np.std(corrections)) / distance + 5e-5, "balises")
+    return SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
+
+
+def _smoothed(time: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Smoothed speed and acceleration at each sample.
+
+    Masks that follow the noise would select it.
+    """
+    known = np.isfinite(speed)
+    block = np.floor((time - time[0]) / SMOOTHING).astype(np.int64)
+    count = np.bincount(block[known])
+    filled = count > 0
+    mean_time = np.bincount(block[known], time[known])[filled] / count[filled]
+    mean_speed = np.bincount(block[known], speed[known])[filled] / count[filled]
+    if mean_time.size < 2:
+        return speed, np.zeros(time.size)
+    motion = smooth_motion(mean_time, mean_speed, 0.05)
+    return (
+        np.interp(time, mean_time, motion.speed),
+        np.interp(time, mean_time, motion.acceleration),
+    )
+
+
+def _wheel_speeds(trip: Trip, index: pd.DatetimeIndex) -> FloatArray:
+    """Speeds of the powered wheels (n, axles) [m/s]; no columns if none are recorded."""
+    if "/train/axles" not in trip:
+        return np.empty((len(index), 0))
+    axles = trip["/train/axles"]
+    names = [name for name in axles.columns if name.startswith("wheel_speed_")]
+    columns = [interpolated(axles, name, index) for name in names]
+    known = [column for column in columns if np.isfinite(column).any()]
+    return np.column_stack(known) if known else np.empty((len(index), 0))
+
+
+def _rotating_momentum(train: Train, speed: FloatArray, wheels: FloatArray) -> FloatArray:
+    """Momentum of the rotating parts [kg m/s]; powered axles turn at their own speed."""
+    own = train.axles.rotating_mass if wheels.shape[1] == train.axles.count else 0.0
+    own = min(own, train.rotating_mass / max(train.axles.count, 1))
+    rest = train.rotating_mass - own * train.axles.count
+    turning = np.where(np.isfinite(wheels), wheels, speed[:, None]).sum(axis=1)
+    return np.asarray(rest * speed + own * turning)
+
+
+def _braking(
+    controls: pd.DataFrame,
+    index: pd.DatetimeIndex,
+    dynamic: FloatArray,
+    pneumatic: FloatArray,
+    acceleration: FloatArray,
+    train: Train,
+) -> BoolArray:
+    """Where the braking effort is not known well enough.
+
+    The dynamic brake is measured like traction and stays in; the friction brake masks. If either
+    is not recorded, any demand for braking masks; without that, a deceleration (the track's part
+    taken off) that only a brake can cause.
+    """
+    threshold = PNEUMATIC * GRAVITY * train.mass
+    mask = np.nan_to_num(pneumatic) > threshold
+    unknown = ~np.isfinite(dynamic) | ~np.isfinite(pneumatic)
+    demand = interpolated(controls, "braking_effort_demand", index)
+    lever = interpolated(controls, "lever", index)
+    asked = (np.nan_to_num(demand) > threshold) | (np.nan_to_num(lever) < -0.02)
+    untold = ~np.isfinite(demand) & ~np.isfinite(lever)
+    return np.asarray(mask | (unknown & np.where(untold, acceleration < -BRAKED, asked)))
+
+
+def _slipping(time: FloatArray, wheels: FloatArray, smooth: FloatArray) -> BoolArray:
+    """Where a powered wheel turns at another speed than the train moves, beyond creep."""
+    width = max(1, round(LONGEST_GAP / float(np.median(np.diff(time)))))
+    kernel = np.ones(width) / width
+    mask = np.zeros(time.size, dtype=bool)
+    for wheel in wheels.T:
+        difference = np.nan_to_num(wheel - smooth)
+        mask |= np.abs(np.convolve(difference, kernel, mode="same")) > SLIP
+    return mask
+
+
+def _gaps(time: FloatArray, frames: list[pd.DataFrame], index: pd.DatetimeIndex) -> BoolArray:
+    """Samples that lie in, or just after, a gap of one of the topics."""
+    mask = np.zeros(time.size, dtype=bool)
+    for frame in frames:
+        there = seconds(frame, index[0])
+        after = np.clip(np.searchsorted(there, time, side="left"), 0, there.size - 1)
+        before = np.clip(np.searchsorted(there, time, side="right") - 1, 0, there.size - 1)
+        mask |= (there[after] - there[before] > LONGEST_GAP) | (there[before] > time)
+        mask |= there[after] < time
+    mask[1:] |= np.diff(time) > LONGEST_GAP
+    return mask
+
+
+def _widened(time: FloatArray, mask: BoolArray) -> BoolArray:
+    """The mask with `MARGIN` before and after."""
+    marked = np.concatenate(([0], np.cumsum(mask)))
+    first = np.searchsorted(time, time - MARGIN, side="left")
+    last = np.searchsorted(time, time + MARGIN, side="right")
+    return np.asarray(marked[last] > marked[first])
+
+
+def _pieces(line: Line, position: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Piece of the gradient profile at each position, and number of the nearest change."""
+    edges = line.gradients.positions
+    lengths = np.diff(np.append(edges, max(line.length, edges[-1] + 1.0)))
+    parts = np.maximum(np.ceil(lengths / LONGEST_SECTION), 1.0).astype(np.int64)
+    owner = np.repeat(np.arange(edges.size), parts)
+    number = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
+    starts = edges[owner] + number * (lengths / parts)[owner]
+    section = np.searchsorted(starts, position, side="right") - 1
+    changes = edges[1:]
+    nearest = np.searchsorted(0.5 * (changes[1:] + changes[:-1]), position)
+    return section.astype(np.int64), nearest.astype(np.int64)

@@ -1,0 +1,162 @@
+"""The regression over the windows: generalised least squares, run as a recursion.
+
+The windows are whitened (`analysis.resistance.noise`) and handed one by one to the UD-factorised
+recursion of `estimators.rls`: its answer after the last window is the generalised least-squares
+estimate, its answers on the way are what was known on the way.
+
+Two errors of the recorded efforts are estimated along as nuisances, with a prior: a delay against
+the speed, and a wrong scale of the dynamic brake against traction.
+
+The covariance is that of the noise model, made larger where neighbouring windows err together
+more than the model says (wind, say): the cluster-robust covariance of Liang and Zeger (1986,
+Biometrika 73(1), eq. 6), clusters being stretches of consecutive windows, gives the factor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.resistance.noise import NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.windows import Windows
+from estimators.rls import RecursiveLeastSquares
+
+FloatArray = NDArray[np.float64]
+
+DELAY_STD = 0.05
+"""Standard deviation of the delay of recorded efforts [s]: half a sample at 10 Hz."""
+
+BRAKE_SCALE_STD = 0.02
+"""Standard deviation of the dynamic brake's recorded effort over that of traction."""
+
+DRAG_STD = (1.0, 0.1, 0.01)
+"""Prior standard deviation of r0, r1, r2 over mass [m/s², 1/s, 1/m]: any train, many times."""
+
+OUTLIER = 5.0
+"""Windows whose whitened residual exceeds this many standard deviations are left out."""
+
+ROUNDS = 4
+"""Most rounds of leaving out outliers."""
+
+CLUSTER = 8
+"""Consecutive windows that form a cluster: one or two kilometres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """Running resistance and mass from a set of windows.
+
+    Attributes
+    ----------
+    beta : (4,) array
+        r0 [N], r1 [N/(m/s)], r2 [N/(m/s)²] and mass [kg].
+    covariance : (4, 4) array
+    history, history_covariance : (n, 4), (n, 4, 4) array
+        The same after each window used.
+    delay, brake_scale : float [s], [1]
+        The nuisances.
+    noise : NoiseModel
+    cluster_factor : float
+        What the noise model's variances were multiplied by; 1 if the windows agree with it.
+    residual : (n,) array
+        Whitened residuals.
+    kept : (windows,) bool array
+        Which windows were used; the others are outliers.
+    condition : float
+        Column-normalised condition number of the regressors.
+    """
+
+    beta: FloatArray
+    covariance: FloatArray
+    history: FloatArray
+    history_covariance: FloatArray
+    delay: float
+    brake_scale: float
+    noise: NoiseModel
+    cluster_factor: float
+    residual: FloatArray
+    kept: NDArray[np.bool_]
+    condition: float
+
+
+def regress(windows: Windows, mass: float, mass_std: float) -> Regression:
+    """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``.
+
+    Parameters
+    ----------
+    windows : Windows
+        At least a handful; refusing too few is the caller's business.
+    mass, mass_std : float [kg]
+        What is known beforehand; weak.
+
+    Returns
+    -------
+    Regression
+    """
+    spread = np.array([mass_std / mass**2, *DRAG_STD, DELAY_STD / mass, BRAKE_SCALE_STD / mass])
+    expected = np.array([1.0 / mass, 0.0, 0.0, 0.0, 0.0, 0.0])
+    prior = np.column_stack([np.diag(1.0 / spread), expected / spread])
+    kept = np.ones(windows.count, dtype=bool)
+    for _ in range(ROUNDS):
+        used = windows.select(kept)
+        parts = NoiseParts.of(used, mass)
+        columns = np.column_stack([used.x, -used.effort_change, -used.braking, used.y])
+        noise = estimate_noise(parts, columns, prior)
+        rows = parts.whiten(noise, columns)
+        recursion = RecursiveLeastSquares(spread, prior_mean=expected)
+        theta, covariances = (
+            np.asarray(after, dtype=np.float64)
+            for after in recursion.record(rows[:, :-1], rows[:, -1])
+        )
+        residual = rows[:, -1] - rows[:, :-1] @ theta[-1]
+        far = np.abs(residual) > OUTLIER
+        if not np.any(far):
+            break
+        kept[np.flatnonzero(kept)[far]] = False
+    factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, covariances[-1]))
+    beta, covariance = _physical(theta, factor * covariances)
+    return Regression(
+        beta=beta[-1],
+        covariance=covariance[-1],
+        history=beta,
+        history_covariance=covariance,
+        delay=float(theta[-1, 4] / theta[-1, 0]),
+        brake_scale=float(1.0 + theta[-1, 5] / theta[-1, 0]),
+        noise=noise,
+        cluster_factor=factor,
+        residual=residual,
+        kept=kept,
+        condition=condition_number(used.x),
+    )
+
+
+def condition_number(x: FloatArray) -> float:
+    """Condition number of a matrix with its columns normalised; infinite if a column is zero."""
+    norms = np.linalg.norm(x, axis=0)
+    if np.any(norms == 0.0):
+        return float("inf")
+    singular = np.linalg.svd(x / norms, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
+
+
+def _cluster_ratio(rows: FloatArray, residual: FloatArray, covariance: FloatArray) -> float:
+    """Cluster-robust variance over the model's, averaged over the parameters."""
+    begin = np.arange(0, residual.size, CLUSTER)
+    scores = np.add.reduceat(rows * residual[:, None], begin, axis=0)
+    count = begin.size
+    if count < 2:
+        return 1.0
+    spread = np.sum((scores @ covariance) * scores) * count / (count - 1)
+    return float(spread / rows.shape[1])
+
+
+def _physical(theta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """From the acceleration form (n, 6) to r0, r1, r2 and mass (n, 4), with the covariance."""
+    inverse_mass = theta[:, :1]
+    beta = np.column_stack([theta[:, 1:4] / inverse_mass, 1.0 / inverse_mass])
+    jacobian = np.zeros((len(theta), 4, theta.shape[1]))
+    jacobian[:, :, 0] = -beta / inverse_mass
+    jacobian[:, [0, 1, 2], [1, 2, 3]] = 1.0 / inverse_mass
+    return beta, jacobian @ covariance @ jacobian.transpose(0, 2, 1)

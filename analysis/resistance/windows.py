@@ -1,0 +1,242 @@
+"""Windows: a trip's samples as one row of a linear regression every ten seconds or so.
+
+The equation of motion of a train of mass m whose rotating parts carry the momentum p_rot,
+
+    m dv/dt + dp_rot/dt = F - m a_track(s) - r0 - r1 v - r2 v²,
+
+divided by m and integrated over a window gives the acceleration form
+
+    Δv + ∫ a_track dt = 1/m (∫ F dt - Δp_rot) - r0/m T - r1/m ∫ v dt - r2/m ∫ v² dt,
+
+linear in ``(1/m, r0/m, r1/m, r2/m)``. The measured speed change and the gradient stand on the
+left, so that the regressors carry next to no noise: what Δp_rot brings in is a tenth of the
+noise of Δv and biases 1/m by some 1e-6 of itself. Speed at a window's ends is averaged over half
+a second to either side; the integrals are averaged alike, so that the equation still holds
+exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+WINDOW = 10.0
+"""Length of a window [s]."""
+
+SHORTEST_WINDOW = 5.0
+"""A stretch that is shorter than a window but not than this [s] is one window."""
+
+HALF_AVERAGE = 0.5
+"""Speed at a window's ends is averaged over this time to either side [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What the regression needs of a trip, on one clock; all (n,) arrays.
+
+    Attributes
+    ----------
+    time : array [s]
+        Strictly increasing.
+    speed : array [m/s]
+        Measured, true to scale.
+    effort : array [N]
+        At the wheel rims: traction less braking less what tunnels add to the resistance.
+    braking : array [N]
+        Dynamic braking effort, already taken off `effort`.
+    rotating_momentum : array [kg m/s]
+        Of the rotating parts, as masses at the wheel rims.
+    track : array [m/s²]
+        Deceleration by gradient and curves at the train's chainage.
+    track_slope : array [m/s² per m]
+        How it changes with chainage: what an error of position does.
+    section : int array
+        Which piece of the gradient profile the train is on.
+    nearest_edge : int array
+        Which change of gradient is nearest.
+    usable : bool array
+        False where the equation of motion is not to be trusted: braking, standstill, slip, gaps.
+    """
+
+    time: FloatArray
+    speed: FloatArray
+    effort: FloatArray
+    braking: FloatArray
+    rotating_momentum: FloatArray
+    track: FloatArray
+    track_slope: FloatArray
+    section: IntArray
+    nearest_edge: IntArray
+    usable: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Rows of the regression, in order of time.
+
+    Attributes
+    ----------
+    start, end : (n,) array [s]
+        Middles of the averaged ends.
+    y : (n,) array [m/s]
+        Speed change plus integral of the track's deceleration.
+    x : (n, 4) array
+        Impulse of the effort [N s], and minus the integrals of 1, v and v².
+    end_speed : (n,) array [m/s]
+        Averaged at the end.
+    braking : (n,) array [N s]
+        Impulse of the dynamic brake: what a wrong scale of its effort does.
+    effort_change : (n,) array [N]
+        Between the ends: what a delay of the recorded effort does.
+    effort_square : (n,) array [N² s²]
+        Sum of the squared impulses of the samples: what noise of the recorded effort does.
+    sections, edges : (n, k) sparse array
+        Seconds in each piece of the gradient profile, and change of `y` by a metre of position
+        error around each change of gradient.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    y: FloatArray
+    x: FloatArray
+    end_speed: FloatArray
+    braking: FloatArray
+    effort_change: FloatArray
+    effort_square: FloatArray
+    sections: csr_array
+    edges: csr_array
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return int(self.y.size)
+
+    @property
+    def duration(self) -> FloatArray:
+        """Length of each window [s]."""
+        return self.end - self.start
+
+    @property
+    def mean_speed(self) -> FloatArray:
+        """Mean speed in each window [m/s]."""
+        return np.asarray(self.x[:, 2] / self.x[:, 1])
+
+    def select(self, kept: NDArray[np.bool_]) -> Windows:
+        """Some of the windows."""
+        return Windows(*(getattr(self, item.name)[kept] for item in fields(self)))
+
+
+def build_windows(recording: Recording) -> Windows:
+    """Cut the usable stretches of a recording into windows.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    Windows
+        None of them (`count` 0) if no stretch is long enough.
+    """
+    time = recording.time
+    start, end = _window_ends(time, recording.usable)
+    integrals = _integral(
+        time,
+        np.column_stack(
+            [
+                recording.effort,
+                np.ones(time.size),
+                recording.speed,
+                recording.speed**2,
+                recording.track,
+                recording.braking,
+            ]
+        ),
+    )
+    plain = np.column_stack([recording.speed, recording.rotating_momentum, recording.effort])
+    at_end = _averaged(time, plain, end)
+    change = at_end - _averaged(time, plain, start)
+    integral = _averaged(time, integrals, end) - _averaged(time, integrals, start)
+    steps = np.gradient(time) if time.size > 1 else np.zeros(time.size)
+    squares = _integral(time, (recording.effort**2 * steps)[:, None])
+    return Windows(
+        start=start,
+        end=end,
+        y=change[:, 0] + integral[:, 4],
+        x=np.column_stack([integral[:, 0] - change[:, 1], -integral[:, 1:4]]),
+        end_speed=at_end[:, 0],
+        braking=integral[:, 5],
+        effort_change=change[:, 2],
+        effort_square=(_at(time, squares, end) - _at(time, squares, start))[:, 0],
+        sections=_by_group(recording, np.ones(time.size), recording.section, start, end),
+        edges=_by_group(recording, recording.track_slope, recording.nearest_edge, start, end),
+    )
+
+
+def _window_ends(time: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Start and end of every window [s]: each usable stretch cut into equal windows."""
+    padded = np.concatenate(([False], usable, [False])).astype(np.int8)
+    first = np.flatnonzero(np.diff(padded) == 1)
+    last = np.flatnonzero(np.diff(padded) == -1) - 1
+    begin, finish = time[first] + HALF_AVERAGE, time[last] - HALF_AVERAGE
+    length = finish - begin
+    pieces = np.where(length >= WINDOW, length // WINDOW, length >= SHORTEST_WINDOW).astype(int)
+    stretch = np.repeat(np.arange(pieces.size), pieces)
+    number = np.arange(stretch.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    width = (length / np.maximum(pieces, 1))[stretch]
+    start = begin[stretch] + number * width
+    return start, start + width
+
+
+def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Running integral (n, c) of sampled values (n, c) by the trapezoidal rule."""
+    pieces = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
+    return np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)))
+
+
+def _at(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
+    """Values (m, c) on the straight lines between samples (n, c)."""
+    index = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, time.size - 2)
+    share = ((instants - time[index]) / (time[index + 1] - time[index]))[:, None]
+    return np.asarray((1.0 - share) * values[index] + share * values[index + 1])
+
+
+def _averaged(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
+    """Mean (m, c) over `HALF_AVERAGE` to either side of `instants` of sampled values (n, c)."""
+    return (
+        _area(time, values, instants + HALF_AVERAGE) - _area(time, values, instants - HALF_AVERAGE)
+    ) / (2.0 * HALF_AVERAGE)
+
+
+def _area(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
+    """Integral (m, c) up to `instants` of the straight lines between samples."""
+    whole = _integral(time, values)
+    index = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, time.size - 2)
+    into = (instants - time[index])[:, None]
+    slope = (values[index + 1] - values[index]) / (time[index + 1] - time[index])[:, None]
+    return np.asarray(whole[index] + into * (values[index] + 0.5 * slope * into))
+
+
+def _by_group(
+    recording: Recording, values: FloatArray, group: IntArray, start: FloatArray, end: FloatArray
+) -> csr_array:
+    """Integral (m, k) over each window of the `values` that belong to each group present."""
+    present, member = np.unique(group, return_inverse=True)
+    time = recording.time
+    step = np.zeros(time.size)
+    step[1:] += 0.5 * np.diff(time)
+    step[:-1] += 0.5 * np.diff(time)
+    row = np.searchsorted(start, time, side="right") - 1
+    inside = (row >= 0) & recording.usable
+    inside[inside] &= time[inside] < end[row[inside]]
+    # Entries on the same row and column are summed.
+    return csr_array(
+        ((values * step)[inside], (row[inside], member[inside])),
+        shape=(start.size, present.size),
+    )
