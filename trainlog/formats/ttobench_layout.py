@@ -318,7 +318,7 @@ class TrainLayout(Layout):
         known = {
             theirs: getattr(train, ours)
             for theirs, ours in _TRAIN_FIELDS.items()
-            if ours not in train.assumed
+            if ours not in train.assumed and not (ours == "length" and train.length == 0.0)
         }
         return TrainLayout.filled(
             metadata=Metadata.of(train.name, train.source),

@@ -134,10 +134,14 @@ def place(line: Line, anchors: tuple[Anchor, ...], tolerance: float = 0.5) -> Pl
         f" {len(anchors)} points (up to {residuals.max():.0f} m off, scale {scale:.4f});"
         " not surveyed"
     )
-    kept = thinned(positions, points, tolerance)
-    on_earth = from_plane(factor * points[kept] + shift, origin)
+    latitude, longitude = from_plane(factor * points + shift, origin)
+    # A geometry is straight in latitude and longitude, so it is thinned there.
+    shrink = np.cos(np.radians(origin[0]))
+    flat = _SEMI_MAJOR_AXIS * (np.radians(longitude) * shrink + 1j * np.radians(latitude))
+    kept = thinned(positions, flat, tolerance)
+    geometry = Geometry(positions[kept], latitude[kept], longitude[kept], quality)
     heading = float(np.degrees(-np.angle(factor))) % 360.0
-    return Placement(Geometry(positions[kept], *on_earth, quality), heading, scale, residuals)
+    return Placement(geometry, heading, scale, residuals)
 
 
 def similarity(sources: ComplexArray, targets: ComplexArray) -> tuple[complex, complex]:

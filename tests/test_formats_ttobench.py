@@ -1,0 +1,295 @@
+"""TTOBench's library is read whole and written back with the same values in the same units."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from format_worlds import TRAINS, assert_same, journeys, lines
+from hypothesis import HealthCheck, given, settings
+
+from trainlog.errors import InputError
+from trainlog.formats import ttobench
+from trainlog.formats.journey import read_journey
+from trainlog.formats.line import read_line
+from trainlog.formats.train import read_train
+from trainlog.formats.ttobench_layout import JourneyLayout, TrackLayout, TrainLayout
+from trainlog.railway import BrakingCurves, Line, Station, Train
+from trainlog.railway.journey import Journey, TimingPoint
+
+LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
+FILES = sorted(LIBRARY.glob("*/*.json"))
+needs_library = pytest.mark.skipif(not FILES, reason="the TTOBench library is not here")
+quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+TRACK: dict[str, Any] = {
+    "metadata": {"id": "T", "library version": "TTOBench v1.5", "created by": "A"},
+    "stops": {"unit": "km", "values": [0, 1.5, 4]},
+    "speed limits": {
+        "units": {"position": "km", "velocity": "m/s"},
+        "values": [[0, 20], [2, 25.5]],
+    },
+    "curvatures": {
+        "units": {"position": "m", "radius at start": "km", "radius at end": "m"},
+        "values": [[0, "infinity", 500], [50, 0.5, -400]],
+    },
+    "ETCS braking data": {"Kt_int": {"unit": "-", "value": 1.15}},
+}
+TRAIN: dict[str, Any] = {
+    "metadata": {"id": "V", "library version": "TTOBench v1.5"},
+    "mass": {"unit": "t", "value": 100},
+    "max traction power": {"unit": "MW", "value": 2},
+    "max reg braking power": {"unit": "W", "value": 1e6},
+    "max traction force": {"unit": "N", "value": 150e3},
+    "max reg braking force": {"unit": "kN", "value": 100},
+    "max speed": {"unit": "m/s", "value": 40},
+    "rolling resistance r0": {"unit": "N", "value": 2000},
+    "rolling resistance r1": {"unit": "N/(m/s)", "value": 60},
+    "rolling resistance r2": {"unit": "kN/(m/s)^2", "value": 0.012},
+}
+
+
+def written(tmp_path: Path, content: Any) -> Path:
+    path = tmp_path / "file.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+@needs_library
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_every_file_is_read_and_written_back_unchanged(file: Path, tmp_path: Path) -> None:
+    kind = ttobench.detect(file)
+    assert file.parent.name == f"{kind}s"
+    found = ttobench.import_file(file)
+    copy = tmp_path / file.name
+    write: Callable[[Any, Path], None] = getattr(ttobench, f"write_{kind}")
+    write(found, copy)
+    assert ttobench.import_file(copy) == found
+    assert json.loads(copy.read_bytes()) == json.loads(file.read_bytes())
+
+
+@needs_library
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_every_file_is_converted_to_a_file_of_our_own(file: Path, tmp_path: Path) -> None:
+    target = ttobench.convert(file, tmp_path)
+    suffix = {"tracks": "line", "trains": "train", "journeys": "journey"}[file.parent.name]
+    assert target.name == f"{file.stem}.{suffix}.json"
+    reader: Any = {"line": read_line, "train": read_train, "journey": read_journey}[suffix]
+    assert reader(target) == ttobench.import_file(file)
+
+
+def published_ranges() -> list[dict[str, str]]:
+    table = LIBRARY / "tracks" / "tracks.csv"
+    if not table.is_file():
+        return []
+    with table.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return [row for row in rows if (LIBRARY / "tracks" / f"{row['ID']}.json").is_file()]
+
+
+@needs_library
+@pytest.mark.parametrize("row", published_ranges(), ids=lambda row: str(row["ID"]))
+def test_tracks_have_the_published_ranges(row: dict[str, str]) -> None:
+    line = ttobench.read_track(LIBRARY / "tracks" / f"{row['ID']}.json")
+    limits, gradients = 3.6 * line.speed_limits.values, 1e3 * line.gradients.values
+    assert limits.min() == pytest.approx(float(row["Min speed limit [km/h]"]))
+    assert limits.max() == pytest.approx(float(row["Max speed limit [km/h]"]))
+    assert gradients.min() == pytest.approx(float(row["Min gradient [permil]"]))
+    assert gradients.max() == pytest.approx(float(row["Max gradient [permil]"]))
+    assert line.length == float(row["Length [m]"])
+    assert len(line.stations) == int(row["Num stops [-]"])
+    if line.curvatures is None:
+        assert row["Min (abs) radius [m]"] == "inf"
+    else:
+        curvature = np.abs(np.concatenate((line.curvatures.start, line.curvatures.end)))
+        radius = float(row["Min (abs) radius [m]"])
+        assert 1.0 / curvature.max() == pytest.approx(radius, abs=0.05)
+    intervals = np.diff(line.breakpoints)
+    assert len(intervals) == int(row["Num intervals [-]"])
+    assert intervals.min() == pytest.approx(float(row["Min interval [m]"]), abs=0.051)
+    assert intervals.max() == pytest.approx(float(row["Max interval [m]"]), abs=0.051)
+
+
+@needs_library
+def test_the_flirt_in_si_units() -> None:
+    train = ttobench.read_train(LIBRARY / "trains" / "CH_Stadler_FLIRT_TPF.json")
+    assert train.mass == 122e3
+    assert train.rotating_mass == pytest.approx(12.2e3)
+    assert train.max_tractive_effort == 200e3
+    assert train.max_traction_power == 2.6e6
+    assert train.max_pneumatic_braking_effort == 1.22e6
+    assert train.max_speed == pytest.approx(160 / 3.6)
+    assert train.resistance.r0 == pytest.approx(2378.88)
+    assert train.resistance.r1 == pytest.approx(16.98165 * 3.6)
+    assert train.resistance.r2 == pytest.approx(0.93264 * 3.6**2)
+    assert train.tunnel_resistance[0] == pytest.approx((24.0, 1.1698 * 3.6**2))
+    assert train.efficiency_regeneration == 0.9
+    assert (train.seats, train.coaches, train.length) == (167, 4, 58.6)
+    curves = train.braking_curves
+    assert curves is not None
+    assert curves.emergency[-1] == (60.0, 0.75)
+    assert curves.parameters["v_uncertainty"] == 2.98
+    assert train.assumed == ("max_load", "axles", "brake")
+    assert "Dimitris Kouzoupis" in train.source
+
+
+@needs_library
+def test_a_train_without_limits_of_acceleration_is_limited_by_its_effort() -> None:
+    train = ttobench.read_train(LIBRARY / "trains" / "CN_Beijing_Subway.json")
+    assert train.max_acceleration == pytest.approx(310e3 / 278e3)
+    assert train.max_deceleration == pytest.approx(260e3 / 278e3)
+    assert {"max_acceleration", "max_deceleration", "length"} <= set(train.assumed)
+
+
+@needs_library
+def test_the_journey_keeps_all_its_points() -> None:
+    journey = ttobench.read_journey(LIBRARY / "journeys" / "CH_StGallen_Wil_Journey_01.json")
+    assert journey.line == "CH_StGallen_Wil"
+    assert len(journey.points) == 6
+    assert journey.points[1] == TimingPoint(12_500.0, 480.0, 540.0, 10 / 3.6, None)
+    arrival, departure = journey.points[2:4]
+    assert arrival.position == departure.position == 15_000.0
+    assert (arrival.latest, departure.earliest) == (680.0, 800.0)
+
+
+def test_declared_units_are_honoured(tmp_path: Path) -> None:
+    line = ttobench.read_track(written(tmp_path, TRACK))
+    assert line.length == 4000.0
+    assert [station.name for station in line.stations] == ["km 0.000", "km 1.500", "km 4.000"]
+    assert line.speed_limits.positions.tolist() == [0.0, 2000.0]
+    assert line.speed_limits.values.tolist() == [20.0, 25.5]
+    assert line.gradient(np.array([0.0, 4000.0])).tolist() == [0.0, 0.0]
+    assert line.curvatures is not None
+    assert line.curvatures.start.tolist() == [0.0, 1 / 500]
+    assert line.curvatures.end.tolist() == [1 / 500, -1 / 400]
+    assert line.braking_parameters == {"Kt_int": 1.15}
+    train = ttobench.read_train(written(tmp_path, TRAIN))
+    assert (train.mass, train.max_traction_power, train.max_speed) == (100e3, 2e6, 40.0)
+    assert train.resistance.r2 == 12.0
+    assert train.rotating_mass_factor == 0.0
+    assert "rotating_mass_factor" in train.assumed
+
+
+def changed(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+    copy = json.loads(json.dumps(content))
+    *way, last = [int(part) if part.isdigit() else part for part in path.split("/")]
+    target = copy
+    for part in way:
+        target = target[part]
+    target[last] = value
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("content", "path", "value", "message"),
+    [
+        (TRACK, "cant", 1, ", cant: unknown key 'cant'; correct its spelling or remove it"),
+        (TRACK, "metadata/version", "1", ", metadata.version: unknown key 'version'; correct its"),
+        (TRACK, "ETCS braking data/Kv", 1, ", ETCS braking data.Kv: unknown key 'Kv'; correct"),
+        (TRACK, "stops/unit", "s", ", stops.unit: unit 's' cannot be read as m; declare a unit"),
+        (
+            TRACK,
+            "stops/values",
+            [0, 2, 2],
+            ", stops.values[2]: stop at 2000 m follows stop at 2000",
+        ),
+        (TRACK, "stops/values", [1, 2], ", stops.values: needs at least two stops, the first at 0"),
+        (TRACK, "speed limits/values/1/1", 0, ": line 'T': speed limit at km 2.000 is not positi"),
+        (TRACK, "speed limits/values/1/0", 0, ", speed limits.values[1]: position 0 m follows 0 m"),
+        (TRACK, "curvatures/values/0/1", "inf", ", curvatures.values[0][1]: should be a finite nu"),
+        (TRAIN, "mass/value", -1, ": train 'V': mass -1000.0 is not positive"),
+        (TRAIN, "mass/unit", "m", ", mass.unit: unit 'm' cannot be read as kg"),
+        (
+            TRAIN,
+            "rho",
+            {"unit": "-", "value": 1.06},
+            ", rho: the rotating parts would weigh 1.06 t",
+        ),
+        (TRAIN, "num seats", {"unit": "-", "value": 1.5}, ", num seats: 1.5 is not a count; give"),
+        (
+            TRAIN,
+            "efficiency traction",
+            {"units": {"load": "%"}, "values": [[0, 1]]},
+            ", efficiency traction.units: unknown key 'units' (and 3 more problems)",
+        ),
+    ],
+)
+def test_nonsense_is_refused_at_its_place(
+    content: dict[str, Any], path: str, value: Any, message: str, tmp_path: Path
+) -> None:
+    file = written(tmp_path, changed(content, path, value))
+    with pytest.raises(InputError) as caught:
+        ttobench.import_file(file)
+    assert str(caught.value).startswith(f"{file}{message}")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_of_no_kind_or_of_another_kind_are_told_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is neither a track nor a train nor a journey"):
+        ttobench.detect(written(tmp_path, {"a": 1}))
+    with pytest.raises(InputError, match="is neither a track nor a train nor a journey"):
+        ttobench.detect(written(tmp_path, [1]))
+    with pytest.raises(InputError, match="is a trainlog/line file already; use it as it is"):
+        ttobench.detect(written(tmp_path, {"format": "trainlog/line"}))
+    with pytest.raises(InputError, match="is a TTOBench train, expected a track"):
+        ttobench.read_track(written(tmp_path, TRAIN))
+    journey = {"metadata": {"id": "J", "library version": "1"}, "timing points": {}}
+    with pytest.raises(InputError, match=r"timing points\.units: 'units' is missing"):
+        ttobench.read_journey(written(tmp_path, journey))
+
+
+@quick
+@given(lines())
+def test_lines_survive_but_for_names_and_coordinates(line: Line) -> None:
+    ends = (Station("km 0.000", 0.0), Station(f"km {line.length / 1e3:.3f}", line.length))
+    plain = replace(line, stations=ends, geometry=None, source="")
+    assert_same(TrackLayout.of(plain).line(), plain, 5e-14)
+
+
+@quick
+@given(TRAINS)
+def test_trains_survive_but_for_what_the_layout_has_not(train: Train) -> None:
+    unknown = ("max_load", "axles", "brake")
+    plain = replace(train, assumed=unknown, source="", length=train.length + 1.0)
+    found = TrainLayout.of(plain).train()
+    kept = {name: getattr(found, name) for name in unknown}
+    assert_same(found, replace(plain, **kept), 5e-14)
+
+
+@quick
+@given(journeys())
+def test_journeys_survive(journey: Journey) -> None:
+    plain = replace(journey, source="")
+    assert_same(JourneyLayout.of(plain).journey(), plain, 5e-14)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "",
+        "measured by ourselves; in 2024",
+        "library TTOBench v1.2; created by A, B; license BSD; description long; and longer",
+        "library TTOBench v1.2; license BSD",
+    ],
+)
+def test_the_source_survives(source: str, tmp_path: Path) -> None:
+    line = replace(ttobench.read_track(written(tmp_path, TRACK)), source=source)
+    ttobench.write_track(line, tmp_path / "copy.json")
+    assert ttobench.read_track(tmp_path / "copy.json").source == source
+
+
+def test_what_the_layout_cannot_say_is_refused(tmp_path: Path) -> None:
+    line = ttobench.read_track(written(tmp_path, TRACK))
+    with pytest.raises(InputError, match="does not begin and end at a station"):
+        ttobench.write_track(replace(line, stations=line.stations[:-1]), tmp_path / "copy.json")
+    train = ttobench.read_train(written(tmp_path, TRAIN))
+    odd = replace(train, braking_curves=BrakingCurves(parameters={"T_new": 1.0}))
+    with pytest.raises(InputError, match="'T_new' is not known to TTOBench"):
+        ttobench.write_train(odd, tmp_path / "copy.json")
+    assert not (tmp_path / "copy.json").exists()

@@ -1,0 +1,216 @@
+"""The plane curve of a line and its place on the earth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.special import fresnel
+
+from trainlog.errors import InputError
+from trainlog.formats.ttobench import read_track
+from trainlog.railway import CurvatureProfile, Geometry, Line, Station, StepProfile
+from trainlog.railway.geometry import (
+    Anchor,
+    from_plane,
+    nearest,
+    place,
+    plane_curve,
+    similarity,
+    thinned,
+    to_plane,
+)
+
+TRACK = (
+    Path(__file__).parents[2] / "shared" / "data" / "ttobench" / "tracks" / "CH_StGallen_Wil.json"
+)
+needs_track = pytest.mark.skipif(not TRACK.is_file(), reason="the TTOBench library is not here")
+
+
+def profile(*elements: tuple[float, float, float]) -> CurvatureProfile:
+    positions, start, end = (np.array(column) for column in zip(*elements, strict=True))
+    return CurvatureProfile(positions, start, end)
+
+
+def line(curvatures: CurvatureProfile | None, length: float) -> Line:
+    return Line(
+        "L",
+        length,
+        (Station("A", 0.0), Station("B", length)),
+        StepProfile(np.zeros(1), np.array([20.0])),
+        StepProfile(np.zeros(1), np.zeros(1)),
+        curvatures,
+    )
+
+
+def test_a_straight_line_goes_north() -> None:
+    positions, points = plane_curve(profile((0.0, 0.0, 0.0)), 100.0)
+    assert positions.tolist() == [0.0, 25.0, 50.0, 75.0, 100.0]
+    assert points == pytest.approx(1j * positions)
+
+
+@pytest.mark.parametrize(("radius", "side"), [(340.0, 1.0), (-340.0, -1.0)])
+def test_a_quarter_of_a_circle_ends_beside_its_start(radius: float, side: float) -> None:
+    length = 340.0 * np.pi / 2.0
+    _, points = plane_curve(profile((0.0, 1.0 / radius, 1.0 / radius)), length)
+    assert points[-1] == pytest.approx(340.0 * (side + 1j), abs=1e-9)
+    centre = 340.0 * side
+    assert np.abs(points - centre) == pytest.approx(340.0, abs=1e-9)
+
+
+def test_a_clothoid_is_fresnel_s_integral() -> None:
+    length, radius = 120.0, 300.0
+    positions, points = plane_curve(profile((0.0, 0.0, 1.0 / radius)), length, step=10.0)
+    size = np.sqrt(np.pi * radius * length)
+    sine, cosine = fresnel(positions / size)
+    assert points == pytest.approx(size * (sine + 1j * cosine), abs=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.floats(5.0, 300.0), st.floats(-0.006, 0.006), st.floats(-0.006, 0.006)),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_any_curve_is_exact_to_a_millimetre(elements: list[tuple[float, float, float]]) -> None:
+    widths = np.array([element[0] for element in elements])
+    starts = np.concatenate(([0.0], np.cumsum(widths)[:-1]))
+    length = float(widths.sum())
+    curves = CurvatureProfile(
+        starts, np.array([e[1] for e in elements]), np.array([e[2] for e in elements])
+    )
+    positions, points = plane_curve(curves, length)
+    assert np.all(np.diff(positions) <= 25.0 + 1e-9)
+    assert set(starts) <= set(positions)
+    state = np.zeros(3)
+    for start, width, (_, first, last) in zip(starts, widths, elements, strict=True):
+        reference = solve_ivp(
+            lambda s, y, a=first, b=last, w=width: [
+                np.sin(y[2]),
+                np.cos(y[2]),
+                a + (b - a) * s / w,
+            ],
+            (0.0, width),
+            state,
+            rtol=1e-11,
+            atol=1e-9,
+        )
+        state = reference.y[:, -1]
+        end = np.interp(start + width, positions, points)
+        assert abs(end - complex(state[0], state[1])) < 1e-3
+
+
+def test_the_plane_and_the_earth_are_inverse() -> None:
+    origin = (47.4, 9.2)
+    east, north = np.meshgrid(np.linspace(-3e4, 3e4, 7), np.linspace(-3e4, 3e4, 7))
+    points = (east + 1j * north).ravel()
+    latitudes, longitudes = from_plane(points, origin)
+    assert to_plane(latitudes, longitudes, origin) == pytest.approx(points, abs=1e-4)
+
+
+def test_a_minute_of_arc_has_its_published_length() -> None:
+    """At 45 degrees on WGS 84 a degree is 111.132 km of latitude and 78.847 km of longitude."""
+    half, origin = 1.0 / 120.0, (45.0, 9.0)
+    north = to_plane(45.0 + half, 9.0, origin) - to_plane(45.0 - half, 9.0, origin)
+    east = to_plane(45.0, 9.0 + half, origin) - to_plane(45.0, 9.0 - half, origin)
+    assert complex(north) == pytest.approx(1j * 111_132.0 / 60.0, abs=0.02)
+    assert complex(east) == pytest.approx(78_847.0 / 60.0, abs=0.02)
+
+
+@given(
+    st.complex_numbers(min_magnitude=0.1, max_magnitude=10.0),
+    st.complex_numbers(max_magnitude=1e5),
+)
+def test_a_similarity_is_found_again(factor: complex, shift: complex) -> None:
+    sources = np.array([0.0, 1e3 + 2e3j, -4e3 + 1e2j])
+    found, moved = similarity(sources, factor * sources + shift)
+    assert found == pytest.approx(factor, rel=1e-9)
+    assert abs(moved - shift) < 1e-5
+
+
+def test_thinning_stays_within_its_tolerance_and_keeps_the_ends() -> None:
+    positions, points = plane_curve(
+        profile((0.0, 0.0, 0.0), (500.0, 0.0, 0.002), (700.0, 0.002, 0.002)), 2000.0, step=5.0
+    )
+    kept = thinned(positions, points, 0.5)
+    drawn = np.interp(positions, positions[kept], points[kept])
+    assert np.abs(drawn - points).max() <= 0.5
+    assert kept[[0, -1]].tolist() == [0, positions.size - 1]
+    assert kept.size < positions.size / 5
+
+
+def test_a_placed_line_meets_anchors_that_agree_with_it() -> None:
+    bends = profile((0.0, 0.0, 0.0), (3000.0, 0.0, 0.001), (3200.0, 0.001, 0.001))
+    length, origin = 6000.0, (47.4, 9.2)
+    positions, points = plane_curve(bends, length)
+    turned = points * np.exp(-1j * np.radians(230.0)) + (200.0 - 300.0j)
+    marks = [0, positions.size // 2, positions.size - 1]
+    latitudes, longitudes = from_plane(turned[marks], origin)
+    anchors = tuple(
+        Anchor(float(positions[mark]), float(latitude), float(longitude))
+        for mark, latitude, longitude in zip(marks, latitudes, longitudes, strict=True)
+    )
+    placed = place(line(bends, length), anchors, tolerance=0.01)
+    assert placed.residuals.max() < 0.05
+    assert placed.scale == pytest.approx(1.0, abs=1e-5)
+    assert placed.heading == pytest.approx(230.0, abs=0.05)
+    at = placed.geometry.at(positions)
+    assert np.abs(to_plane(*at, origin) - turned).max() < 0.02
+    position, distance = nearest(placed.geometry, anchors[1].latitude, anchors[1].longitude)
+    assert position == pytest.approx(anchors[1].position, abs=0.1)
+    assert distance < 0.1
+
+
+def test_the_nearest_position_of_a_point_beside_the_line() -> None:
+    latitudes, longitudes = from_plane(np.array([0.0, 100.0j, 100.0 + 100.0j]), (47.4, 9.2))
+    geometry = Geometry(np.array([0.0, 100.0, 200.0]), latitudes, longitudes, "q")
+    beside, above = from_plane(np.array([-30.0 + 40.0j, 160.0 + 130.0j]), (47.4, 9.2))
+    assert nearest(geometry, beside[0], above[0]) == pytest.approx((40.0, 30.0), abs=0.01)
+    assert nearest(geometry, beside[1], above[1]) == pytest.approx((200.0, 67.08), abs=0.01)
+
+
+def test_a_line_without_curvature_or_anchors_cannot_be_placed() -> None:
+    anchors = (Anchor(0.0, 47.4, 9.2), Anchor(100.0, 47.4, 9.3))
+    with pytest.raises(InputError, match="placing it needs curvatures and two anchors"):
+        place(line(None, 100.0), anchors)
+    with pytest.raises(InputError, match="placing it needs curvatures and two anchors"):
+        place(line(profile((0.0, 0.0, 0.0)), 100.0), anchors[:1])
+
+
+ANCHORS = (
+    Anchor(9_286.1, 47.41190, 9.25366),
+    Anchor(14_476.1, 47.4146, 9.1872),
+    Anchor(20_086.1, 47.4370, 9.1330),
+    Anchor(29_556.1, 47.46250, 9.04090),
+)
+
+
+@needs_track
+def test_positive_radii_bend_to_the_right() -> None:
+    """The library's convention, confirmed: with the other sign the stations lie far off."""
+    track = read_track(TRACK)
+    curves = track.curvatures
+    assert curves is not None
+    mirrored = replace(
+        track, curvatures=CurvatureProfile(curves.positions, -curves.start, -curves.end)
+    )
+    right, left = place(track, ANCHORS), place(mirrored, ANCHORS)
+    assert right.residuals.max() < 300.0
+    assert abs(right.scale - 1.0) < 1e-3
+    assert left.residuals.max() > 1000.0
+    assert abs(left.scale - 1.0) > 5e-3
+
+
+@needs_track
+def test_published_altitudes_confirm_the_positions_of_the_stations() -> None:
+    track = read_track(TRACK)
+    published = np.array([637.9, 610.7, 563.8, 570.8])
+    found = track.altitudes(np.array([anchor.position for anchor in ANCHORS]))
+    assert np.abs(found - published).max() < 1.3
