@@ -6,18 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from trainlog.errors import InputError
 from trainlog.ingest.recording import BoolArray, FloatArray
+from trainlog.railway.geometry import to_plane
 from trainlog.railway.line import Geometry
 
 SPACING = 25.0
 """Longest stretch of the geometry between two points [m]; longer ones are divided."""
-
-METRES_PER_DEGREE = 111_195.0
-"""Length of a degree of latitude [m]."""
 
 GATE_STDS, GATE = 5.0, 25.0
 """A fix further from the line than this many standard deviations, and this many metres, is off."""
@@ -25,8 +24,8 @@ GATE_STDS, GATE = 5.0, 25.0
 WINDOW = 101
 """Fixes in the median that chainage less distance driven is compared with."""
 
-ON_LINE = 0.1
-"""Share of the fixes that must lie on the line."""
+MAX_MISFIT = 500.0
+"""Misfit of line and fixes [m] beyond which it is another line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +54,22 @@ class Fixes:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """Chainage of each fix [m], NaN where there is none, and which fixes were rejected."""
+    """Fixes on the line.
+
+    Attributes
+    ----------
+    chainage : (n,) array [m]
+        NaN where there is none.
+    rejected : (n,) bool array
+        Fixes that give no chainage.
+    misfit : float [m]
+        Standard deviation of the line's own place on the earth: what of the distance between line
+        and fixes the receiver's accuracy does not explain.
+    """
 
     chainage: FloatArray
     rejected: BoolArray
+    misfit: float
 
 
 def chainage_of(geometry: Geometry, fixes: Fixes, *, gated: bool = True) -> Matched:
@@ -78,24 +89,19 @@ def chainage_of(geometry: Geometry, fixes: Fixes, *, gated: bool = True) -> Matc
     Raises
     ------
     InputError
-        If hardly any fix lies on the line, or chainage falls while the train drives.
+        If the fixes lie elsewhere, or chainage falls while the train drives.
     """
     chainage, distance = project(geometry, fixes.latitude, fixes.longitude)
     known = np.isfinite(chainage)
-    near = known & (distance <= np.maximum(GATE_STDS * fixes.std, GATE))
-    if np.count_nonzero(near) < max(2, ON_LINE * np.count_nonzero(known)):
-        raise InputError(
-            f"{np.count_nonzero(known) - np.count_nonzero(near)} of {np.count_nonzero(known)} fixes"
-            f" do not lie on the line, half of them {np.nanmedian(distance) / 1e3:.1f} km away or"
-            " more",
-            remedy="give the line that was driven",
-        )
+    misfit = _misfit(distance[known], fixes.std[known])
+    std = np.hypot(fixes.std, misfit)
+    near = known & (distance <= np.maximum(GATE_STDS * std, GATE))
     driven = _driven(fixes)
     _refuse_backwards(chainage[near], driven[near])
     kept = near if gated else known
     if gated:
         kept = kept & ~_stray(chainage, driven, near, fixes.std)
-    return Matched(np.where(kept, chainage, np.nan), known & ~kept)
+    return Matched(np.where(kept, chainage, np.nan), known & ~kept, misfit)
 
 
 def project(
@@ -113,28 +119,53 @@ def project(
     chainage, distance : (n,) arrays [m]
     """
     position = _divided(geometry.positions)
-    scale = METRES_PER_DEGREE * np.cos(np.radians(np.mean(geometry.latitudes)))
-    track_latitude, track_longitude = geometry.at(position)
-    track = np.column_stack([track_longitude * scale, track_latitude * METRES_PER_DEGREE])
+    origin = (float(geometry.latitudes.mean()), float(geometry.longitudes.mean()))
+    track = to_plane(*geometry.at(position), origin)
+    chord = np.diff(track)
     chainage = np.full(latitude.size, np.nan)
     distance = np.full(latitude.size, np.nan)
     known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not known.size:
         return chainage, distance
-    point = np.column_stack([longitude[known] * scale, latitude[known] * METRES_PER_DEGREE])
-    _, nearest = cKDTree(track).query(point)
+    point = to_plane(latitude[known], longitude[known], origin)
+    _, corner = cKDTree(_pairs(track)).query(_pairs(point))
     best = np.full(known.size, np.inf)
-    for start in (np.maximum(nearest - 1, 0), np.minimum(nearest, position.size - 2)):
-        along = track[start + 1] - track[start]
-        length = np.maximum(np.einsum("ij,ij->i", along, along), 1e-12)
-        share = np.clip(np.einsum("ij,ij->i", point - track[start], along) / length, 0.0, 1.0)
-        apart = np.linalg.norm(point - track[start] - share[:, None] * along, axis=1)
+    for start in (np.maximum(corner - 1, 0), np.minimum(corner, chord.size - 1)):
+        ahead = point - track[start]
+        along = (np.conj(chord[start]) * ahead).real / np.abs(chord[start]) ** 2
+        share = np.clip(along, 0.0, 1.0)
+        apart = np.abs(ahead - share * chord[start])
         at = position[start] + share * (position[start + 1] - position[start])
         closer = apart < best
         chainage[known[closer]] = at[closer]
         best = np.minimum(best, apart)
     distance[known] = best
     return chainage, distance
+
+
+def _pairs(points: NDArray[np.complex128]) -> FloatArray:
+    return np.column_stack([points.real, points.imag])
+
+
+def _misfit(distance: FloatArray, std: FloatArray) -> float:
+    """Standard deviation [m] of the line's place, from distances that are mostly across the track.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two fixes, or the line is too far away to be theirs.
+    """
+    if distance.size < 2:
+        raise InputError(f"{distance.size} fix is too few for a chainage", remedy="leave out line")
+    spread = 1.4826 * float(np.median(distance))
+    misfit = float(np.sqrt(max(0.0, spread**2 - float(np.median(std)) ** 2)))
+    if misfit > MAX_MISFIT:
+        raise InputError(
+            f"half of the {distance.size} fixes lie {np.median(distance) / 1e3:.1f} km or more"
+            " from the line",
+            remedy="give the line that was driven",
+        )
+    return misfit
 
 
 def _divided(positions: FloatArray) -> FloatArray:

@@ -82,34 +82,41 @@ def drop_unreadable_time(table: Table, limits: Limits) -> Result:  # noqa: ARG00
 def drop_clock_jumps(table: Table, limits: Limits) -> Result:
     """Drop rows whose clock was far off.
 
-    In file order, the most rows whose time never decreases are trusted. Another row is far off
-    if its time differs from both trusted rows around it by more than ``limits.sort_within`` and by
-    more than five usual steps. Then, where time leaps by more than ``limits.pause``, only the part
-    with the most rows is kept.
+    Times that no pause of ``limits.pause`` parts belong together: the largest such group is the
+    trip. Of it, in file order, the most rows whose time never decreases are trusted. Another row
+    is far off if its time differs from both trusted rows around it by more than
+    ``limits.sort_within`` and by more than five usual steps.
     """
-    trusted = longest_nondecreasing(table.time)
+    stray = _outside_largest_group(table.time, limits.pause)
+    group = np.flatnonzero(~stray)
+    time = table.time[group]
+    trusted = longest_nondecreasing(time)
     kept = np.flatnonzero(trusted)
-    after = np.searchsorted(kept, np.arange(len(table)))
+    after = np.searchsorted(kept, np.arange(time.size))
     nearest = np.minimum(
-        np.abs(table.time - table.time[kept[np.clip(after - 1, 0, None)]]),
-        np.abs(table.time - table.time[kept[np.clip(after, None, kept.size - 1)]]),
+        np.abs(time - time[kept[np.clip(after - 1, 0, None)]]),
+        np.abs(time - time[kept[np.clip(after, None, kept.size - 1)]]),
     )
-    within = max(limits.sort_within, 5.0 * usual_step(table.time[kept]))
-    far = ~trusted & (nearest > within * NANOSECONDS)
-    order = np.sort(table.time[~far])
-    leaps = np.flatnonzero(np.diff(order) > limits.pause * NANOSECONDS)
-    edges = np.concatenate(([0], leaps + 1, [order.size]))
-    longest = int(np.argmax(np.diff(edges)))
-    first, last = order[edges[longest]], order[edges[longest + 1] - 1]
-    dropped = far | (table.time < first) | (table.time > last)
-    if np.count_nonzero(dropped) > MAX_DROPPED * len(table):
+    within = max(limits.sort_within, 5.0 * usual_step(time[kept]))
+    stray[group[~trusted & (nearest > within * NANOSECONDS)]] = True
+    if np.count_nonzero(stray) > MAX_DROPPED * len(table):
         raise InputError(
-            f"the clock jumps: {np.count_nonzero(dropped)} of {len(table)} rows do not fit into"
+            f"the clock jumps: {np.count_nonzero(stray)} of {len(table)} rows do not fit into"
             " one trip",
-            place=f"row {table.rows[dropped][0]}",
+            place=f"row {table.rows[stray][0]}",
             remedy="split the file where the clock was set, or one file a trip",
         )
-    return table.take(~dropped), table.found("clock_jump", dropped)
+    return table.take(~stray), table.found("clock_jump", stray)
+
+
+def _outside_largest_group(time: IntArray, pause: float) -> BoolArray:
+    """Which times lie outside the largest group that no `pause` [s] parts."""
+    order = np.sort(time)
+    leaps = np.flatnonzero(np.diff(order) > pause * NANOSECONDS)
+    edges = np.concatenate(([0], leaps + 1, [order.size]))
+    largest = int(np.argmax(np.diff(edges)))
+    first, last = order[edges[largest]], order[edges[largest + 1] - 1]
+    return np.asarray((time < first) | (time > last))
 
 
 def longest_nondecreasing(time: IntArray) -> BoolArray:

@@ -176,7 +176,7 @@ def numbers(column: pa.ChunkedArray, decimal: str) -> tuple[FloatArray, BoolArra
         cast = pa.chunked_array([pd.to_numeric(words.to_pandas(), errors="coerce")])
     values = np.array(pc.fill_null(pc.cast(cast, pa.float64()), np.nan).to_numpy())
     empty = pc.is_null(column).to_numpy() | blank
-    if not text:
+    if pa.types.is_floating(column.type):
         empty |= np.isnan(values)
     garbled = ~np.isfinite(values) & ~empty
     values[garbled] = np.nan

@@ -142,10 +142,11 @@ def _trip(
     travelled = line.reversed() if line is not None and way == "reverse" else line
     topics = _frames(tables, recording.constants)
     trip = Trip(topics, _metadata(recording, profile, line, train, way))
-    estimate, found = estimated_state(trip, travelled, profile)
-    findings += found
-    if estimate is not None:
-        trip = trip.with_topic(estimate)
+    estimate = estimated_state(trip, travelled, profile)
+    findings += estimate.findings
+    if estimate.frame is not None:
+        trip = trip.with_topic(estimate.frame)
+    trip.metadata.update(estimate.metadata)
     trip.metadata["start"] = trip.start.isoformat()
     if line is not None:
         trip.attachments[LINE_ATTACHMENT] = line_to_bytes(line)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -58,6 +59,7 @@ BUILT_IN = (
 )
 
 
+@cache
 def formats() -> dict[str, Format]:
     """Every format by name; registered ones come first, so that they are asked first.
 

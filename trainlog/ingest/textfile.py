@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,36 +77,51 @@ class TextFile:
         names = list(dict.fromkeys(wanted))
         for name in names:
             self._check(name)
+        parsed = self._parsed(names, quotes=True)
+        if parsed is None:
+            # A stray quotation mark swallowed line ends: then it is no more than a character.
+            parsed = self._parsed(names, quotes=False)
+        if parsed is None:
+            raise InputError(
+                "cannot be split into rows and cells",
+                file=self.path,
+                remedy=self._delimiter_remedy(),
+            )
+        table, ragged, found = parsed
+        if ragged.size > MAX_RAGGED * self.rows.size:
+            raise InputError(
+                f"{ragged.size} of {self.rows.size} rows do not have the header's"
+                f" {len(self.names)} cells, the first has {found}",
+                file=self.path,
+                place=f"row {self.rows[ragged[0]]}",
+                remedy=self._delimiter_remedy(),
+            )
+        first = tuple(int(row) for row in self.rows[ragged[:SHOWN_ROWS]])
+        findings = (Finding("truncated_rows", ragged.size, first),) if ragged.size else ()
+        return Cells(table, np.delete(self.rows, ragged), self.rows.size, findings)
+
+    def _parsed(self, names: list[str], *, quotes: bool) -> tuple[pa.Table, IntArray, int] | None:
+        """The named columns, the rows that do not fit, and how many cells the first of them has.
+
+        None if lines and rows do not correspond.
+        """
         ragged: list[int] = []
-        cells_found: list[int] = []
+        cells_found: list[int] = [0]
 
         def pass_over(row: pa.csv.InvalidRow) -> str:
             ragged.append(row.number - 1)
             cells_found.append(row.actual_columns)
             return "skip"
 
-        table = self._parsed(names, pass_over)
-        if len(ragged) > MAX_RAGGED * self.rows.size:
-            raise InputError(
-                f"{len(ragged)} of {self.rows.size} rows do not have the header's"
-                f" {len(self.names)} cells, the first has {cells_found[0]}",
-                file=self.path,
-                place=f"row {self.rows[ragged[0]]}",
-                remedy=self._delimiter_remedy(),
-            )
-        first = tuple(int(row) for row in self.rows[ragged[:SHOWN_ROWS]])
-        found = (Finding("truncated_rows", len(ragged), first),) if ragged else ()
-        return Cells(table, np.delete(self.rows, ragged), self.rows.size, found)
-
-    def _parsed(self, names: list[str], pass_over: Callable[[pa.csv.InvalidRow], str]) -> pa.Table:
-        """The named columns of the rows that `pass_over` is not called for."""
         try:
-            return pa.csv.read_csv(
+            table = pa.csv.read_csv(
                 pa.BufferReader(self.body),
                 # Without threads the handler is told the number of the row.
                 read_options=pa.csv.ReadOptions(column_names=self.names, use_threads=False),
                 parse_options=pa.csv.ParseOptions(
-                    delimiter=self.options.delimiter, invalid_row_handler=pass_over
+                    delimiter=self.options.delimiter,
+                    quote_char='"' if quotes else False,
+                    invalid_row_handler=pass_over,
                 ),
                 convert_options=pa.csv.ConvertOptions(
                     include_columns=names,
@@ -116,12 +131,11 @@ class TextFile:
                     quoted_strings_can_be_null=True,
                 ),
             )
-        except pa.ArrowException as error:
-            raise InputError(
-                f"cannot be split into cells: {str(error).splitlines()[0][:120]}",
-                file=self.path,
-                remedy=self._delimiter_remedy(),
-            ) from error
+        except pa.ArrowException:
+            return None
+        if table.num_rows + len(ragged) != self.rows.size:
+            return None
+        return table, np.array(ragged, dtype=np.int64), cells_found[min(1, len(ragged))]
 
     def _check(self, name: str) -> None:
         count = self.names.count(name)
@@ -197,7 +211,7 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
 
 
 def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
-    """The file's text as UTF-8 without byte order mark."""
+    """The file's text as UTF-8, without byte order mark, each line ended by a line feed."""
     codec = encoding.lower().replace("_", "-")
     wide = codec.startswith(("utf-16", "utf-32", "utf16", "utf32"))
     if not wide:
@@ -222,8 +236,9 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
     try:
         if codec in ("utf-8", "utf8", "utf-8-sig", "ascii"):
             data.decode(encoding if codec == "ascii" else "utf-8")
-            return data.removeprefix(b"\xef\xbb\xbf")
-        return data.decode(encoding).removeprefix("\ufeff").encode()
+            text = data.removeprefix(b"\xef\xbb\xbf")
+        else:
+            text = data.decode(encoding).removeprefix("\ufeff").encode()
     except UnicodeDecodeError as error:
         row = data.count(b"\n", 0, error.start) + 1
         raise InputError(
@@ -232,6 +247,7 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
             place=f"row {row}, byte {error.start}",
             remedy='set encoding under [file] of the profile, for example "cp1252"',
         ) from error
+    return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
 
 
 def _header_line(data: bytes, path: Path, options: FileOptions) -> tuple[int, int]:
@@ -241,9 +257,8 @@ def _header_line(data: bytes, path: Path, options: FileOptions) -> tuple[int, in
     position, row = 0, 1
     comment = options.comment.encode()
     while position < len(data):
-        line = data[position : position + 1]
-        blank = line in (b"\n", b"\r")
-        wanted = options.header == row if options.header else not blank and line != comment
+        begin = data[position : position + 1]
+        wanted = options.header == row if options.header else begin not in (b"\n", comment)
         if wanted:
             return position, row
         end = data.find(b"\n", position)
@@ -264,8 +279,7 @@ def _line_end(data: bytes) -> int:
 
 
 def _split(line: bytes, delimiter: str) -> tuple[str, ...]:
-    text = line.decode("utf-8").rstrip("\r")
-    cells = next(csv.reader([text], delimiter=delimiter), [])
+    cells = next(csv.reader([line.decode("utf-8")], delimiter=delimiter), [])
     return tuple(cell.strip() for cell in cells)
 
 
@@ -273,12 +287,7 @@ def _data_lines(data: bytes, position: int, first_row: int, comment: str) -> tup
     """The lines from `position` on that hold data, and the row of the file for each."""
     body = data[position:]
     mark = comment.encode()
-    unclean = (
-        body[:1] in (b"\n", b"\r", mark)
-        or b"\n\n" in body
-        or b"\n\r" in body
-        or (mark and b"\n" + mark in body)
-    )
+    unclean = body[:1] in (b"\n", mark) or b"\n\n" in body or (mark and b"\n" + mark in body)
     if not unclean:
         count = body.count(b"\n") + (bool(body) and not body.endswith(b"\n"))
         return body, first_row + np.arange(count, dtype=np.int64)
@@ -287,7 +296,7 @@ def _data_lines(data: bytes, position: int, first_row: int, comment: str) -> tup
     starts = np.concatenate(([0], ends))
     starts = starts[starts < buffer.size]
     lengths = np.diff(np.append(starts, buffer.size))
-    passed_over = [ord("\n"), ord("\r"), *mark]
+    passed_over = [ord("\n"), *mark]
     kept = ~np.isin(buffer[starts], passed_over)
     clean = buffer[np.repeat(kept, lengths)].tobytes()
     return clean, first_row + np.flatnonzero(kept)

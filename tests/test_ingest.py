@@ -1,0 +1,182 @@
+"""A simulated trip, written as foreign recorders write, comes back as it was."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from ingest_logs import clean_run, plain_profile, write
+from simulated_world import flirt, hilly_line
+
+from trainlog import __version__
+from trainlog.errors import LogError
+from trainlog.formats.attached import line_of, train_of
+from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
+from trainlog.mcap import read_log, write_log
+from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv
+from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+
+PROFILE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"
+
+LINE, TRAIN = hilly_line(), flirt()
+
+
+@pytest.fixture(scope="module")
+def driven() -> Trip:
+    return simulate(draw_scenarios(LINE, TRAIN, 1, 7)[0])
+
+
+def both(driven: Trip, read: Trip, topic: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Rows of the two frames at the instants that they share: all that were read."""
+    old, new = driven[topic], read[topic]
+    assert new.index.isin(old.index).all()
+    return old.loc[new.index], new
+
+
+def test_the_vehicle_recorders_file_comes_back(tmp_path: Path, driven: Trip) -> None:
+    """Within the file's own quantisation, and every defect counted."""
+    path = tmp_path / "recorder.csv"
+    defects = write_recorder_csv(driven, path)
+    read = ingest(path, profile=PROFILE, line=LINE, train=TRAIN)
+    report = report_of(read)
+    assert report.rows_read == defects.rows
+    assert report.counts == {
+        "duplicates": defects.duplicates,
+        "time_backwards": defects.backwards,
+        "empty": defects.missing,
+        "out_of_limits": defects.outliers,
+        "gaps": defects.gaps,
+    }
+    assert report.rows_dropped == defects.duplicates
+    half_a_step = {
+        "position": 0.05,
+        "speed": 0.005 / 3.6,
+        "lever": 0.0005,
+        "wheel_speed": 0.005 / 3.6,
+    }
+    for topic in ("/train/state", "/train/controls", "/train/axles"):
+        old, new = both(driven, read, topic)
+        for column in new.columns:
+            bound = half_a_step.get(column.rstrip("_1234"), 50.0)
+            if column in ("acceleration", "tractive_effort_demand", "braking_effort_demand"):
+                assert new[column].isna().all(), "the recorder does not keep it"
+                continue
+            lost = new[column].isna()
+            assert lost.sum() == (defects.missing + defects.outliers) * (column == "speed")
+            error = np.abs(new[column] - old[column])[~lost]
+            assert error.max() <= bound * (1.0 + 1e-9), f"{topic}.{column}"
+
+
+def test_the_ublox_file_comes_back(tmp_path: Path, driven: Trip) -> None:
+    """Times to the nanosecond although the file has whole seconds; values to the last digit."""
+    path = tmp_path / "gnss.csv"
+    defects = write_ublox_csv(driven, path)
+    read = ingest(path)
+    report = report_of(read)
+    assert report.rows_read == report.rows_kept == defects.rows
+    assert report.count("gaps") == defects.gaps
+    wild = report.count("spikes") + report.count("out_of_limits")
+    assert wild == defects.outliers > 0
+    for topic in ("/gnss/fix", "/gnss/motion"):
+        old, new = driven[topic], read[topic]
+        pd.testing.assert_index_equal(new.index, old.index, exact=False)
+        for column in new.columns:
+            known = new[column].notna()
+            assert known.sum() == len(new) - (defects.outliers if column == "speed" else 0)
+            np.testing.assert_allclose(new[column][known], old[column][known], rtol=0, atol=5e-9)
+
+
+def test_the_same_file_gives_the_same_bytes(tmp_path: Path, driven: Trip) -> None:
+    path = tmp_path / "recorder.csv"
+    write_recorder_csv(driven, path)
+    for name in ("a.mcap", "b.mcap"):
+        write_log(ingest(path, profile=PROFILE, line=LINE, train=TRAIN), tmp_path / name)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_what_was_done_is_told_in_metadata_and_provenance(tmp_path: Path, driven: Trip) -> None:
+    path = tmp_path / "recorder.csv"
+    write_recorder_csv(driven, path)
+    trip = ingest(
+        path,
+        profile=PROFILE,
+        line=LINE,
+        train=TRAIN,
+        direction="reverse",
+        metadata={"operator": "SOB", "weather": "wet"},
+    )
+    write_log(trip, tmp_path / "trip.mcap")
+    kept = read_log(tmp_path / "trip.mcap")
+    assert kept.metadata == trip.metadata
+    assert kept.metadata["trip"] == "recorder"
+    assert kept.metadata["operator"] == "SOB"
+    assert kept.metadata["weather"] == "wet"
+    assert kept.metadata["line"] == LINE.name
+    assert kept.metadata["train"] == TRAIN.name
+    assert kept.metadata["direction"] == "reverse"
+    assert kept.metadata["start"] == trip.start.isoformat()
+    report = report_of(kept)
+    assert report == report_of(trip)
+    assert kept.metadata["repair.duplicates"] == str(report.count("duplicates"))
+    assert kept.metadata["repair.empty./train/state.speed"] == str(report.count("empty"))
+    assert kept.metadata["rows.dropped"] == str(report.rows_dropped)
+    assert line_of(kept).stations[0].name == "Dorf"
+    assert train_of(kept).mass == TRAIN.mass
+
+    (step,) = kept.provenance
+    assert step["step"] == "ingest"
+    assert step["format"] == "csv"
+    assert step["software"] == f"trainlog {__version__}"
+    assert step["inputs"]["recorder.csv"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert step["inputs"][PROFILE_ATTACHMENT] == hashlib.sha256(PROFILE.read_bytes()).hexdigest()
+    assert kept.attachments[PROFILE_ATTACHMENT] == PROFILE.read_bytes()
+    for name in (LINE_ATTACHMENT, TRAIN_ATTACHMENT):
+        assert step["inputs"][name] == hashlib.sha256(kept.attachments[name]).hexdigest()
+
+
+def test_the_report_reads_as_text(tmp_path: Path) -> None:
+    rows = clean_run(60, 1.0).rows()
+    damaged = [*rows[:20], rows[19], *rows[20:30], *rows[40:]]
+    report = report_of(ingest(write(tmp_path / "run.csv", damaged), profile=plain_profile()))
+    assert report.lines() == [
+        "51 rows read, 50 kept, 1 dropped",
+        "duplicates: 1 (rows 22)",
+        "gaps: 1 (rows 33); longest 11.0 s, beyond 5 s",
+    ]
+
+
+def test_trips_that_were_not_ingested_have_no_report(driven: Trip) -> None:
+    with pytest.raises(LogError, match="was not made by ingest"):
+        report_of(driven)
+
+
+def test_line_and_train_bound_the_speed(tmp_path: Path, driven: Trip) -> None:
+    """80 m/s is possible somewhere, but not on a line of 125 km/h."""
+    trip = replace(driven)
+    path = tmp_path / "gnss.csv"
+    defects = write_ublox_csv(trip, path)
+    free = report_of(ingest(path))
+    bound = report_of(ingest(path, line=replace(LINE, geometry=None), train=TRAIN))
+    assert free.count("spikes", "/gnss/motion.speed") == defects.outliers
+    assert bound.count("out_of_limits", "/gnss/motion.speed") == defects.outliers
+
+
+@pytest.mark.long
+def test_a_million_rows_in_seconds(tmp_path: Path) -> None:
+    from time import perf_counter
+
+    count = 1_000_000
+    run = clean_run(count, 0.1)
+    stamps = pd.DatetimeIndex(run.time, tz="UTC").strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    table = pd.DataFrame({"t": stamps, "v": run.speed, "s": run.position})
+    table = table.assign(**{f"x{i}": np.round(run.speed * 3.6, 2) for i in range(8)})
+    table.to_csv(tmp_path / "run.csv", index=False)
+    begin = perf_counter()
+    trip = ingest(tmp_path / "run.csv", profile=plain_profile())
+    assert len(trip["/train/state"]) == count
+    assert perf_counter() - begin < 10.0

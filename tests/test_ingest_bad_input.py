@@ -1,0 +1,194 @@
+"""Files that cannot be used: one line that names the file, the place and the remedy."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ingest_logs import PLAIN, clean_run, plain_profile, plain_rows, plain_text, ublox, write
+
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, report_of
+
+
+def refused(path: Path, message: str, **options: object) -> str:
+    """What `ingest` says when it refuses the file; it must begin with the file's name."""
+    options = {"profile": plain_profile(), **options}
+    with pytest.raises(InputError, match=message) as caught:
+        ingest(path, **options)
+    told = str(caught.value)
+    assert told.startswith(str(path))
+    assert "\n" not in told
+    assert "; " in told, "no remedy"
+    return told
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is empty"),
+        (b"\n\n \n", "(is empty|holds no row)"),
+        (b"\0" * 3000, "is empty"),
+        (b"t,v,s\n", "row 1: holds no row of data, only its header"),
+        (b"t,v,s", "row 1: holds no row of data, only its header"),
+        (b"# nothing\n# but comments\n", "has no header"),
+        (
+            bytes(range(256)) * 8,
+            "is of no format that trainlog knows; it begins with 00 01 .*; formats: ",
+        ),
+        (plain_text(plain_rows()).encode("utf-16"), 'UTF-16; set encoding = "utf-16"'),
+        (b"t,v,s\n" + b"x" * 70_000 + b"\n\0\n", "row|is not text: it holds zero bytes"),
+        (plain_text(plain_rows()).encode().replace(b"\n", b"\xe9\n", 5), r"row 1, byte 5: is not"),
+        (plain_text(plain_rows()).replace(",", ";").encode(), r"no column 't'; set delimiter"),
+        (plain_text(plain_rows()).replace(",", "\t").encode(), r'set delimiter = "\\t"'),
+        (plain_text(plain_rows()).replace(",v,", ",speed,").encode(), "no column 'v'.*t, speed, s"),
+        (plain_text(plain_rows()).replace("t,v", "t,V").encode(), "did you mean 'V'"),
+        (plain_text(plain_rows()).replace("t,v,s", "t,v,v").encode(), "column 'v' comes 2 times"),
+        (
+            plain_text([row.rpartition(",")[0] for row in plain_rows()]).encode(),
+            "row 2: 20 of 20 rows do not have the header's 3 cells, the first has 2",
+        ),
+        (
+            plain_text([row.replace("Z,", "Z,x") for row in plain_rows()]).encode(),
+            r"row 2, column v: 20 cells are no numbers, the first is 'x22.955'; check which",
+        ),
+        (
+            plain_text([row.split(",")[0] + ",," for row in plain_rows()]).encode(),
+            "none of the mapped columns holds a number; check the columns",
+        ),
+        (
+            plain_text([row.split(",")[0] + ",nan,NaN" for row in plain_rows()]).encode(),
+            "none of the mapped columns holds a number",
+        ),
+        (plain_text(plain_rows()[:1]).encode(), "row 2: 1 row is left .* a trip needs 2"),
+        (plain_text(plain_rows()[:1] * 50).encode(), "1 row is left after rule 'duplicates'"),
+        (
+            plain_text([",1.0,2.0"] * 5).encode(),
+            "rows 2 to 6: no row has a time that can be read; check the columns, format and unit",
+        ),
+        (plain_text(["yesterday,1.0,2.0"] * 5).encode(), "no row has a time that can be read"),
+        (b'"t","v","s"\n"a,b,c\nd,e,f\n', "cells|time|number"),
+    ],
+)
+def test_each_unusable_file_gives_one_line(tmp_path: Path, data: bytes, message: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(data)
+    refused(path, message)
+
+
+def test_missing_files_and_folders(tmp_path: Path) -> None:
+    refused(tmp_path / "none.csv", "does not exist; check the path")
+    refused(tmp_path, "is a folder; check the path")
+    for format in ("csv", "parquet", "ublox"):
+        refused(tmp_path / "none.csv", "does not exist", format=format)
+        refused(tmp_path, "is a folder", format=format)
+
+
+def test_unknown_formats_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no format 'parket'; did you mean 'parquet'"):
+        ingest(write(tmp_path / "run.csv", plain_rows()), format="parket")
+
+
+def test_text_without_a_profile(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", plain_rows())
+    refused(path, "layout that trainlog does not know; give a profile", profile=None)
+
+
+@pytest.mark.parametrize(
+    ("position", "speed", "message"),
+    [
+        ("m", "km/h", "position moves .* m, /train/state.speed says .* m; check the units"),
+        ("km", "m/s", "position: .* values are impossible|position moves"),
+        ("mm", "m/s", "position moves"),
+    ],
+)
+def test_units_that_contradict_each_other(
+    tmp_path: Path, position: str, speed: str, message: str
+) -> None:
+    path = write(tmp_path / "run.csv", plain_rows(200))
+    columns = {
+        "/train/state.speed": {"column": "v", "unit": speed},
+        "/train/state.position": {"column": "s", "unit": position},
+    }
+    refused(path, message, profile=plain_profile(columns=columns))
+
+
+def test_an_impossible_unit_is_doubted(tmp_path: Path) -> None:
+    rows = [row.replace("Z,", "Z,3") for row in plain_rows(30)]
+    told = refused(write(tmp_path / "run.csv", rows), "values are impossible")
+    assert re.search(r"row \d+: /train/state.speed: \d+ of 30.*check the unit", told)
+
+
+def test_position_against_the_direction_of_travel(tmp_path: Path) -> None:
+    columns = {
+        **PLAIN["columns"],
+        "/train/state.position": {"column": "s", "unit": "m", "sign": -1},
+    }
+    path = write(tmp_path / "run.csv", plain_rows(200))
+    refused(path, "falls by .* set sign = -1", profile=plain_profile(columns=columns))
+
+
+def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path: Path) -> None:
+    """At most the row in which the recorder lost power is lost or shortened."""
+    whole = plain_text(plain_rows(30)).encode()
+    path = tmp_path / "run.csv"
+    for end in range(len(whole) - 300, len(whole), 4):
+        path.write_bytes(whole[:end] + b"\0" * 50)
+        trip = ingest(path, profile=plain_profile())
+        complete = whole[:end].count(b"\n") - 1
+        assert complete <= report_of(trip).rows_read <= complete + 1
+        assert complete <= len(trip["/train/state"]) <= complete + 1
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_random_damage_never_gives_anything_but_our_error(
+    tmp_path: Path, data: st.DataObject
+) -> None:
+    kind = data.draw(st.sampled_from(["csv", "ublox", "parquet"]))
+    ticks = np.arange(60)
+    if kind == "parquet":
+        sink = pa.BufferOutputStream()
+        pa.parquet.write_table(pa.table({"t": ticks, "v": ticks / 7, "s": ticks * 1.0}), sink)
+        good = sink.getvalue().to_pybytes()
+    elif kind == "ublox":
+        good = ublox(ticks // 5, ticks / 5).text().encode()
+    else:
+        good = plain_text(clean_run(60, 0.5).rows()).encode()
+    damaged = bytearray(good)
+    for _ in range(data.draw(st.integers(1, 12))):
+        start = data.draw(st.integers(0, len(damaged) - 1))
+        what = data.draw(st.sampled_from(["flip", "cut", "copy", "fill"]))
+        length = data.draw(st.integers(1, 40))
+        if what == "flip":
+            damaged[start] ^= data.draw(st.integers(1, 255))
+        elif what == "cut":
+            del damaged[start : start + length]
+        elif what == "copy":
+            damaged[start:start] = damaged[start : start + length]
+        else:
+            fill = data.draw(st.sampled_from([b"\0", b",", b"\n", b'"', b"9", b"-", b"e", b"#"]))
+            damaged[start : start + length] = fill * len(damaged[start : start + length])
+        if not damaged:
+            damaged = bytearray(b"x")
+    path = tmp_path / "run.dat"
+    path.write_bytes(damaged)
+    time = {"column": "t", "format": "elapsed", "start": "2024-05-01T00:00:00Z"}
+    profile = plain_profile(time=time) if kind == "parquet" else plain_profile()
+    told = None
+    try:
+        trip = ingest(path, profile=profile, format=kind)
+    except InputError as error:
+        told = str(error)
+    if told is None:
+        report = report_of(trip)
+        assert 2 <= report.rows_kept <= report.rows_read
+    else:
+        assert told.startswith(str(path))
+        assert "\n" not in told

@@ -1,0 +1,170 @@
+"""Satellite fixes become chainage on the line's geometry, with honest standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from simulated_world import flirt, hilly_line
+
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, report_of
+from trainlog.ingest.chainage import Fixes, chainage_of, project
+from trainlog.railway import Geometry, Line
+from trainlog.simulation.recorders import write_ublox_csv
+from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.trip import Trip
+
+METRES_PER_DEGREE = 111_177.0
+"""Length of a degree of latitude at 47° north [m]."""
+
+
+def winding(length: float = 11_000.0) -> Geometry:
+    """A track of bends, drawn true to scale around 47° north."""
+    position = np.arange(0.0, length + 1.0, 20.0)
+    heading = 1.2 * np.sin(position / 900.0)
+    east = np.concatenate([[0.0], np.cumsum(20.0 * np.cos(heading[:-1]))])
+    north = np.concatenate([[0.0], np.cumsum(20.0 * np.sin(heading[:-1]))])
+    scale = METRES_PER_DEGREE * np.cos(np.radians(47.0))
+    return Geometry(position, 47.0 + north / METRES_PER_DEGREE, 9.0 + east / scale, "made up")
+
+
+LINE = replace(hilly_line(), geometry=winding())
+TRAIN = flirt()
+
+
+def fixes(seconds: np.ndarray, position: np.ndarray, speed: np.ndarray) -> Fixes:
+    latitude, longitude = winding().at(position)
+    ones = np.ones(seconds.size)
+    index = pd.DatetimeIndex((seconds * 1e9).astype("int64"), tz="UTC")
+    return Fixes(index, seconds, latitude, longitude, 2.0 * ones, speed, 0.1 * ones)
+
+
+@given(st.lists(st.floats(0.0, 11_000.0), min_size=1, max_size=50), st.floats(-30.0, 30.0))
+def test_points_beside_the_track_find_their_chainage(at: list[float], beside: float) -> None:
+    """Radii are 750 m and more: a point 30 m beside lies nearest to where it was put."""
+    geometry = winding()
+    position = np.array(at)
+    latitude, longitude = geometry.at(position)
+    behind, ahead = geometry.at(position - 0.5), geometry.at(position + 0.5)
+    north, east = (
+        (ahead[0] - behind[0]) * METRES_PER_DEGREE,
+        (ahead[1] - behind[1]) * METRES_PER_DEGREE * np.cos(np.radians(47.0)),
+    )
+    size = np.hypot(north, east)
+    inside = (position > 1.0) & (position < 10_999.0)
+    latitude = latitude + beside * east / size / METRES_PER_DEGREE
+    longitude = longitude - beside * north / size / METRES_PER_DEGREE / np.cos(np.radians(47.0))
+    chainage, distance = project(geometry, latitude, longitude)
+    # The polygon's corners, 20 m apart, and the plain projection cost a little.
+    assert np.all(np.abs(chainage - position)[inside] < 0.1 + 0.03 * abs(beside))
+    assert np.all(np.abs(distance - abs(beside))[inside] < 0.2 + 0.03 * abs(beside))
+
+
+def test_absent_fixes_have_no_chainage() -> None:
+    chainage, distance = project(winding(), np.array([np.nan, 47.0]), np.array([9.0, 9.0]))
+    assert np.isnan(chainage[0])
+    assert np.isnan(distance[0])
+    assert abs(chainage[1]) < 1e-9
+
+
+def test_fixes_off_the_line_and_out_of_step_are_rejected() -> None:
+    seconds = np.arange(0.0, 500.0, 1.0)
+    speed = np.full(seconds.size, 20.0)
+    clean = fixes(seconds, 20.0 * seconds, speed)
+    latitude, longitude = clean.latitude.copy(), clean.longitude.copy()
+    latitude[100:110] += 200.0 / METRES_PER_DEGREE
+    ahead = winding().at(20.0 * seconds[300:310] + 150.0)
+    latitude[300:310], longitude[300:310] = ahead
+    damaged = replace(clean, latitude=latitude, longitude=longitude)
+    matched = chainage_of(winding(), damaged)
+    wrong = np.zeros(seconds.size, dtype=bool)
+    wrong[100:110] = wrong[300:310] = True
+    np.testing.assert_array_equal(matched.rejected, wrong)
+    assert np.abs(matched.chainage - 20.0 * seconds)[~wrong].max() < 1e-3
+    assert not chainage_of(winding(), damaged, gated=False).rejected.any()
+
+
+def test_a_trip_elsewhere_is_refused() -> None:
+    seconds = np.arange(0.0, 100.0)
+    away = fixes(seconds, 20.0 * seconds, np.full(100, 20.0))
+    away = replace(away, latitude=away.latitude + 0.1)
+    with pytest.raises(InputError, match=r"half of the 100 fixes lie 9\.9 km or more .*; give"):
+        chainage_of(winding(), away)
+
+
+def test_a_misplaced_line_widens_the_band() -> None:
+    """Fixes 120 m north of a line drawn by hand: still its chainage, but not to the metre."""
+    seconds = np.arange(0.0, 400.0)
+    shifted = fixes(seconds, 20.0 * seconds, np.full(400, 20.0))
+    shifted = replace(shifted, latitude=shifted.latitude + 120.0 / METRES_PER_DEGREE)
+    matched = chainage_of(winding(), shifted)
+    assert 60.0 < matched.misfit < 200.0
+    error = np.abs(matched.chainage - 20.0 * seconds)
+    assert np.nanquantile(error, 0.95) < 2.0 * matched.misfit
+    assert chainage_of(winding(), fixes(seconds, 20.0 * seconds, np.full(400, 20.0))).misfit == 0.0
+
+
+def test_a_trip_the_other_way_is_refused() -> None:
+    seconds = np.arange(0.0, 100.0)
+    back = fixes(seconds, 5_000.0 - 20.0 * seconds, np.full(100, 20.0))
+    with pytest.raises(InputError, match=r"from km 5\.000 to km 3\.020.*'reverse'"):
+        chainage_of(winding(), back)
+    silent = replace(back, speed=np.full(100, np.nan))
+    with pytest.raises(InputError, match="against the direction of travel"):
+        chainage_of(winding(), silent)
+
+
+@pytest.fixture(scope="module", params=["forward", "reverse"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple:
+    """A simulated trip, and the same trip from the receiver's CSV."""
+    line: Line = LINE
+    scenario = replace(draw_scenarios(line, TRAIN, 1, 3)[0], direction=request.param)
+    driven = simulate(scenario)
+    path = tmp_path_factory.mktemp("gnss") / "gnss.csv"
+    write_ublox_csv(driven, path)
+    return driven, ingest(path, line=line, train=TRAIN, direction=request.param)
+
+
+def test_chainage_and_speed_follow_the_truth(run: tuple[Trip, Trip]) -> None:
+    """Fixes err by 2.5 m over half a minute, are lost in the tunnel and in outages."""
+    driven, read = run
+    estimate, truth = read["/estimates/state"], driven["/truth"]
+    at = estimate.index.as_unit("ns").asi8
+    known = truth.index.as_unit("ns").asi8
+    bounds = {"position": 5.0, "speed": 0.15}
+    for name, bound in bounds.items():
+        error = estimate[name] - np.interp(at, known, truth[name])
+        assert np.sqrt(np.mean(error**2)) < bound
+        inside = np.abs(error) < 1.96 * estimate[f"{name}_std"]
+        assert inside.mean() > 0.9, f"{name}: the band holds {inside.mean():.0%} of the truth"
+    assert np.all(np.diff(estimate["position"]) >= 0.0)
+    assert estimate["speed"].min() >= 0.0
+    assert float(read.metadata["line.misfit"]) < 2.0
+
+
+def test_wild_fixes_do_not_move_the_estimate(tmp_path: Path, run: tuple[Trip, Trip]) -> None:
+    driven, read = run
+    path = tmp_path / "gnss.csv"
+    write_ublox_csv(driven, path)
+    lines = path.read_text("ascii").splitlines()
+    count = 0
+    for row in range(500, len(lines) - 200, 400):
+        for i in range(row, row + 8):
+            cells = lines[i].split(",")
+            cells[8] = str(int(cells[8]) + 10_000)
+            lines[i] = ",".join(cells)
+            count += 1
+    path.write_text("\n".join(lines) + "\n", "ascii")
+    direction = read.metadata["direction"]
+    again = ingest(path, line=LINE, train=TRAIN, direction=direction)
+    report = report_of(again)
+    assert count > 20
+    assert report.count("off_line") + report.count("spikes", "/gnss/fix.latitude") >= 0.9 * count
+    difference = again["/estimates/state"]["position"] - read["/estimates/state"]["position"]
+    assert np.abs(difference).max() < 2.0

@@ -1,0 +1,249 @@
+"""The registry: built-in formats are detected, a user's own is one function in a package."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from ingest_logs import PLAIN, clean_run, plain_profile, ublox, write
+
+from trainlog.errors import InputError
+from trainlog.ingest import RULES, formats, ingest, report_of
+from trainlog.ingest.profile import FileOptions, TimeOptions
+from trainlog.ingest.values import LIMITS
+
+PAGE = (Path(__file__).parents[1] / "docs" / "ingest.md").read_text("utf-8")
+
+
+@pytest.fixture(autouse=True)
+def _fresh_registry() -> Iterator[None]:
+    formats.cache_clear()
+    yield
+    formats.cache_clear()
+
+
+def test_formats_are_detected_by_content(tmp_path: Path) -> None:
+    run = clean_run(50, 0.1)
+    names = {}
+    names["csv"] = write(tmp_path / "a.dat", run.rows())
+    names["ublox"] = tmp_path / "b.dat"
+    names["ublox"].write_text(ublox(np.arange(50) // 5, np.arange(50) / 5).text(), "ascii")
+    names["parquet"] = tmp_path / "c.dat"
+    table = {"t": pd.DatetimeIndex(run.time, tz="UTC"), "v": run.speed, "s": run.position}
+    pa.parquet.write_table(pa.table(table), names["parquet"])
+    for name, path in names.items():
+        trip = ingest(path, profile=plain_profile())
+        assert trip.provenance[0]["format"] == name
+
+
+@pytest.mark.parametrize("typed", [True, False])
+def test_parquet_gives_what_csv_gives(tmp_path: Path, typed: bool) -> None:
+    run = clean_run(200, 0.1)
+    text = ingest(write(tmp_path / "run.csv", run.rows()), profile=plain_profile())
+    stamps = pd.DatetimeIndex(run.time, tz="UTC")
+    table = pa.table(
+        {
+            "v": pa.array(run.speed, pa.float64() if typed else None),
+            "other": pa.array(["x"] * 200),
+            "s": run.position if typed else [f"{s:.2f}" for s in run.position],
+            "t": pa.array(stamps if typed else stamps.strftime("%Y-%m-%dT%H:%M:%S.%fZ")),
+        }
+    )
+    pa.parquet.write_table(table, tmp_path / "run.parquet")
+    trip = ingest(tmp_path / "run.parquet", profile=plain_profile())
+    pd.testing.assert_frame_equal(trip["/train/state"], text["/train/state"])
+
+
+def test_parquet_rows_are_numbered_and_nulls_counted(tmp_path: Path) -> None:
+    run = clean_run(60, 1.0)
+    speed = [None if i == 9 else float("nan") if i == 19 else v for i, v in enumerate(run.speed)]
+    table = pa.table({"t": pd.DatetimeIndex(run.time, tz="UTC"), "v": speed, "s": run.position})
+    pa.parquet.write_table(table, tmp_path / "run.parquet")
+    report = report_of(ingest(tmp_path / "run.parquet", profile=plain_profile()))
+    assert report.counts == {"empty": 2}
+    assert report.findings[0].rows == (10, 20)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda data: data[:-9], "is no Parquet table that can be read"),
+        (lambda data: data[:4], "is no Parquet table that can be read"),
+        (lambda data: data.replace(b"v", b"w"), r"no column 'v'; columns: t, w, s|Parquet"),
+    ],
+)
+def test_damaged_parquet_is_refused(tmp_path: Path, change: object, message: str) -> None:
+    path = tmp_path / "run.parquet"
+    pa.parquet.write_table(pa.table({"t": [1.0, 2.0], "v": [1.0, 2.0], "s": [1.0, 2.0]}), path)
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(InputError, match=message):
+        ingest(path, profile=plain_profile())
+
+
+def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    run = clean_run(5, 1.0)
+    stamps = pd.DatetimeIndex(run.time, tz="UTC")
+    pa.parquet.write_table(pa.table({"t": stamps, "v": run.speed, "s": stamps}), path)
+    with pytest.raises(InputError, match=r"column s: .* no numbers"):
+        ingest(path, profile=plain_profile())
+    with pytest.raises(InputError, match="give a profile"):
+        ingest(path)
+    pa.parquet.write_table(pa.table({"t": stamps, "w": run.speed, "s": run.position}), path)
+    with pytest.raises(InputError, match="no column 'v'; columns: t, w, s"):
+        ingest(path, profile=plain_profile())
+    pa.parquet.write_table(pa.table({"t": stamps[:0], "v": [], "s": []}), path)
+    with pytest.raises(InputError, match="holds no row of data"):
+        ingest(path, profile=plain_profile())
+
+
+# ------------------------------------------------------------------ odd but good text files
+
+
+@pytest.mark.parametrize(
+    ("head", "tail", "options"),
+    [
+        ("t,v,s\n", "\n", {}),
+        ("t,v,s\n", "", {}),
+        ('"t", v ,"s"\n', "\n", {}),
+        ("# recorder 7\n\nt,v,s\n\n# started\n", "\n\n\n", {}),
+        ("t,v,s,\n", "\n", {}),
+        (
+            "Recorder 7\nsome, words\nt,v,s\nunix,m/s,m\n",
+            "\n",
+            {"header": 3, "skip_after_header": 1},
+        ),
+    ],
+)
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_layouts_of_text(
+    tmp_path: Path, head: str, tail: str, options: dict[str, object], ending: str, encoding: str
+) -> None:
+    run = clean_run(10, 1.0)
+    text = head + "\n".join(run.rows()) + tail
+    path = tmp_path / "run.csv"
+    path.write_bytes(text.replace("\n", ending).encode(encoding))
+    profile = plain_profile(file={"encoding": encoding, **options})
+    trip = ingest(path, profile=profile)
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+    assert report_of(trip).rows_read == 10
+
+
+def test_no_header_means_numbered_columns(tmp_path: Path) -> None:
+    run = clean_run(10, 1.0)
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(run.rows()), "utf-8")
+    columns = {"/train/state.speed": {"column": "2", "unit": "m/s"}}
+    profile = plain_profile(file={"header": 0}, time={"column": "1"}, columns=columns)
+    np.testing.assert_array_equal(ingest(path, profile=profile)["/train/state"]["speed"], run.speed)
+
+
+def test_rows_are_counted_as_an_editor_counts_them(tmp_path: Path) -> None:
+    rows = clean_run(20, 1.0).rows()
+    rows[4] = rows[4].replace(",", ",x", 1)
+    lines = ["# a", "", "t,v,s", *rows[:3], "# pause", "", *rows[3:8], rows[8].split(",")[0]]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([*lines, *rows[9:]]) + "\n", "utf-8")
+    found = {f.rule: f.rows for f in report_of(ingest(path, profile=plain_profile())).findings}
+    lines_of_file = path.read_text("utf-8").splitlines()
+    assert lines_of_file[found["not_a_number"][0] - 1] == rows[4]
+    assert lines_of_file[found["truncated_rows"][0] - 1] == rows[8].split(",")[0]
+
+
+def test_a_stray_quotation_mark_costs_its_cell_only(tmp_path: Path) -> None:
+    rows = clean_run(40, 1.0).rows()
+    rows[10] = rows[10].replace(",", ',"', 1)
+    report = report_of(ingest(write(tmp_path / "run.csv", rows), profile=plain_profile()))
+    assert report.rows_kept == 40
+    assert report.counts == {"not_a_number": 1}
+
+
+def test_quoted_cells_may_hold_the_delimiter(tmp_path: Path) -> None:
+    rows = [f'{row},"doors, left"' for row in clean_run(10, 1.0).rows()]
+    columns = {**PLAIN["columns"], "/events.message": {"column": "e"}}
+    path = write(tmp_path / "run.csv", rows, "t,v,s,e")
+    trip = ingest(path, profile=plain_profile(columns=columns))
+    assert set(trip["/events"]["message"]) == {"doors, left"}
+
+
+# ------------------------------------------------------------------ formats of one's own
+
+
+def blocks(language: str, name: str) -> str:
+    """The block of the page in `language` whose first line names a file."""
+    found = re.findall(rf"^```{language}\n# {re.escape(name)}\n(.*?)^```", PAGE, re.M | re.S)
+    assert len(found) == 1, f"docs/ingest.md has {len(found)} blocks {name}"
+    return found[0]
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The package that docs/ingest.md shows, installed as pip would."""
+    import tomllib
+
+    (tmp_path / "wayside_log.py").write_text(blocks("python", "wayside_log.py"), "utf-8")
+    project = tomllib.loads(blocks("toml", "pyproject.toml"))["project"]
+    entries = project["entry-points"]["trainlog.ingest"]
+    folder = tmp_path / "wayside_log-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: wayside-log\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text(
+        "[trainlog.ingest]\n" + "".join(f"{key} = {value}\n" for key, value in entries.items())
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def test_the_pages_own_format_is_found_and_repaired(installed: Path) -> None:
+    seconds = np.arange(1_714_543_200, 1_714_543_300, dtype="<i8")
+    speed = (3.6 * (20.0 + np.sin(seconds / 20.0))).astype("<f4")
+    speed[50] = 400.0
+    data = np.rec.fromarrays([seconds, speed], names="second,speed").tobytes()
+    path = installed / "run.way"
+    path.write_bytes(b"WAY1" + data)
+    assert next(iter(formats())) == "wayside"
+    trip = ingest(path)
+    assert trip.provenance[0]["format"] == "wayside"
+    assert report_of(trip).counts == {"spikes": 1}
+    assert len(trip["/train/state"]) == 99
+    np.testing.assert_allclose(trip["/train/state"]["speed"].iloc[:50], speed[:50] / 3.6, rtol=1e-6)
+
+
+def test_a_format_that_cannot_be_loaded_is_named(installed: Path) -> None:
+    (installed / "wayside_log.py").write_text("import nothing_of_that_name\n", "utf-8")
+    import sys
+
+    sys.modules.pop("wayside_log", None)
+    with pytest.raises(InputError, match="format 'wayside' cannot be loaded from wayside_log:WAY"):
+        formats()
+
+
+# ------------------------------------------------------------------ the page tells the truth
+
+
+def test_every_rule_has_its_row_in_the_page() -> None:
+    told = re.findall(r"^\| `(\w+)` \| .* \| (keeps|refuses)[^|]* \|$", PAGE, re.M)
+    expected = [(rule.name, "keeps" if rule.off == "keep" else "refuses") for rule in RULES]
+    assert told == expected
+
+
+def test_every_limit_has_its_row_in_the_page() -> None:
+    told = re.findall(r"^\| `(/\S+)` \| (\S+) to (\S+) (\S+) \| (.*) \|$", PAGE, re.M)
+    expected = []
+    for name, limit in LIMITS.items():
+        rate = f"{limit.rate:g} a second, {limit.tolerance:g}" if limit.rate else ""
+        expected.append((name, f"{limit.min:g}", f"{limit.max:g}", limit.unit, rate))
+    assert told == expected
+
+
+@pytest.mark.parametrize("options", [FileOptions, TimeOptions])
+def test_every_key_is_in_the_page(options: type) -> None:
+    for key in options.model_fields:
+        assert f"`{key}`" in PAGE

@@ -1,0 +1,286 @@
+"""Profiles: what they may say, and one clear line for each mistake."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ingest_logs import PLAIN, clean_run, plain_profile, write
+
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, profile_of, read_profile
+from trainlog.railway import RunningResistance, Train
+
+SAMPLE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"
+
+TRAIN = Train("small", 100_000.0, 0.1, RunningResistance(2e3, 50.0, 8.0), 200e3, 2e6)
+
+HEAD = 'format = "trainlog/recorder-profile"\nversion = 1\nname = "x"\n'
+
+
+def test_the_samples_profile_is_valid() -> None:
+    profile = read_profile(SAMPLE)
+    assert profile.time is not None
+    assert profile.columns["/train/axles.wheel_speed"].names[3] == "V_axle4_kmh"
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("", "is not a recorder profile: format is None; begin the file with format ="),
+        ("format = 'trainlog/line'", "is not a recorder profile: format is 'trainlog/line'"),
+        ("format = ", r"is not TOML: Invalid value \(at end of document\)"),
+        (HEAD.replace("1", "2"), "version: Input should be 1"),
+        (HEAD.replace("name", "names"), "(names: unknown key 'names'|name: key 'name' is missing)"),
+        (HEAD + "[time]\ncolunm = 't'", "time.colunm: unknown key 'colunm'.*did you mean 'column'"),
+        (HEAD + "[tiem]\ncolumn = 't'", "tiem: unknown key 'tiem'; did you mean 'time'"),
+        (HEAD + "[time]\nformat = 'iso'", "time: needs either column or columns"),
+        (HEAD + "[time]\ncolumn = 't'\nformat = 'parts'", "format 'parts' needs 6 columns"),
+        (HEAD + "[time]\ncolumn = 't'\nformat = 'isoo'", "format 'isoo' is none of 'iso'"),
+        (HEAD + "[time]\ncolumn = 't'\nformat = 'elapsed'", "'elapsed' and start"),
+        (HEAD + "[time]\ncolumn = 't'\ntimezone = 'Mars'", "timezone 'Mars' is not known"),
+        (HEAD + "[time]\ncolumn = 't'\nunit = 'h'", "time.unit: Input should be 's'"),
+        (HEAD + "[time]\ncolumn = 't'\ndate = 2024-05-01", "date is for a pattern"),
+        (HEAD + "[file]\ndelimiter = ';;'", "file.delimiter: String should have at most 1"),
+        (HEAD + "[file]\ndelimiter = ','\ndecimal = ','", "delimiter and decimal are both ','"),
+        (HEAD + "[file]\nencoding = 'utf8000'", "encoding 'utf8000' is not known"),
+        (HEAD + "[file]\nheader = -1", "file.header: Input should be greater"),
+        (
+            HEAD + "[columns]\n'/train/sate.speed' = {column='v', unit='m/s'}",
+            "unknown field '/train/sate.speed'; did you mean '/train/state.speed'",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.sped' = {column='v', unit='m/s'}",
+            "topic /train/state has no field 'sped'; did you mean 'speed'",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='kg'}",
+            """columns."/train/state.speed": unit 'kg' cannot be read as m/s; declare a unit""",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='furlong per sennight'}",
+            "unit 'furlong per sennight' cannot be read as m/s",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {column='v'}",
+            """columns."/train/state.speed" needs a unit; for example unit = 'm/s'""",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {colum='v', unit='m/s'}",
+            """columns."/train/state.speed".colum: unknown key 'colum'; did you mean 'column'""",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {unit='m/s'}",
+            "needs one of column, columns and value",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {columns=['v', 'w'], unit='m/s'}",
+            """columns."/train/state.speed" needs one column""",
+        ),
+        (
+            HEAD + "[columns]\n'/train/axles.wheel_speed' = {column='v', unit='m/s'}",
+            """columns."/train/axles.wheel_speed" needs columns, one an axle""",
+        ),
+        (
+            HEAD + "[columns]\n'/train/axles.wheel_speed_2' = {column='v', unit='m/s'}",
+            "no field 'wheel_speed_2'; did you mean 'wheel_speed'",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='m/s', sign=2}",
+            """columns."/train/state.speed".sign: Input should be 1 or -1""",
+        ),
+        (
+            HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='m/s', scale=nan}",
+            "scale: Input should be a finite number",
+        ),
+        (
+            HEAD + "[columns]\n'/events.message' = {value=3}",
+            """columns."/events.message" needs a text""",
+        ),
+        (
+            HEAD + "[columns]\n'/events.message' = {column='x', unit='m'}",
+            """columns."/events.message" has no unit""",
+        ),
+        (HEAD + "[trip]\nload = {value=3, unit='m'}", "load: unit 'm' cannot be read as kg"),
+        (HEAD + "[trip]\nload = 3", "trip.load"),
+        (HEAD + "[trip]\nweather = 'snow'", "trip.weather: Input should be 'dry' or 'wet'"),
+        (
+            HEAD + "[trip]\nload = {value=3, unit='t'}\nmass = {value=3, unit='t'}",
+            "trip: give load or mass, not both",
+        ),
+        (HEAD + "[repair]\nspike = false", "unknown key 'spike'; did you mean 'spikes'"),
+        (HEAD + "[repair]\nspikes = 3", "repair.spikes: Input should be a valid boolean"),
+        (
+            HEAD + "[limits.columns]\n'/train/state.speed' = {unit='m/s', maximum=3}",
+            "unknown key 'maximum'",
+        ),
+        (
+            HEAD + "[limits.columns]\n'/train/state.speed' = {unit='kg', max=3}",
+            "/train/state.speed: unit 'kg' cannot be read as m/s",
+        ),
+        (HEAD + "[metadata]\noperator = 3", "metadata.operator: Input should be a valid string"),
+    ],
+)
+def test_each_mistake_gives_one_line_with_file_place_and_remedy(
+    tmp_path: Path, toml: str, message: str
+) -> None:
+    path = tmp_path / "mine.profile.toml"
+    path.write_text(toml, "utf-8")
+    with pytest.raises(InputError, match=message.replace("[", r"\[")) as caught:
+        read_profile(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfe\x00x", b"name = 'caf\xe9'"])
+def test_profiles_are_utf8(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "mine.profile.toml"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="is not UTF-8 text"):
+        read_profile(path)
+
+
+def test_a_missing_profile_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.toml: does not exist"):
+        read_profile(tmp_path / "none.toml")
+
+
+def test_profiles_for_tables_need_time_and_columns(tmp_path: Path) -> None:
+    rows = write(tmp_path / "run.csv", clean_run(5, 1.0).rows())
+    for section in ("time", "columns"):
+        content = copy.deepcopy(PLAIN)
+        del content[section]
+        with pytest.raises(InputError, match=rf"profile 'plain' has no \[{section}\] section"):
+            ingest(rows, profile=profile_of(content))
+
+
+# ------------------------------------------------------------------ what columns can do
+
+
+def column(tmp_path: Path, cells: list[str], **options: object) -> np.ndarray:
+    """Lever [1] from cells in per cent, however written."""
+    rows = [f"2024-05-01T06:00:{i:02d}.5Z;{cell}" for i, cell in enumerate(cells)]
+    path = write(tmp_path / "run.csv", rows, "t;x")
+    name = str(options.pop("name", "/train/controls.lever"))
+    profile = plain_profile(
+        file={"delimiter": ";", **options.pop("file", {})},
+        columns={name: {"column": "x", **options}},
+    )
+    topic, _, field = name.partition(".")
+    return ingest(path, profile=profile)[topic][field].to_numpy()
+
+
+def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path: Path) -> None:
+    raw = ["0", "50", "100", "-100"]
+    np.testing.assert_array_equal(column(tmp_path, raw, unit="%"), [0.0, 0.5, 1.0, -1.0])
+    np.testing.assert_array_equal(column(tmp_path, raw, unit="%", sign=-1), [0.0, -0.5, -1.0, 1.0])
+    np.testing.assert_array_equal(
+        column(tmp_path, raw, unit="%", scale=0.5, offset=10), [0.1, 0.35, 0.6, -0.4]
+    )
+    np.testing.assert_array_equal(
+        column(tmp_path, raw, unit="%", part="positive"), [0.0, 0.5, 1.0, 0.0]
+    )
+    np.testing.assert_array_equal(
+        column(tmp_path, raw, unit="%", part="negative"), [0.0, 0.0, 0.0, 1.0]
+    )
+
+
+def test_units_are_converted_exactly_once(tmp_path: Path) -> None:
+    speed = column(tmp_path, ["0", "36", "110", "160"], name="/train/state.speed", unit="km/h")
+    np.testing.assert_array_equal(speed, [0.0, 10.0, 110 / 3.6, 160 / 3.6])
+    air = column(tmp_path, ["0", "20", "-5"], name="/environment.air_temperature", unit="degC")
+    np.testing.assert_allclose(air, [273.15, 293.15, 268.15], rtol=1e-15)
+
+
+def test_decimal_commas_and_cells_of_ones_own(tmp_path: Path) -> None:
+    found = column(
+        tmp_path,
+        ["12,5", "out", " 7,25 ", "+3"],
+        unit="%",
+        file={"decimal": ",", "missing": ["out"]},
+    )
+    # A row that says nothing of a topic is no row of its frame.
+    np.testing.assert_array_equal(found, [0.125, 0.0725, 0.03])
+
+
+def test_columns_may_be_optional(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", clean_run(20, 1.0).rows())
+    columns = {
+        **PLAIN["columns"],
+        "/train/state.acceleration": {"column": "a", "unit": "m/s^2", "optional": True},
+    }
+    trip = ingest(path, profile=plain_profile(columns=columns))
+    assert trip["/train/state"]["acceleration"].isna().all()
+
+
+def test_constants_fill_their_topic_or_stand_at_both_ends(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", clean_run(20, 1.0).rows())
+    columns = {
+        **PLAIN["columns"],
+        "/train/state.acceleration": {"value": 0.25, "unit": "m/s^2"},
+        "/environment.air_temperature": {"value": 12.0, "unit": "degC"},
+    }
+    trip = ingest(path, profile=plain_profile(columns=columns))
+    assert trip["/train/state"]["acceleration"].tolist() == [0.25] * 20
+    air = trip["/environment"]
+    assert air["air_temperature"].tolist() == [285.15] * 2
+    assert [air.index[0], air.index[-1]] == [trip.start, trip.end]
+
+
+def test_events_come_from_text_columns(tmp_path: Path) -> None:
+    rows = [
+        f"{row},{'' if i % 5 else f'door {i}'}" for i, row in enumerate(clean_run(20, 1).rows())
+    ]
+    columns = {
+        **PLAIN["columns"],
+        "/events.message": {"column": "e"},
+        "/events.name": {"value": "d"},
+    }
+    trip = ingest(
+        write(tmp_path / "run.csv", rows, "t,v,s,e"), profile=plain_profile(columns=columns)
+    )
+    events = trip["/events"]
+    assert events["message"].tolist() == ["door 0", "door 5", "door 10", "door 15"]
+    assert events["level"].tolist() == [2] * 4
+    assert set(events["name"]) == {"d"}
+
+
+def test_mass_becomes_load_and_position_gets_its_start(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", clean_run(20, 1.0).rows())
+    trip_options = {
+        "mass": {"value": 112, "unit": "t"},
+        "start_position": {"value": 3.5, "unit": "km"},
+        "weather": "wet",
+        "line": "L",
+        "direction": "reverse",
+    }
+    trip = ingest(path, profile=plain_profile(trip=trip_options), train=TRAIN)
+    assert trip.metadata["load"] == "12000"
+    assert trip.metadata["train"] == "small"
+    assert trip.metadata["direction"] == "reverse"
+    assert trip.metadata["weather"] == "wet"
+    assert trip["/train/state"]["position"].iloc[0] == 3500.0
+    with pytest.raises(InputError, match="the load needs the empty train's mass"):
+        ingest(path, profile=plain_profile(trip=trip_options))
+    light = {"mass": {"value": 9, "unit": "t"}}
+    with pytest.raises(InputError, match="load -91000 kg is not plausible"):
+        ingest(path, profile=plain_profile(trip=light), train=TRAIN)
+    other = {"train": "other"}
+    with pytest.raises(InputError, match="the profile says train 'other', given is 'small'"):
+        ingest(path, profile=plain_profile(trip=other), train=TRAIN)
+
+
+def test_speed_and_a_start_make_an_estimated_position(tmp_path: Path) -> None:
+    run = clean_run(300, 0.1)
+    rows = [row.rpartition(",")[0] for row in run.rows()]
+    columns = {"/train/state.speed": {"column": "v", "unit": "m/s"}}
+    profile = plain_profile(columns=columns, trip={"start_position": {"value": 1.0, "unit": "km"}})
+    trip = ingest(write(tmp_path / "run.csv", rows, "t,v"), profile=profile)
+    estimate = trip["/estimates/state"]
+    truth = 1000.0 + run.position - run.position[0]
+    error = estimate["position"] - truth
+    assert np.abs(error).max() < 0.5
+    assert np.all(np.abs(error) < 4.0 * estimate["position_std"] + 0.02)
+    assert np.all(np.diff(estimate["position"]) >= 0.0)

@@ -1,0 +1,369 @@
+"""Damage of a known kind and amount: it comes back within bounds, and is counted exactly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ingest_logs import (
+    NO_FIX_ROWS,
+    SECOND,
+    START,
+    Damaged,
+    clean_run,
+    damaged_runs,
+    plain_profile,
+    plain_rows,
+    ublox,
+    write,
+)
+
+from trainlog.errors import InputError
+from trainlog.ingest import RULES, ingest, report_of
+from trainlog.ingest.clock import longest_nondecreasing
+from trainlog.ingest.profile import Repair
+from trainlog.ingest.values import spikes
+from trainlog.trip import Trip, seconds
+
+FILES = settings(
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+def read(tmp_path: Path, rows: list[str], **sections: object) -> Trip:
+    return ingest(write(tmp_path / "run.csv", rows), profile=plain_profile(**sections))
+
+
+# ------------------------------------------------------------------ damaged at random
+
+
+@FILES
+@given(damaged_runs())
+def test_damage_is_undone_and_counted(tmp_path: Path, damaged: Damaged) -> None:
+    trip = read(tmp_path, damaged.rows)
+    report = report_of(trip)
+    assert report.count("duplicates") == damaged.doubled
+    assert report.count("time_backwards") == damaged.swapped
+    assert report.count("empty", "/train/state.speed") == damaged.empty
+    assert report.count("not_a_number", "/train/state.speed") == damaged.text
+    assert report.count("truncated_rows") == damaged.truncated
+    wild = report.count("spikes", "/train/state.speed")
+    assert wild + report.count("out_of_limits", "/train/state.speed") == len(damaged.wild)
+    assert report.rows_read == len(damaged.rows)
+    assert report.rows_dropped == damaged.doubled + damaged.truncated
+
+    state, run = trip["/train/state"], damaged.run
+    stays = np.array([i not in damaged.lost for i in range(run.time.size)])
+    np.testing.assert_array_equal(state.index.as_unit("ns").asi8, run.time[stays])
+    np.testing.assert_array_equal(state["position"], run.position[stays])
+    absent = np.array([i in damaged.wild | damaged.blank for i in range(run.time.size)])[stays]
+    np.testing.assert_array_equal(state["speed"].isna(), absent)
+    np.testing.assert_array_equal(state["speed"][~absent], run.speed[stays][~absent])
+
+
+@FILES
+@given(st.data())
+def test_the_longest_ordered_part_is_found(data: st.DataObject) -> None:
+    time = np.array(data.draw(st.lists(st.integers(0, 12), min_size=1, max_size=40)))
+    marked = longest_nondecreasing(time)
+    assert np.all(np.diff(time[marked]) >= 0)
+    best = np.ones(time.size, dtype=int)
+    for i in range(time.size):
+        best[i] += max((best[j] for j in range(i) if time[j] <= time[i]), default=0)
+    assert marked.sum() == best.max()
+
+
+@given(
+    st.lists(st.floats(0.01, 2.0), min_size=7, max_size=60),
+    st.lists(st.floats(-1.0, 1.0), min_size=60, max_size=60),
+    st.floats(0.1, 50.0),
+)
+def test_what_changes_no_faster_than_the_rate_is_no_spike(
+    steps: list[float], changes: list[float], rate: float
+) -> None:
+    time = np.cumsum(steps)
+    values = np.cumsum(rate * np.array(changes)[: time.size] * np.array(steps))
+    assert not spikes(time, values, rate, 1e-6 * rate).any()
+
+
+# ------------------------------------------------------------------ one rule at a time
+
+
+def test_clean_files_are_left_alone(tmp_path: Path) -> None:
+    run = clean_run(50, 0.1)
+    trip = read(tmp_path, run.rows())
+    report = report_of(trip)
+    assert report.findings == ()
+    assert (report.rows_read, report.rows_kept) == (50, 50)
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+    assert not [key for key in trip.metadata if key.startswith("repair")]
+
+
+def test_a_clock_set_back_for_good_costs_the_shorter_part(tmp_path: Path) -> None:
+    """Ten rows an hour ahead, then the clock is corrected: the ten go."""
+    rows = plain_rows(100)
+    ahead = [row.replace("T06:", "T07:") for row in rows[:10]]
+    report = report_of(read(tmp_path, ahead + rows[10:]))
+    assert report.counts == {"clock_jump": 10}
+    assert report.findings[0].rows == (2, 3, 4, 5, 6)
+
+
+def test_a_single_wild_time_goes_wherever_it_stands(tmp_path: Path) -> None:
+    for place in (0, 1, 30, 58, 59):
+        rows = plain_rows(60)
+        for stamp in ("1999-01-01", "2024-05-03", "2060-12-31"):
+            wild = [*rows]
+            wild[place] = stamp + rows[place][10:]
+            report = report_of(read(tmp_path, wild))
+            assert report.counts.pop("clock_jump") == 1
+            assert report.rows_kept == 59
+
+
+def test_a_clock_that_jumps_too_often_is_refused(tmp_path: Path) -> None:
+    rows = plain_rows(40)
+    later = [row.replace("2024-05-01", "2024-05-02") for row in rows[20:]]
+    with pytest.raises(InputError, match=r"run\.csv, row \d+: the clock jumps: 20 of 40.*split"):
+        read(tmp_path, rows[:20] + later)
+
+
+def test_gaps_are_counted_and_never_filled(tmp_path: Path) -> None:
+    rows = plain_rows(200)
+    kept = rows[:50] + rows[80:120] + rows[130:]
+    trip = read(tmp_path, kept)
+    report = report_of(trip)
+    assert report.counts == {"gaps": 2}
+    assert report.findings[0].note == "longest 31.0 s, beyond 5 s"
+    assert report.findings[0].rows == (52, 92)
+    assert trip.metadata["repair.gaps"] == "2"
+    assert len(trip["/train/state"]) == len(kept)
+    wide = read(tmp_path, kept, limits={"gap": 20.0})
+    assert report_of(wide).count("gaps") == 1
+
+
+def test_rows_of_one_instant_are_merged(tmp_path: Path) -> None:
+    """A logger that writes one row a signal."""
+    run = clean_run(30, 1.0)
+    rows = [
+        part
+        for row in run.rows()
+        for stamp, speed, position in [row.split(",")]
+        for part in (f"{stamp},{speed},", f"{stamp},,{position}")
+    ]
+    trip = read(tmp_path, rows)
+    assert report_of(trip).count("same_time") == 30
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+    np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
+
+
+def test_rows_of_one_whole_second_are_merged_when_they_complete_each_other(tmp_path: Path) -> None:
+    rows = [
+        part
+        for i in range(30)
+        for part in (f"2024-05-01T06:00:{i:02d}Z,{10 + i},", f"2024-05-01T06:00:{i:02d}Z,,{20 * i}")
+    ]
+    report = report_of(read(tmp_path, rows, repair={"inconsistent": False}))
+    assert report.counts == {"empty": 60, "same_time": 30}
+
+
+def test_contradictory_rows_of_one_instant_keep_the_first_value(tmp_path: Path) -> None:
+    rows = plain_rows(20)
+    stamp, _, position = rows[7].split(",")
+    trip = read(tmp_path, [*rows[:8], f"{stamp},3.0,{position}", *rows[8:]])
+    assert report_of(trip).counts == {"same_time": 1}
+    assert trip["/train/state"]["speed"].iloc[7] == float(rows[7].split(",")[1])
+
+
+def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path: Path) -> None:
+    rows = plain_rows(60)
+    stamp, _, position = rows[30].split(",")
+    rows[30] = f"{stamp},70.0,{position}"
+    limits = {"columns": {"/train/state.speed": {"unit": "km/h", "min": 0, "max": 240}}}
+    report = report_of(read(tmp_path, rows, limits=limits))
+    assert report.counts == {"out_of_limits": 1}
+    # Without the profile's limit the value is possible, but nothing can have jumped to it.
+    report = report_of(read(tmp_path, rows))
+    assert report.counts == {"spikes": 1}
+
+
+def test_wheels_that_spin_are_no_spikes(tmp_path: Path) -> None:
+    """A slip of 5 m/s that builds up and dies within a second is what the log is for."""
+    run = clean_run(100, 0.1)
+    slip = np.zeros(100)
+    slip[50:60] = [0.5, 1.5, 2.5, 4.0, 5.0, 5.0, 4.0, 2.0, 1.0, 0.5]
+    rows = [f"{row},{v + x:.3f}" for row, v, x in zip(run.rows(), run.speed, slip, strict=True)]
+    columns = {"/train/axles.wheel_speed": {"columns": ["w"], "unit": "m/s"}}
+    trip = ingest(
+        write(tmp_path / "run.csv", rows, "t,v,s,w"), profile=plain_profile(columns=columns)
+    )
+    assert report_of(trip).findings == ()
+
+
+@pytest.mark.parametrize("rule", [rule for rule in RULES if rule.off == "refuse"])
+def test_rules_that_are_off_refuse_what_they_would_repair(
+    tmp_path: Path, rule: object, request: pytest.FixtureRequest
+) -> None:
+    rows = plain_rows(60)
+    stamp, _, position = rows[30].split(",")
+    damage = {
+        "truncated_rows": [*rows[:30], stamp, *rows[31:]],
+        "not_a_number": [*rows[:30], f"{stamp},x,{position}", *rows[31:]],
+        "empty": [*rows[:30], f"{stamp},,{position}", *rows[31:]],
+        "time_unreadable": [*rows[:30], f",1.0,{position}", *rows[31:]],
+        "clock_jump": [*rows[:30], rows[30].replace("2024", "2023"), *rows[31:]],
+        "time_backwards": [*rows[:30], rows[31], rows[30], *rows[32:]],
+        "duplicates": [*rows[:30], rows[30], *rows[30:]],
+        "same_time": [*rows[:30], f"{stamp},1.0,{position}", *rows[30:]],
+    }[rule.name]
+    assert report_of(read(tmp_path, damage)).count(rule.name) == 1
+    with pytest.raises(InputError, match=rf"run\.csv, row 3[234].*1 times '{rule.name}'"):
+        read(tmp_path, damage, repair={rule.name: False})
+
+
+def test_values_stay_when_their_rules_are_off(tmp_path: Path) -> None:
+    rows = plain_rows(60)
+    stamp, _, position = rows[30].split(",")
+    rows[30] = f"{stamp},400.0,{position}"
+    off = {"out_of_limits": False, "spikes": False}
+    trip = read(tmp_path, rows, repair=off)
+    assert trip["/train/state"]["speed"].iloc[30] == 400.0
+    assert report_of(trip).switched_off == ("out_of_limits", "spikes")
+    assert trip.metadata["repair.switched_off"] == "out_of_limits, spikes"
+
+
+def test_every_rule_can_be_switched_off() -> None:
+    assert [rule.name for rule in RULES] == list(Repair.model_fields)
+
+
+# ------------------------------------------------------------------ u-blox: parts of a second
+
+
+def read_ublox(tmp_path: Path, text: str, **options: object) -> Trip:
+    path = tmp_path / "gnss.csv"
+    path.write_text(text, "ascii")
+    return ingest(path, **options)
+
+
+def elapsed(trip: Trip) -> np.ndarray:
+    return (trip["/gnss/motion"].index.as_unit("ns").asi8 - START) / SECOND
+
+
+@FILES
+@given(st.data())
+def test_seconds_with_four_and_six_rows_come_out_exactly(
+    tmp_path: Path, data: st.DataObject
+) -> None:
+    """A row at the edge of a second that was labelled with the neighbour's."""
+    ticks = np.arange(data.draw(st.integers(0, 4)), 5 * 40 + data.draw(st.integers(0, 4)))
+    second = ticks // 5
+    for place in data.draw(st.sets(st.integers(1, 9), max_size=8)):
+        edge = int(np.argmax(ticks == 20 * place))
+        if data.draw(st.booleans()):
+            second[edge] -= 1
+        else:
+            second[edge - 1] += 1
+    trip = read_ublox(tmp_path, ublox(second, ticks / 5).text())
+    np.testing.assert_allclose(elapsed(trip), ticks / 5, atol=1e-9)
+    assert report_of(trip).rows_dropped == 0
+
+
+@FILES
+@given(st.data())
+def test_lost_rows_cost_their_neighbours_less_than_a_period(
+    tmp_path: Path, data: st.DataObject
+) -> None:
+    ticks = np.arange(data.draw(st.integers(0, 4)), 5 * 60 + data.draw(st.integers(0, 4)))
+    lost = {10 * i + data.draw(st.integers(0, 4)) for i in data.draw(st.sets(st.integers(1, 28)))}
+    outage = data.draw(st.sampled_from([range(0), range(100, 123), range(121, 139)]))
+    ticks = np.array([tick for tick in ticks if tick not in lost and tick not in outage])
+    trip = read_ublox(tmp_path, ublox(ticks // 5, ticks / 5).text())
+    found = elapsed(trip)
+    assert np.all(np.diff(found) > 0.0)
+    np.testing.assert_allclose(found, ticks / 5, atol=0.2 - 1e-9)
+    untouched = [all(5 * (t // 5) + i in ticks for i in range(5)) for t in ticks]
+    np.testing.assert_allclose(found[untouched], ticks[untouched] / 5, atol=1e-9)
+
+
+def test_rows_before_the_first_fix_go(tmp_path: Path) -> None:
+    ticks = np.arange(100)
+    text = ublox(ticks // 5, ticks / 5).text(before=NO_FIX_ROWS * 700)
+    trip = read_ublox(tmp_path, text)
+    report = report_of(trip)
+    assert report.count("before_first_fix") == 2100
+    assert (report.rows_read, report.rows_kept) == (2200, 100)
+    np.testing.assert_allclose(elapsed(trip), ticks / 5, atol=1e-9)
+
+
+def test_a_receiver_without_any_fix_is_refused(tmp_path: Path) -> None:
+    header = ublox(np.arange(0), np.arange(0)).text()
+    with pytest.raises(InputError, match=r"no row has both a time and a satellite fix"):
+        read_ublox(tmp_path, header + "\n".join(NO_FIX_ROWS * 5) + "\n")
+
+
+def test_rows_without_fix_say_nothing(tmp_path: Path) -> None:
+    ticks = np.arange(200)
+    lines = ublox(ticks // 5, ticks / 5).text().splitlines()
+    for row in range(61, 81):
+        lines[row] = lines[row].replace(",9,", ",0,", 1)
+    trip = read_ublox(tmp_path, "\n".join(lines) + "\n")
+    report = report_of(trip)
+    assert report.count("no_fix") == 20
+    assert report.count("gaps") == 0, "the rows are there, they only say nothing"
+    assert len(trip["/gnss/fix"]) == len(trip["/gnss/motion"]) == 180
+
+
+def test_single_wild_speeds_and_fixes_go(tmp_path: Path) -> None:
+    ticks = np.arange(300)
+    lines = ublox(ticks // 5, ticks / 5).text().splitlines()
+    for row in (50, 100, 150):
+        cells = lines[row].split(",")
+        cells[13] = "80000"
+        lines[row] = ",".join(cells)
+    for row in (120, 220):
+        cells = lines[row].split(",")
+        cells[7] = str(int(cells[7]) + 500_000)
+        lines[row] = ",".join(cells)
+    trip = read_ublox(tmp_path, "\n".join(lines) + "\n")
+    report = report_of(trip)
+    assert report.count("spikes", "/gnss/motion.speed") == 3
+    assert report.count("spikes", "/gnss/fix.longitude") == 2
+    assert report.findings[-1].rows == (121, 221)
+    fix = trip["/gnss/fix"]
+    assert fix["longitude"].isna().sum() == fix["latitude"].isna().sum() == 2
+    assert trip["/gnss/motion"]["speed"].max() < 26.0
+
+
+def test_a_train_at_rest_repeats_itself_without_fault(tmp_path: Path) -> None:
+    """Equal rows within a second stay, unless the second has more than its share."""
+    ticks = np.arange(300)
+    log = ublox(ticks // 5, ticks / 5)
+    lines = log.text().splitlines()
+    for row in range(102, 202):
+        day, rest = lines[row].split(",9,", 1)[0], lines[101].split(",9,", 1)[1]
+        lines[row] = f"{day},9,{rest}"
+    lines.insert(150, lines[150])
+    trip = read_ublox(tmp_path, "\n".join(lines) + "\n")
+    assert report_of(trip).count("duplicates") == 1
+    np.testing.assert_allclose(elapsed(trip), ticks / 5, atol=1e-9)
+
+
+def test_whole_seconds_once_each_are_left_alone(tmp_path: Path) -> None:
+    rows = [f"2024-05-01T06:00:{i:02d}Z,{10 + 0.1 * i:.1f},{10 * i}" for i in range(60)]
+    doubled = [row for row in rows for _ in range(2)]
+    trip = read(tmp_path, doubled)
+    assert report_of(trip).counts == {"duplicates": 60}
+    np.testing.assert_array_equal(seconds(trip["/train/state"]), np.arange(60.0))
+
+
+def test_parts_of_a_second_stay_lost_when_the_rule_is_off(tmp_path: Path) -> None:
+    ticks = np.arange(100)
+    trip = read_ublox(
+        tmp_path,
+        ublox(ticks // 5, ticks / 5).text(),
+        profile=plain_profile(repair={"subsecond": False}),
+    )
+    assert report_of(trip).counts == {"same_time": 80}
