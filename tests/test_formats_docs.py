@@ -1,0 +1,51 @@
+"""docs/formats.md names every key of every format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from trainlog.formats.condition import _Layer, _MapFile
+from trainlog.formats.journey import _JourneyFile
+from trainlog.formats.line import _Geometry, _LineFile
+from trainlog.formats.parameters import ConfigurationPart, ResistancePart, _ParametersFile
+from trainlog.formats.schema import File
+from trainlog.formats.train import (
+    BRAKING_PARAMETERS,
+    _Axles,
+    _Brake,
+    _BrakingCurves,
+    _TrainFile,
+)
+from trainlog.formats.trajectory import _TrajectoryFile
+
+TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
+SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
+    ("## Line", (_LineFile, _Geometry)),
+    ("## Train", (_TrainFile, _Axles, _Brake, _BrakingCurves)),
+    ("## Journey", (_JourneyFile,)),
+    ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
+    ("## Trajectory", (_TrajectoryFile,)),
+    ("## Track-condition map", (_MapFile, _Layer)),
+]
+
+
+@pytest.mark.parametrize(("title", "models"), SECTIONS, ids=[title for title, _ in SECTIONS])
+def test_every_key_is_described(title: str, models: tuple[type[BaseModel], ...]) -> None:
+    section = TEXT.split(f"{title}\n")[1].split("\n## ")[0]
+    for model in models:
+        for name, field in model.model_fields.items():
+            assert f"`{name}`" in section, name
+            if issubclass(model, File):
+                assert (f"*`{name}`*" in section) is not field.is_required(), name
+    if title == "## Train":
+        assert all(f"`{name}`" in section for name in BRAKING_PARAMETERS)
+
+
+def test_every_format_is_in_the_list() -> None:
+    for _, (model, *_others) in SECTIONS:
+        assert issubclass(model, File)
+        assert f"`{model.FORMAT}`" in TEXT
+        assert model.VERSION == 1
