@@ -27,7 +27,7 @@ from trainlog.replay.stream import (
     send_rows,
     send_static,
 )
-from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_STATE
+from trainlog.topics import EVENTS, GNSS_FIX
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 APPLICATION = "trainlog"
@@ -89,6 +89,8 @@ def record_replay(
         raise InputError("is not the name of a Rerun recording", file=path, remedy="end it in .rrd")
     if not trips:
         raise InputError("there is no trip to replay", file=path, remedy="name at least one log")
+    # Whatever can be refused is refused before anything is drawn.
+    clocks = [clock_of(trip) for trip in trips]
     lines = _lines(trips, condition_map)
     recording = rr.RecordingStream(
         APPLICATION,
@@ -98,17 +100,17 @@ def record_replay(
     stream = recording.binary_stream()
     names = _distinct([trip.name for trip in trips])
     recording.send_recording_name(", ".join(names))
-    recording.send_recording_start_time_nanos(int(trips[0].start.as_unit("ns").value))
-    for trip in lines:
-        _draw_line(recording, trip, condition_map)
+    recording.send_recording_start_time_nanos(clocks[0].start)
+    for first in lines:
+        _draw_line(recording, trips[first], clocks[first], condition_map)
     shown = [
-        _draw_trip(recording, with_slip(trip), name, TRIPS[i % len(TRIPS)], condition_map)
-        for i, (trip, name) in enumerate(zip(trips, names, strict=True))
+        _draw_trip(recording, with_slip(trip), clock, name, TRIPS[i % len(TRIPS)], condition_map)
+        for i, (trip, clock, name) in enumerate(zip(trips, clocks, names, strict=True))
     ]
     if trajectory is not None:
-        draw_trajectory(recording, trajectory, clock_of(trips[0]).start)
-    layers = () if condition_map is None else tuple(condition_map.layers)
-    recording.send_blueprint(blueprint(shown, trajectory is not None, layers))
+        draw_trajectory(recording, trajectory, clocks[0].start)
+    layout = blueprint(shown, trajectory is not None, _observed(condition_map))
+    recording.send_blueprint(layout)
     write_bytes(path, stream.read())
 
 
@@ -143,30 +145,32 @@ def _distinct(names: Sequence[str]) -> list[str]:
     return distinct
 
 
-def _lines(trips: Sequence[Trip], condition: TrackConditionMap | None) -> list[Trip]:
-    """The first trip on each line; refuses a map of another line."""
-    found: dict[str, Trip] = {}
-    for trip in trips:
+def _lines(trips: Sequence[Trip], condition: TrackConditionMap | None) -> list[int]:
+    """Which is the first trip on each line; refuses a map of another line."""
+    found: dict[str, int] = {}
+    for number, trip in enumerate(trips):
         line = _line(trip)
         if line is None:
             continue
         if condition is not None:
             check_line(condition, line, trip.name)
-        found.setdefault(line.name, trip)
+        found.setdefault(line.name, number)
     return list(found.values())
 
 
-def _draw_line(recording: Any, trip: Trip, condition: TrackConditionMap | None) -> None:
+def _draw_line(
+    recording: Any, trip: Trip, clock: Clock, condition: TrackConditionMap | None
+) -> None:
     """The line of a trip, and its condition when that trip was there."""
     line, backwards = line_of(trip), _backwards(trip)
     draw_line(recording, line.reversed() if backwards else line, condition)
     if condition is None:
         return
-    for layer in condition.layers:
+    for layer in _observed(condition):
         draw_condition(
             recording,
             path_of("lines", line.name, "maximum_adhesion", layer),
-            clock_of(trip),
+            clock,
             condition,
             layer,
             backwards=backwards,
@@ -177,12 +181,13 @@ def _draw_line(recording: Any, trip: Trip, condition: TrackConditionMap | None) 
 def _draw_trip(
     recording: Any,
     trip: Trip,
+    clock: Clock,
     name: str,
     colour: Colour,
     condition: TrackConditionMap | None,
 ) -> Shown:
     """Everything of one trip, below its own path."""
-    root, clock, line = path_of("trips", name), clock_of(trip), _line(trip)
+    root, line = path_of("trips", name), _line(trip)
     entities: set[str] = set()
     tops: dict[str, float] = {}
     for curve in CURVES:
@@ -203,7 +208,7 @@ def _draw_trip(
         entities.add(curve.entity)
         highest = HEADROOM * float(np.nanquantile(points.ordinates, USUAL))
         tops[curve.panel] = max(tops.get(curve.panel, 0.0), highest)
-    layer = _layer(trip, condition)
+    layer = "" if line is None else _layer(trip, condition)
     if layer and condition is not None:
         backwards = _backwards(trip)
         entity = f"{root}/adhesion/map"
@@ -306,12 +311,18 @@ def _backwards(trip: Trip) -> bool:
     return trip.metadata.get("direction") == "reverse"
 
 
+def _observed(condition: TrackConditionMap | None) -> list[str]:
+    """Layers that have something to show."""
+    layers = {} if condition is None else condition.layers
+    return [name for name, layer in layers.items() if layer.observed.any()]
+
+
 def _layer(trip: Trip, condition: TrackConditionMap | None) -> str:
-    """The layer of the map that fits the trip's weather, else its first; empty without a map."""
-    if condition is None or TRAIN_STATE.name not in trip or not condition.layers:
-        return ""
-    weather = trip.metadata.get("weather", "")
-    return weather if weather in condition.layers else next(iter(condition.layers))
+    """The layer of the map for the trip's weather, the first if that is not known; else empty."""
+    observed = _observed(condition)
+    if "weather" in trip.metadata:
+        return trip.metadata["weather"] if trip.metadata["weather"] in observed else ""
+    return observed[0] if observed else ""
 
 
 def _about(trip: Trip, name: str) -> str:

@@ -27,7 +27,7 @@ STARTING = 60.0
 """How long a viewer may take until it shows a recording [s]."""
 
 SETTLING = 6.0
-"""How long it is left to draw, and its greetings to fade, before its picture is taken [s]."""
+"""How long it takes to draw everything and to let its greetings fade [s]."""
 
 
 def open_viewer(path: str | Path) -> str:
@@ -94,12 +94,15 @@ def take_picture(
     size: tuple[int, int] = (1600, 1000),
     timeline: str | None = None,
     at: int = 0,
+    layout: str | Path | None = None,
+    settle: float = SETTLING,
 ) -> list[str]:
     """Show a recording in a viewer without a window and save what it shows.
 
     Parameters
     ----------
     recording : path
+        A recording, or a log for Rerun to read itself.
     image : path
         PNG, written whole or not at all.
     size : (int, int)
@@ -108,6 +111,10 @@ def take_picture(
         To show instead of the layout's own.
     at : int
         Where on that timeline: nanoseconds or, on the position timeline, millimetres.
+    layout : path, optional
+        Instead of the recording's own, see `trainlog.replay.direct`.
+    settle : float [s]
+        From when the recording is loaded to when its picture is taken.
 
     Returns
     -------
@@ -121,33 +128,40 @@ def take_picture(
     """
     if not Path(recording).is_file():
         raise InputError("does not exist", file=recording, remedy="write it with record_replay")
-    with _headless(Path(recording).resolve(), size) as viewer:
+    with _headless(Path(recording).resolve(), size, layout) as viewer:
         if timeline is not None:
             _set_time(viewer, timeline, at)
-        time.sleep(SETTLING)
+        time.sleep(settle)
         with atomic_write(image) as temporary:
             viewer.save_screenshot(str(temporary.resolve()))
         return sorted(view.name for view in viewer.get_state().views)
 
 
 @contextmanager
-def _headless(recording: Path, size: tuple[int, int]) -> Iterator[Any]:
+def _headless(
+    recording: Path, size: tuple[int, int], layout: str | Path | None
+) -> Iterator[ViewerClient]:
     """A client of a viewer that has loaded the recording; the viewer ends with the block."""
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         port = probe.getsockname()[1]
+    files, fed = [str(recording)], Path(os.devnull)
+    if layout is not None and recording.suffix == ".mcap":
+        # A layout that is named beside a log is not applied to it; one that is fed in is.
+        files, fed = [str(recording), "-"], Path(layout)
+    elif layout is not None:
+        files.append(str(layout))
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         log = Path(folder) / "log"
-        environment = quiet({"XDG_RUNTIME_DIR": folder, **os.environ})
         window = f"{size[0]}x{size[1]}"
-        with log.open("wb") as output:
+        with log.open("wb") as output, fed.open("rb") as source:
             process = subprocess.Popen(
                 _command(
                     *("--headless", "--hide-welcome-screen", "--window-size", window),
-                    *("--port", str(port), str(recording)),
+                    *("--port", str(port), *files),
                 ),
-                env=environment,
-                stdin=subprocess.DEVNULL,
+                env=quiet({"XDG_RUNTIME_DIR": folder, **os.environ}),
+                stdin=source,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
@@ -193,10 +207,10 @@ def _command(*arguments: str) -> list[str]:
 
 
 def _last_words(log: Path) -> str:
-    """What the viewer said last, in one line."""
-    lines = [line for line in log.read_text("utf-8", "replace").splitlines() if line.strip()]
-    told = next((line for line in lines if "adapter" in line or "panicked" in line), "")
-    return f": {told.strip()}" if told else ""
+    """Why the viewer gave up, if it said so."""
+    lines = log.read_text("utf-8", "replace").splitlines()
+    told = [line.strip() for line in lines if "graphics adapter" in line or "panicked" in line]
+    return f": {told[-1]}" if told else ""
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -1,0 +1,423 @@
+"""What a replay holds, read back from the recording and compared with the trips."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from replay_trips import (
+    LENGTH,
+    LINE,
+    START,
+    condition_of,
+    entities,
+    made_trip,
+    rows,
+    static,
+    trajectory_of,
+)
+from rerun.chunk import RrdReader
+
+from trainlog import topics
+from trainlog.errors import InputError, LogError
+from trainlog.replay import record_replay
+from trainlog.replay.clock import clock_of
+from trainlog.replay.samples import Samples, broken, thinned
+from trainlog.trip import Trip, frame_of
+
+TIMELINES = {"time", "elapsed", "position_mm"}
+
+
+@pytest.fixture(scope="module")
+def trip() -> Trip:
+    return made_trip()
+
+
+@pytest.fixture(scope="module")
+def recording(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("replay") / "one.rrd"
+    record_replay([trip], path)
+    return path
+
+
+def curve(path: Path, entity: str, component: str = "Scalars:scalars") -> np.ndarray:
+    """Values of a curve without the unknown one that every curve begins with."""
+    values = rows(path, entity)[component]
+    assert np.isnan(values[0]).all()
+    return values[1:]
+
+
+def test_speed_is_in_kilometres_per_hour(trip: Trip, recording: Path) -> None:
+    shown = curve(recording, "/trips/up/speed/measured")[:, 0]
+    assert shown == pytest.approx(trip["/train/state"]["speed"].to_numpy() * 3.6, abs=1e-12)
+
+
+def test_efforts_are_in_kilonewtons_with_braking_downwards(trip: Trip, recording: Path) -> None:
+    shown = curve(recording, "/trips/up/efforts/measured")
+    frame = trip["/train/controls"]
+    assert shown[:, 0] == pytest.approx(frame["tractive_effort"].to_numpy() / 1e3)
+    assert shown[:, 1] == pytest.approx(-frame["dynamic_braking_effort"].to_numpy() / 1e3)
+    assert shown[:, 2] == pytest.approx(-frame["pneumatic_braking_effort"].to_numpy() / 1e3)
+    assert shown[:, 0].max() > 50.0 > 0.0 > shown[:, 1].min()
+
+
+def test_gradient_is_per_mille(recording: Path) -> None:
+    shown = curve(recording, "/trips/up/gradient")[:, 0]
+    assert set(shown) == {5.0, -10.0}
+
+
+def test_estimates_have_a_band_of_one_deviation(trip: Trip, recording: Path) -> None:
+    frame = trip["/estimates/state"]
+    entity = "/trips/up/speed/estimated"
+    assert curve(recording, entity, "Measurements:values")[:, 0] == pytest.approx(
+        frame["speed"].to_numpy() * 3.6
+    )
+    variance = curve(recording, entity, "Measurements:variances")[:, 0]
+    assert np.sqrt(variance) == pytest.approx(frame["speed_std"].to_numpy() * 3.6)
+
+
+def test_each_axle_is_a_line(trip: Trip, recording: Path) -> None:
+    frame = trip["/estimates/adhesion"]
+    shown = curve(recording, "/trips/up/slip")
+    assert shown == pytest.approx(
+        frame[["slip_speed_1", "slip_speed_2"]].to_numpy() * 3.6, abs=1e-12
+    )
+    assert static(recording, "/trips/up/slip", "SeriesLines:names") == ["axle 1", "axle 2"]
+    used = curve(recording, "/trips/up/adhesion/used")
+    assert used == pytest.approx(np.abs(frame[["adhesion_1", "adhesion_2"]].to_numpy()))
+
+
+def test_every_entity_is_on_every_timeline(trip: Trip, tmp_path: Path) -> None:
+    path = tmp_path / "all.rrd"
+    plan, condition = trajectory_of(), condition_of()
+    record_replay([trip, made_trip("down", "reverse")], path, trajectory=plan,
+                  condition_map=condition)  # fmt: skip
+    found = entities(path)
+    moving = {name for name, timelines in found.items() if timelines}
+    assert all(found[name] == TIMELINES for name in moving)
+    assert {"/trips/up/events", "/trips/up/phase", "/trips/up/place/satellites"} <= moving
+    assert {"/trips/down/adhesion/map/bins", "/trajectory/speed"} <= moving
+
+
+def test_timelines_tell_when_and_where(trip: Trip, recording: Path) -> None:
+    found = rows(recording, "/trips/up/speed/measured")
+    frame = trip["/train/state"]
+    assert (found["time"][1:] == frame.index.as_unit("ns").asi8).all()
+    assert (found["elapsed"] == found["time"] - START).all()
+    millimetres = np.rint(trip["/estimates/state"]["position"].to_numpy() * 1e3)
+    assert (found["position_mm"][1:] == millimetres).all()
+
+
+def test_ticks_fall_on_whole_kilometres(recording: Path) -> None:
+    assert rows(recording, "/trips/up/speed/measured")["position_mm"][0] == 0
+    assert rows(recording, "/trips/up/gradient")["position_mm"][0] == 0
+
+
+def test_a_standing_train_does_not_move_back_on_the_position_timeline(trip: Trip) -> None:
+    state = trip["/estimates/state"].copy()
+    noise = np.random.default_rng(3).normal(0.0, 0.5, len(state))
+    state["position"] += noise
+    position = clock_of(trip.with_topic(state)).position
+    assert (np.diff(position) >= 0.0).all()
+    assert np.abs(position - trip["/estimates/state"]["position"]).max() < 2.0
+
+
+@settings(max_examples=50, deadline=None)
+@given(arrays(np.float64, 30, elements=st.floats(0.0, 1e5)))
+def test_a_train_that_only_goes_on_is_where_it_said(position: np.ndarray) -> None:
+    forward = np.sort(position)
+    time = START + np.arange(30) * 10**8
+    trip = Trip({"/train/state": frame_of(topics.TRAIN_STATE, time, {"position": forward})})
+    clock = clock_of(trip)
+    assert clock.position_at(time) == pytest.approx(forward, abs=1e-9)
+
+
+def test_unknown_values_break_the_line(trip: Trip, tmp_path: Path) -> None:
+    state = trip["/train/state"].copy()
+    state.iloc[100:150, state.columns.get_loc("speed")] = np.nan
+    path = tmp_path / "gap.rrd"
+    record_replay([trip.with_topic(state)], path)
+    shown = curve(path, "/trips/up/speed/measured")[:, 0]
+    assert np.isnan(shown[100:150]).all()
+    assert np.isfinite(np.delete(shown, np.s_[100:150])).all()
+
+
+def test_missing_rows_break_the_line(trip: Trip, tmp_path: Path) -> None:
+    state = trip["/train/state"]
+    kept = state.drop(state.index[100:150])
+    kept.attrs = state.attrs
+    path = tmp_path / "gap.rrd"
+    record_replay([trip.with_topic(kept)], path)
+    shown = curve(path, "/trips/up/speed/measured")[:, 0]
+    assert shown.size == len(kept) + 1
+    assert np.flatnonzero(np.isnan(shown)).tolist() == [100]
+
+
+def test_steady_samples_have_no_gaps() -> None:
+    time = START + np.cumsum(np.tile([90, 100, 130], 50)) * 10**6
+    points = Samples(time, np.ones((150, 1)))
+    assert broken(points).time.size == 150
+
+
+@settings(max_examples=100, deadline=None)
+@given(arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 2.0, np.nan])))
+def test_a_held_value_is_the_same_at_every_instant_after_thinning(values: np.ndarray) -> None:
+    time = np.arange(40, dtype=np.int64)
+    kept = thinned(Samples(time, values[:, None]))
+    held = kept.ordinates[np.searchsorted(kept.time, time, side="right") - 1, 0]
+    np.testing.assert_array_equal(held, values)
+    assert kept.time[-1] == time[-1]
+
+
+def test_the_limit_is_held_and_not_averaged(trip: Trip, recording: Path) -> None:
+    entity = "/trips/up/speed/limit"
+    assert static(recording, entity, "SeriesLines:interpolation_mode") == [2]
+    assert static(recording, entity, "SeriesLines:aggregation_policy") == [1]
+    shown = rows(recording, entity)
+    assert len(shown["time"]) < len(trip["/environment"]) / 5
+    changes = np.flatnonzero(np.diff(shown["Scalars:scalars"][1:, 0]))
+    assert (shown["position_mm"][1:][changes + 1] // 1000).tolist() == [1000]
+
+
+def test_phases_follow_the_lever(recording: Path) -> None:
+    found = rows(recording, "/trips/up/phase")
+    assert list(found["StateChange:state"]) == [
+        "standstill", "traction", "coasting", "braking", "standstill",
+    ]  # fmt: skip
+    assert (np.diff(found["time"]) > 0).all()
+
+
+def test_phases_without_a_lever_follow_the_efforts(trip: Trip, tmp_path: Path) -> None:
+    controls = trip["/train/controls"].assign(
+        lever=np.nan, tractive_effort_demand=np.nan, braking_effort_demand=np.nan
+    )
+    controls.attrs = trip["/train/controls"].attrs
+    path = tmp_path / "efforts.rrd"
+    record_replay([trip.with_topic(controls)], path)
+    states = list(rows(path, "/trips/up/phase")["StateChange:state"])
+    assert states == ["standstill", "traction", "coasting", "braking", "standstill"]
+
+
+def test_events_keep_their_words_and_levels(recording: Path) -> None:
+    found = rows(recording, "/trips/up/events")
+    assert list(found["TextLog:text"]) == ["train: departure from A", "slip protection"]
+    assert list(found["TextLog:level"]) == ["INFO", "WARN"]
+
+
+def test_places_lie_on_the_line(trip: Trip, recording: Path) -> None:
+    found = rows(recording, "/trips/up/place/train")
+    latitude, longitude = LINE.geometry.at(found["position_mm"] / 1e3)
+    assert found["GeoPoints:positions"] == pytest.approx(
+        np.column_stack((latitude, longitude)), abs=1e-8
+    )
+    fixes = rows(recording, "/trips/up/place/satellites")["GeoPoints:positions"]
+    frame = trip["/gnss/fix"].dropna(subset=["latitude"])
+    assert fixes == pytest.approx(frame[["latitude", "longitude"]].to_numpy())
+
+
+def test_stations_and_track_are_there_at_all_times(recording: Path) -> None:
+    found = entities(recording)
+    for name in ("/lines/hill/track", "/lines/hill/stations/A", "/lines/hill/stations/B\\ town"):
+        assert found[name] == set()
+    place = static(recording, "/lines/hill/stations/B\\ town", "GeoPoints:positions")[0]
+    assert place == pytest.approx([float(x) for x in LINE.geometry.at(LENGTH)])
+
+
+def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Path) -> None:
+    bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})
+    for empty in (topics.EVENTS, topics.TRAIN_CONTROLS, topics.GNSS_FIX, topics.TRUTH):
+        bare = bare.with_topic(frame_of(empty, np.empty(0, np.int64), {}))
+    path = tmp_path / "bare.rrd"
+    record_replay([bare], path)
+    found = {name for name in entities(path) if name.startswith("/trips")}
+    assert found == {"/trips/up/speed/measured", "/trips/up/about"}
+
+
+def test_slip_is_wheel_less_train_speed_where_nothing_better_is_known(
+    trip: Trip, tmp_path: Path
+) -> None:
+    topics_left = {k: v for k, v in trip.topics.items() if not k.startswith("/estimates")}
+    path = tmp_path / "raw.rrd"
+    record_replay([replace(trip, topics=topics_left)], path)
+    shown = curve(path, "/trips/up/slip")
+    wheels = trip["/train/axles"][["wheel_speed_1", "wheel_speed_2"]].to_numpy()
+    train = trip["/train/state"][["speed"]].to_numpy()
+    assert shown == pytest.approx((wheels - train) * 3.6, abs=1e-9)
+    assert "/trips/up/adhesion/used" not in entities(path)
+
+
+def test_a_receiver_alone_gives_the_distance_from_its_speed(trip: Trip) -> None:
+    motion = trip["/gnss/motion"]
+    clock = clock_of(Trip({"/gnss/motion": motion}))
+    covered = np.trapezoid(motion["speed"], (motion.index.asi8 - START) / 1e9)
+    assert clock.position[-1] == pytest.approx(covered)
+
+
+def test_fixes_alone_give_the_distance_between_them(trip: Trip) -> None:
+    clock = clock_of(Trip({"/gnss/fix": trip["/gnss/fix"]}))
+    assert clock.position[-1] == pytest.approx(LENGTH, rel=0.01)
+
+
+def test_a_trip_without_any_place_stays_at_zero(tmp_path: Path) -> None:
+    air = frame_of(topics.ENVIRONMENT, START + np.arange(5) * 10**9, {"gradient": np.arange(5.0)})
+    path = tmp_path / "air.rrd"
+    record_replay([Trip({"/environment": air})], path)
+    assert set(rows(path, "/trips/unnamed/gradient")["position_mm"]) == {0}
+
+
+def test_each_trip_has_its_own_subtree(trip: Trip, tmp_path: Path) -> None:
+    path = tmp_path / "three.rrd"
+    record_replay([trip, made_trip("down", "reverse"), made_trip(top=30.0)], path)
+    found = entities(path)
+    for name in ("up", "down", "up\\ \\(2\\)"):
+        assert f"/trips/{name}/speed/measured" in found
+    first = curve(path, "/trips/up/speed/measured").max()
+    second = curve(path, "/trips/up\\ \\(2\\)/speed/measured").max()
+    assert (first, second) == (pytest.approx(72.0, abs=0.1), pytest.approx(108.0, abs=0.1))
+
+
+def test_the_map_lies_under_a_trip_in_its_own_direction(tmp_path: Path) -> None:
+    condition = condition_of()
+    path = tmp_path / "map.rrd"
+    record_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
+    up = rows(path, "/trips/up/adhesion/map/dots")
+    down = rows(path, "/trips/down/adhesion/map/dots")
+    seen = np.flatnonzero(condition.layers["dry"].observed)
+    assert (up["position_mm"] == np.rint(condition.centres[seen] * 1e3)).all()
+    assert up["Scalars:scalars"][:, 0] == pytest.approx(
+        condition.layers["dry"].maximum_adhesion[seen]
+    )
+    assert (down["position_mm"] == LENGTH * 1e3 - up["position_mm"][::-1]).all()
+    assert (down["Scalars:scalars"] == up["Scalars:scalars"][::-1]).all()
+
+
+def test_bins_without_evidence_are_not_shown(tmp_path: Path) -> None:
+    condition = condition_of()
+    path = tmp_path / "map.rrd"
+    record_replay([made_trip()], path, condition_map=condition)
+    found = rows(path, "/trips/up/adhesion/map/bins")
+    values = found["Measurements:values"][:, 0]
+    assert np.isnan(values).sum() == 1 + condition.layers["dry"].observed.sum()
+    shown = ~np.isnan(values)
+    bins = condition.bin_of(found["position_mm"][shown] / 1e3 - 1e-3)
+    assert condition.layers["dry"].observed[bins].mean() > 0.5
+    deviation = np.sqrt(found["Measurements:variances"][shown, 0])
+    assert deviation / values[shown] == pytest.approx(0.05)
+    assert len(static(path, "/lines/hill/condition/dry", "GeoPoints:positions")) == 3
+    assert "/lines/hill/condition/wet" not in entities(path)
+
+
+@pytest.mark.parametrize(
+    ("weather", "legend"),
+    [("dry", ["map, dry"]), ("wet", None), ("snow", None), (None, ["map, dry"])],
+)
+def test_the_map_of_other_weather_is_not_shown(
+    trip: Trip, tmp_path: Path, weather: str | None, legend: list[str] | None
+) -> None:
+    known = {key: value for key, value in trip.metadata.items() if key != "weather"}
+    if weather is not None:
+        known["weather"] = weather
+    path = tmp_path / "map.rrd"
+    record_replay([replace(trip, metadata=known)], path, condition_map=condition_of())
+    if legend is None:
+        assert "/trips/up/adhesion/map/dots" not in entities(path)
+    else:
+        assert static(path, "/trips/up/adhesion/map/dots", "SeriesPoints:names") == legend
+
+
+def test_a_map_of_another_line_is_refused(trip: Trip, tmp_path: Path) -> None:
+    path = tmp_path / "map.rrd"
+    with pytest.raises(InputError, match=r"of line 'dale'.*ran on 'hill'"):
+        record_replay([trip], path, condition_map=replace(condition_of(), line="dale"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_trajectory_is_a_band_from_slowest_to_fastest(trip: Trip, tmp_path: Path) -> None:
+    plan = trajectory_of()
+    path = tmp_path / "plan.rrd"
+    record_replay([trip], path, trajectory=plan)
+    middle = curve(path, "/trajectory/speed", "Measurements:values")[:, 0]
+    half = np.sqrt(curve(path, "/trajectory/speed", "Measurements:variances")[:, 0])
+    assert middle + half == pytest.approx(plan.speeds.max(axis=0) * 3.6)
+    assert middle - half == pytest.approx(plan.speeds.min(axis=0) * 3.6, abs=1e-9)
+    efforts = curve(path, "/trajectory/efforts")
+    assert efforts[:-1, 0] == pytest.approx(plan.tractive_effort / 1e3)
+    assert (rows(path, "/trajectory/speed")["position_mm"][1:] == plan.positions * 1e3).all()
+
+
+def test_the_same_trips_give_the_same_content(trip: Trip, tmp_path: Path) -> None:
+    first, second = tmp_path / "1.rrd", tmp_path / "2.rrd"
+    for path in (first, second):
+        record_replay([trip], path, condition_map=condition_of())
+    stored = [RrdReader(path).recordings()[0] for path in (first, second)]
+    assert stored[0].recording_id == stored[1].recording_id
+    assert stored[0].application_id == "trainlog"
+    assert entities(first) == entities(second)
+    for entity in entities(first):
+        one, two = rows(first, entity), rows(second, entity)
+        assert one.keys() == two.keys()
+        for name, values in one.items():
+            np.testing.assert_array_equal(values, two[name])
+
+
+def test_other_content_has_another_id(trip: Trip, tmp_path: Path) -> None:
+    ids = set()
+    changed = trip.with_topic(trip["/train/state"] * 1.0)
+    changed.topics["/train/state"].iloc[5, 1] += 1e-9
+    for number, (each, condition) in enumerate(
+        ((trip, None), (changed, None), (trip, condition_of()))
+    ):
+        path = tmp_path / f"{number}.rrd"
+        record_replay([each], path, condition_map=condition)
+        ids.add(RrdReader(path).recordings()[0].recording_id)
+    assert len(ids) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [("replay.mcap", "end it in .rrd"), ("no/such/folder.rrd", "create its folder first")],
+)
+def test_places_that_cannot_be_written_are_refused(
+    trip: Trip, tmp_path: Path, name: str, problem: str
+) -> None:
+    with pytest.raises(InputError, match=problem):
+        record_replay([trip], tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_to_replay_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no trip"):
+        record_replay([], tmp_path / "none.rrd")
+    with pytest.raises(LogError, match="no samples"):
+        record_replay([Trip({})], tmp_path / "none.rrd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_older_recording_stays_when_a_new_one_fails(trip: Trip, tmp_path: Path) -> None:
+    path = tmp_path / "replay.rrd"
+    path.write_bytes(b"older")
+    with pytest.raises(LogError):
+        record_replay([trip, Trip({})], path)
+    assert path.read_bytes() == b"older"
+
+
+def test_a_long_trip_is_sent_whole(tmp_path: Path) -> None:
+    count = 25_000
+    time = START + np.arange(count) * 10**8
+    state = frame_of(
+        topics.TRAIN_STATE, time, {"position": np.arange(count) * 2.0, "speed": np.arange(count)}
+    )
+    path = tmp_path / "long.rrd"
+    record_replay([Trip({"/train/state": state})], path)
+    shown = curve(path, "/trips/unnamed/speed/measured")[:, 0]
+    assert shown == pytest.approx(np.arange(count) * 3.6)
+    assert (
+        pd.Timestamp(rows(path, "/trips/unnamed/speed/measured")["time"][-1], tz="UTC")
+        == (state.index[-1])
+    )

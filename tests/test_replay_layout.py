@@ -1,0 +1,203 @@
+"""The layout in a recording: it shows what there is, and nothing that is not."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from replay_trips import condition_of, entities, made_trip, trajectory_of
+from rerun.chunk import RrdReader
+
+from trainlog.replay import record_replay
+from trainlog.replay.layout import SHARED_AXIS
+from trainlog.trip import Trip
+
+COMPONENTS = {
+    "class": "ViewBlueprint:class_identifier",
+    "name": "ViewBlueprint:display_name",
+    "contents": "ViewContents:query",
+    "origin": "ViewBlueprint:space_origin",
+}
+
+
+@dataclass
+class Layout:
+    """What the blueprint of a recording says."""
+
+    logged: dict[str, dict[str, Any]]
+
+    def views(self) -> list[dict[str, Any]]:
+        found = []
+        for path, components in self.logged.items():
+            if re.fullmatch(r"/view/[0-9a-f-]{36}", path) and COMPONENTS["class"] in components:
+                both = components | self.logged[f"{path}/ViewContents"]
+                found.append(
+                    {key: both.get(name) for key, name in COMPONENTS.items()} | {"path": path}
+                )
+        return found
+
+    def names(self) -> set[str]:
+        return {view["name"][0] for view in self.views()}
+
+    def shown(self) -> set[str]:
+        """Entity paths that views ask for, `$origin` filled in."""
+        paths = set()
+        for view in self.views():
+            for line in view["contents"]:
+                for query in line.splitlines():
+                    paths.add(query.strip().removeprefix("+").strip().replace(
+                        "$origin", (view["origin"] or [""])[0]))  # fmt: skip
+        return paths
+
+
+def layout_of(path: Path) -> Layout:
+    reader = RrdReader(path)
+    stored = reader.blueprints()
+    assert len(stored) == 1
+    assert stored[0].application_id == reader.recordings()[0].application_id == "trainlog"
+    logged: dict[str, dict[str, Any]] = {}
+    for chunk in reader.stream(store=stored[0]).to_chunks():
+        batch = chunk.to_record_batch()
+        kept = logged.setdefault(chunk.entity_path, {})
+        for name in batch.schema.names:
+            if ":" in name:
+                kept[name] = batch[name][len(batch) - 1].as_py()
+    return Layout(logged)
+
+
+def matches(query: str, found: set[str]) -> bool:
+    stem = query.removesuffix("/**")
+    return any(name == stem or (stem != query and name.startswith(f"{stem}/")) for name in found)
+
+
+@pytest.fixture(scope="module")
+def trips() -> list[Trip]:
+    return [made_trip(), made_trip("down", "reverse"), made_trip("up again")]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("beside", [False, True])
+def test_every_view_has_something_to_show(
+    trips: list[Trip], tmp_path: Path, count: int, beside: bool
+) -> None:
+    path = tmp_path / "replay.rrd"
+    record_replay(
+        trips[:count],
+        path,
+        trajectory=trajectory_of() if beside else None,
+        condition_map=condition_of() if beside else None,
+    )
+    layout, found = layout_of(path), set(entities(path))
+    assert layout.shown()
+    assert [query for query in layout.shown() if not matches(query, found)] == []
+
+
+def test_everything_recorded_is_shown(trips: list[Trip], tmp_path: Path) -> None:
+    path = tmp_path / "replay.rrd"
+    record_replay(trips, path, trajectory=trajectory_of(), condition_map=condition_of())
+    queries = layout_of(path).shown()
+    hidden = [name for name in entities(path) if not any(matches(q, {name}) for q in queries)]
+    assert hidden == []
+
+
+def test_plots_name_quantity_and_unit(trips: list[Trip], tmp_path: Path) -> None:
+    path = tmp_path / "replay.rrd"
+    record_replay(trips[:1], path)
+    plots = [view for view in layout_of(path).views() if view["class"] == ["TimeSeries"]]
+    assert len(plots) == 6
+    assert all(re.search(r"\[(km/h|kN|‰|1)\]", view["name"][0]) for view in plots)
+
+
+def test_one_trip_fills_the_screen_and_several_have_tabs(trips: list[Trip], tmp_path: Path) -> None:
+    names = []
+    for count in (1, 3):
+        path = tmp_path / f"{count}.rrd"
+        record_replay(trips[:count], path)
+        layout = layout_of(path)
+        tabs = [
+            components
+            for path_, components in layout.logged.items()
+            if components.get("ContainerBlueprint:container_kind") == [1]
+            and path_.startswith("/container")
+        ]
+        names.append(sorted(layout.names()))
+        assert len(tabs) == (count > 1)
+        if tabs:
+            order = tabs[0]["ContainerBlueprint:contents"]
+            titles = [
+                layout.logged["/" + each][f"ContainerBlueprint:{'display_name'}"][0]
+                for each in order
+            ]
+            assert titles == ["All trips", "up", "down", "up again"]
+            active = tabs[0]["ContainerBlueprint:active_tab"][0]
+            assert "/" + order[1].lstrip("/") == "/" + active.lstrip("/")
+    assert {"Speed forward [km/h]", "Speed reverse [km/h]"} <= set(names[1]) - set(names[0])
+
+
+def test_a_bare_trip_has_no_empty_plots(tmp_path: Path) -> None:
+    trip = made_trip()
+    path = tmp_path / "bare.rrd"
+    record_replay(
+        [replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})], path
+    )
+    assert layout_of(path).names() == {"up: speed [km/h]", "Trip"}
+
+
+def test_plots_show_the_whole_trip_on_a_shared_axis(trips: list[Trip], tmp_path: Path) -> None:
+    path = tmp_path / "replay.rrd"
+    record_replay(trips[:1], path)
+    layout = layout_of(path)
+    shared = layout.logged["/" + SHARED_AXIS]["TimeAxis:view_range"]
+    assert shared == [{"start": None, "end": None}]
+    for view in layout.views():
+        if view["class"] in (["TimeSeries"], ["StateTimeline"]):
+            assert layout.logged[f"{view['path']}/TimeAxis"]["TimeAxis:link"] == [2]
+
+
+def test_speed_plot_begins_at_zero_and_holds_the_limit(trips: list[Trip], tmp_path: Path) -> None:
+    path = tmp_path / "replay.rrd"
+    record_replay(trips[:1], path)
+    layout = layout_of(path)
+    speed = next(view for view in layout.views() if view["name"] == ["up: speed [km/h]"])
+    low, high = layout.logged[f"{speed['path']}/ScalarAxis"]["ScalarAxis:range"][0]
+    assert low == 0.0
+    assert 40.0 * 3.6 < high < 1.2 * 40.0 * 3.6
+
+
+def test_an_outlier_does_not_flatten_the_speed_plot(tmp_path: Path) -> None:
+    trip = made_trip()
+    motion = trip["/gnss/motion"].copy()
+    motion.iloc[500, 0] = 900.0
+    path = tmp_path / "outlier.rrd"
+    record_replay([trip.with_topic(motion)], path)
+    layout = layout_of(path)
+    speed = next(view for view in layout.views() if view["name"] == ["up: speed [km/h]"])
+    high = layout.logged[f"{speed['path']}/ScalarAxis"]["ScalarAxis:range"][0][1]
+    assert high < 1.2 * 40.0 * 3.6
+
+
+def test_the_map_fits_the_line(trips: list[Trip], tmp_path: Path) -> None:
+    path = tmp_path / "replay.rrd"
+    record_replay(trips[:1], path)
+    layout = layout_of(path)
+    view = next(view for view in layout.views() if view["class"] == ["Map"])
+    zoom = layout.logged[f"{view['path']}/MapZoom"]["MapZoom:zoom"][0]
+    # 2 km are 0.02637 degrees at 47 degrees north: so many points of the 330 that there are.
+    points = 0.02637 / 360.0 * 256.0 * 2.0**zoom
+    assert points == pytest.approx(330.0, rel=0.02)
+    assert np.isfinite(zoom)
+
+
+@pytest.mark.parametrize(("count", "timeline"), [(1, "time"), (2, "elapsed")])
+def test_several_trips_are_compared_from_their_beginnings(
+    trips: list[Trip], tmp_path: Path, count: int, timeline: str
+) -> None:
+    path = tmp_path / "replay.rrd"
+    record_replay(trips[:count], path)
+    panel = layout_of(path).logged["/time_panel"]
+    assert panel["TimePanelBlueprint:timeline"] == [timeline]
+    assert panel["TimePanelBlueprint:play_state"] == [1]

@@ -1,0 +1,217 @@
+"""The viewer: when it opens, what it is told, and what it shows."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from replay_trips import condition_of, made_trip, trajectory_of
+from rerun.chunk import McapReader
+
+from trainlog.errors import InputError
+from trainlog.mcap import write_log
+from trainlog.replay import record_replay, viewer
+from trainlog.replay.direct import DRAWN, scalars, write_layout
+from trainlog.replay.viewer import has_display, open_viewer, take_picture
+from trainlog.topics import TOPICS
+from trainlog.trip import Trip
+
+SETTLE = 2.0
+NO_GRAPHICS = "No graphics adapter", "Failed to get render context"
+
+
+@pytest.fixture(scope="module")
+def trip() -> Trip:
+    return made_trip()
+
+
+@pytest.fixture(scope="module")
+def recording(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("viewer") / "replay.rrd"
+    record_replay([trip], path, trajectory=trajectory_of(), condition_map=condition_of())
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "hill-up.mcap"
+    write_log(trip, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def graphics(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Skips where nothing can be drawn, with the viewer's own reason."""
+    path = tmp_path_factory.mktemp("graphics") / "try.rrd"
+    record_replay([made_trip()], path)
+    try:
+        take_picture(path, path.with_suffix(".png"), size=(200, 200), settle=0.5)
+    except InputError as error:
+        if not any(words in str(error) for words in NO_GRAPHICS):
+            raise
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "display"),
+    [
+        ("linux", {"DISPLAY": ":0"}, True),
+        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ("linux", {}, False),
+        ("linux", {"DISPLAY": ""}, False),
+        ("linux", {"DISPLAY": "localhost:10.0", "SSH_CONNECTION": "a b c d"}, True),
+        ("freebsd14", {"DISPLAY": ":0"}, True),
+        ("darwin", {}, True),
+        ("darwin", {"SSH_CONNECTION": "a b c d"}, False),
+        ("win32", {}, True),
+        ("win32", {"SSH_CONNECTION": "a b c d"}, False),
+        ("win32", {"CI": "true"}, False),
+        ("linux", {"DISPLAY": ":0", "CI": "true"}, False),
+    ],
+)
+def test_where_a_window_can_be_opened(
+    platform: str, variables: dict[str, str], display: bool
+) -> None:
+    assert has_display(variables, platform) is display
+
+
+def started(monkeypatch: pytest.MonkeyPatch, display: bool) -> list[tuple[Any, Any]]:
+    """What would have been run."""
+    calls: list[tuple[Any, Any]] = []
+    monkeypatch.setattr(viewer, "has_display", lambda: display)
+    monkeypatch.setattr(
+        viewer.subprocess, "run", lambda command, **options: calls.append((command, options))
+    )
+    return calls
+
+
+def test_the_viewer_listens_on_this_machine_alone_and_sends_no_usage_data(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = started(monkeypatch, display=True)
+    told = open_viewer(recording)
+    (command, options), *more = calls
+    assert not more
+    assert command[:3] == [sys.executable, "-m", "rerun_cli"]
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert str(recording) in command
+    assert options["env"]["CI"]
+    assert str(recording) in told
+
+
+def test_without_a_display_it_tells_how_to_open_the_file(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = started(monkeypatch, display=False)
+    told = open_viewer(recording)
+    assert calls == []
+    assert str(recording) in told
+    assert "rerun replay.rrd" in told
+    assert "\n" not in told
+
+
+def test_a_recording_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        open_viewer(tmp_path / "none.rrd")
+    with pytest.raises(InputError, match="does not exist"):
+        take_picture(tmp_path / "none.rrd", tmp_path / "none.png")
+
+
+@pytest.mark.usefixtures("graphics")
+@pytest.mark.parametrize("timeline", [None, "position_mm", "elapsed"])
+def test_every_view_is_drawn(recording: Path, tmp_path: Path, timeline: str | None) -> None:
+    image = tmp_path / "replay.png"
+    names = take_picture(
+        recording, image, size=(1200, 900), timeline=timeline, at=10**6, settle=SETTLE
+    )
+    assert {"up: speed [km/h]", "Driving phase", "Events", "Trip"} <= set(names)
+    with Image.open(image) as picture:
+        assert picture.size == (1200, 900)
+        pixels = np.asarray(picture.convert("RGB"), dtype=int)
+    # The colours of the limit, the wheels' speed, traction, and the planned trajectory.
+    for colour in ((235, 90, 90), (90, 180, 240), (90, 205, 120), (190, 140, 255)):
+        near = np.abs(pixels - colour).sum(axis=2) < 40
+        assert near.sum() > 50, colour
+
+
+@pytest.mark.usefixtures("graphics")
+def test_an_unknown_timeline_is_refused(recording: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no timeline 'mileage'.*position_mm"):
+        take_picture(recording, tmp_path / "no.png", timeline="mileage")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("topic", DRAWN, ids=lambda topic: topic.name)
+def test_rerun_takes_the_fields_out_of_a_log(trip: Trip, log: Path, topic: Any) -> None:
+    frame = trip[topic.name]
+    for field in topic.fields:
+        names = [n for n in frame.columns if n == field.name or n.startswith(f"{field.name}_")]
+        names = [n for n in names if n == field.name or n.rpartition("_")[2].isdigit()]
+        chunks = scalars(log, topic.name, field.name).to_chunks()
+        assert {chunk.entity_path for chunk in chunks} == {f"{topic.name}/{field.name}"}
+        values = np.concatenate(
+            [
+                chunk.to_record_batch()["Scalars:scalars"].flatten().to_numpy(zero_copy_only=False)
+                for chunk in chunks
+            ]
+        )
+        np.testing.assert_array_equal(values, frame[names].to_numpy().ravel())
+
+
+def test_rerun_reads_fixes_and_events_of_a_log_by_itself(trip: Trip, log: Path) -> None:
+    found: dict[str, int] = {}
+    for chunk in McapReader(log).stream().to_chunks():
+        for component in chunk.to_record_batch().schema.names:
+            if component in ("GeoPoints:positions", "TextLog:text"):
+                found[component] = found.get(component, 0) + chunk.num_rows
+    assert found == {
+        "GeoPoints:positions": len(trip["/gnss/fix"]),
+        "TextLog:text": len(trip["/events"]),
+    }
+
+
+@pytest.mark.parametrize(
+    ("topic", "field"), [("/train/state", "mood"), ("/events", "message"), ("/no", "speed")]
+)
+def test_fields_that_cannot_be_plotted_are_refused(log: Path, topic: str, field: str) -> None:
+    with pytest.raises(InputError, match=f"no field {field} of topic {topic}"):
+        scalars(log, topic, field)
+
+
+@pytest.mark.usefixtures("graphics")
+def test_a_log_opens_as_it_is_with_its_layout(log: Path, tmp_path: Path) -> None:
+    layout = tmp_path / "hill-up.rbl"
+    write_layout(layout, log.stem)
+    names = take_picture(log, tmp_path / "log.png", layout=layout, settle=SETTLE)
+    assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= set(names)
+
+
+@pytest.mark.usefixtures("graphics")
+def test_one_layout_fits_all_converted_logs(log: Path, tmp_path: Path) -> None:
+    layout, converted = tmp_path / "trainlog.rbl", tmp_path / "log.rrd"
+    write_layout(layout, "trainlog")
+    subprocess.run(
+        [
+            *(sys.executable, "-m", "rerun_cli", "mcap", "convert", str(log), "-o", str(converted)),
+            *("--application-id", "trainlog"),
+        ],
+        check=True,
+        capture_output=True,
+    )
+    names = take_picture(converted, tmp_path / "log.png", layout=layout, settle=SETTLE)
+    assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= set(names)
+
+
+def test_the_layout_names_every_field_of_the_log(tmp_path: Path) -> None:
+    path = tmp_path / "trainlog.rbl"
+    write_layout(path, "trainlog")
+    content = path.read_bytes()
+    assert content[:4] == b"RRF2"
+    with pytest.raises(InputError, match=r"end it in \.rbl"):
+        write_layout(tmp_path / "trainlog.txt", "trainlog")
+    assert {topic.name for topic in DRAWN} == set(TOPICS) - {"/gnss/fix", "/events"}
