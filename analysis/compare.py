@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
-from trainlog.railway.train import Train
+from trainlog.railway import Line, Train
 from trainlog.trip import Trip, interpolated, seconds
 
 FloatArray = NDArray[np.float64]
@@ -124,6 +124,28 @@ def _standstills(time: FloatArray, speed: FloatArray) -> NDArray[np.intp]:
 def line_energy(train: Train, traction: float, dynamic_braking: float) -> float:
     """Energy from the line [J]: traction over its efficiency, less what braking feeds back."""
     return traction / train.efficiency_traction - train.efficiency_regeneration * dynamic_braking
+
+
+def fastest_nonstop(trips: Sequence[Trip], line: Line) -> float:
+    """Shortest running time [s] among the trips that run the whole line forward without a stop.
+
+    Raises
+    ------
+    LogError
+        If there is no such trip.
+    """
+    forward = [trip for trip in trips if trip.metadata.get("direction", "forward") == "forward"]
+    times = [
+        cost.running_time
+        for cost in map(trip_cost, forward)
+        if cost.stops == 0 and cost.distance > 0.98 * line.length
+    ]
+    if not times:
+        raise LogError(
+            f"no trip runs the whole line '{line.name}' forward without a stop",
+            remedy="give the running time instead",
+        )
+    return min(times)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 from typer.exceptions import TyperException
 
 from trainlog import __version__
-from trainlog.errors import InputError, TrainlogError
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from trainlog.railway import Line, Train
-    from trainlog.trip import Trip
+from trainlog.errors import TrainlogError
+from trainlog.terminal import (
+    about,
+    complaints,
+    console,
+    line_and_train,
+    logs_in,
+    progress_bar,
+    read_trips,
+    working,
+    wrote,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -29,9 +31,6 @@ app = typer.Typer(
 )
 map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
 app.add_typer(map_app, name="map", rich_help_panel="Learn")
-
-console = Console()
-complaints = Console(stderr=True)
 
 Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs.")]
 LineOption = Annotated[
@@ -91,7 +90,6 @@ def simulate(
     from trainlog.formats.trajectory import read_trajectory
     from trainlog.mcap import write_log
     from trainlog.simulation.scenario import (
-        choose_configurations,
         draw_scenarios,
         trajectory_scenarios,
     )
@@ -99,19 +97,19 @@ def simulate(
         simulate as drive,
     )
 
-    the_line, the_train = _line_and_train(line, train)
+    the_line, the_train = line_and_train(line, train)
     if trajectory is None:
         scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
     else:
         plan = read_trajectory(trajectory)
-        names = choose_configurations(plan, configurations)
+        names = plan.chosen(configurations)
         scenarios = trajectory_scenarios(plan, the_line, the_train, names, seed=seed)
     output.mkdir(parents=True, exist_ok=True)
-    with _progress() as progress:
+    with progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
             trip = drive(scenario)
             write_log(trip, output / f"{trip.name}.mcap")
-            progress.console.print(_trip_line(trip), highlight=False)
+            progress.console.print(about(trip), highlight=False)
 
 
 @app.command(rich_help_panel="Record")
@@ -134,10 +132,10 @@ def ingest(
     from trainlog.ingest import ingest as read_recording
     from trainlog.mcap import write_log
 
-    the_line, the_train = _line_and_train(line, train)
+    the_line, the_train = line_and_train(line, train)
     output.mkdir(parents=True, exist_ok=True)
     for recording in recordings:
-        with _working(f"reading {recording.name}"):
+        with working(f"reading {recording.name}"):
             trip = read_recording(
                 recording,
                 profile=profile,
@@ -147,8 +145,8 @@ def ingest(
             )
             target = output / f"{recording.stem}.mcap"
             write_log(trip, target)
-        console.print(_trip_line(trip), highlight=False)
-        _wrote(target)
+        console.print(about(trip), highlight=False)
+        wrote(target)
 
 
 @app.command(name="import", rich_help_panel="Record")
@@ -164,7 +162,7 @@ def import_(
 
     output.mkdir(parents=True, exist_ok=True)
     for file in files:
-        _wrote(convert(file, output))
+        wrote(convert(file, output))
 
 
 # --------------------------------------------------------------------------------------- look
@@ -179,7 +177,7 @@ def info(logs: Logs) -> None:
     from trainlog.mcap import describe
     from trainlog.mcap.show import render
 
-    for log in _logs(logs):
+    for log in logs_in(logs):
         console.print(render(describe(log)))
 
 
@@ -203,15 +201,15 @@ def replay(
     from trainlog.formats.trajectory import read_trajectory
     from trainlog.replay import open_viewer, record_replay
 
-    trips = _read(logs)
-    with _working(f"writing {output.name}"):
+    trips = read_trips(logs)
+    with working(f"writing {output.name}"):
         record_replay(
             trips,
             output,
             trajectory=None if trajectory is None else read_trajectory(trajectory),
             condition_map=None if condition is None else read_map(condition),
         )
-    _wrote(output)
+    wrote(output)
     if viewer:
         console.print(open_viewer(output))
 
@@ -230,7 +228,20 @@ def compare(
     from analysis.compare import savings
     from analysis.report import savings_table
 
-    console.print(savings_table(savings(_read(logs), _read([followed]))))
+    console.print(savings_table(savings(read_trips(logs), read_trips([followed]))))
+
+
+@app.command(rich_help_panel="Look")
+def report(
+    results: Annotated[Path, typer.Argument(help="Folder of results, as the demo leaves it.")],
+) -> None:
+    """Sum up a folder of results: fit, map, trajectory, energy; simulated trips against the truth.
+
+    Example: trainlog report results
+    """
+    from analysis.report import results_table
+
+    console.print(results_table(results))
 
 
 # -------------------------------------------------------------------------------------- learn
@@ -256,12 +267,34 @@ def fit(
     from analysis.resistance import fit_logs
     from trainlog.formats.parameters import write_parameters
 
-    with _progress() as progress:
-        fits = fit_logs(progress.track(_logs(logs), description="fitting"))
+    with progress_bar() as progress:
+        fits = fit_logs(progress.track(logs_in(logs), description="fitting"))
     write_parameters(fits.parameters, output)
     draw_fits(fits, picture or output.with_suffix(".png"))
     console.print(fit_table(fits))
-    _wrote(output, picture or output.with_suffix(".png"))
+    wrote(output, picture or output.with_suffix(".png"))
+
+
+@app.command(rich_help_panel="Learn")
+def estimate(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+) -> None:
+    """Add estimates to logs: smoothed motion, running resistance as it is learnt, adhesion, slip.
+
+    Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
+    """
+    from analysis.estimates import with_estimates
+    from trainlog.mcap import read_log, write_log
+
+    output.mkdir(parents=True, exist_ok=True)
+    with progress_bar() as progress:
+        for log in progress.track(logs_in(logs), description="estimating"):
+            trip, refusals = with_estimates(read_log(log))
+            write_log(trip, output / log.name)
+            for refusal in refusals:
+                progress.console.print(f"  not estimated: {refusal}", highlight=False)
+            wrote(output / log.name)
 
 
 @map_app.command("update")
@@ -281,12 +314,14 @@ def map_update(
     from trainlog.formats.condition import read_map, write_map
 
     known = read_map(condition) if condition.exists() else None
-    with _progress() as progress:
-        updated = update_logs(known, progress.track(_logs(logs), description="mapping"))
+    with progress_bar() as progress:
+        updated, told = update_logs(known, progress.track(logs_in(logs), description="mapping"))
+    for trip in told:
+        console.print(f"  {trip}: in the map already, not counted again", highlight=False)
     write_map(updated, condition)
     draw_map(updated, condition.with_suffix(".png"))
     console.print(map_table(updated))
-    _wrote(condition, condition.with_suffix(".png"))
+    wrote(condition, condition.with_suffix(".png"))
 
 
 @map_app.command("show")
@@ -303,7 +338,7 @@ def map_show(
     console.print(map_table(known))
     if picture is not None:
         draw_map(known, picture)
-        _wrote(picture)
+        wrote(picture)
 
 
 # --------------------------------------------------------------------------------------- plan
@@ -321,8 +356,13 @@ def optimise(
     reserve: Annotated[
         float, typer.Option(help="Without --running-time: reserve over the least time [%].")
     ] = 10.0,
+    as_fast_as: Annotated[
+        Path | None,
+        typer.Option(help="Running time of the fastest non-stop trip of this log or folder."),
+    ] = None,
     braking: Annotated[
-        str, typer.Option(help="'recourse': braking by configuration; 'common': as the paper.")
+        Literal["recourse", "common"],
+        typer.Option(help="Each configuration brakes for itself, or all alike as in the paper."),
     ] = "recourse",
     condition: Annotated[
         Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
@@ -337,6 +377,7 @@ def optimise(
 
     Example: trainlog optimise results/parameters.json -o results/trajectory.json
     """
+    from analysis.compare import fastest_nonstop
     from analysis.pictures.trajectory import draw_trajectory
     from analysis.report import trajectory_table
     from analysis.trajectory import optimise as solve
@@ -344,9 +385,11 @@ def optimise(
     from trainlog.formats.parameters import read_parameters
     from trainlog.formats.trajectory import write_trajectory
 
-    the_line, the_train = _line_and_train(line, train)
+    the_line, the_train = line_and_train(line, train)
     observed = read_parameters(parameters)
-    with _working(f"optimising over {len(observed.configurations)} configurations"):
+    if as_fast_as is not None:
+        running_time = fastest_nonstop(read_trips([as_fast_as]), the_line)
+    with working(f"optimising over {len(observed.configurations)} configurations"):
         trajectory = solve(
             the_line,
             the_train,
@@ -361,7 +404,7 @@ def optimise(
     write_trajectory(trajectory, output)
     draw_trajectory(trajectory, the_line, output.with_suffix(".png"))
     console.print(trajectory_table(trajectory))
-    _wrote(output, output.with_suffix(".png"))
+    wrote(output, output.with_suffix(".png"))
 
 
 # ------------------------------------------------------------------------------------- others
@@ -386,67 +429,10 @@ def samples(
     """Copy the sample logs, line, train and map that come with trainlog."""
     from trainlog.formats.samples import copy_samples
 
-    _wrote(*copy_samples(output))
+    wrote(*copy_samples(output))
 
 
-# ------------------------------------------------------------------------------------ helpers
-
-
-def _line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
-    from trainlog.formats.line import read_line
-    from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-    from trainlog.formats.train import read_train
-
-    return read_line(line or sample(DEFAULT_LINE)), read_train(train or sample(DEFAULT_TRAIN))
-
-
-def _logs(paths: list[Path]) -> list[Path]:
-    """The logs named, and those in the folders named, in order of name."""
-    found: list[Path] = []
-    for path in paths:
-        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-        if not inside:
-            raise InputError("the folder holds no logs (*.mcap)", file=path)
-        found += inside
-    return found
-
-
-def _read(paths: list[Path]) -> list[Trip]:
-    from trainlog.mcap import read_log
-
-    with _progress() as progress:
-        return [read_log(log) for log in progress.track(_logs(paths), description="reading")]
-
-
-def _trip_line(trip: Trip) -> str:
-    told = ("direction", "weather", "load", "configuration")
-    words = [f"{key} {trip.metadata[key]}" for key in told if trip.metadata.get(key)]
-    return f"  {trip.name}: {trip.duration / 60.0:.1f} min, " + ", ".join(words)
-
-
-def _wrote(*paths: Path) -> None:
-    for path in paths:
-        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns: list[Any] = [
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    ]
-    with Progress(*columns, console=console, transient=True) as progress:
-        yield progress
-
-
-@contextmanager
-def _working(what: str) -> Iterator[None]:
-    with console.status(f"{what} ..."):
-        yield
+# --------------------------------------------------------------------------------- entry point
 
 
 def run(arguments: list[str]) -> int:

@@ -16,8 +16,8 @@ def commands(output: Path) -> list[list[str]]:
     driven = output / "driven"
     parameters, condition = output / "parameters.json", output / "map.json"
     trajectory = output / "trajectory.json"
-    profile = ["--profile", samples / "recorder.profile.toml"]
-    plan = ["--trajectory", trajectory, "--map", condition]
+    profile: list[str | Path] = ["--profile", samples / "recorder.profile.toml"]
+    plan: list[str | Path] = ["--trajectory", trajectory, "--map", condition]
     steps: list[list[str | Path]] = [
         ["samples", samples],
         ["simulate", "--count", "12", "--seed", "1", "-o", trips],
@@ -29,7 +29,8 @@ def commands(output: Path) -> list[list[str]]:
         ["optimise", parameters, "--as-fast-as", trips, "-o", trajectory],
         ["simulate", "--trajectory", trajectory, "--configurations", "all", "-o", driven],
         ["compare", trips, "--with", driven],
-        ["replay", trips / "trip-01.mcap", driven, *plan, "-o", output / "replay.rrd"],
+        ["estimate", trips / "trip-01.mcap", "-o", output / "estimated"],
+        ["replay", output / "estimated", driven, *plan, "-o", output / "replay.rrd"],
         ["report", output],
     ]
     return [[str(word) for word in step] for step in steps]

@@ -81,6 +81,25 @@ class Trajectory:
             f"trajectory has no configuration '{configuration}'", remedy=f"it has: {names}"
         )
 
+    def chosen(self, selection: str) -> tuple[str, ...]:
+        """Names of configurations: ``"all"``, ``"hardest"``, or names separated by commas.
+
+        The hardest are those that the optimisation had to reckon with: the others follow the
+        trajectory with something to spare.
+
+        Raises
+        ------
+        InputError
+            If the trajectory was not made for one of them.
+        """
+        names = tuple(configuration.name for configuration in self.configurations)
+        if selection == "all":
+            return names
+        if selection == "hardest":
+            return tuple(self.certificate.get("active", names))
+        wanted = tuple(name.strip() for name in selection.split(","))
+        return tuple(names[self.index_of(name)] for name in wanted)
+
     def cell_of(self, position: ArrayLike) -> NDArray[np.int64]:
         """Index of the cell that holds each position [m]; ends are extended."""
         index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1

@@ -1,0 +1,116 @@
+"""What a trip's recordings say, written back beside them as the topics ``/estimates/*``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.resistance.fit import estimated_resistance, fit_trip
+from analysis.resistance.recording import speed_scale
+from analysis.slip import slip
+from estimators.kalman import smooth_motion
+from trainlog import __version__
+from trainlog.errors import TrainlogError
+from trainlog.topics import ESTIMATED_STATE
+from trainlog.trip import Trip, frame_of, seconds
+
+FloatArray = NDArray[np.float64]
+
+CHAINAGE_STD = 3.0
+"""Standard deviation of a recorded chainage [m]: odometry that is corrected at balises."""
+
+CHAINAGE_TIME = 30.0
+"""Time over which an error of recorded chainage lasts [s]: the way from balise to balise."""
+
+
+def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
+    """Add what can be estimated of a trip: motion, running resistance, adhesion and slip.
+
+    Parameters
+    ----------
+    trip : Trip
+        With ``/train/state``; ``/train/controls`` gives the running resistance, ``/train/axles``
+        adhesion and slip.
+
+    Returns
+    -------
+    trip : Trip
+        With the topics ``/estimates/*``, and slip events among the ``/events``.
+    refusals : tuple of str
+        What could not be estimated, and why.
+    """
+    refusals: list[str] = []
+    added: list[str] = []
+    result = trip
+    for name, estimate in (
+        ("state", _state),
+        ("running resistance", _resistance),
+        ("adhesion", _adhesion),
+    ):
+        try:
+            result = estimate(trip, result)
+            added.append(name)
+        except TrainlogError as error:
+            refusals.append(f"{name}: {error}")
+    done = result.with_step(
+        "estimate", software=f"trainlog {__version__}", added=added, refused=refusals
+    )
+    return done, tuple(refusals)
+
+
+def _state(trip: Trip, result: Trip) -> Trip:
+    """Smoothed motion from the wheels' speed and the recorded chainage."""
+    if "/estimates/state" in trip and "/train/state" not in trip:
+        return result
+    state = trip["/train/state"]
+    time = seconds(state)
+    speed = state["speed"].to_numpy(dtype=np.float64)
+    position = state["position"].to_numpy(dtype=np.float64)
+    scale = speed_scale(trip, time, speed, position)
+    # The chainage's error is that of the odometer since the last balise: it lasts, so that many
+    # samples together say no more than one. White noise of this size says as much.
+    lasting = np.sqrt(2.0 * CHAINAGE_TIME / float(np.median(np.diff(time))))
+    motion = smooth_motion(
+        time,
+        speed / scale.factor,
+        np.hypot(_noise(speed), scale.std * speed),
+        position,
+        CHAINAGE_STD * max(1.0, lasting),
+    )
+    frame = frame_of(
+        ESTIMATED_STATE,
+        pd.DatetimeIndex(state.index),
+        {
+            "position": motion.position,
+            "position_std": motion.position_std,
+            "speed": np.maximum(motion.speed, 0.0),
+            "speed_std": np.hypot(motion.speed_std, scale.std * motion.speed),
+            "acceleration": motion.acceleration,
+            "acceleration_std": motion.acceleration_std,
+        },
+    )
+    return result.with_topic(frame)
+
+
+def _resistance(trip: Trip, result: Trip) -> Trip:
+    return result.with_topic(estimated_resistance(fit_trip(trip)))
+
+
+def _adhesion(trip: Trip, result: Trip) -> Trip:
+    """Adhesion in use and slip of every axle, and the slip events in words."""
+    found = slip(trip)
+    events = found.events_frame()
+    if "/events" in trip:
+        attrs = events.attrs
+        events = pd.concat([trip["/events"], events]).sort_index(kind="stable")
+        events.attrs = attrs
+    return result.with_topic(found.adhesion_frame()).with_topic(events)
+
+
+def _noise(speed: FloatArray) -> float:
+    """Standard deviation of white noise on a smooth speed [m/s], from its second differences."""
+    second = np.diff(speed, 2)
+    second = second[np.isfinite(second)]
+    spread = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if second.size else 0.0
+    return max(spread, 0.01)

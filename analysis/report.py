@@ -1,0 +1,254 @@
+"""Results as tables for people: km/h, km, kN, kWh, per mille."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+
+from analysis.compare import JOULES_PER_KWH, Saving, savings
+from analysis.resistance import Fits
+from analysis.traction_map import summary
+from analysis.truth import Truth, curve_error, map_error, truth_of
+from trainlog.errors import InputError
+from trainlog.formats.condition import read_map
+from trainlog.formats.parameters import read_parameters
+from trainlog.formats.trajectory import read_trajectory
+from trainlog.mcap import read_log
+from trainlog.railway import TrackConditionMap, Trajectory
+from trainlog.trip import Trip
+from trainlog.units import KMH
+
+LISTED = 8
+"""Configurations of a trajectory that are listed one by one."""
+
+
+def savings_table(pairs: Sequence[Saving]) -> Group:
+    """What following the trajectory saved, pair by pair and together."""
+    table = Table("trip", "driver", "trajectory", "saved", "", "from the line")
+    table.title = "Tractive energy at the wheel rims, and running time"
+    for pair in pairs:
+        share = pair.traction / pair.driver.traction
+        table.add_row(
+            pair.driver.name,
+            f"{_kwh(pair.driver.traction)} in {pair.driver.running_time:.0f} s",
+            f"{_kwh(pair.trajectory.traction)} in {pair.trajectory.running_time:.0f} s",
+            _kwh(pair.traction),
+            f"{share:.1%}",
+            f"{_kwh(pair.line)} saved",
+        )
+    driver, saved = total_saved(pairs)
+    words = f"Saved on {len(pairs)} trips: {_kwh(saved)} of {_kwh(driver)}, {saved / driver:.1%}."
+    return Group(table, words)
+
+
+def total_saved(pairs: Sequence[Saving]) -> tuple[float, float]:
+    """Tractive work of the drivers, and what the trajectory saved of it [J]."""
+    return sum(pair.driver.traction for pair in pairs), sum(pair.traction for pair in pairs)
+
+
+def fit_table(fits: Fits) -> Group:
+    """Running resistance of each trip and of all together, with what it rests on."""
+    table = Table("trip", "r0", "r1", "r2", "mass", "power", "at 80 km/h", "windows")
+    table.title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
+    at = 80.0 / KMH
+    for fit in fits.trips:
+        table.add_row(
+            fit.trip,
+            *(_pm(b, s) for b, s in zip(fit.beta, np.sqrt(np.diag(fit.covariance)), strict=False)),
+            f"{fit.mass / 1e3:.1f} ± {1.96 * fit.mass_std / 1e3:.1f} t",
+            "not reached" if fit.max_power is None else f"{fit.max_power / 1e3:.0f} kW",
+            _pm(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3, " kN"),
+            f"{fit.windows['used']}",
+        )
+    common = fits.common
+    beta = (common.resistance.r0, common.resistance.r1, common.resistance.r2)
+    table.add_section()
+    table.add_row(
+        "together",
+        *(_pm(b, s) for b, s in zip(beta, np.sqrt(np.diag(common.covariance)), strict=True)),
+        "",
+        "",
+        _pm(float(common.resistance(at)) / 1e3, float(common.std(at)) / 1e3, " kN"),
+        f"{sum(fit.windows['used'] for fit in fits.trips)}",
+    )
+    low, high = common.speed_range
+    words = [
+        f"± is the 95 % band. Supported from {low * KMH:.0f} to {high * KMH:.0f} km/h. The single"
+        " coefficients are strongly correlated: trust the curve.",
+    ]
+    words += [f"refused: {reason}" for reason in fits.refused.values()]
+    return Group(table, *words)
+
+
+def map_table(track: TrackConditionMap) -> Group:
+    """What a track-condition map knows, layer by layer, with its lowest spots."""
+    table = Table("rail", "trips", "slip events", "observed", "lowest maximum adhesion (95 % band)")
+    table.title = f"Track condition of {track.line}, {track.bin_length:.0f} m bins"
+    for layer in summary(track):
+        spots = [
+            f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
+            for spot in layer.lowest
+        ]
+        share = layer.observed_bins / layer.bins
+        table.add_row(
+            layer.layer,
+            str(layer.trips),
+            str(layer.events),
+            f"{layer.observed_length / 1e3:.1f} km, {share:.0%}",
+            "\n".join(spots) or "nothing observed",
+        )
+    return Group(table, "Elsewhere demand never met the limit: there the map says nothing.")
+
+
+def trajectory_table(trajectory: Trajectory) -> Group:
+    """A trajectory and its certificate."""
+    certificate = trajectory.certificate
+    audit = certificate["audit"]
+    facts = Table("", "", show_header=False)
+    facts.title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
+    reserve = f"{certificate['reserve']:.1%} over {max(certificate['least_time']):.1f} s"
+    deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
+    bound = f"at least {_kwh(certificate['lower_bound'])}"
+    cells = f"{certificate['grid']['cells']} cells"
+    rows = (
+        ("timetable", f"{trajectory.running_time:.1f} s, {reserve}"),
+        ("configurations", deciding),
+        ("worst-case energy", f"{_kwh(certificate['energy'])}, {bound}"),
+        ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
+        ("latest arrival", f"{audit['lateness']:+.4f} s against the timetable"),
+        ("speed over the limit", f"{audit['overspeed'] * KMH:.5f} km/h"),
+        ("power over the limit", f"{audit['power']:.1e} of it"),
+        ("adhesion over the limit", f"{audit['adhesion']:.1e} of it"),
+    )
+    for row in rows:
+        facts.add_row(*row)
+    table = Table("configuration", "mass", "arrival", "top speed", "energy")
+    order = np.argsort(-np.asarray(certificate["wheel_energy"]))
+    for row in order[:LISTED]:
+        configuration = trajectory.configurations[row]
+        table.add_row(
+            configuration.name,
+            f"{configuration.mass / 1e3:.1f} t",
+            f"{trajectory.times[row, -1]:.2f} s",
+            f"{trajectory.speeds[row].max() * KMH:.1f} km/h",
+            _kwh(certificate["wheel_energy"][row]),
+        )
+    rest = len(order) - LISTED
+    return Group(facts, table, *([f"and {rest} more"] if rest > 0 else []))
+
+
+def results_table(folder: Path) -> Group:
+    """What a folder of results says: the fit, the map, the trajectory, the energy saved.
+
+    Simulated trips are judged against their truth.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no results.
+    """
+    trips = [read_log(log) for log in sorted((folder / "trips").glob("*.mcap"))]
+    truths = [truth for truth in map(truth_of, trips) if truth is not None]
+    table = Table("", "result", "in the file")
+    table.title = f"Results in {folder}"
+    rows = [
+        _recorded(folder, trips),
+        _fitted(folder / "parameters.json", truths),
+        _mapped(folder / "map.json", truths),
+        *_planned(folder / "trajectory.json"),
+        _saved(folder / "driven", trips),
+    ]
+    found = [row for row in rows if row is not None]
+    if not found:
+        raise InputError("holds no results", file=folder, remedy="run 'trainlog demo' first")
+    for row in found:
+        table.add_row(*row)
+    return Group(table)
+
+
+def _recorded(folder: Path, trips: Sequence[Trip]) -> tuple[str, str, str] | None:
+    if not trips:
+        return None
+    hours = sum(trip.duration for trip in trips) / 3600.0
+    return "recorded", f"{len(trips)} trips, {hours:.1f} h", str(folder / "trips")
+
+
+def _fitted(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
+    if not path.exists():
+        return None
+    found = read_parameters(path)
+    words = f"{len(found.configurations)} configurations"
+    if truths and found.common is not None:
+        by_name = {truth.trip: truth for truth in truths}
+        pairs = [(c, by_name[c.name]) for c in found.configurations if c.name in by_name]
+        single = np.median([curve_error(c.resistance, [truth]) for c, truth in pairs])
+        together = curve_error(found.common, [truth for _, truth in pairs])
+        words += (
+            f"; drag curve off by {single:.1%} for one trip (median),"
+            f" {together:.1%} for all together"
+        )
+    return "running resistance", words, str(path)
+
+
+def _mapped(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
+    if not path.exists():
+        return None
+    track = read_map(path)
+    layers = summary(track)
+    events = sum(layer.events for layer in layers)
+    words = f"{events} slip events, " + ", ".join(
+        f"{layer.observed_length / 1e3:.1f} km {layer.layer}" for layer in layers
+    )
+    if truths and events:
+        error, bins = map_error(track, truths)
+        words += f" observed; maximum adhesion off by {error:.3f} RMS in {bins} bins with events"
+    return "track condition", words, str(path)
+
+
+def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
+    if not path.exists():
+        return ()
+    trajectory = read_trajectory(path)
+    certificate = trajectory.certificate
+    energy = (
+        f"{_kwh(certificate['energy'])} at worst over {len(trajectory.configurations)}"
+        f" configurations in {trajectory.running_time:.0f} s"
+    )
+    proof = (
+        f"gap {certificate['gap']:.3%}, arrival {certificate['audit']['lateness']:+.4f} s,"
+        f" speed {certificate['audit']['overspeed'] * KMH:+.5f} km/h over"
+    )
+    return ("trajectory", energy, str(path)), ("certificate", proof, "")
+
+
+def _saved(folder: Path, trips: Sequence[Trip]) -> tuple[str, str, str] | None:
+    followed = [read_log(log) for log in sorted(folder.glob("*.mcap"))]
+    if not (followed and trips):
+        return None
+    pairs = savings(trips, followed)
+    driver, saved = total_saved(pairs)
+    words = (
+        f"{_kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"
+        f" ({len(pairs)} trips)"
+    )
+    return "energy saved", words, str(folder)
+
+
+def _pm(value: float, std: float, unit: str = "") -> str:
+    """A value with its 95 % band, to the digits that the band leaves meaningful."""
+    reach = 1.96 * std
+    digits = max(0, 1 - math.floor(math.log10(reach))) if reach > 0.0 else 1
+    return f"{value:.{digits}f} ± {reach:.{digits}f}{unit}"
+
+
+def _kwh(energy: float) -> str:
+    return f"{energy / JOULES_PER_KWH:.2f} kWh"
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
