@@ -6,6 +6,7 @@ Pure data and pure functions on arrays; no files.
 from trainlog.railway.adhesion import CreepCurve
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.configuration import Configuration, ParameterSet
+from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile, Tunnel
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
@@ -19,11 +20,13 @@ __all__ = [
     "CreepCurve",
     "CurvatureProfile",
     "Geometry",
+    "Journey",
     "Line",
     "ParameterSet",
     "RunningResistance",
     "Station",
     "StepProfile",
+    "TimingPoint",
     "TrackConditionMap",
     "Train",
     "Trajectory",
