@@ -1,0 +1,417 @@
+"""Slip of the powered axles over a trip: speeds, adhesion in use, and slip events.
+
+Of a slip event only the onset measures the maximum adhesion: while the slip grows the force
+between wheel and rail rises to its maximum and falls beyond it (paper 003, eq. 10). Every other
+sample says that the maximum is at least what is in use.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from estimators.adhesion import SlipDetector, smoothed_force
+from estimators.train_speed import TrainSpeed, impulse, train_speed
+from trainlog.errors import LogError
+from trainlog.formats.attached import line_of, train_of
+from trainlog.railway.train import Train
+from trainlog.topics import ESTIMATED_ADHESION, EVENTS
+from trainlog.trip import Trip, frame_of, interpolated, seconds
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ADHESION_RATE = 0.12
+"""How fast adhesion in use may wander, for the observer [1/s^0.5]: from nothing to the maximum in
+a few seconds of a run-up, from the maximum to little in half a second of slip."""
+
+SPEED_NOISE_FLOOR = 0.005
+"""Least noise of a wheel speed that is believed [m/s]."""
+
+NOISE_SPAN = 0.4
+"""Time over which differences of the observed adhesion are taken for noise [s]."""
+
+ADHESION_NOISE_FLOOR = 0.002
+"""Least noise of an observed adhesion that is believed."""
+
+STANDSTILL = 0.1
+"""Speed of the wheels up to which the train stands [m/s]."""
+
+SATELLITE_STD = 0.1
+"""Standard deviation of a satellite speed that comes without one [m/s]."""
+
+COASTING_ADHESION = 0.02
+"""Adhesion in use up to which a wheel is taken to roll without creep, to compare diameters."""
+
+CALIBRATION_SPEED = 5.0
+"""Least speed at which wheel diameters are compared [m/s]."""
+
+CALIBRATION_SAMPLES = 50
+"""Least number of samples from which a wheel diameter is corrected."""
+
+LOOK_BACK = 3.0
+"""How long before the detection of slip its onset is sought [s]."""
+
+PROMINENCE = 3.0
+"""Standard deviations by which adhesion in use must fall on either side of a maximum."""
+
+CUT = 0.7
+"""Effort over the effort at peak slip, half a second later, below which slip protection acted."""
+
+
+@dataclass(frozen=True, eq=False)
+class SlipAnalysis:
+    """What the powered axles did on one trip, at the axles' own samples.
+
+    Attributes
+    ----------
+    trip : str
+    time : (n,) DatetimeIndex
+    position : (n,) array [m]
+        Chainage of the line as its file counts it, whatever the direction of the trip.
+    speed, speed_std : (n,) array [m/s]
+        Train speed and its standard deviation.
+    slip_speed : (n, axles) array [m/s]
+        Wheel speed less train speed.
+    adhesion, adhesion_std : (n, axles) array
+        Force between wheel and rail over axle load, positive in traction.
+    slipping : (n, axles) bool array
+    wheel_factor : (axles,) array
+        Measured over true wheel speed, from the wheel diameter.
+    events : DataFrame
+        One row a slip event: ``axle`` (from 1), ``start``, ``end`` (time), ``kind``
+        (``"traction"``, ``"braking"``), ``position`` [m] of the onset, ``speed`` [m/s],
+        ``peak_slip`` [m/s], ``adhesion`` and ``adhesion_std`` at the onset, and ``measured``:
+        whether the maximum was passed, so that the onset measures it.
+    """
+
+    trip: str
+    time: pd.DatetimeIndex
+    position: FloatArray
+    speed: FloatArray
+    speed_std: FloatArray
+    slip_speed: FloatArray
+    adhesion: FloatArray
+    adhesion_std: FloatArray
+    slipping: BoolArray
+    wheel_factor: FloatArray
+    events: pd.DataFrame
+
+    def adhesion_frame(self) -> pd.DataFrame:
+        """Frame of the topic ``/estimates/adhesion``."""
+        return frame_of(
+            ESTIMATED_ADHESION,
+            self.time,
+            {"adhesion": self.adhesion, "slip_speed": self.slip_speed},
+        )
+
+    def events_frame(self) -> pd.DataFrame:
+        """The slip events as a frame of the topic ``/events``, one warning each."""
+        rows = self.events.sort_values(["start", "axle"])
+        told = zip(
+            rows["axle"],
+            rows["kind"],
+            rows["position"].to_numpy() / 1e3,
+            rows["speed"].to_numpy() * KMH,
+            np.abs(rows["peak_slip"].to_numpy()),
+            rows["adhesion"].to_numpy(),
+            strict=True,
+        )
+        messages = [
+            f"axle {axle} slips in {kind} at km {km:.3f}, {kmh:.0f} km/h: {peak:.1f} m/s,"
+            f" adhesion {adhesion:.3f}"
+            for axle, kind, km, kmh, peak, adhesion in told
+        ]
+        return frame_of(
+            EVENTS,
+            pd.DatetimeIndex(rows["start"]),
+            {
+                "level": np.full(len(rows), 3, dtype=np.int64),
+                "message": messages,
+                "name": ["slip"] * len(rows),
+            },
+        )
+
+
+def slip(trip: Trip) -> SlipAnalysis:
+    """Slip, adhesion in use and slip events of a trip that carries its line and its train.
+
+    Raises
+    ------
+    LogError
+        If the trip has no axles, fewer or more than its train, no position, or lacks line or
+        train.
+    """
+    train, line = train_of(trip), line_of(trip)
+    frame = trip["/train/axles"]
+    wheels, efforts = _recorded(trip, frame, train)
+    time, clock = seconds(frame), pd.DatetimeIndex(frame.index)
+    load = float(trip.metadata.get("load", "0"))
+    axle_load = train.adhesive_weight(load) / train.axles.count
+    noise = wheel_noise(wheels)
+    force = smoothed_force(
+        time, wheels, efforts, train.axles.rotating_mass, noise, ADHESION_RATE * axle_load
+    )
+    adhesion, adhesion_std = force.force / axle_load, force.std / axle_load
+    speed, factor = _train_speed(trip, train, load, time, wheels, efforts, adhesion, noise)
+    slip_speed = wheels / factor - speed.speed[:, None]
+    slipping = _slipping(slip_speed, noise, speed)
+    travelled = _position(trip, clock)
+    backwards = trip.metadata.get("direction") == "reverse"
+    position = line.length - travelled if backwards else travelled
+    axles = _Axles(clock, time, position, speed.speed, efforts, adhesion)
+    return SlipAnalysis(
+        trip=trip.name,
+        time=clock,
+        position=position,
+        speed=speed.speed,
+        speed_std=speed.std,
+        slip_speed=slip_speed,
+        adhesion=adhesion,
+        adhesion_std=adhesion_std,
+        slipping=slipping,
+        wheel_factor=factor,
+        events=_events(axles, slip_speed, slipping),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Axles:
+    """What the onset of an event is read from, at the axles' samples."""
+
+    clock: pd.DatetimeIndex
+    time: FloatArray
+    position: FloatArray
+    speed: FloatArray
+    effort: FloatArray
+    adhesion: FloatArray
+
+
+def wheel_noise(wheel_speed: FloatArray) -> float:
+    """Standard deviation of white noise in wheel speeds [m/s], from their third differences.
+
+    The median absolute value, so that slips and brake applications do not count.
+    """
+    third = np.diff(wheel_speed, n=3, axis=0)
+    known = np.abs(third[np.isfinite(third)])
+    if known.size == 0:
+        return SPEED_NOISE_FLOOR
+    # The variance of a third difference of white noise is 20 times that of the noise.
+    return max(float(np.median(known) / 0.6745 / np.sqrt(20.0)), SPEED_NOISE_FLOOR)
+
+
+def _recorded(trip: Trip, frame: pd.DataFrame, train: Train) -> tuple[FloatArray, FloatArray]:
+    """Wheel speeds and wheel efforts, (n, axles); gaps in the efforts are held."""
+    numbers = range(1, train.axles.count + 1)
+    names = [f"wheel_speed_{i}" for i in numbers], [f"wheel_effort_{i}" for i in numbers]
+    given = sum(name.startswith("wheel_speed_") for name in frame.columns)
+    if given != train.axles.count or not {*names[0], *names[1]} <= set(frame.columns):
+        raise LogError(
+            f"trip '{trip.name}': /train/axles has {given} axles,"
+            f" train '{train.name}' has {train.axles.count} powered ones",
+            remedy="state the powered axles in the train file, with speed and effort each",
+        )
+    if len(frame) < 2:
+        raise LogError(f"trip '{trip.name}': /train/axles holds {len(frame)} samples")
+    speeds = frame[names[0]].to_numpy(dtype=np.float64)
+    efforts = frame[names[1]].ffill().fillna(0.0).to_numpy(dtype=np.float64)
+    return speeds, efforts
+
+
+def _train_speed(
+    trip: Trip,
+    train: Train,
+    load: float,
+    time: FloatArray,
+    wheels: FloatArray,
+    efforts: FloatArray,
+    adhesion: FloatArray,
+    noise: float,
+) -> tuple[TrainSpeed, FloatArray]:
+    """Train speed, and what each wheel measures over what is true, (axles,)."""
+    clock = pd.DatetimeIndex(trip["/train/axles"].index)
+    mass = train.mass + train.rotating_mass + load
+    mass -= train.axles.count * train.axles.rotating_mass
+    whole = pd.DataFrame(wheels).interpolate(limit_direction="both").fillna(0.0).to_numpy()
+    other = _other_effort(trip, train, load, whole, efforts)
+    gained = impulse(time, whole, efforts, other, train.axles.rotating_mass) / mass
+    reference, reference_std = _reference(trip, clock)
+    standing = np.median(whole, axis=1) <= STANDSTILL
+    reference[standing], reference_std[standing] = 0.0, STANDSTILL
+    factor = np.ones(train.axles.count)
+    nowhere = np.full_like(wheels, np.nan)
+    first = train_speed(
+        time,
+        nowhere if np.count_nonzero(np.isfinite(reference)) > 1 else wheels,
+        adhesion,
+        noise,
+        gained,
+        reference,
+        reference_std,
+    )
+    rolling = (
+        (np.abs(adhesion).max(axis=1) < COASTING_ADHESION)
+        & (first.speed > CALIBRATION_SPEED)
+        & (first.std < 0.2)
+    )
+    for axle in range(factor.size):
+        use = rolling & np.isfinite(wheels[:, axle])
+        if np.count_nonzero(use) >= CALIBRATION_SAMPLES:
+            factor[axle] = np.median(wheels[use, axle] / first.speed[use])
+    speed = train_speed(time, wheels / factor, adhesion, noise, gained, reference, reference_std)
+    return speed, factor
+
+
+def _other_effort(
+    trip: Trip, train: Train, load: float, wheels: FloatArray, efforts: FloatArray
+) -> FloatArray:
+    """Effort on the train besides that of its motors [N].
+
+    Friction brake, running resistance as the train's file has it, gradient and curves. While the
+    train stands they balance the motors, whatever the brakes could do.
+    """
+    clock = pd.DatetimeIndex(trip["/train/axles"].index)
+    speed = np.median(wheels, axis=1)
+    position = pd.Series(_position(trip, clock)).interpolate(limit_direction="both").to_numpy()
+    held = train.resistance(speed) + train.track_force(line_of(trip), position, train.mass + load)
+    if "/train/controls" in trip:
+        brake = interpolated(trip["/train/controls"], "pneumatic_braking_effort", clock)
+        held = held + np.nan_to_num(brake)
+    return np.where(speed > STANDSTILL, -held, -efforts.sum(axis=1))
+
+
+def _reference(trip: Trip, clock: pd.DatetimeIndex) -> tuple[FloatArray, FloatArray]:
+    """Speed that does not come from the powered wheels, at the axles' nearest samples, else NaN."""
+    speed, std = np.full(len(clock), np.nan), np.full(len(clock), np.nan)
+    for topic, column in (("/gnss/motion", "speed_accuracy"), ("/estimates/state", "speed_std")):
+        frame = trip.topics.get(topic)
+        if frame is None or not frame["speed"].notna().any():
+            continue
+        known = frame[frame["speed"].notna()]
+        at = clock.get_indexer(pd.DatetimeIndex(known.index), method="nearest")
+        speed[at] = known["speed"].to_numpy()
+        std[at] = known[column].fillna(SATELLITE_STD).to_numpy()
+        return speed, np.maximum(std, 1e-2)
+    return speed, std
+
+
+def _slipping(slip_speed: FloatArray, noise: float, speed: TrainSpeed) -> BoolArray:
+    """Whether each axle slips, counted from the first sample above the threshold."""
+    std = float(np.hypot(noise, np.median(speed.std)))
+    known = SlipDetector(slip_speed.shape[1], std).update(slip_speed)
+    # The detector confirms one sample late; the event began with the sample before.
+    known[:-1] |= known[1:]
+    return known
+
+
+def _position(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray:
+    """Chainage in the direction of travel [m]: smoothed where there is an estimate."""
+    for topic in ("/estimates/state", "/train/state"):
+        if topic in trip and trip[topic]["position"].notna().any():
+            return interpolated(trip[topic], "position", clock)
+    raise LogError(
+        f"trip '{trip.name}' has no position",
+        remedy="it needs /train/state or /estimates/state with a position",
+    )
+
+
+def adhesion_noise(time: FloatArray, adhesion: FloatArray) -> float:
+    """Standard deviation of what noise remains in the observed adhesion, from its differences.
+
+    Over `NOISE_SPAN` the true adhesion hardly changes for most of a trip: the median absolute
+    difference of samples that far apart, where the axles pull or brake, is noise.
+    """
+    lag = max(1, round(NOISE_SPAN / float(np.median(np.diff(time)))))
+    apart = np.abs(adhesion[lag:] - adhesion[:-lag])
+    loaded = apart[np.abs(adhesion[lag:]) > COASTING_ADHESION]
+    if loaded.size == 0:
+        return ADHESION_NOISE_FLOOR
+    return max(float(np.median(loaded) / 0.6745 / np.sqrt(2.0)), ADHESION_NOISE_FLOOR)
+
+
+def _events(axles: _Axles, slip_speed: FloatArray, slipping: BoolArray) -> pd.DataFrame:
+    """One row a slip event; see `SlipAnalysis`."""
+    noise = adhesion_noise(axles.time, axles.adhesion)
+    rows = []
+    for axle in range(slipping.shape[1]):
+        edges = np.flatnonzero(np.diff(slipping[:, axle].astype(np.int8), prepend=0, append=0))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            peak = int(start) + int(np.nanargmax(np.abs(slip_speed[start:stop, axle])))
+            rows.append(
+                {
+                    "axle": axle + 1,
+                    "start": axles.clock[start],
+                    "end": axles.clock[min(stop, len(axles.clock) - 1)],
+                    "peak_slip": slip_speed[peak, axle],
+                    **_onset_of(axles, axle, int(start), peak, slip_speed[peak, axle], noise),
+                }
+            )
+    columns = {
+        "axle": "int64", "start": axles.clock.dtype, "end": axles.clock.dtype, "kind": "str",
+        "position": "float64", "speed": "float64", "peak_slip": "float64",
+        "adhesion": "float64", "adhesion_std": "float64", "measured": "bool",
+    }  # fmt: skip
+    frame = pd.DataFrame(rows, columns=list(columns)).astype(columns)
+    frame.attrs["units"] = {
+        "position": "m", "speed": "m/s", "peak_slip": "m/s", "adhesion": "1", "adhesion_std": "1",
+    }  # fmt: skip
+    return frame
+
+
+def _onset_of(
+    axles: _Axles, axle: int, start: int, peak: int, peak_slip: float, noise: float
+) -> dict[str, Any]:
+    """Adhesion at the onset of one event, which begins at sample `start` and peaks at `peak`."""
+    direction = np.sign(peak_slip)
+    first = int(np.searchsorted(axles.time, axles.time[start] - LOOK_BACK))
+    used = direction * axles.adhesion[first : peak + 1, axle]
+    effort = direction * axles.effort[:, axle]
+    top, fell = onset(used, noise)
+    at = first + int(top[top.size // 2])
+    after = int(np.searchsorted(axles.time, axles.time[peak] + 0.5))
+    cut = bool(effort[peak : after + 1].min() < CUT * effort[peak])
+    adhesion = float(used[top].mean())
+    return {
+        "kind": "traction" if direction > 0.0 else "braking",
+        "position": axles.position[at],
+        "speed": axles.speed[at],
+        "adhesion": adhesion,
+        "adhesion_std": noise,
+        "measured": adhesion > 0.0 and (fell or cut),
+    }
+
+
+def onset(adhesion: FloatArray, noise: float) -> tuple[NDArray[np.int64], bool]:
+    """Where the adhesion in use had its last maximum before the slip was largest.
+
+    The record is walked backwards from its end, the instant of largest slip. The adhesion rises
+    to the maximum of the creep curve; once it has fallen again by more than noise explains the
+    search ends: what lies before belongs to another place.
+
+    Parameters
+    ----------
+    adhesion : (n,) array
+        In use, positive, up to the instant of largest slip.
+    noise : float
+        Its standard deviation.
+
+    Returns
+    -------
+    top : (k,) int array
+        Samples that noise cannot tell from the maximum. Their mean is the maximum without the
+        bias of a largest value.
+    fell : bool
+        Whether the adhesion fell from there to the end: the maximum was passed.
+    """
+    backwards = adhesion[::-1]
+    highest = np.maximum.accumulate(backwards)
+    fallen = backwards < highest - PROMINENCE * noise
+    stop = int(np.argmax(fallen)) if fallen.any() else backwards.size
+    best = float(backwards[:stop].max())
+    top = np.flatnonzero(backwards[:stop] >= best - PROMINENCE * noise)
+    return adhesion.size - 1 - top[::-1], bool(backwards[0] < best - PROMINENCE * noise)
