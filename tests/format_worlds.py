@@ -178,6 +178,7 @@ def trajectories(draw: Callable[..., Any]) -> Trajectory:
         tractive_effort=draw(arrays(n, 0.0, 1e6)),
         braking_effort=draw(arrays(q * n, 0.0, 1e6)).reshape(q, n),
         running_time=draw(sizes(1.0, 1e5)),
+        direction=draw(st.sampled_from(["forward", "reverse"])),
         certificate=draw(DETAILS),
         provenance=draw(DETAILS),
     )

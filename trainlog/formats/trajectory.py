@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -25,6 +25,7 @@ class _TrajectoryFile(File):
 
     line: str
     train: str
+    direction: Literal["forward", "reverse"] = "forward"
     running_time: Annotated[float, Quantity("s", "s")]
     configurations: list[ConfigurationPart] = Field(min_length=1)
     positions: Annotated[FloatArray, Array("m")]
@@ -48,6 +49,7 @@ class _TrajectoryFile(File):
             tractive_effort=self.tractive_effort,
             braking_effort=self.braking_effort,
             running_time=self.running_time,
+            direction=self.direction,
             certificate=self.certificate,
             provenance=self.provenance,
         )
@@ -72,6 +74,7 @@ class _TrajectoryFile(File):
         file = _TrajectoryFile.model_construct(
             line=trajectory.line,
             train=trajectory.train,
+            direction=trajectory.direction,
             running_time=trajectory.running_time,
             configurations=[ConfigurationPart.of(item) for item in trajectory.configurations],
             positions=trajectory.positions,

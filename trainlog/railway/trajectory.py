@@ -34,6 +34,8 @@ class Trajectory:
         Equal rows where braking is common too.
     running_time : float [s]
         What the timetable allows.
+    direction : {"forward", "reverse"}
+        Of travel against the line file's chainage; `positions` grow in the direction of travel.
     certificate : dict
         Audit, lower bound and gap of the optimisation, and how it was obtained.
     provenance : dict
@@ -48,10 +50,13 @@ class Trajectory:
     tractive_effort: FloatArray
     braking_effort: FloatArray
     running_time: float
+    direction: str = "forward"
     certificate: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.direction not in ("forward", "reverse"):
+            raise InputError(f"trajectory: direction '{self.direction}' is unknown")
         q, n = len(self.configurations), self.positions.size - 1
         expected = {
             "speeds": (q, n + 1),
