@@ -168,7 +168,7 @@ def test_line_and_train_bound_the_speed(tmp_path: Path, driven: Trip) -> None:
 
 @pytest.mark.long
 def test_a_million_rows_in_seconds(tmp_path: Path) -> None:
-    from time import perf_counter
+    from time import process_time
 
     count = 1_000_000
     run = clean_run(count, 0.1)
@@ -176,7 +176,7 @@ def test_a_million_rows_in_seconds(tmp_path: Path) -> None:
     table = pd.DataFrame({"t": stamps, "v": run.speed, "s": run.position})
     table = table.assign(**{f"x{i}": np.round(run.speed * 3.6, 2) for i in range(8)})
     table.to_csv(tmp_path / "run.csv", index=False)
-    begin = perf_counter()
+    begin = process_time()
     trip = ingest(tmp_path / "run.csv", profile=plain_profile())
     assert len(trip["/train/state"]) == count
-    assert perf_counter() - begin < 10.0
+    assert process_time() - begin < 10.0

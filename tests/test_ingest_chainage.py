@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ingest_logs import plain_profile
 from simulated_world import flirt, hilly_line
 
 from trainlog.errors import InputError
@@ -146,6 +147,21 @@ def test_chainage_and_speed_follow_the_truth(run: tuple[Trip, Trip]) -> None:
     assert np.all(np.diff(estimate["position"]) >= 0.0)
     assert estimate["speed"].min() >= 0.0
     assert float(read.metadata["line.misfit"]) < 2.0
+
+
+def test_a_single_fix_makes_no_chainage(tmp_path: Path) -> None:
+    rows = "\n".join(f"2024-05-01T06:00:{i:02d}.5Z,{20 + i},47.0,9.0" for i in range(30))
+    rows = rows.replace(",47.0,9.0", ",,").replace(",,", ",47.0,9.0", 1)
+    path = tmp_path / "run.csv"
+    path.write_text(f"t,v,lat,lon\n{rows}\n", "utf-8")
+    columns = {
+        "/train/state.speed": {"column": "v", "unit": "km/h"},
+        "/gnss/fix.latitude": {"column": "lat", "unit": "deg"},
+        "/gnss/fix.longitude": {"column": "lon", "unit": "deg"},
+    }
+    trip = ingest(path, profile=plain_profile(columns=columns), line=LINE)
+    assert len(trip["/gnss/fix"]) == 1
+    assert "/estimates/state" not in trip
 
 
 def test_wild_fixes_do_not_move_the_estimate(tmp_path: Path, run: tuple[Trip, Trip]) -> None:

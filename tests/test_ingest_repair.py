@@ -304,6 +304,14 @@ def test_a_receiver_without_any_fix_is_refused(tmp_path: Path) -> None:
         read_ublox(tmp_path, header + "\n".join(NO_FIX_ROWS * 5) + "\n")
 
 
+def test_a_log_that_says_nothing_is_refused(tmp_path: Path) -> None:
+    ticks = np.arange(100)
+    text = ublox(ticks // 5, ticks / 5).text().replace(",9,93", ",0,93")
+    off = plain_profile(repair={"before_first_fix": False})
+    with pytest.raises(InputError, match=r"gnss\.csv: nothing is left of 100 rows after repair; "):
+        read_ublox(tmp_path, text, profile=off)
+
+
 def test_rows_without_fix_say_nothing(tmp_path: Path) -> None:
     ticks = np.arange(200)
     lines = ublox(ticks // 5, ticks / 5).text().splitlines()

@@ -83,6 +83,8 @@ def chainage_of(geometry: Geometry, fixes: Fixes, *, gated: bool = True) -> Matc
     ----------
     geometry : Geometry
         Of the line as travelled.
+    fixes : Fixes
+        At least one of them with a position.
     gated : bool
         Whether fixes are rejected at all.
 
@@ -153,10 +155,8 @@ def _misfit(distance: FloatArray, std: FloatArray) -> float:
     Raises
     ------
     InputError
-        If there are fewer than two fixes, or the line is too far away to be theirs.
+        If the line is too far away to be theirs.
     """
-    if distance.size < 2:
-        raise InputError(f"{distance.size} fix is too few for a chainage", remedy="leave out line")
     spread = 1.4826 * float(np.median(distance))
     misfit = float(np.sqrt(max(0.0, spread**2 - float(np.median(std)) ** 2)))
     if misfit > MAX_MISFIT:

@@ -232,7 +232,7 @@ def _spread(time: IntArray, usual: int) -> IntArray:
     first = np.searchsorted(seconds, seconds, side="left")
     last = np.searchsorted(seconds, seconds, side="right")
     rank = np.arange(time.size) - first
-    # Whole tick numbers: `usual` a second. Runs are moved apart so that one call serves them all.
+    # Ticks count periods of 1/usual s; a row's tick is whole where its second is.
     row = np.arange(time.size, dtype=np.float64)
     tick = (seconds * usual + rank).astype(np.float64)
     whole = last - first == usual

@@ -68,13 +68,14 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
         If the fixes lie elsewhere, or run against the line.
     """
     geometry = line.geometry if line is not None else None
-    if geometry is not None and "/gnss/fix" in trip:
+    if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
         fixes = _fixes(trip)
         matched = chainage_of(geometry, fixes, gated=profile.repair.off_line)
         off = int(np.count_nonzero(matched.rejected))
         findings = (Finding("off_line", off, (), "/gnss/fix"),) if off else ()
         told = {"line.misfit": f"{matched.misfit:.1f}"}
-        return Estimate(_smoothed_fixes(fixes, matched), findings, told)
+        usable = np.isfinite(matched.chainage).sum() > 1
+        return Estimate(_smoothed_fixes(fixes, matched) if usable else None, findings, told)
     start = profile.trip.start_position
     if start is None or "/train/state" not in trip:
         return Estimate()

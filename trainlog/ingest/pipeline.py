@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import pandas as pd
 
 from trainlog import __version__
 from trainlog.errors import InputError
@@ -15,20 +14,22 @@ from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.frames import frames
 from trainlog.ingest.profile import Limits, Profile, TripOptions, parse_profile
-from trainlog.ingest.recording import Finding, IntArray, Recording, Table, field_of
+from trainlog.ingest.recording import Finding, Recording, Table
 from trainlog.ingest.registry import format_of
 from trainlog.ingest.report import Report
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.ingest.values import LIMITS
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
-from trainlog.topics import EVENTS, TOPICS
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
-from trainlog.units import from_si
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 
 PROFILE_ATTACHMENT = "profile.toml"
-"""Attachment that holds the profile a recording was read with."""
+"""Attachment that holds the profile file a recording was read with."""
+
+PROFILE_OBJECT_ATTACHMENT = "profile.json"
+"""The same, where the profile was no file but a `Profile`."""
 
 SPEED_MARGIN = 1.5
 """Speeds beyond this multiple of what line and train allow are impossible."""
@@ -76,7 +77,7 @@ def ingest(
         If the file cannot be used, with row and column where they are known and a remedy.
     """
     source = Path(path)
-    rules, profile_data = _profile(profile)
+    rules, carried = _profile(profile)
     chosen = format_of(source, format or (rules.file.format if rules else None))
     try:
         recording = chosen.read(source, rules)
@@ -88,34 +89,27 @@ def ingest(
             error.problem, file=source, place=error.place, remedy=error.remedy
         ) from error
     named = {"trip": source.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
-    attachments = dict(trip.attachments)
-    inputs = {source.name: sha256_of(source)}
-    if profile_data is not None:
-        attachments[PROFILE_ATTACHMENT] = profile_data
-        inputs[PROFILE_ATTACHMENT] = sha256(profile_data)
-    inputs |= {
-        name: sha256(attachments[name])
-        for name in (LINE_ATTACHMENT, TRAIN_ATTACHMENT)
-        if name in attachments
-    }
+    attachments = carried | trip.attachments
+    digests = {name: sha256(data) for name, data in attachments.items()}
     return Trip(trip.topics, named, (), attachments).with_step(
         "ingest",
         software=f"trainlog {__version__}",
         format=chosen.name,
         profile=rules.name if rules else None,
-        inputs=inputs,
+        inputs={source.name: sha256_of(source)} | digests,
         report=report.details(),
     )
 
 
-def _profile(profile: str | Path | Profile | None) -> tuple[Profile | None, bytes | None]:
-    """The profile and the bytes that stand for it in the trip."""
+def _profile(profile: str | Path | Profile | None) -> tuple[Profile | None, dict[str, bytes]]:
+    """The profile, and the attachment that carries it along."""
     if profile is None:
-        return None, None
+        return None, {}
     if isinstance(profile, Profile):
-        return profile, profile.model_dump_json(indent=1, exclude_defaults=True).encode()
+        data = profile.model_dump_json(indent=1, exclude_defaults=True).encode()
+        return profile, {PROFILE_OBJECT_ATTACHMENT: data}
     data = read_bytes(profile)
-    return parse_profile(data, file=profile), data
+    return parse_profile(data, file=profile), {PROFILE_ATTACHMENT: data}
 
 
 def _default_profile() -> Profile:
@@ -140,7 +134,12 @@ def _trip(
         findings += found
     way = direction or profile.trip.direction or "forward"
     travelled = line.reversed() if line is not None and way == "reverse" else line
-    topics = _frames(tables, recording.constants)
+    topics = frames(tables, recording.constants)
+    if not topics:
+        raise InputError(
+            f"nothing is left of {recording.rows_read} rows after repair",
+            remedy="look at [limits] and at the units of the columns in the profile",
+        )
     trip = Trip(topics, _metadata(recording, profile, line, train, way))
     estimate = estimated_state(trip, travelled, profile)
     findings += estimate.findings
@@ -198,52 +197,6 @@ def _from_start(table: Table, options: TripOptions) -> Table:
     )
 
 
-def _frames(tables: list[Table], constants: dict[str, float | str]) -> dict[str, pd.DataFrame]:
-    """One frame a topic, in the order of the table of topics; rows that hold nothing left out."""
-    found: dict[str, pd.DataFrame] = {}
-    for name, topic in TOPICS.items():
-        fixed = {
-            field_of(key)[1]: value
-            for key, value in constants.items()
-            if field_of(key)[0].name == name
-        }
-        for table in tables:
-            values = _of_topic(table.signals, name)
-            texts = _of_topic(table.texts, name)
-            present = np.zeros(len(table), dtype=np.bool_)
-            for column in values.values():
-                present |= np.isfinite(column)
-            if texts:
-                present = np.logical_or.reduce([words != "" for words in texts.values()])
-            if not present.any():
-                continue
-            data: dict[str, Any] = {**values, **texts}
-            data = {key: column[present] for key, column in data.items()}
-            if name == EVENTS.name:
-                level = np.nan_to_num(data.get("level", np.full(present.sum(), 2.0)), nan=2.0)
-                data["level"] = level.astype(np.int64)
-            constant = {key: np.full(present.sum(), value) for key, value in fixed.items()}
-            found[name] = frame_of(topic, _index(table.time[present]), {**constant, **data})
-        if fixed and name not in found:
-            ends = np.array([min(t.time[0] for t in tables), max(t.time[-1] for t in tables)])
-            found[name] = frame_of(
-                topic, _index(ends), {key: np.full(2, value) for key, value in fixed.items()}
-            )
-    return found
-
-
-def _index(time: IntArray) -> pd.DatetimeIndex:
-    return pd.DatetimeIndex(time.view("datetime64[ns]"), tz="UTC")
-
-
-def _of_topic(columns: Mapping[str, Any], topic: str) -> dict[str, Any]:
-    return {
-        field_of(name)[1]: values
-        for name, values in columns.items()
-        if field_of(name)[0].name == topic
-    }
-
-
 def _metadata(
     recording: Recording, profile: Profile, line: Line | None, train: Train | None, way: str
 ) -> dict[str, str]:
@@ -291,4 +244,4 @@ def _load(options: TripOptions, train: Train | None) -> str | None:
             f"load {load:.0f} kg is not plausible for a train of {empty:.0f} kg",
             remedy="check value and unit of load or mass under [trip]",
         )
-    return f"{float(from_si(load, 'kg', 'kg')):.0f}"
+    return f"{load:.0f}"

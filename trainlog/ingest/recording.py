@@ -71,6 +71,8 @@ class Table:
 
     def take(self, index: IntArray | BoolArray) -> Table:
         """The table with the rows that `index` selects, in its order."""
+        if index.dtype == np.bool_ and index.all():
+            return self
         return Table(
             self.time[index],
             self.rows[index],
