@@ -23,7 +23,6 @@ from trainlog.simulation.plant import Plant
 from trainlog.simulation.scenario import (
     Run,
     Scenario,
-    choose_configurations,
     draw_scenarios,
     drive,
     simulate,
@@ -216,11 +215,11 @@ def test_trajectory_driver_creeps_up_when_it_would_stop_short() -> None:
 
 def test_choice_of_configurations() -> None:
     trajectory = trajectory_of(hilly_line(), flirt(), (0.9, 1.0, 1.1))
-    assert choose_configurations(trajectory, "all") == ["r0.9", "r1", "r1.1"]
-    assert set(choose_configurations(trajectory)) == {"r0.9", "r1.1"}
-    assert choose_configurations(trajectory, "r1, r0.9") == ["r1", "r0.9"]
+    assert trajectory.chosen("all") == ("r0.9", "r1", "r1.1")
+    assert set(trajectory.chosen()) == {"r0.9", "r1.1"}
+    assert trajectory.chosen("r1, r0.9") == ("r1", "r0.9")
     with pytest.raises(InputError, match="no configuration 'r7'"):
-        choose_configurations(trajectory, "r7")
+        trajectory.chosen("r7")
     with pytest.raises(InputError, match="number 3"):
         TrajectoryDriver(trajectory, 3, hilly_line(), flirt())
 

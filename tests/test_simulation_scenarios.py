@@ -22,7 +22,6 @@ from trainlog.simulation.recorders import OVERFLOW, write_recorder_csv, write_ub
 from trainlog.simulation.scenario import (
     Scenario,
     draw_scenarios,
-    run_scenarios,
     simulate,
 )
 from trainlog.simulation.sensors import Sensors
@@ -205,17 +204,6 @@ def test_on_board_rate_is_a_parameter() -> None:
     step = np.diff(trip["/train/axles"].index.asi8)
     assert np.all(step == 20_000_000)
     np.testing.assert_array_equal(trip["/truth"].speed[::5], usual["/truth"].speed)
-
-
-def test_run_scenarios_one_by_one() -> None:
-    seen: list[tuple[int, str]] = []
-    scenarios = drawn()[:2]
-    names = [
-        trip.name
-        for trip in run_scenarios(scenarios, lambda done, trip: seen.append((done, trip.name)))
-    ]
-    assert names == [s.name for s in scenarios]
-    assert seen == [(1, names[0]), (2, names[1])]
 
 
 def test_written_trip_reads_back(tmp_path: Path) -> None:

@@ -86,24 +86,31 @@ class Trajectory:
             f"trajectory has no configuration '{configuration}'", remedy=f"it has: {names}"
         )
 
-    def chosen(self, selection: str) -> tuple[str, ...]:
-        """Names of configurations: ``"all"``, ``"hardest"``, or names separated by commas.
+    def chosen(self, selection: str = "hardest") -> tuple[str, ...]:
+        """Names of some configurations.
 
-        The hardest are those that the optimisation had to reckon with: the others follow the
-        trajectory with something to spare.
+        Parameters
+        ----------
+        selection : str
+            ``"all"``; names separated by commas; or ``"hardest"``: the largest and the smallest
+            running resistance and the smallest power, all for the mass to be moved.
 
         Raises
         ------
         InputError
-            If the trajectory was not made for one of them.
+            If the trajectory was not made for a configuration so named.
         """
-        names = tuple(configuration.name for configuration in self.configurations)
+        every = self.configurations
         if selection == "all":
-            return names
-        if selection == "hardest":
-            return tuple(self.certificate.get("active", names))
-        wanted = tuple(name.strip() for name in selection.split(","))
-        return tuple(names[self.index_of(name)] for name in wanted)
+            return tuple(configuration.name for configuration in every)
+        if selection != "hardest":
+            names = (name.strip() for name in selection.split(","))
+            return tuple(every[self.index_of(name)].name for name in names)
+        cruising = float(np.max(self.speeds))
+        drag = [float(c.resistance(cruising)) / c.inertia for c in every]
+        power = [c.max_power / c.inertia for c in every]
+        rows = (int(np.argmax(drag)), int(np.argmin(drag)), int(np.argmin(power)))
+        return tuple(every[row].name for row in dict.fromkeys(rows))
 
     def cell_of(self, position: ArrayLike) -> NDArray[np.int64]:
         """Index of the cell that holds each position [m]; ends are extended."""

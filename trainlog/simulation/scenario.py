@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -356,7 +356,6 @@ def trajectory_scenarios(
     seed: int = 1,
     *,
     weather: str = "dry",
-    direction: str = "forward",
     sensors: Sensors | None = None,
 ) -> list[Scenario]:
     """Scenarios in which trains in certain configurations follow a trajectory.
@@ -370,8 +369,7 @@ def trajectory_scenarios(
     names : iterable of str
         Configurations of the trajectory.
     seed : int
-    weather, direction : str
-        Of the trips; the trajectory's positions are those of this direction.
+    weather : {"dry", "wet"}
 
     Raises
     ------
@@ -395,7 +393,7 @@ def trajectory_scenarios(
                 name=f"driven-{name}",
                 line=line,
                 train=train,
-                direction=direction,
+                direction=trajectory.direction,
                 weather=weather,
                 mass=configuration.mass,
                 rotating_mass=configuration.rotating_mass,
@@ -410,47 +408,3 @@ def trajectory_scenarios(
             )
         )
     return scenarios
-
-
-def choose_configurations(trajectory: Trajectory, choice: str = "hardest") -> list[str]:
-    """Names of the configurations to drive a trajectory with.
-
-    Parameters
-    ----------
-    choice : str
-        ``"all"``; names separated by commas; or ``"hardest"``: the largest and the smallest
-        running resistance and the smallest power, all for the mass to be moved.
-
-    Raises
-    ------
-    InputError
-        If the trajectory was not made for a configuration so named.
-    """
-    every = trajectory.configurations
-    if choice == "all":
-        return [configuration.name for configuration in every]
-    if choice != "hardest":
-        names = [name.strip() for name in choice.split(",")]
-        return [every[trajectory.index_of(name)].name for name in names]
-    cruising = float(np.max(trajectory.speeds))
-    drag = [float(c.resistance(cruising)) / c.inertia for c in every]
-    power = [c.max_power / c.inertia for c in every]
-    chosen = (int(np.argmax(drag)), int(np.argmin(drag)), int(np.argmin(power)))
-    return [every[row].name for row in dict.fromkeys(chosen)]
-
-
-def run_scenarios(
-    scenarios: Iterable[Scenario], progress: Callable[[int, Trip], None] | None = None
-) -> Iterator[Trip]:
-    """Simulate one scenario after the other.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with the number of trips done and the last of them.
-    """
-    for done, scenario in enumerate(scenarios, start=1):
-        trip = simulate(scenario)
-        if progress is not None:
-            progress(done, trip)
-        yield trip
