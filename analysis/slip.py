@@ -15,7 +15,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from estimators.adhesion import SlipDetector, smoothed_force
-from estimators.train_speed import TrainSpeed, impulse, train_speed
+from estimators.train_speed import (
+    SLOPE_RATE,
+    SLOPE_RATE_WITHOUT_BRAKE,
+    TrainSpeed,
+    impulse,
+    train_speed,
+)
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.railway.train import Train
@@ -144,14 +150,14 @@ def slip(trip: Trip) -> SlipAnalysis:
     Raises
     ------
     LogError
-        If the trip has no axles, fewer or more than its train, no position, or lacks line or
-        train.
+        If the trip has no axles, fewer or more than its train, no position, a load that is no
+        number, or lacks line or train.
     """
     train, line = train_of(trip), line_of(trip)
     frame = trip["/train/axles"]
     wheels, efforts = _recorded(trip, frame, train)
     time, clock = seconds(frame), pd.DatetimeIndex(frame.index)
-    load = float(trip.metadata.get("load", "0"))
+    load = _load(trip)
     axle_load = train.adhesive_weight(load) / train.axles.count
     noise = wheel_noise(wheels)
     force = smoothed_force(
@@ -205,6 +211,21 @@ def wheel_noise(wheel_speed: FloatArray) -> float:
     return max(float(np.median(known) / 0.6745 / np.sqrt(20.0)), SPEED_NOISE_FLOOR)
 
 
+def _load(trip: Trip) -> float:
+    """Load that the log tells [kg]; none told is none."""
+    told = trip.metadata.get("load") or "0"
+    try:
+        load = float(told)
+    except ValueError:
+        load = np.nan
+    if not (np.isfinite(load) and load >= 0.0):
+        raise LogError(
+            f"trip '{trip.name}': load '{told}' is not a mass in kg",
+            remedy="correct metadata 'load' when the log is made",
+        )
+    return load
+
+
 def _recorded(trip: Trip, frame: pd.DataFrame, train: Train) -> tuple[FloatArray, FloatArray]:
     """Wheel speeds and wheel efforts, (n, axles); gaps in the efforts are held."""
     numbers = range(1, train.axles.count + 1)
@@ -245,15 +266,9 @@ def _train_speed(
     reference[standing], reference_std[standing] = 0.0, STANDSTILL
     factor = np.ones(train.axles.count)
     nowhere = np.full_like(wheels, np.nan)
-    first = train_speed(
-        time,
-        nowhere if np.count_nonzero(np.isfinite(reference)) > 1 else wheels,
-        adhesion,
-        noise,
-        gained,
-        reference,
-        reference_std,
-    )
+    rate = SLOPE_RATE if _brake_is_known(trip) else SLOPE_RATE_WITHOUT_BRAKE
+    rolls = nowhere if np.count_nonzero(np.isfinite(reference[~standing])) > 1 else wheels
+    first = train_speed(time, rolls, adhesion, noise, gained, reference, reference_std, rate)
     rolling = (
         (np.abs(adhesion).max(axis=1) < COASTING_ADHESION)
         & (first.speed > CALIBRATION_SPEED)
@@ -263,7 +278,9 @@ def _train_speed(
         use = rolling & np.isfinite(wheels[:, axle])
         if np.count_nonzero(use) >= CALIBRATION_SAMPLES:
             factor[axle] = np.median(wheels[use, axle] / first.speed[use])
-    speed = train_speed(time, wheels / factor, adhesion, noise, gained, reference, reference_std)
+    speed = train_speed(
+        time, wheels / factor, adhesion, noise, gained, reference, reference_std, rate
+    )
     return speed, factor
 
 
@@ -279,10 +296,15 @@ def _other_effort(
     speed = np.median(wheels, axis=1)
     position = pd.Series(_position(trip, clock)).interpolate(limit_direction="both").to_numpy()
     held = train.resistance(speed) + train.track_force(line_of(trip), position, train.mass + load)
-    if "/train/controls" in trip:
+    if _brake_is_known(trip):
         brake = interpolated(trip["/train/controls"], "pneumatic_braking_effort", clock)
         held = held + np.nan_to_num(brake)
     return np.where(speed > STANDSTILL, -held, -efforts.sum(axis=1))
+
+
+def _brake_is_known(trip: Trip) -> bool:
+    controls = trip.topics.get("/train/controls")
+    return controls is not None and bool(controls["pneumatic_braking_effort"].notna().any())
 
 
 def _reference(trip: Trip, clock: pd.DatetimeIndex) -> tuple[FloatArray, FloatArray]:
@@ -369,7 +391,8 @@ def _onset_of(
     """Adhesion at the onset of one event, which begins at sample `start` and peaks at `peak`."""
     direction = np.sign(peak_slip)
     first = int(np.searchsorted(axles.time, axles.time[start] - LOOK_BACK))
-    used = direction * axles.adhesion[first : peak + 1, axle]
+    # The cut of the effort falls between two samples: the last before it may be off.
+    used = direction * axles.adhesion[first : max(peak, first + 1), axle]
     effort = direction * axles.effort[:, axle]
     top, fell = onset(used, noise)
     at = first + int(top[top.size // 2])

@@ -22,7 +22,11 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 SLOPE_RATE = 0.005
-"""How fast resistance and gradient over mass may wander [m/s² per s^0.5]."""
+"""How fast what is not known of the efforts, over mass, may wander [m/s² per s^0.5], where the
+friction brake is recorded: errors of resistance, gradient and mass are left."""
+
+SLOPE_RATE_WITHOUT_BRAKE = 0.05
+"""The same where the friction brake is not recorded and has to be found as well."""
 
 CREEP_PER_ADHESION = 5.0
 """Creep speed over adhesion in use [m/s] that a wheel without slip may have (wet: 003, eq. 10)."""
@@ -79,6 +83,7 @@ def train_speed(
     gained: FloatArray,
     reference: FloatArray,
     reference_std: FloatArray,
+    slope_rate: float = SLOPE_RATE,
 ) -> TrainSpeed:
     """Smoothed train speed.
 
@@ -94,6 +99,8 @@ def train_speed(
         `impulse` over the train's mass.
     reference, reference_std : (n,) array [m/s]
         Satellite speed at the samples where there is one, else NaN.
+    slope_rate : float [m/s^1.5]
+        `SLOPE_RATE` or `SLOPE_RATE_WITHOUT_BRAKE`.
     """
     if time.size == 0:
         return TrainSpeed(np.empty(0), np.empty(0))
@@ -101,19 +108,19 @@ def train_speed(
     inflation = np.sqrt(max(CREEP_TIME / step, 1.0))
     creep = wheel_std + CREEP_PER_ADHESION * np.abs(adhesion)
     means, covariances = _filter(
-        time, wheel_speed, (creep * inflation) ** 2, gained, reference, reference_std**2
+        time, wheel_speed, (creep * inflation) ** 2, gained, reference, reference_std**2, slope_rate
     )
-    _smooth(time, means, covariances)
+    _smooth(time, means, covariances, slope_rate)
     return TrainSpeed(means[:, 0] + gained, np.sqrt(covariances[:, 0]))
 
 
 @njit(cache=True)
-def _filter(time, wheel, wheel_variance, gained, reference, reference_variance):  # type: ignore[no-untyped-def]
+def _filter(time, wheel, wheel_variance, gained, reference, reference_variance, slope_rate):  # type: ignore[no-untyped-def]
     n, axles = wheel.shape
     means, covariances = np.empty((n, 2)), np.empty((n, 3))
     u, b = 0.0, 0.0
     p_uu, p_ub, p_bb = 1e4, 0.0, 0.2**2
-    q = SLOPE_RATE * SLOPE_RATE
+    q = slope_rate * slope_rate
     for k in range(n):
         if k > 0:
             step = time[k] - time[k - 1]
@@ -144,9 +151,9 @@ def _filter(time, wheel, wheel_variance, gained, reference, reference_variance):
 
 
 @njit(cache=True)
-def _smooth(time, means, covariances):  # type: ignore[no-untyped-def]
+def _smooth(time, means, covariances, slope_rate):  # type: ignore[no-untyped-def]
     """Rauch-Tung-Striebel recursion, in place."""
-    q = SLOPE_RATE * SLOPE_RATE
+    q = slope_rate * slope_rate
     for k in range(len(time) - 2, -1, -1):
         step = time[k + 1] - time[k]
         u, b = means[k]

@@ -1,0 +1,319 @@
+"""Slip detector, adhesion observer and train speed under slipping wheels, as recursions."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
+
+from analysis.slip import onset
+from estimators.adhesion import AdhesionObserver, SlipDetector, smoothed_force
+from estimators.train_speed import impulse, train_speed
+from trainlog.errors import InputError
+from trainlog.railway.adhesion import DRY, WET, CreepCurve
+
+FloatArray = NDArray[np.float64]
+
+CREEP = Path(__file__).parents[2] / "shared" / "data" / "creep" / "eurosprinter_creep_curves.csv"
+FORCE_RATE = 0.12 * AXLE_LOAD
+
+
+def rail(seed: int, base: float, bins: int = 200, spread: float = 0.12) -> FloatArray:
+    """Maximum adhesion a bin of 25 m: Ornstein-Uhlenbeck of 120 m about `base`."""
+    white = np.random.default_rng(seed).standard_normal(bins)
+    keep = np.exp(-25.0 / 120.0)
+    found = np.empty(bins)
+    found[0] = white[0]
+    for i in range(1, bins):
+        found[i] = keep * found[i - 1] + np.sqrt(1.0 - keep**2) * white[i]
+    return base * np.exp(spread * found)
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def smoothed(plant: Run, noise: float) -> FloatArray:
+    force = smoothed_force(
+        plant.time, plant.wheel_speed, plant.wheel_effort, ROTATING_MASS, noise, FORCE_RATE
+    )
+    return force.force / AXLE_LOAD
+
+
+class TestSlipDetector:
+    def test_two_samples_above_then_until_half(self) -> None:
+        slip = np.array([0.0, 1.6, 0.2, 1.6, 1.7, 1.2, 0.8, 0.74, 1.4])[:, None]
+        found = SlipDetector(1, 0.05).update(slip)[:, 0]
+        assert found.tolist() == [False] * 4 + [True, True, True, False, False]
+
+    def test_slides_in_braking_count_alike(self) -> None:
+        slip = np.array([0.0, -1.6, -1.8, -0.5])[:, None]
+        assert SlipDetector(1, 0.0).update(slip)[:, 0].tolist() == [False, False, True, False]
+
+    def test_the_noise_raises_the_threshold(self) -> None:
+        assert SlipDetector(1, 0.1).threshold == 1.5
+        assert SlipDetector(1, 0.5).threshold == 2.5
+
+    def test_missing_samples_change_nothing(self) -> None:
+        detector = SlipDetector(1, 0.0)
+        found = detector.update(np.array([2.0, np.nan, 2.0, np.nan, 0.0])[:, None])[:, 0]
+        assert found.tolist() == [False, False, True, True, False]
+
+    @given(
+        arrays(np.float64, (40, 2), elements=st.floats(-4.0, 4.0)),
+        st.integers(0, 40),
+    )
+    def test_blocks_do_not_matter(self, slip: FloatArray, cut: int) -> None:
+        whole, parts = SlipDetector(2, 0.0), SlipDetector(2, 0.0)
+        expected = whole.update(slip)
+        found = np.concatenate((parts.update(slip[:cut]), parts.update(slip[cut:])))
+        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(parts.result, expected[-1])
+
+    def test_white_noise_alone_never_slips(self) -> None:
+        noise = 0.4 * np.random.default_rng(1).standard_normal((100_000, 4))
+        assert not SlipDetector(4, 0.4).update(noise).any()
+
+    def test_refuses_what_is_no_detector(self) -> None:
+        with pytest.raises(InputError, match="needs axles"):
+            SlipDetector(0, 0.1)
+        with pytest.raises(InputError, match=r"shape \(samples, 2\)"):
+            SlipDetector(2, 0.1).update(np.zeros((5, 3)))
+
+
+class TestObserver:
+    def test_a_constant_force_is_found(self) -> None:
+        """``J dw/dt = T - F`` with constant T and F: the speed is a straight line."""
+        time = np.arange(200) / 10.0
+        effort, force = 30e3, 26e3
+        speed = (effort - force) / ROTATING_MASS * time
+        observer = AdhesionObserver(1, ROTATING_MASS, 0.01, FORCE_RATE)
+        found = observer.update(time, speed[:, None], np.full((200, 1), effort))
+        assert found.force[-1, 0] == pytest.approx(force, rel=1e-6)
+        assert observer.result.force[0] == found.force[-1, 0]
+
+    def test_an_effort_that_changes_within_a_sample_does_not_disturb(self) -> None:
+        """Effort linear in time, force constant: the trapezoid is exact."""
+        time = np.arange(100) / 10.0
+        effort = 2e3 * time
+        speed = (1e3 * time**2 - 5e3 * time) / ROTATING_MASS
+        found = smoothed_force(
+            time, speed[:, None], effort[:, None], ROTATING_MASS, 1e-4, FORCE_RATE
+        )
+        np.testing.assert_allclose(found.force[5:-5, 0], 5e3, atol=1.0)
+
+    @pytest.mark.parametrize(("curve", "base", "demand"), [(DRY, 0.28, 0.25), (WET, 0.15, 0.14)])
+    def test_adhesion_in_and_out_of_slip(
+        self, curve: CreepCurve, base: float, demand: float
+    ) -> None:
+        plant = run(rail(1, base), curve=curve, demand=demand)
+        error = smoothed(plant, 0.03) - plant.adhesion
+        slips = np.abs(plant.true_wheel_speed - plant.speed[:, None]) > 1.5
+        assert slips.any()
+        assert rms(error[~slips]) < 0.006
+        assert rms(error[slips]) < 0.008
+
+    def test_the_deviation_it_states_covers_the_error(self) -> None:
+        plant = run(rail(2, 0.28))
+        found = smoothed_force(
+            plant.time, plant.wheel_speed, plant.wheel_effort, ROTATING_MASS, 0.03, FORCE_RATE
+        )
+        score = (found.force / AXLE_LOAD - plant.adhesion) * AXLE_LOAD / found.std
+        assert np.mean(np.abs(score) < 1.96) > 0.95
+
+    def test_the_future_helps(self) -> None:
+        plant = run(rail(3, 0.28))
+        observer = AdhesionObserver(AXLES, ROTATING_MASS, 0.03, FORCE_RATE)
+        causal = observer.update(plant.time, plant.wheel_speed, plant.wheel_effort)
+        late = causal.force / AXLE_LOAD - plant.adhesion
+        assert rms(smoothed(plant, 0.03) - plant.adhesion) < 0.7 * rms(late)
+
+    def test_effort_and_speed_must_belong_to_the_same_instant(self) -> None:
+        """A misaligned sample matters where the effort changes: right after slip protection."""
+        plant = run(rail(4, 0.28), noise=0.003)
+        good = smoothed(plant, 0.003) - plant.adhesion
+        shifted = smoothed_force(
+            plant.time[1:],
+            plant.wheel_speed[1:],
+            plant.wheel_effort[:-1],
+            ROTATING_MASS,
+            0.003,
+            FORCE_RATE,
+        )
+        assert rms(shifted.force / AXLE_LOAD - plant.adhesion[1:]) > 2.0 * rms(good)
+
+    @settings(max_examples=25, deadline=None)
+    @given(st.integers(0, 2**31), st.integers(0, 60))
+    def test_blocks_do_not_matter(self, seed: int, cut: int) -> None:
+        rng = np.random.default_rng(seed)
+        time = np.cumsum(rng.uniform(0.01, 0.3, 60))
+        speed = np.where(rng.uniform(size=(60, 2)) < 0.1, np.nan, rng.normal(10.0, 1.0, (60, 2)))
+        effort = np.where(rng.uniform(size=(60, 2)) < 0.1, np.nan, rng.normal(2e4, 5e3, (60, 2)))
+        whole = AdhesionObserver(2, ROTATING_MASS, 0.05, FORCE_RATE)
+        parts = AdhesionObserver(2, ROTATING_MASS, 0.05, FORCE_RATE)
+        expected = whole.update(time, speed, effort)
+        first = parts.update(time[:cut], speed[:cut], effort[:cut])
+        second = parts.update(time[cut:], speed[cut:], effort[cut:])
+        np.testing.assert_array_equal(np.concatenate((first.force, second.force)), expected.force)
+        np.testing.assert_array_equal(np.concatenate((first.std, second.std)), expected.std)
+
+    def test_missing_wheel_speeds_widen_the_band(self) -> None:
+        plant = run(rail(5, 0.4, bins=40))
+        gap = slice(200, 230)
+        holed = plant.wheel_speed.copy()
+        holed[gap, 0] = np.nan
+        found = smoothed_force(
+            plant.time, holed, plant.wheel_effort, ROTATING_MASS, 0.03, FORCE_RATE
+        )
+        assert found.std[215, 0] > 1.5 * found.std[215, 1]
+        assert np.isfinite(found.force).all()
+        assert abs(found.force[215, 0] / AXLE_LOAD - plant.adhesion[215, 0]) < 0.03
+
+    def test_reset_forgets(self) -> None:
+        observer = AdhesionObserver(1, ROTATING_MASS, 0.05, FORCE_RATE)
+        time, speed, effort = np.arange(5.0), np.ones((5, 1)), np.full((5, 1), 1e4)
+        first = observer.update(time, speed, effort)
+        observer.reset()
+        assert np.isnan(observer.result.std[0])
+        np.testing.assert_array_equal(observer.update(time, speed, effort).force, first.force)
+
+    def test_leaves_its_arguments_alone(self) -> None:
+        effort = np.array([[1e4], [np.nan], [1e4]])
+        AdhesionObserver(1, ROTATING_MASS, 0.05, FORCE_RATE).update(
+            np.arange(3.0), np.ones((3, 1)), effort
+        )
+        assert np.isnan(effort[1, 0])
+
+    def test_nothing_in_nothing_out(self) -> None:
+        nothing = np.empty((0, 2))
+        observer = AdhesionObserver(2, ROTATING_MASS, 0.05, FORCE_RATE)
+        assert observer.update(np.empty(0), nothing, nothing).force.shape == (0, 2)
+        found = smoothed_force(np.empty(0), nothing, nothing, ROTATING_MASS, 0.05, FORCE_RATE)
+        assert found.std.shape == (0, 2)
+
+    def test_refuses_bad_input(self) -> None:
+        with pytest.raises(InputError, match="rotating mass must be positive"):
+            AdhesionObserver(1, 0.0, 0.05, FORCE_RATE)
+        with pytest.raises(InputError, match="speed noise must be positive"):
+            AdhesionObserver(1, 1.0, np.nan, FORCE_RATE)
+        observer = AdhesionObserver(1, ROTATING_MASS, 0.05, FORCE_RATE)
+        with pytest.raises(InputError, match="row 2: adhesion observer: time must increase"):
+            observer.update(np.array([0.0, 1.0, 2.0, 2.0]), np.ones((4, 1)), np.ones((4, 1)))
+        observer.update(np.array([5.0]), np.ones((1, 1)), np.ones((1, 1)))
+        with pytest.raises(InputError, match="row 0"):
+            observer.update(np.array([4.0]), np.ones((1, 1)), np.ones((1, 1)))
+        with pytest.raises(InputError, match="do not fit"):
+            observer.update(np.arange(3.0), np.ones((2, 1)), np.ones((2, 1)))
+
+
+class TestTrainSpeed:
+    def test_efforts_less_the_wheels_own_momentum_move_the_train(self) -> None:
+        """In the plant ``M v = impulse - ∫resistance``, slip or no slip; here without any."""
+        plant = run(rail(6, 0.22), resistance=0.0, speed=2.0)
+        slips = np.abs(plant.true_wheel_speed - plant.speed[:, None]) > 1.5
+        assert slips.any()
+        brake = 8_000.0 * (plant.speed - 2.0)
+        gained = impulse(
+            plant.time, plant.true_wheel_speed, plant.wheel_effort, -brake, ROTATING_MASS
+        )
+        drift = plant.speed - plant.speed[0] - gained / INERTIA
+        assert np.max(np.abs(drift)) < 0.02 * np.ptp(plant.speed)
+
+    @pytest.mark.parametrize("satellites", [True, False])
+    def test_all_axles_may_slip_at_once(self, satellites: bool) -> None:
+        plant = run(rail(6, 0.22), resistance=0.0, speed=2.0)
+        slip = plant.true_wheel_speed - plant.speed[:, None]
+        assert np.min(slip, axis=1).max() > 3.0
+        reference = np.full(plant.time.size, np.nan)
+        if satellites:
+            noise = 0.1 * np.random.default_rng(0).standard_normal(reference[::4].size)
+            reference[::4] = plant.speed[::4] + noise
+        # What is told of brake and resistance is wrong by 8 per mille of the train's weight.
+        other = -8_000.0 * (plant.speed - 2.0) - 0.008 * 9.81 * INERTIA
+        gained = impulse(plant.time, plant.wheel_speed, plant.wheel_effort, other, ROTATING_MASS)
+        found = train_speed(
+            plant.time,
+            plant.wheel_speed,
+            smoothed(plant, 0.03),
+            0.03,
+            gained / INERTIA,
+            reference,
+            np.full(plant.time.size, 0.1),
+        )
+        limit = 0.03 if satellites else 0.25
+        assert rms(found.speed - plant.speed) < limit
+        assert np.max(np.abs(found.speed - plant.speed)) < 3.0 * limit
+
+    def test_nothing_in_nothing_out(self) -> None:
+        nothing = np.empty(0)
+        found = train_speed(
+            nothing, np.empty((0, 4)), np.empty((0, 4)), 0.03, nothing, nothing, nothing
+        )
+        assert found.speed.size == found.std.size == 0
+
+
+class TestOnset:
+    def test_the_last_maximum_before_the_end(self) -> None:
+        """A good rail (0.25), the edge of a spot, its creep curve up to 0.12 and down again."""
+        used = np.array([0.25, 0.25, 0.06, 0.09, 0.12, 0.10, 0.07])
+        top, fell = onset(used, noise=0.002)
+        assert top.tolist() == [4]
+        assert fell
+
+    def test_a_flat_top_is_averaged(self) -> None:
+        rng = np.random.default_rng(1)
+        used = np.concatenate((np.linspace(0.05, 0.1, 20), np.full(40, 0.1)))
+        used += 0.003 * rng.standard_normal(60)
+        top, fell = onset(used, noise=0.003)
+        assert used[top].mean() == pytest.approx(0.1, abs=0.0015)
+        assert used.max() > 0.105
+        assert not fell
+
+    def test_measured_creep_curves(self) -> None:
+        """Curves after a measurement peak at 0.16 m/s and lie flat or fall slowly beyond."""
+        if not CREEP.exists():
+            pytest.skip("the CONTACT creep curves are not beside the checkout")
+        with CREEP.open(encoding="utf-8") as file:
+            rows = [row for row in csv.DictReader(file) if row["curve"] == "2"]
+        slip = np.array([float(r["long_creepage"]) * float(r["rolling_speed_mps"]) for r in rows])
+        adhesion = np.array([float(row["traction_coeff"]) for row in rows])
+        time = np.arange(0.0, 12.0, 0.05)
+        wheel, used, effort = climb(slip, adhesion, time)
+        noise = 0.02 * np.random.default_rng(3).standard_normal(wheel.shape)
+        force = smoothed_force(
+            time, wheel + noise, effort, ROTATING_MASS, 0.02, FORCE_RATE
+        ).force / (AXLE_LOAD)
+        assert rms(force[20:-20] - used[20:-20]) < 0.008
+        peak = int(np.argmax(wheel[:, 0]))
+        window = force[peak - 60 : peak, 0]
+        top, fell = onset(window, noise=0.004)
+        assert fell
+        assert window[top].mean() == pytest.approx(adhesion.max(), rel=0.03)
+
+
+def climb(
+    slip: FloatArray, adhesion: FloatArray, time: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """An axle of a train at 10 m/s whose effort rises slowly until it slips away, then is cut."""
+    fine = 1e-3
+    steps = round((time[1] - time[0]) / fine)
+    wheel, effort, cut = 10.0, 0.25 * AXLE_LOAD, False
+    speeds, used, efforts = [], [], []
+    for k in range(len(time) * steps):
+        cut |= wheel - 10.0 > 2.2
+        wanted = AXLE_LOAD * min(0.25 + 0.01 * k * fine, 0.35) * (0.3 if cut else 1.0)
+        effort += (wanted - effort) * fine / 0.1
+        now = float(np.interp(wheel - 10.0, slip, adhesion, left=0.0))
+        if k % steps == 0:
+            speeds.append(wheel)
+            used.append(now)
+            efforts.append(effort)
+        wheel += fine * (effort - now * AXLE_LOAD) / ROTATING_MASS
+    return np.array(speeds)[:, None], np.array(used)[:, None], np.array(efforts)[:, None]

@@ -1,0 +1,222 @@
+"""Slip of a trip's axles: train speed, wheel diameters, slip events and their onsets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from simulated_world import flirt, hilly_line
+from slip_truth import Score, Seen, onset_errors, seen
+
+from analysis.slip import adhesion_noise, slip, wheel_noise
+from trainlog.errors import LogError
+from trainlog.formats.train import train_to_bytes
+from trainlog.railway import Axles
+from trainlog.simulation.scenario import draw_scenarios
+from trainlog.simulation.sensors import Sensors
+from trainlog.topics import TOPICS
+from trainlog.trip import TRAIN_ATTACHMENT, Trip, column_field, interpolated
+
+
+@pytest.fixture(scope="module")
+def trips() -> list[Seen]:
+    """Dry and wet, forward and reverse."""
+    return [seen(scenario) for scenario in draw_scenarios(hilly_line(), flirt(), 4, seed=1)]
+
+
+def without(trip: Trip, *topics: str) -> Trip:
+    return replace(trip, topics={n: f for n, f in trip.topics.items() if n not in topics})
+
+
+def score(trips: list[Seen]) -> Score:
+    total = Score()
+    for each in trips:
+        total.count(each)
+    return total
+
+
+def test_train_speed_under_slipping_wheels(trips: list[Seen]) -> None:
+    for each in trips:
+        error = each.found.speed - each.speed
+        assert np.sqrt(np.mean(error**2)) < 0.12
+        assert np.max(np.abs(error)) < 0.8
+
+
+def test_wheel_diameters_are_told_apart(trips: list[Seen]) -> None:
+    """Measured over true speed of each wheel, where it rolls without creep."""
+    for each in trips:
+        wheels = each.trip["/train/axles"].filter(like="wheel_speed_").to_numpy()
+        true = np.abs(each.slip) < 0.01
+        for axle, factor in enumerate(each.found.wheel_factor):
+            rolls = true[:, axle] & (each.speed > 10.0)
+            scale = np.sum(wheels[rolls, axle]) / np.sum(each.speed[rolls])
+            assert factor == pytest.approx(scale, abs=0.001)
+
+
+def test_every_slip_is_found_and_nothing_else(trips: list[Seen]) -> None:
+    found = score(trips)
+    assert found.true > 100
+    assert found.recall > 0.997
+    assert found.precision > 0.997
+
+
+def test_wheel_noise_of_a_tenth_does_not_matter() -> None:
+    sensors = Sensors(speed_noise=0.1)
+    noisy = [seen(s) for s in draw_scenarios(hilly_line(), flirt(), 4, seed=2, sensors=sensors)]
+    found = Score()
+    for each in noisy:
+        found.count(each, margin=0.4)
+    assert found.true > 100
+    assert found.recall > 0.997
+    assert found.precision > 0.997
+
+
+def test_onsets_measure_the_maximum_adhesion(trips: list[Seen]) -> None:
+    errors = np.concatenate([onset_errors(each) for each in trips])
+    assert errors.size > 50
+    assert np.median(np.abs(errors)) < 0.005
+    assert np.mean(np.abs(errors) < 0.02) > 0.95
+    assert abs(np.median(errors)) < 0.003
+
+
+def test_slip_that_stays_short_of_the_maximum_does_not_measure_it(trips: list[Seen]) -> None:
+    """What is not marked as measured lies below the maximum, not around it."""
+    for each in trips:
+        events = each.found.events[~each.found.events["measured"]]
+        truth = each.scenario.maximum_adhesion(events["position"].to_numpy())
+        assert np.all(events["adhesion"].to_numpy() < 1.1 * truth)
+
+
+def test_events_are_placed_on_the_line_whatever_the_direction(trips: list[Seen]) -> None:
+    assert {each.scenario.direction for each in trips} == {"forward", "reverse"}
+    for each in trips:
+        truth = interpolated(each.trip["/truth"], "position", each.found.time)
+        length = each.scenario.line.length
+        chainage = length - truth if each.scenario.direction == "reverse" else truth
+        assert np.nanmax(np.abs(each.found.position - chainage)) < 15.0
+        assert each.found.events["position"].between(0.0, length).all()
+
+
+def test_kind_follows_the_effort(trips: list[Seen]) -> None:
+    for each in trips:
+        events = each.found.events
+        assert ((events["kind"] == "traction") == (events["peak_slip"] > 0.0)).all()
+        assert (events["end"] > events["start"]).all()
+        assert (np.abs(events["peak_slip"]) > 1.5).all()
+    kinds = pd.concat([each.found.events["kind"] for each in trips])
+    assert set(kinds) == {"traction", "braking"}
+
+
+def test_frames_fit_the_topics(trips: list[Seen]) -> None:
+    found = trips[0].found
+    for frame in (found.adhesion_frame(), found.events_frame()):
+        topic = TOPICS[frame.attrs["topic"]]
+        for column in frame.columns:
+            assert column_field(topic, column).unit == frame.attrs["units"][column]
+        assert frame.index.is_monotonic_increasing
+    events = found.events_frame()
+    assert len(events) == len(found.events)
+    assert (
+        events["message"]
+        .str.match(
+            r"axle \d slips in (traction|braking) at km \d+\.\d{3}, \d+ km/h: .* adhesion 0\.\d+"
+        )
+        .all()
+    )
+
+
+def test_no_slip_no_events() -> None:
+    """A rail that bears everything: no event, an empty frame of the right columns."""
+    scenario = draw_scenarios(hilly_line(), flirt(), 1, seed=3)[0]
+    profile = scenario.maximum_adhesion
+    good = replace(profile, values=np.full_like(profile.values, 0.5))
+    found = seen(replace(scenario, maximum_adhesion=good)).found
+    assert len(found.events) == 0
+    assert not found.slipping.any()
+    assert len(found.events_frame()) == 0
+
+
+@pytest.mark.parametrize(
+    ("missing", "limit"),
+    [
+        (("/train/controls",), 0.4),
+        (("/gnss/motion",), 0.6),
+        (("/gnss/motion", "/train/controls"), 0.8),
+    ],
+)
+def test_with_less_recorded_it_still_works(
+    trips: list[Seen], missing: tuple[str, ...], limit: float
+) -> None:
+    """Without satellites the creep of the wheels, up to a metre a second, cannot be told."""
+    found = Score()
+    for each in trips:
+        less = slip(without(each.trip, *missing))
+        assert np.sqrt(np.mean((less.speed - each.speed) ** 2)) < limit
+        found.count(replace(each, found=less), margin=0.75)
+    assert found.recall > 0.95
+    assert found.precision > 0.95
+
+
+def test_gaps_in_the_wheel_speeds_are_bridged(trips: list[Seen]) -> None:
+    each = trips[0]
+    axles = each.trip["/train/axles"].copy()
+    axles.iloc[2000:2030, 0] = np.nan
+    axles.iloc[4000:4010] = np.nan
+    holed = each.trip.with_topic(axles)
+    found = slip(holed)
+    assert np.sqrt(np.nanmean((found.speed - each.speed) ** 2)) < 0.12
+    assert np.isfinite(found.adhesion).all()
+
+
+def test_the_same_trip_gives_the_same_analysis(trips: list[Seen]) -> None:
+    again = slip(trips[0].trip)
+    np.testing.assert_array_equal(again.slip_speed, trips[0].found.slip_speed)
+    pd.testing.assert_frame_equal(again.events, trips[0].found.events)
+
+
+def test_noise_is_read_from_the_data() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(5000) / 10.0
+    smooth = 20.0 + 5.0 * np.sin(time / 40.0)[:, None]
+    assert wheel_noise(smooth + 0.05 * rng.standard_normal((5000, 4))) == pytest.approx(
+        0.05, rel=0.05
+    )
+    assert wheel_noise(smooth) == 0.005
+    adhesion = 0.1 + 0.05 * np.sin(time / 60.0)[:, None]
+    assert adhesion_noise(time, adhesion + 0.01 * rng.standard_normal((5000, 4))) == pytest.approx(
+        0.01, rel=0.05
+    )
+
+
+class TestRefusals:
+    def test_no_axles(self, trips: list[Seen]) -> None:
+        with pytest.raises(LogError, match="no topic /train/axles"):
+            slip(without(trips[0].trip, "/train/axles"))
+
+    def test_no_position(self, trips: list[Seen]) -> None:
+        with pytest.raises(LogError, match="has no position"):
+            slip(without(trips[0].trip, "/train/state"))
+
+    def test_a_train_with_other_axles(self, trips: list[Seen]) -> None:
+        train = train_to_bytes(flirt(axles=Axles(count=6)))
+        other = {**trips[0].trip.attachments, TRAIN_ATTACHMENT: train}
+        with pytest.raises(LogError, match="4 axles, train 'flirt' has 6"):
+            slip(replace(trips[0].trip, attachments=other))
+
+    def test_no_train(self, trips: list[Seen]) -> None:
+        bare = replace(trips[0].trip, attachments={})
+        with pytest.raises(LogError, match=r"carries no train\.json"):
+            slip(bare)
+
+    def test_an_empty_recording(self, trips: list[Seen]) -> None:
+        empty = trips[0].trip["/train/axles"].iloc[:1]
+        empty.attrs = trips[0].trip["/train/axles"].attrs
+        with pytest.raises(LogError, match="holds 1 samples"):
+            slip(trips[0].trip.with_topic(empty))
+
+    def test_a_load_that_is_no_number(self, trips: list[Seen]) -> None:
+        trip = trips[0].trip
+        with pytest.raises(LogError, match="load 'heavy'"):
+            slip(replace(trip, metadata={**trip.metadata, "load": "heavy"}))
