@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 
@@ -23,14 +25,23 @@ from trainlog.railway import TrackConditionMap, Trajectory
 from trainlog.trip import Trip
 from trainlog.units import KMH
 
+
+def _table(title: str, *columns: str, **options: Any) -> Table:
+    """An empty table in the house's form."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
 LISTED = 8
 """Configurations of a trajectory that are listed one by one."""
 
 
 def savings_table(pairs: Sequence[Saving]) -> Group:
     """What following the trajectory saved, pair by pair and together."""
-    table = Table("trip", "driver", "trajectory", "saved", "", "from the line")
-    table.title = "Tractive energy at the wheel rims, and running time"
+    title = "Tractive energy at the wheel rims, and running time"
+    table = _table(title, "trip", "driver", "trajectory", "saved", "", "from the line")
     for pair in pairs:
         share = pair.traction / pair.driver.traction
         table.add_row(
@@ -53,15 +64,15 @@ def total_saved(pairs: Sequence[Saving]) -> tuple[float, float]:
 
 def fit_table(fits: Fits) -> Group:
     """Running resistance of each trip and of all together, with what it rests on."""
-    table = Table("trip", "r0", "r1", "r2", "mass", "power", "at 80 km/h", "windows")
-    table.title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
+    title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
+    table = _table(title, "trip", "r0", "r1", "r2", "mass", "power", "at 80 km/h", "windows")
     at = 80.0 / KMH
     for fit in fits.trips:
         table.add_row(
             fit.trip,
             *(_pm(b, s) for b, s in zip(fit.beta, np.sqrt(np.diag(fit.covariance)), strict=False)),
             f"{fit.mass / 1e3:.1f} ± {1.96 * fit.mass_std / 1e3:.1f} t",
-            "not reached" if fit.max_power is None else f"{fit.max_power / 1e3:.0f} kW",
+            "-" if fit.max_power is None else f"{fit.max_power / 1e3:.0f} kW",
             _pm(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3, " kN"),
             f"{fit.windows['used']}",
         )
@@ -78,8 +89,9 @@ def fit_table(fits: Fits) -> Group:
     )
     low, high = common.speed_range
     words = [
-        f"± is the 95 % band. Supported from {low * KMH:.0f} to {high * KMH:.0f} km/h. The single"
-        " coefficients are strongly correlated: trust the curve.",
+        "± is the 95 % band; a power is told where a trip reached it. Supported from"
+        f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
+        " correlated: trust the curve.",
     ]
     words += [f"refused: {reason}" for reason in fits.refused.values()]
     return Group(table, *words)
@@ -87,8 +99,9 @@ def fit_table(fits: Fits) -> Group:
 
 def map_table(track: TrackConditionMap) -> Group:
     """What a track-condition map knows, layer by layer, with its lowest spots."""
-    table = Table("rail", "trips", "slip events", "observed", "lowest maximum adhesion (95 % band)")
-    table.title = f"Track condition of {track.line}, {track.bin_length:.0f} m bins"
+    title = f"Track condition of {track.line}, {track.bin_length:.0f} m bins"
+    lowest = "lowest maximum adhesion (95 % band)"
+    table = _table(title, "rail", "trips", "slip events", "observed", lowest)
     for layer in summary(track):
         spots = [
             f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
@@ -109,8 +122,8 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     """A trajectory and its certificate."""
     certificate = trajectory.certificate
     audit = certificate["audit"]
-    facts = Table("", "", show_header=False)
-    facts.title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
+    title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
+    facts = _table(title, "", "", show_header=False)
     reserve = f"{certificate['reserve']:.1%} over {max(certificate['least_time']):.1f} s"
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
     bound = f"at least {_kwh(certificate['lower_bound'])}"
@@ -127,7 +140,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     )
     for row in rows:
         facts.add_row(*row)
-    table = Table("configuration", "mass", "arrival", "top speed", "energy")
+    table = _table("", "configuration", "mass", "arrival", "top speed", "energy")
     order = np.argsort(-np.asarray(certificate["wheel_energy"]))
     for row in order[:LISTED]:
         configuration = trajectory.configurations[row]
@@ -154,8 +167,7 @@ def results_table(folder: Path) -> Group:
     """
     trips = [read_log(log) for log in sorted((folder / "trips").glob("*.mcap"))]
     truths = [truth for truth in map(truth_of, trips) if truth is not None]
-    table = Table("", "result", "in the file")
-    table.title = f"Results in {folder}"
+    table = _table(f"Results in {folder}", "", "result", "in")
     rows = [
         _recorded(folder, trips),
         _fitted(folder / "parameters.json", truths),

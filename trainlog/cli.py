@@ -10,7 +10,7 @@ import typer
 from typer.exceptions import TyperException
 
 from trainlog import __version__
-from trainlog.errors import TrainlogError
+from trainlog.errors import InputError, TrainlogError
 from trainlog.terminal import (
     about,
     complaints,
@@ -119,8 +119,8 @@ def ingest(
     profile: Annotated[
         Path | None, typer.Option(help="TOML profile: columns, units, signs, time format.")
     ] = None,
-    line: LineOption = None,
-    train: TrainOption = None,
+    line: Annotated[Path | None, typer.Option(help="Line it was driven on, if known.")] = None,
+    train: Annotated[Path | None, typer.Option(help="Train that drove, if known.")] = None,
     reverse: Annotated[
         bool, typer.Option("--reverse", help="The trip ran against the line's chainage.")
     ] = False,
@@ -129,23 +129,33 @@ def ingest(
 
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
     """
+    from trainlog.formats.line import read_line
+    from trainlog.formats.train import read_train
     from trainlog.ingest import ingest as read_recording
+    from trainlog.ingest import report_of
     from trainlog.mcap import write_log
 
-    the_line, the_train = line_and_train(line, train)
+    the_line = None if line is None else read_line(line)
+    the_train = None if train is None else read_train(train)
+    targets = {output / f"{recording.stem}.mcap": recording for recording in recordings}
+    if len(targets) < len(recordings):
+        raise InputError(
+            "two recordings have the same name", remedy="ingest them into different folders"
+        )
     output.mkdir(parents=True, exist_ok=True)
-    for recording in recordings:
+    for target, recording in targets.items():
         with working(f"reading {recording.name}"):
             trip = read_recording(
                 recording,
                 profile=profile,
                 line=the_line,
                 train=the_train,
-                direction="reverse" if reverse else "forward",
+                direction="reverse" if reverse else None,
             )
-            target = output / f"{recording.stem}.mcap"
             write_log(trip, target)
         console.print(about(trip), highlight=False)
+        for finding in report_of(trip).lines():
+            console.print(f"    {finding}", highlight=False)
         wrote(target)
 
 

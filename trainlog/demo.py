@@ -9,6 +9,8 @@ from time import perf_counter
 
 from rich.console import Console
 
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
+
 
 def commands(output: Path) -> list[list[str]]:
     """The commands of the demo, without the leading ``trainlog``; results go to `output`."""
@@ -16,14 +18,15 @@ def commands(output: Path) -> list[list[str]]:
     driven = output / "driven"
     parameters, condition = output / "parameters.json", output / "map.json"
     trajectory = output / "trajectory.json"
+    known: list[str | Path] = ["--line", samples / DEFAULT_LINE, "--train", samples / DEFAULT_TRAIN]
     profile: list[str | Path] = ["--profile", samples / "recorder.profile.toml"]
     plan: list[str | Path] = ["--trajectory", trajectory, "--map", condition]
     steps: list[list[str | Path]] = [
         ["samples", samples],
         ["simulate", "--count", "12", "--seed", "1", "-o", trips],
-        ["ingest", samples / "recorder.csv", *profile, "-o", recorded],
-        ["ingest", samples / "gnss.csv", "-o", recorded],
-        ["info", trips / "trip-01.mcap", recorded / "gnss.mcap"],
+        ["ingest", samples / "recorder.csv", *profile, *known, "-o", recorded],
+        ["ingest", samples / "gnss.csv", *known, "-o", recorded],
+        ["info", recorded / "recorder.mcap"],
         ["fit", trips, "-o", parameters],
         ["map", "update", trips, "--map", condition],
         ["optimise", parameters, "--as-fast-as", trips, "-o", trajectory],

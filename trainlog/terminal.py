@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from trainlog.railway import Line, Train
     from trainlog.trip import Trip
 
-console = Console()
+WIDTH = 110
+"""Columns of output that goes to a file or a pipe, where no terminal tells its width."""
+
+console = Console(width=None if Console().is_terminal else WIDTH)
 complaints = Console(stderr=True)
 
 

@@ -119,11 +119,10 @@ def frame_of(
     KeyError
         If a column does not belong to the topic.
     """
-    index = pd.DatetimeIndex(
-        pd.to_datetime(np.asarray(time, dtype=np.int64), utc=True)
-        if not isinstance(time, pd.DatetimeIndex)
-        else time
-    ).as_unit("ns")
+    if not isinstance(time, pd.DatetimeIndex):
+        nanoseconds = np.asarray(time, dtype=np.int64).astype("datetime64[ns]")
+        time = pd.DatetimeIndex(nanoseconds, tz="UTC")
+    index = time.as_unit("ns")
     index.name = "time"
     given: dict[str, ArrayLike] = {}
     for name, values in data.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,7 +50,7 @@ class Trajectory:
     tractive_effort: FloatArray
     braking_effort: FloatArray
     running_time: float
-    direction: str = "forward"
+    direction: Literal["forward", "reverse"] = "forward"
     certificate: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
 
