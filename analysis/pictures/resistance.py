@@ -107,7 +107,7 @@ def _together(axes: Axes, fits: Fits) -> None:
     _curve(axes, common, speed, BLUE, "all trips: mean and its 95 % band")
     axes.set_ylim(*_limits(common.resistance(speed), drag))
     dress(axes, x="speed [km/h]", y="running resistance [kN]")
-    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    axes.legend(fontsize=8, frameon=False, loc="upper left", markerscale=2)
 
 
 def _differences(axes: Axes, fits: Fits) -> None:

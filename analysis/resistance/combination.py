@@ -132,7 +132,7 @@ def combine(fits: Sequence[TripFit]) -> CommonFit:
     covariance = back @ found.variance @ back.T
     return CommonFit(
         train=trains[0],
-        resistance=_physical(back @ found.mean, covariance),
+        resistance=nearest_physical(back @ found.mean, covariance),
         covariance=covariance,
         between=back @ found.between @ back.T,
         freedom=len(ordered) - 1 + int(PRIOR_TRIPS),
@@ -173,7 +173,7 @@ def parameter_set(
     configurations, details = [], []
     for row, name in enumerate(common.trips):
         fit = by_name[name]
-        resistance = _physical(common.betas[row], common.covariances[row])
+        resistance = nearest_physical(common.betas[row], common.covariances[row])
         configurations.append(
             Configuration(
                 name=name,
@@ -240,7 +240,7 @@ def _random_effects(values: FloatArray, variances: FloatArray) -> _Effects:
     )
 
 
-def _physical(beta: FloatArray, covariance: FloatArray) -> RunningResistance:
+def nearest_physical(beta: FloatArray, covariance: FloatArray) -> RunningResistance:
     """The likeliest running resistance of which no coefficient is negative.
 
     Where r0, r1 and r2 can hardly be told apart one of them may come out negative; the nearest

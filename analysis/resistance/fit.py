@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.power import power_limit
-from analysis.resistance.recording import Prepared, SpeedScale, prepare
+from analysis.resistance.recording import Prepared, SpeedScale, check_recorded, prepare
 from analysis.resistance.regression import Regression, regress
 from analysis.resistance.windows import Windows, build_windows
 from trainlog.errors import NotIdentifiableError
@@ -188,8 +188,9 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
     NotIdentifiableError
         If the trip does not determine the curve; the message says why.
     LogError
-        If the trip lacks a topic, its line or its train.
+        If the trip lacks its line or its train, or time does not increase.
     """
+    check_recorded(trip)
     line, train = line_of(trip), train_of(trip)
     asked = speeds or (LOWEST_SPEED, _line_speed(line, train))
     prepared = prepare(trip, line, train)
@@ -324,8 +325,8 @@ def _check_curve(
 
 def _points(windows: Windows, regression: Regression) -> WindowPoints:
     mass = regression.beta[3]
-    impulse = windows.x[:, 0] - regression.delay * windows.effort_change
-    impulse = impulse - (regression.brake_scale - 1.0) * windows.braking
+    impulse = windows.x[:, 0] + regression.delay * windows.effort_change
+    impulse = impulse + (regression.brake_scale - 1.0) * windows.braking
     sizes = regression.noise
     variance = 2.0 * sizes.speed**2 + sizes.effort**2 * windows.effort_square / mass**2
     return WindowPoints(

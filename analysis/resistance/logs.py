@@ -56,7 +56,7 @@ def fit_logs(logs: Iterable[Path], speeds: tuple[float, float] | None = None) ->
     NotIdentifiableError
         If no log determines the curve.
     LogError
-        If a file is not a log, or a trip lacks a topic, its line or its train.
+        If a file is not a log, or a trip lacks its line or its train.
     InputError
         If the logs are of different trains, or a trip appears twice.
     """

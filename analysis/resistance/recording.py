@@ -22,8 +22,9 @@ BoolArray = NDArray[np.bool_]
 STANDSTILL = 2.0
 """Slower than this [m/s] counts as standing: wheel impulses are too few, drag is not Davis's."""
 
-SLIP = 1.0
-"""A wheel that differs from the train's speed by more than this [m/s] slips; creep stays below."""
+SLIP = 2.0
+"""A wheel that differs from the train's speed by more than this [m/s] slips. Creep under heavy
+traction on a wet rail stays below and does no harm: the wheels' own momentum is counted."""
 
 PNEUMATIC = 0.0005
 """Friction braking above this share of the train's weight masks: its effort is not measured but
@@ -99,19 +100,10 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
 
     Raises
     ------
-    NotIdentifiableError
-        If no speed, no position or no tractive effort is recorded.
     LogError
-        If time does not increase.
+        If a topic is missing or time does not increase.
     """
     state, controls = trip["/train/state"], trip["/train/controls"]
-    for frame, column in ((state, "speed"), (state, "position"), (controls, "tractive_effort")):
-        if len(frame) < 2 or not frame[column].notna().any():
-            raise NotIdentifiableError(
-                f"trip '{trip.name}': no {column.replace('_', ' ')} recorded",
-                place=f"topic {frame.attrs['topic']}",
-                remedy="running resistance needs speed, chainage and tractive effort",
-            )
     index = pd.DatetimeIndex(state.index)
     time = seconds(state)
     if np.any(np.diff(time) <= 0.0):
@@ -144,11 +136,11 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
     }
     step = np.gradient(time)
     masked = {reason: float(np.sum(step[mask])) for reason, mask in masks.items()}
-    bad = _widened(time, np.logical_or.reduce(list(masks.values())))
+    bad = widened(time, np.logical_or.reduce(list(masks.values())))
     speed, position, traction = (np.nan_to_num(a) for a in (speed, position, traction))
     dynamic = np.nan_to_num(dynamic)
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(position))
-    section, nearest = _pieces(line, position)
+    section, nearest = gradient_pieces(line, position)
     recording = Recording(
         time=time,
         speed=speed,
@@ -168,6 +160,28 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
     return Prepared(recording, index, scale, masked)
 
 
+def check_recorded(trip: Trip) -> None:
+    """Refuse a trip that lacks what no fit can do without.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If no speed, no position or no tractive effort is recorded.
+    """
+    for topic, column in (
+        ("/train/state", "speed"),
+        ("/train/state", "position"),
+        ("/train/controls", "tractive_effort"),
+    ):
+        if topic in trip and trip[topic][column].notna().sum() > 1:
+            continue
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': no {column.replace('_', ' ')} recorded",
+            place=f"topic {topic}",
+            remedy="running resistance needs speed, chainage and tractive effort",
+        )
+
+
 def speed_scale(
     trip: Trip, time: FloatArray, speed: FloatArray, position: FloatArray
 ) -> SpeedScale:
@@ -182,12 +196,15 @@ def speed_scale(
         there = seconds(motion, pd.DatetimeIndex(trip["/train/state"].index)[0])
         gnss = motion["speed"].to_numpy(np.float64)
         own = np.interp(there, time[known], speed[known], left=np.nan, right=np.nan)
-        both = np.isfinite(gnss) & np.isfinite(own) & (own > 5.0)
+        both = (own > 5.0) & (gnss > 5.0)
         if np.count_nonzero(both) >= 300:
-            ratio = float(own[both] @ gnss[both] / (gnss[both] @ gnss[both]))
-            rest = own[both] - ratio * gnss[both]
+            own, gnss = own[both], gnss[both]
+            rest = own - float(np.median(own / gnss)) * gnss
+            sound = np.abs(rest) < 8.0 * np.median(np.abs(rest)) + 1e-9
+            own, gnss = own[sound], gnss[sound]
+            ratio = float(own @ gnss / (gnss @ gnss))
             # Twice: neighbouring fixes share part of their error.
-            std = 2.0 * float(np.std(rest) / np.sqrt(gnss[both] @ gnss[both]))
+            std = 2.0 * float(np.std(own - ratio * gnss) / np.sqrt(gnss @ gnss))
             return SpeedScale(ratio, std, "GNSS speed")
     both = known & np.isfinite(position)
     if np.count_nonzero(both) > 1:
@@ -290,7 +307,7 @@ def _gaps(time: FloatArray, frames: list[pd.DataFrame], index: pd.DatetimeIndex)
     return mask
 
 
-def _widened(time: FloatArray, mask: BoolArray) -> BoolArray:
+def widened(time: FloatArray, mask: BoolArray) -> BoolArray:
     """The mask with `MARGIN` before and after."""
     marked = np.concatenate(([0], np.cumsum(mask)))
     first = np.searchsorted(time, time - MARGIN, side="left")
@@ -298,7 +315,9 @@ def _widened(time: FloatArray, mask: BoolArray) -> BoolArray:
     return np.asarray(marked[last] > marked[first])
 
 
-def _pieces(line: Line, position: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def gradient_pieces(
+    line: Line, position: FloatArray
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Piece of the gradient profile at each position, and number of the nearest change."""
     edges = line.gradients.positions
     lengths = np.diff(np.append(edges, max(line.length, edges[-1] + 1.0)))

@@ -56,7 +56,7 @@ class Regression:
     history, history_covariance : (n, 4), (n, 4, 4) array
         The same after each window used.
     delay, brake_scale : float [s], [1]
-        The nuisances.
+        The nuisances: how late efforts were recorded, and the dynamic brake's over their size.
     noise : NoiseModel
     cluster_factor : float
         What the noise model's variances were multiplied by; 1 if the windows agree with it.
@@ -102,7 +102,7 @@ def regress(windows: Windows, mass: float, mass_std: float) -> Regression:
     for _ in range(ROUNDS):
         used = windows.select(kept)
         parts = NoiseParts.of(used, mass)
-        columns = np.column_stack([used.x, -used.effort_change, -used.braking, used.y])
+        columns = np.column_stack([used.x, used.effort_change, used.braking, used.y])
         noise = estimate_noise(parts, columns, prior)
         rows = parts.whiten(noise, columns)
         recursion = RecursiveLeastSquares(spread, prior_mean=expected)

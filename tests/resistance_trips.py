@@ -1,0 +1,132 @@
+"""Trips whose motion is known in closed form, for the tests of the identification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.resistance.windows import Recording
+from trainlog.formats.line import line_to_bytes
+from trainlog.formats.train import train_to_bytes
+from trainlog.railway import Axles, Line, RunningResistance, Station, StepProfile, Train
+from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
+
+Array = NDArray[np.float64]
+
+RESISTANCE = RunningResistance(2400.0, 60.0, 12.0)
+
+TRAIN = Train(
+    name="unit",
+    mass=120e3,
+    rotating_mass_factor=0.1,
+    resistance=RESISTANCE,
+    max_tractive_effort=200e3,
+    max_traction_power=2.6e6,
+    max_dynamic_braking_effort=200e3,
+    max_dynamic_braking_power=2.6e6,
+    max_speed=44.0,
+    max_load=20e3,
+    axles=Axles(4, 64e3, 0.43, 2000.0),
+)
+
+LINE = Line(
+    name="level",
+    length=80_000.0,
+    stations=(Station("A", 0.0), Station("B", 80_000.0)),
+    speed_limits=StepProfile(np.zeros(1), np.array([35.0])),
+    gradients=StepProfile(np.zeros(1), np.zeros(1)),
+)
+
+
+def varied_speed(time: Array) -> Array:
+    """A start, then speeds that go up and down between 5 and 33 m/s."""
+    waves = 19.0 + 9.0 * np.sin(time / 45.0) + 5.0 * np.sin(time / 17.0)
+    return np.asarray(waves * np.sin(0.5 * np.pi * np.clip(time / 60.0, 0.0, 1.0)))
+
+
+def constant_speed(time: Array) -> Array:
+    """Nothing but 30 m/s."""
+    return np.full(time.size, 30.0)
+
+
+def recording(
+    speed_of: Callable[[Array], Array] = varied_speed,
+    *,
+    mass: float = 130e3,
+    resistance: RunningResistance = RESISTANCE,
+    duration: float = 1200.0,
+    step: float = 0.1,
+    noise: float = 0.0,
+    seed: int = 0,
+) -> Recording:
+    """An exact recording on a level line, with noise on the speed if wanted."""
+    time = np.arange(0.0, duration, step)
+    speed = speed_of(time)
+    acceleration = (speed_of(time + 1e-4) - speed_of(time - 1e-4)) / 2e-4
+    nothing = np.zeros(time.size)
+    effort = (mass + TRAIN.rotating_mass) * acceleration + resistance(speed)
+    measured = speed + noise * np.random.default_rng(seed).standard_normal(time.size)
+    groups = (np.cumsum(speed) * step // 500.0).astype(np.int64)
+    return Recording(
+        time=time,
+        speed=measured,
+        effort=effort,
+        braking=nothing,
+        rotating_momentum=TRAIN.rotating_mass * speed,
+        track=nothing,
+        track_slope=nothing,
+        section=groups,
+        nearest_edge=groups,
+        usable=speed > 2.0,
+    )
+
+
+def trip(
+    speed_of: Callable[[Array], Array] = varied_speed,
+    *,
+    name: str = "made",
+    mass: float = 130e3,
+    resistance: RunningResistance = RESISTANCE,
+    duration: float = 1200.0,
+    noise: float = 0.02,
+    seed: int = 0,
+    train: Train = TRAIN,
+) -> Trip:
+    """A trip on a level line whose recorder shows speed, chainage and efforts."""
+    step = 0.1
+    time = np.arange(0.0, duration, step)
+    speed = speed_of(time)
+    acceleration = (speed_of(time + 1e-4) - speed_of(time - 1e-4)) / 2e-4
+    position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)))
+    effort = (mass + train.rotating_mass) * acceleration + resistance(speed)
+    measured = speed + noise * np.random.default_rng(seed).standard_normal(time.size)
+    stamps = np.int64(1_700_000_000_000_000_000) + np.round(time * 1e9).astype(np.int64)
+    state = frame_of(TRAIN_STATE, stamps, {"position": position, "speed": np.abs(measured)})
+    controls = frame_of(
+        TRAIN_CONTROLS,
+        stamps,
+        {
+            "tractive_effort_demand": np.maximum(effort, 0.0),
+            "tractive_effort": np.maximum(effort, 0.0),
+            "dynamic_braking_effort": np.maximum(-effort, 0.0),
+            "pneumatic_braking_effort": np.zeros(time.size),
+        },
+    )
+    return Trip(
+        topics={"/train/state": state, "/train/controls": controls},
+        metadata={"trip": name, "train": train.name, "direction": "forward"},
+        attachments={
+            LINE_ATTACHMENT: line_to_bytes(LINE),
+            TRAIN_ATTACHMENT: train_to_bytes(train),
+        },
+    )
+
+
+def changed(original: Trip, topic: str, **columns: object) -> Trip:
+    """The trip with columns of one topic replaced."""
+    frame = original[topic].assign(**columns)
+    frame.attrs = original[topic].attrs
+    return original.with_topic(frame)

@@ -1,0 +1,341 @@
+"""Running resistance and mass of one trip: the truth in the band, and refusals with reasons."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+from resistance_trips import LINE, RESISTANCE, TRAIN, changed, constant_speed, trip
+
+from analysis.resistance import TripFit, estimated_resistance, fit_trip
+from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.fit import mass_prior
+from analysis.resistance.recording import prepare
+from analysis.resistance.windows import build_windows
+from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_train, train_to_bytes
+from trainlog.mcap import read_log, write_log
+from trainlog.railway import RunningResistance, StepProfile, Tunnel
+from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
+from trainlog.trip import Trip, frame_of
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def simulated() -> list[Trip]:
+    """Three simulated trips: dry, dry back, wet."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    return [simulate(scenario) for scenario in draw_scenarios(line, train, 3, seed=2)]
+
+
+@pytest.fixture(scope="module")
+def fitted(simulated: list[Trip]) -> list[TripFit]:
+    return [fit_trip(one) for one in simulated]
+
+
+def truth(one: Trip) -> tuple[RunningResistance, float]:
+    """What the fit must not see."""
+    content = json.loads(one.attachments["scenario.json"])
+    return RunningResistance(content["r0"], content["r1"], content["r2"]), content["mass"]
+
+
+def curve_error(fit: TripFit, true: RunningResistance) -> float:
+    speed = np.linspace(*fit.asked, 61)
+    return float(np.sqrt(np.mean((fit.resistance(speed) / true(speed) - 1.0) ** 2)))
+
+
+def in_band(fit: TripFit, true: RunningResistance) -> bool:
+    speed = np.linspace(*fit.asked, 61)
+    low, high = fit.band(speed)
+    return bool(np.all((low <= true(speed)) & (true(speed) <= high)))
+
+
+def test_truth_of_simulated_trips_lies_in_the_band(
+    simulated: list[Trip], fitted: list[TripFit]
+) -> None:
+    for one, fit in zip(simulated, fitted, strict=True):
+        true, mass = truth(one)
+        assert in_band(fit, true)
+        assert curve_error(fit, true) < 0.05
+        assert abs(fit.mass - mass) < 4.0 * fit.mass_std
+        assert fit.mass_std < 0.005 * mass
+
+
+def test_fit_describes_itself(fitted: list[TripFit]) -> None:
+    for fit in fitted:
+        assert fit.asked[0] == 5.0
+        assert fit.asked[1] == pytest.approx(125 / 3.6)
+        assert fit.windows["used"] > 80
+        assert fit.condition < 300.0
+        assert fit.scale.source == "GNSS speed"
+        assert 0.8 < fit.residual_std < 1.2
+        assert abs(fit.residual_correlation) < 0.4
+        assert fit.masked["braking"] > 0.0
+        assert fit.masked["gap"] == 0.0
+        assert 2.0 < fit.speed_range[0] < 10.0
+        assert fit.speed_range[1] > 30.0
+        assert fit.noise["gradient"] < 2e-4  # the simulation's map is exact
+        assert fit.points.speed.size == fit.windows["used"] + fit.windows["outlier"]
+
+
+def test_windows_scatter_around_the_curve_as_they_say(fitted: list[TripFit]) -> None:
+    for fit in fitted:
+        points = fit.points
+        z = (points.resistance - fit.resistance(points.speed)) / points.std
+        assert np.median(np.abs(z)) < 1.5
+
+
+def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[TripFit]) -> None:
+    blind = replace(
+        simulated[0],
+        topics={name: frame for name, frame in simulated[0].topics.items() if name != "/truth"},
+        attachments={
+            name: data for name, data in simulated[0].attachments.items() if "scenario" not in name
+        },
+    )
+    again = fit_trip(blind)
+    np.testing.assert_array_equal(again.beta, fitted[0].beta)
+    np.testing.assert_array_equal(again.covariance, fitted[0].covariance)
+
+
+def test_estimates_go_back_into_the_log(
+    simulated: list[Trip], fitted: list[TripFit], tmp_path: Path
+) -> None:
+    frame = estimated_resistance(fitted[0])
+    path = tmp_path / "with_estimates.mcap"
+    write_log(simulated[0].with_topic(frame), path)
+    back = read_log(path, topics=["/estimates/running_resistance"])["/estimates/running_resistance"]
+    pd.testing.assert_frame_equal(back, frame, check_freq=False)
+    last = frame.iloc[-1]
+    np.testing.assert_allclose(last[["r0", "r1", "r2"]].to_numpy(float), fitted[0].beta)
+    assert last["mass"] == pytest.approx(fitted[0].mass)
+    assert np.all(frame["resistance_std"] < 0.5 * frame["resistance"].max())
+    assert simulated[0].start < frame.index[0] < frame.index[-1] < simulated[0].end
+
+
+def test_level_track_without_satellites_or_axles() -> None:
+    fit = fit_trip(trip(noise=0.03))
+    assert in_band(fit, RESISTANCE)
+    assert fit.scale.source == "nothing"
+    assert abs(fit.mass - 130e3) < 4.0 * fit.mass_std
+    assert fit.freedom == fit.windows["used"] - 4
+
+
+def test_wrong_wheels_are_found_by_satellites_and_charged_without_them() -> None:
+    made = trip(noise=0.03)
+    worn = changed(made, "/train/state", speed=1.004 * made["/train/state"]["speed"])
+    stamps = made["/train/state"].index[::2]
+    speed = made["/train/state"]["speed"].to_numpy()[::2].copy()
+    speed[500] = 80.0  # an outlier as receivers give them
+    frame = frame_of(GNSS_MOTION, pd.DatetimeIndex(stamps), {"speed": speed})
+    calibrated, blind = fit_trip(worn.with_topic(frame)), fit_trip(worn)
+    assert calibrated.scale.factor == pytest.approx(1.004, abs=2e-4)
+    assert calibrated.scale.source == "GNSS speed"
+    assert curve_error(calibrated, RESISTANCE) < curve_error(blind, RESISTANCE)
+    assert in_band(calibrated, RESISTANCE)
+    assert in_band(blind, RESISTANCE)
+    top = 30.0
+    assert blind.std(top) > 2.0 * calibrated.std(top)
+
+
+def test_wrong_wheels_are_found_by_balises() -> None:
+    """Chainage that jumps to the truth every kilometre is as good as satellites."""
+    made = trip(noise=0.03)
+    true = made["/train/state"]["position"].to_numpy()
+    last = np.floor(true / 1000.0) * 1000.0
+    worn = changed(
+        made,
+        "/train/state",
+        speed=1.004 * made["/train/state"]["speed"],
+        position=last + 1.004 * (true - last),
+    )
+    fit = fit_trip(worn)
+    assert fit.scale.source == "balises"
+    assert fit.scale.factor == pytest.approx(1.004, abs=3e-4)
+
+
+def test_gradients_and_tunnels_are_taken_off() -> None:
+    """The same motion under a slope and in tunnels, with the efforts that it then takes."""
+    made = trip(noise=0.02)
+    position = made["/train/state"]["position"].to_numpy()
+    speed = made["/train/state"]["speed"].to_numpy()
+    train = replace(TRAIN, tunnel_resistance=((40.0, 7.0),))
+    line = replace(
+        LINE,
+        gradients=StepProfile(np.arange(0.0, 80e3, 800.0), np.tile([4e-3, -4e-3], 50)),
+        tunnels=(Tunnel(5_000.0, 4_000.0, 40.0),),
+    )
+    extra = 130e3 * line.track_acceleration(position) + np.where(
+        (position > 5_000.0) & (position < 9_000.0), 7.0 * speed**2, 0.0
+    )
+    controls = made["/train/controls"]
+    net = controls["tractive_effort"] - controls["dynamic_braking_effort"] + extra
+    hilly = changed(
+        made,
+        "/train/controls",
+        tractive_effort=net.clip(lower=0.0),
+        dynamic_braking_effort=(-net).clip(lower=0.0),
+    )
+    hilly = replace(
+        hilly,
+        attachments={"line.json": line_to_bytes(line), "train.json": train_to_bytes(train)},
+    )
+    fit = fit_trip(hilly)
+    assert in_band(fit, RESISTANCE)
+    assert curve_error(fit, RESISTANCE) < 0.05
+
+
+def test_unrecorded_brakes_are_masked_by_their_demand_or_by_deceleration() -> None:
+    made = trip(noise=0.02)
+    braking = made["/train/controls"]["dynamic_braking_effort"]
+    unknown = changed(
+        made, "/train/controls", dynamic_braking_effort=np.nan, pneumatic_braking_effort=np.nan
+    )
+    told = changed(unknown, "/train/controls", braking_effort_demand=braking)
+    line, train = line_of(made), train_of(made)
+    by_demand = prepare(told, line, train)
+    hard = braking.to_numpy() > 5000.0
+    assert not by_demand.recording.usable[hard].any()
+    assert in_band(fit_trip(told), RESISTANCE)
+    by_deceleration = prepare(unknown, line, train)
+    harder = braking.to_numpy() > 0.3 * 142e3
+    assert not by_deceleration.recording.usable[harder].any()
+
+
+def test_gaps_slip_and_friction_braking_are_masked() -> None:
+    made = trip(noise=0.02)
+    line, train = line_of(made), train_of(made)
+    state, controls = made["/train/state"], made["/train/controls"]
+    cut = np.r_[0:3000, 3100 : len(state)]
+    gappy = replace(
+        made, topics={"/train/state": state.iloc[cut], "/train/controls": controls.iloc[cut]}
+    )
+    for frame in gappy.topics.values():
+        assert "units" in frame.attrs
+    masked = prepare(gappy, line, train)
+    assert masked.masked["gap"] > 0.0
+    assert not masked.recording.usable[3000:3010].any()
+    windows = build_windows(masked.recording)
+    before, after = masked.recording.time[2999], masked.recording.time[3000]
+    assert not np.any((windows.start < after) & (windows.end > before))
+    friction = np.zeros(len(controls))
+    friction[5000:5100] = 20e3
+    braked = prepare(
+        changed(made, "/train/controls", pneumatic_braking_effort=friction), line, train
+    )
+    assert not braked.recording.usable[4990:5110].any()
+    assert braked.recording.usable[5130]
+    wheels = np.tile(state["speed"].to_numpy()[:, None], (1, 4))
+    wheels[7000:7100, 2] += 6.0
+    slipping = prepare(
+        made.with_topic(frame_of(TRAIN_AXLES, state.index, {"wheel_speed": wheels})), line, train
+    )
+    assert slipping.masked["slip"] == pytest.approx(10.0, abs=1.0)
+    assert not slipping.recording.usable[6995:7105].any()
+    assert slipping.recording.usable[7130]
+
+
+def test_power_limit_is_read_off_where_it_was_reached() -> None:
+    """A train with less power than its driver asks for."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    strong, weak = (
+        replace(scenario, max_power=power, habits=replace(scenario.habits, lever=0.8))
+        for scenario, power in zip(
+            draw_scenarios(line, train, 1, seed=2) * 2, (2.6e6, 1.7e6), strict=True
+        )
+    )
+    assert fit_trip(simulate(strong)).max_power is None
+    found = fit_trip(simulate(weak)).max_power
+    assert found == pytest.approx(1.7e6, rel=0.01)
+
+
+def test_constant_speed_is_refused() -> None:
+    for seed in range(3):
+        with pytest.raises(NotIdentifiableError, match="vary too little"):
+            fit_trip(trip(constant_speed, noise=0.03, seed=seed))
+
+
+def test_too_short_is_refused_with_what_was_masked() -> None:
+    with pytest.raises(NotIdentifiableError, match="windows of 10 s"):
+        fit_trip(trip(duration=150.0))
+
+
+def test_braking_all_the_time_is_refused() -> None:
+    made = trip()
+    friction = np.full(len(made["/train/controls"]), 30e3)
+    with pytest.raises(NotIdentifiableError, match=r"masked: .*braking 1200 s"):
+        fit_trip(changed(made, "/train/controls", pneumatic_braking_effort=friction))
+
+
+def test_standing_all_the_time_is_refused() -> None:
+    with pytest.raises(NotIdentifiableError, match="standstill 600 s"):
+        fit_trip(trip(lambda time: np.zeros(time.size), noise=0.0, duration=600.0))
+
+
+@pytest.mark.parametrize("column", ["speed", "position", "tractive_effort"])
+def test_nothing_recorded_is_refused(column: str) -> None:
+    topic = "/train/controls" if column == "tractive_effort" else "/train/state"
+    with pytest.raises(NotIdentifiableError, match=f"no {column.replace('_', ' ')} recorded"):
+        fit_trip(changed(trip(), topic, **{column: np.nan}))
+
+
+def test_satellites_alone_are_refused() -> None:
+    made = trip()
+    frame = frame_of(GNSS_MOTION, made["/train/state"].index, {"speed": np.ones(12_000)})
+    with pytest.raises(NotIdentifiableError, match="no speed recorded"):
+        fit_trip(Trip({"/gnss/motion": frame}, {"trip": "gnss"}))
+
+
+def test_speeds_beyond_the_data_are_refused() -> None:
+    slow = trip(lambda time: 12.0 + 5.0 * np.sin(time / 30.0) + 2.0 * np.sin(time / 7.0))
+    fit = fit_trip(slow, speeds=(8.0, 18.0))
+    assert in_band(fit, RESISTANCE)
+    with pytest.raises(NotIdentifiableError, match="of itself only"):
+        fit_trip(trip(noise=0.3, seed=1), speeds=(0.5, 60.0))
+
+
+def test_bad_trips_are_refused() -> None:
+    made = trip()
+    with pytest.raises(LogError, match="carries no line"):
+        fit_trip(replace(made, attachments={}))
+    state = made["/train/state"]
+    backwards = state.iloc[np.r_[0:100, 50 : len(state)]]
+    with pytest.raises(LogError, match="time does not increase"):
+        fit_trip(made.with_topic(backwards))
+
+
+def test_mass_prior_is_weak() -> None:
+    mass, std = mass_prior(TRAIN)
+    assert (mass, std) == (130e3, 20e3)
+    mass, std = mass_prior(replace(TRAIN, max_load=0.0))
+    assert std == pytest.approx(0.15 * TRAIN.mass)
+    for true in (105e3, 170e3):
+        fit = fit_trip(trip(mass=true, noise=0.02))
+        assert fit.mass == pytest.approx(true, rel=5e-3)
+
+
+def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
+    generator = np.random.default_rng(1)
+    root = np.array([[300.0, 0.0, 0.0], [-18.0, 6.0, 0.0], [0.4, -0.12, 0.03]])
+    covariance = root @ root.T
+    speed = np.linspace(5.0, 35.0, 121)
+    std = curve_std(covariance, speed)
+    for freedom in (8, 1000):
+        draws = generator.standard_normal((20_000, 3)) @ root.T @ powers(speed).T / std
+        draws /= np.sqrt(generator.chisquare(freedom, (20_000, 1)) / freedom)
+        factor = band_factor(covariance, (5.0, 35.0), freedom)
+        held = np.mean(np.all(np.abs(draws) < factor, axis=1))
+        assert 0.945 < held < 0.975
+        assert np.mean(np.abs(draws[:, 60]) < factor) > 0.95

@@ -1,0 +1,279 @@
+"""Many trips: the common curve, how trips differ, the observed set, files, pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
+
+from analysis.pictures.resistance import draw_fits, draw_trip
+from analysis.resistance import TripFit, combine, fit_logs, fit_trip, parameter_set
+from analysis.resistance.combination import nearest_physical
+from analysis.resistance.curve import powers
+from analysis.resistance.fit import History, WindowPoints
+from analysis.resistance.recording import SpeedScale
+from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.formats.line import read_line
+from trainlog.formats.parameters import read_parameters, write_parameters
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_train
+from trainlog.mcap import write_log
+from trainlog.railway import RunningResistance
+from trainlog.simulation.scenario import draw_scenarios, simulate
+
+Array = NDArray[np.float64]
+
+SPEED = np.linspace(5.0, 35.0, 61)
+TRUE = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
+NODES = powers(np.linspace(5.0, 35.0, 3))
+
+
+def fit_of(
+    name: str, beta: Array, covariance: Array, *, mass: float = 130e3, train: str = "unit"
+) -> TripFit:
+    """A trip's fit without a trip."""
+    full = np.zeros((4, 4))
+    full[:3, :3] = covariance
+    full[3, 3] = 200.0**2
+    nothing = np.zeros(0)
+    return TripFit(
+        trip=name,
+        train=train,
+        resistance=RunningResistance(*beta.tolist()),
+        mass=mass,
+        covariance=full,
+        freedom=90,
+        rotating_mass=12e3,
+        max_power=None,
+        asked=(5.0, 35.0),
+        speed_range=(3.0, 34.0),
+        condition=50.0,
+        scale=SpeedScale(1.0, 1e-4, "GNSS speed"),
+        noise={"speed": 0.01},
+        nuisance={"delay": 0.0, "brake_scale": 1.0},
+        cluster_factor=1.0,
+        residual_std=1.0,
+        residual_correlation=0.0,
+        windows={"used": 94, "outlier": 0},
+        masked={"braking": 10.0},
+        points=WindowPoints(nothing, nothing, nothing, nothing.astype(bool)),
+        history=History(pd.DatetimeIndex([]), nothing, np.zeros((0, 4)), np.zeros((0, 4, 4))),
+    )
+
+
+def covariance_of(curve_std: tuple[float, float, float]) -> Array:
+    """Covariance of r0, r1, r2 from independent errors [N] of the curve at three speeds."""
+    back = np.linalg.inv(NODES)
+    return np.asarray(back @ np.diag(np.square(curve_std)) @ back.T)
+
+
+def drawn(
+    count: int, spread: float, curve_std: tuple[float, float, float], seed: int
+) -> tuple[list[TripFit], Array]:
+    """Fits of trips whose curves differ by `spread`, and their true coefficients."""
+    generator = np.random.default_rng(seed)
+    covariance = covariance_of(curve_std)
+    root = np.linalg.cholesky(covariance)
+    true = TRUE * (1.0 + spread * generator.standard_normal((count, 3)))
+    fits = [
+        fit_of(f"trip-{k:03d}", true[k] + root @ generator.standard_normal(3), covariance)
+        for k in range(count)
+    ]
+    return fits, true
+
+
+def relative(beta: Array, true: Array) -> float:
+    return float(np.sqrt(np.mean((powers(SPEED) @ beta / (powers(SPEED) @ true) - 1.0) ** 2)))
+
+
+def beta_of(resistance: RunningResistance) -> Array:
+    return np.array([resistance.r0, resistance.r1, resistance.r2])
+
+
+@settings(max_examples=20, deadline=None)
+@given(order=st.permutations(range(6)))
+def test_order_does_not_matter(order: list[int]) -> None:
+    fits, _ = drawn(6, 0.05, (150.0, 60.0, 100.0), seed=1)
+    one, other = combine(fits), combine([fits[k] for k in order])
+    assert one.resistance == other.resistance
+    assert one.trips == other.trips
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+    np.testing.assert_array_equal(one.betas, other.betas)
+
+
+def test_trips_without_noise_are_averaged_and_left_alone() -> None:
+    fits, true = drawn(8, 0.07, (0.1, 0.1, 0.1), seed=2)
+    common = combine(fits)
+    np.testing.assert_allclose(beta_of(common.resistance), true.mean(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(common.betas, true, rtol=1e-3)
+
+
+def test_trips_that_are_all_noise_are_drawn_to_the_common_curve() -> None:
+    fits, _ = drawn(20, 0.0, (900.0, 400.0, 900.0), seed=3)
+    common = combine(fits)
+    raw = np.mean([relative(fit.beta, TRUE) for fit in fits])
+    drawn_in = np.mean([relative(beta, TRUE) for beta in common.betas])
+    assert drawn_in < 0.6 * raw
+    assert relative(beta_of(common.resistance), TRUE) < 0.5 * raw
+
+
+def test_drawing_towards_the_common_curve_helps_on_average() -> None:
+    raw, better = [], []
+    for seed in range(10):
+        fits, true = drawn(12, 0.07, (300.0, 100.0, 300.0), seed)
+        common = combine(fits)
+        raw += [relative(fit.beta, t) for fit, t in zip(fits, true, strict=True)]
+        better += [relative(beta, t) for beta, t in zip(common.betas, true, strict=True)]
+    assert np.mean(better) < 0.9 * np.mean(raw)
+
+
+def test_differences_between_trips_are_found_and_told() -> None:
+    spreads = []
+    for seed in range(10):
+        fits, _ = drawn(30, 0.08, (60.0, 40.0, 60.0), seed)
+        common = combine(fits)
+        spreads.append(common.spread(35.0) / common.resistance(35.0))
+    curve = RESISTANCE(35.0)
+    parts = np.array([1.0, 35.0, 35.0**2]) * TRUE * 0.08
+    assert np.mean(spreads) == pytest.approx(float(np.linalg.norm(parts) / curve), rel=0.25)
+
+
+def test_band_of_the_common_curve_covers() -> None:
+    inside = []
+    for seed in range(200):
+        fits, _ = drawn(12, 0.06, (200.0, 80.0, 200.0), seed)
+        low, high = combine(fits).band(SPEED)
+        inside.append(np.all((low < RESISTANCE(SPEED)) & (RESISTANCE(SPEED) < high)))
+    assert np.mean(inside) >= 0.92
+
+
+def test_one_trip_says_that_others_may_differ() -> None:
+    fits, _ = drawn(1, 0.0, (50.0, 30.0, 50.0), seed=5)
+    common = combine(fits)
+    assert np.all(common.std(SPEED) > 2.0 * fits[0].std(SPEED))
+
+
+def test_parameter_set_is_physical_and_complete() -> None:
+    fits, _ = drawn(6, 0.05, (700.0, 300.0, 400.0), seed=6)
+    parameters = parameter_set(fits, TRAIN, {"trip-900": "standing all the time"})
+    assert [c.name for c in parameters.configurations] == [f.trip for f in fits]
+    for configuration, fit in zip(parameters.configurations, fits, strict=True):
+        assert np.all(beta_of(configuration.resistance) >= 0.0)
+        assert configuration.rotating_mass == 12e3
+        assert configuration.mass == pytest.approx(fit.mass, rel=0.02)
+        assert configuration.max_power == TRAIN.max_traction_power
+    assert parameters.details[-1] == {
+        "trip": "trip-900",
+        "accepted": False,
+        "reason": "standing all the time",
+    }
+    assert parameters.details[0]["max_power"] == "train file"
+    assert parameters.speed_range == (3.0, 34.0)
+    assert json.loads(json.dumps(parameters.details)) == parameters.details
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    r0=st.floats(-3000.0, 5000.0),
+    r1=st.floats(-300.0, 300.0),
+    r2=st.floats(1.0, 30.0),
+)
+def test_nearest_physical_resistance(r0: float, r1: float, r2: float) -> None:
+    covariance = covariance_of((300.0, 50.0, 100.0))
+    beta = np.array([r0, r1, r2])
+    nearest = beta_of(nearest_physical(beta, covariance))
+    assert np.all(nearest >= 0.0)
+    if np.all(beta >= 0.0):
+        np.testing.assert_allclose(nearest, beta, rtol=1e-6, atol=1e-6)
+        return
+    weight = np.linalg.inv(covariance)
+    distance = (nearest - beta) @ weight @ (nearest - beta)
+    for other in np.abs(np.random.default_rng(1).standard_normal((200, 3))) * np.abs(beta):
+        assert distance <= (other - beta) @ weight @ (other - beta) * (1.0 + 1e-9)
+
+
+def test_what_cannot_be_combined_is_refused() -> None:
+    covariance = covariance_of((50.0, 50.0, 50.0))
+    one = fit_of("a", TRUE, covariance)
+    with pytest.raises(NotIdentifiableError, match="no trip"):
+        combine([])
+    with pytest.raises(InputError, match="given twice"):
+        combine([one, one])
+    with pytest.raises(InputError, match="different trains: other, unit"):
+        combine([one, fit_of("b", TRUE, covariance, train="other")])
+
+
+def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
+    trips = [trip(name=f"made-{k}", noise=0.03, seed=k) for k in range(3)]
+    trips.append(trip(constant_speed, name="dull", noise=0.03))
+    logs = [tmp_path / f"{one.name}.mcap" for one in trips]
+    for one, path in zip(trips, logs, strict=True):
+        write_log(one, path)
+    fits = fit_logs(logs)
+    assert [fit.trip for fit in fits.trips] == ["made-0", "made-1", "made-2"]
+    assert list(fits.refused) == ["dull"]
+    assert "vary too little" in fits.refused["dull"]
+    assert all(len(detail["sha256"]) == 64 for detail in fits.parameters.details)
+    assert set(fits.parameters.provenance["inputs"]) == {one.name for one in trips}
+    assert relative(beta_of(fits.common.resistance), TRUE) < 0.02
+    write_parameters(fits.parameters, tmp_path / "parameters.json")
+    back = read_parameters(tmp_path / "parameters.json")
+    assert back.configurations == fits.parameters.configurations
+    assert back.details == fits.parameters.details
+    for number, draw in enumerate((draw_fits, draw_fits)):
+        draw(fits, tmp_path / f"fits-{number}.png")
+    draw_trip(fits.trips[0], tmp_path / "trip.png")
+    first, second = ((tmp_path / f"fits-{k}.png").read_bytes() for k in (0, 1))
+    assert first == second
+    assert first[:8] == b"\x89PNG\r\n\x1a\n"
+    assert len(first) > 30_000
+    assert (tmp_path / "trip.png").stat().st_size > 30_000
+
+
+def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
+    write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
+    with pytest.raises(NotIdentifiableError, match=r"no trip determines .* vary too little"):
+        fit_logs([tmp_path / "dull.mcap"])
+    with pytest.raises(NotIdentifiableError, match="no log was given"):
+        fit_logs([])
+
+
+@pytest.mark.long
+def test_five_times_twelve_simulated_trips() -> None:
+    """The figures that the project promises: coverage, one trip, twelve together."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    speed = np.linspace(5.0, 125 / 3.6, 61)
+    basis = powers(speed)
+    single, covered, coefficients, twelve, refused = [], [], [], [], 0
+    for seed in range(1, 6):
+        fits, true = [], []
+        for scenario in draw_scenarios(line, train, 12, seed):
+            r = beta_of(scenario.resistance)
+            try:
+                fit = fit_trip(simulate(scenario))
+            except NotIdentifiableError:
+                refused += 1
+                continue
+            fits.append(fit)
+            true.append(r)
+            low, high = fit.band(speed)
+            single.append(np.sqrt(np.mean((fit.resistance(speed) / (basis @ r) - 1.0) ** 2)))
+            covered.append(np.all((low <= basis @ r) & (basis @ r <= high)))
+            z = np.append(fit.beta - r, fit.mass - scenario.mass) / np.sqrt(np.diag(fit.covariance))
+            coefficients.append(np.abs(z) < 1.96)
+        mean = basis @ np.mean(true, axis=0)
+        twelve.append(np.sqrt(np.mean((combine(fits).resistance(speed) / mean - 1.0) ** 2)))
+    assert refused <= 6
+    assert np.mean(covered) >= 0.9
+    assert np.all(np.mean(coefficients, axis=0) >= 0.9)
+    assert np.median(single) <= 0.08
+    assert np.quantile(single, 0.9) <= 0.08
+    assert np.all(np.array(twelve) <= 0.02)

@@ -1,0 +1,222 @@
+"""From samples to windows, the windows' noise, and the regression over them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from resistance_trips import RESISTANCE, constant_speed, recording
+
+from analysis.resistance.noise import NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.regression import condition_number, regress
+from analysis.resistance.windows import Windows, build_windows
+from trainlog.railway import RunningResistance
+
+Array = NDArray[np.float64]
+
+NOISE = NoiseModel(speed=0.01, gradient=4e-4, position=8.0, effort=0.01)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    r0=st.floats(500.0, 10_000.0),
+    r1=st.floats(0.0, 200.0),
+    r2=st.floats(1.0, 30.0),
+    mass=st.floats(50e3, 500e3),
+)
+def test_the_equation_of_motion_holds_in_every_window(
+    r0: float, r1: float, r2: float, mass: float
+) -> None:
+    """Averaged ends and integrals are averaged alike: exact but for the trapezoidal rule."""
+    exact = recording(mass=mass, resistance=RunningResistance(r0, r1, r2))
+    windows = build_windows(exact)
+    theta = np.array([1.0, r0, r1, r2]) / mass
+    np.testing.assert_allclose(windows.x @ theta, windows.y, atol=5e-5)
+
+
+def test_windows_fill_the_usable_stretches_and_nothing_else() -> None:
+    made = recording(duration=300.0)
+    usable = (made.time > 50.0) & ((made.time < 120.0) | (made.time > 127.0)) & (made.time < 150.0)
+    usable &= ~((made.time > 140.0) & (made.time < 142.0))
+    windows = build_windows(replace(made, usable=usable))
+    # 50-120 s: six windows; 127-140 s: one; 142-150 s: one short one.
+    assert windows.count == 8
+    assert windows.duration.min() >= 5.0
+    assert windows.duration.max() < 20.0
+    for start, end in zip(windows.start, windows.end, strict=True):
+        inside = (made.time >= start - 0.5) & (made.time <= end + 0.5)
+        assert usable[inside].all()
+    np.testing.assert_allclose(windows.start[1:6], windows.end[:5])
+
+
+def test_a_window_sums_over_the_pieces_it_crosses() -> None:
+    windows = build_windows(recording())
+    seconds = windows.sections.sum(axis=1)
+    np.testing.assert_allclose(seconds, windows.duration, atol=0.11)
+
+
+def test_no_usable_stretch_gives_no_windows() -> None:
+    made = recording(duration=60.0)
+    nothing = replace(made, usable=np.zeros(made.time.size, dtype=bool))
+    assert build_windows(nothing).count == 0
+
+
+def test_uneven_sampling_gives_the_same_regression() -> None:
+    """Times as they come: the windows do not assume a rate."""
+    made = recording(step=0.05)
+    kept = np.sort(np.random.default_rng(1).permutation(made.time.size)[: made.time.size // 2])
+    thinned = type(made)(**{name: array[kept] for name, array in made.__dict__.items()})
+    windows = build_windows(thinned)
+    mass = 130e3
+    theta = np.array([1.0, RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2]) / mass
+    np.testing.assert_allclose(windows.x @ theta, windows.y, atol=3e-4)
+
+
+def dense(bands: Array) -> Array:
+    """The symmetric matrix that the bands stand for."""
+    count, width = bands.shape
+    full = np.zeros((count, count))
+    for d in range(width):
+        k = np.arange(d, count)
+        full[k, k - d] = full[k - d, k] = bands[k, d]
+    return full
+
+
+def rough(windows: Windows) -> Windows:
+    """Windows whose position errors matter: a change of gradient of 5 per mille every 500 m."""
+    edges = windows.sections.copy()
+    edges.data = np.where(edges.data > 0.0, 0.05 / 25.0, 0.0)
+    return replace(windows, edges=edges)
+
+
+def test_whitening_turns_the_noise_into_white_noise() -> None:
+    windows = rough(build_windows(recording()))
+    parts = NoiseParts.of(windows, 130e3)
+    covariance = dense(parts.covariance(NOISE))
+    whitened = parts.whiten(NOISE, np.linalg.cholesky(covariance))
+    np.testing.assert_allclose(whitened, np.eye(windows.count), atol=1e-9)
+
+
+def test_whitening_looks_backwards_only() -> None:
+    """So that the recursion after k windows is the answer after k windows."""
+    windows = rough(build_windows(recording()))
+    columns = np.random.default_rng(1).standard_normal((windows.count, 2))
+    parts = NoiseParts.of(windows, 130e3)
+    first = parts.whiten(NOISE, columns)[:30]
+    columns[30:] = 0.0
+    np.testing.assert_array_equal(parts.whiten(NOISE, columns)[:30], first)
+
+
+def test_covariance_of_windows_that_share_an_end() -> None:
+    windows = build_windows(recording())
+    only_speed = NoiseModel(speed=0.01, gradient=1e-12, position=1e-12, effort=1e-12)
+    covariance = dense(NoiseParts.of(windows, 130e3).covariance(only_speed))
+    np.testing.assert_allclose(np.diag(covariance), 2e-4 + 1e-8, rtol=1e-6)
+    np.testing.assert_allclose(np.diag(covariance, -1), -1e-4, rtol=1e-6)
+
+
+def test_noise_is_found_as_large_as_it_is() -> None:
+    windows = rough(build_windows(recording(duration=8000.0)))
+    parts = NoiseParts.of(windows, 130e3)
+    factor = np.linalg.cholesky(dense(parts.covariance(NOISE)))
+    found = []
+    for seed in range(5):
+        error = factor @ np.random.default_rng(seed).standard_normal(windows.count)
+        columns = np.column_stack([windows.x, windows.x @ np.array([1.0, 1e3, 10.0, 1.0]) / 1e5])
+        columns[:, -1] += error
+        found.append(estimate_noise(parts, columns, np.zeros((0, 5))).sizes)
+    ratio = np.median(found, axis=0)[:3] / np.array(NOISE.sizes)[:3]
+    assert np.all((ratio > 0.75) & (ratio < 1.35)), ratio
+
+
+def test_regression_is_generalised_least_squares() -> None:
+    """The recursion's last answer against the normal equations with the dense covariance."""
+    windows = build_windows(recording(noise=0.03, seed=3))
+    mass, mass_std = 130e3, 20e3
+    fit = regress(windows, mass, mass_std)
+    covariance = dense(NoiseParts.of(windows, mass).covariance(fit.noise))
+    x = np.column_stack([windows.x, windows.effort_change, windows.braking])
+    prior_std = np.array([mass_std / mass**2, 1.0, 0.1, 0.01, 0.05 / mass, 0.02 / mass])
+    scaled = x * prior_std
+    information = scaled.T @ np.linalg.solve(covariance, scaled) + np.eye(6)
+    right = scaled.T @ np.linalg.solve(covariance, windows.y)
+    right[0] += 1.0 / mass / prior_std[0]
+    theta = prior_std * np.linalg.solve(information, right)
+    expected = np.append(theta[1:4], 1.0) / theta[0]
+    np.testing.assert_allclose(fit.beta, expected, rtol=1e-6)
+
+
+def test_regression_finds_the_truth_within_its_deviation() -> None:
+    z = []
+    truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
+    for seed in range(30):
+        fit = regress(build_windows(recording(noise=0.03, seed=seed)), 120e3, 20e3)
+        z.append((fit.beta - truth) / np.sqrt(np.diag(fit.covariance)))
+    assert np.all(np.abs(np.mean(z, axis=0)) < 4.0 / np.sqrt(30.0))
+    assert np.all(np.std(z, axis=0) < 1.4)
+    assert np.all(np.std(z, axis=0) > 0.4)
+
+
+def test_exact_data_give_the_exact_answer() -> None:
+    fit = regress(build_windows(recording()), 120e3, 20e3)
+    truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
+    np.testing.assert_allclose(fit.beta, truth, rtol=2e-3)
+
+
+def test_history_ends_with_the_result_and_gets_sharper() -> None:
+    fit = regress(build_windows(recording(noise=0.03)), 120e3, 20e3)
+    np.testing.assert_array_equal(fit.history[-1], fit.beta)
+    np.testing.assert_array_equal(fit.history_covariance[-1], fit.covariance)
+    mass_std = np.sqrt(fit.history_covariance[:, 3, 3])
+    assert mass_std[-1] < 0.05 * mass_std[0]
+
+
+def test_outliers_are_left_out() -> None:
+    windows = build_windows(recording(noise=0.03))
+    spoilt = windows.y.copy()
+    spoilt[[10, 40]] += np.array([0.5, -0.8])
+    clean, dirty = (regress(w, 120e3, 20e3) for w in (windows, replace(windows, y=spoilt)))
+    assert clean.kept.all()
+    assert not dirty.kept[[10, 40]].any()
+    assert dirty.kept.sum() >= windows.count - 6
+    z = (dirty.beta - clean.beta) / np.sqrt(np.diag(dirty.covariance))
+    assert np.all(np.abs(z) < 2.0)
+
+
+def test_errors_that_stay_for_kilometres_widen_the_covariance() -> None:
+    """A slowly changing head wind is not in the noise model; the clusters see it."""
+    calm = build_windows(recording(noise=0.03))
+    gusts = 0.03 * np.sin(np.arange(calm.count) / 6.0)
+    windy = replace(calm, y=calm.y + gusts)
+    first, second = (regress(w, 120e3, 20e3) for w in (calm, windy))
+    assert np.sqrt(second.covariance[0, 0]) > 2.0 * np.sqrt(first.covariance[0, 0])
+
+
+def test_delay_and_brake_scale_do_not_spoil_the_fit() -> None:
+    """Efforts recorded 0.1 s late, the brake's 3 % too large."""
+    made = recording(noise=0.03, seed=5)
+    braking = np.maximum(-made.effort, 0.0)
+    wrong = made.effort - 0.03 * braking
+    late = np.interp(made.time - 0.1, made.time, wrong)
+    fit = regress(
+        build_windows(replace(made, effort=late, braking=1.03 * braking)),
+        120e3,
+        20e3,
+    )
+    truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
+    z = (fit.beta - truth) / np.sqrt(np.diag(fit.covariance))
+    assert np.all(np.abs(z) < 3.0), z
+    assert fit.delay == pytest.approx(0.1, abs=0.03)
+    assert fit.brake_scale == pytest.approx(1.03, abs=0.01)
+
+
+def test_condition_number_tells_constant_speed_from_varied() -> None:
+    assert regress(build_windows(recording()), 120e3, 20e3).condition < 100.0
+    cruise = recording(constant_speed, noise=0.03)
+    assert regress(build_windows(cruise), 120e3, 20e3).condition > 1000.0
+    assert condition_number(np.zeros((3, 2))) == np.inf
+    assert condition_number(np.eye(3)) == pytest.approx(1.0)
