@@ -162,17 +162,9 @@ def test_without_checksums_damage_still_raises_nothing_else(tmp_path: Path) -> N
 def test_uncompressed_messages_with_broken_bytes(tmp_path: Path) -> None:
     """Damage inside a chunk that is not compressed reaches the message parsers."""
     _, data = small(tmp_path)
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    (index,) = summary.chunk_indexes
-    start, end = index.chunk_start_offset, index.chunk_start_offset + index.chunk_length
-    content = zstandard.decompress(data[end - index.compressed_size : end])
-    builder = RecordBuilder()
-    Chunk("", content, index.message_end_time, index.message_start_time, 0, len(content)).write(
-        builder
-    )
+    start, end, content = only_chunk(data)
     plain = without_checksums(data)
-    chunk = builder.end()
+    chunk = record(Chunk("", content, 0, 0, 0, len(content)))
     random = np.random.default_rng(5)
     path = tmp_path / "flipped.mcap"
     refused = 0
@@ -182,6 +174,22 @@ def test_uncompressed_messages_with_broken_bytes(tmp_path: Path) -> None:
         path.write_bytes(with_summary_moved(plain, start, end, bytes(flipped)))
         refused += isinstance(outcome(read_log, path), LogError)
     assert refused > 50
+
+
+def only_chunk(data: bytes) -> tuple[int, int, bytes]:
+    """Start, end and decompressed content of the chunk of a log that has one."""
+    summary = SeekingReader(BytesIO(data)).get_summary()
+    assert summary is not None
+    (index,) = summary.chunk_indexes
+    end = index.chunk_start_offset + index.chunk_length
+    content = zstandard.decompress(data[end - index.compressed_size : end])
+    return index.chunk_start_offset, end, content
+
+
+def record(chunk: Chunk) -> bytes:
+    builder = RecordBuilder()
+    chunk.write(builder)
+    return builder.end()
 
 
 def with_summary_moved(data: bytes, start: int, end: int, chunk: bytes) -> bytes:
@@ -211,6 +219,35 @@ def test_forged_chunk_sizes_do_not_exhaust_the_memory(
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 50e6
+
+
+@pytest.mark.parametrize("claimed", [2**31, 2**62])
+def test_forged_sizes_of_a_chunk_that_does_not_tell_its_own(claimed: int, tmp_path: Path) -> None:
+    _, data = small(tmp_path)
+    start, end, content = only_chunk(data)
+    compressed = zstandard.ZstdCompressor(write_content_size=False).compress(content)
+    path = tmp_path / "forged.mcap"
+    for size in (len(content), claimed):
+        chunk = record(Chunk("zstd", compressed, 0, 0, 0, size))
+        path.write_bytes(with_summary_moved(without_checksums(data), start, end, chunk))
+        if size == claimed:
+            tracemalloc.start()
+            with pytest.raises(LogError, match=f"claims to hold {claimed:,} bytes"):
+                read_log(path)
+            _, peak = tracemalloc.get_traced_memory()
+            tracemalloc.stop()
+            assert peak < 50e6
+        else:
+            assert len(read_log(path)[TRAIN_STATE.name]) == 12
+
+
+def test_attachments_are_checked_on_their_own(tmp_path: Path) -> None:
+    _, data = small(tmp_path)
+    flipped = without_checksums(data)
+    flipped[flipped.index(b'{"format": "trainlog/line"}')] ^= 1
+    (tmp_path / "flipped.mcap").write_bytes(flipped)
+    with pytest.raises(LogError, match=r"attachment 'line\.json' fails its checksum"):
+        read_log(tmp_path / "flipped.mcap")
 
 
 @pytest.mark.parametrize("opcode", [0x03, 0x04, 0x06, 0x07, 0x09, 0x0B, 0x0C])
