@@ -1,0 +1,221 @@
+"""Independent audit: every configuration driven along the trajectory's efforts on a fine grid.
+
+It shares nothing with the optimiser but the line, the train and the configurations. Forces are in
+newtons, evaluated along the line itself; the efforts are applied as they stand, without feedback.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from analysis.trajectory.problem import Run, inside
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+SUBSTEPS = 24
+"""Runge-Kutta sub-steps a cell."""
+
+ARRIVAL_TOLERANCE = 0.01
+"""Lateness that an audited trajectory may have [s]."""
+
+SPEED_TOLERANCE = 1e-3
+"""Excess over a speed limit, or over the speed asked for at the end [m/s]."""
+
+POWER_TOLERANCE = 1e-4
+"""Excess over a power limit, relative."""
+
+EFFORT_TOLERANCE = 1e-6
+"""Excess over an effort or adhesion limit, relative."""
+
+STOPPING_TOLERANCE = 1e-3
+"""Distance by which a train may stop short of the end [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """What the rollout of each configuration showed; (q,) arrays unless said otherwise.
+
+    Attributes
+    ----------
+    speeds, times : (q, n + 1) array [m/s], [s]
+        At the nodes.
+    end_speed : [m/s]
+    shortfall : [m]
+        Distance to the end at which a train stopped too early; 0 if it arrived.
+    overspeed : [m/s]
+        Largest excess over the permitted speed, negative if it was never reached.
+    power, effort, braking, adhesion : largest use of the limit, 1 is all of it
+    wheel_energy, line_energy : [J]
+        Traction at the wheel rims; taken from the line less what the dynamic brake returns.
+    """
+
+    speeds: FloatArray
+    times: FloatArray
+    end_speed: FloatArray
+    shortfall: FloatArray
+    overspeed: FloatArray
+    power: FloatArray
+    effort: FloatArray
+    braking: FloatArray
+    adhesion: FloatArray
+    wheel_energy: FloatArray
+    line_energy: FloatArray
+
+    @property
+    def arrival(self) -> FloatArray:
+        """Running time of each configuration [s]."""
+        return np.asarray(self.times[:, -1])
+
+    def failures(self, run: Run, running_time: float) -> list[str]:
+        """Every test that a configuration did not pass, in words."""
+        checks = (
+            ("arrives late by [s]", self.arrival - running_time, ARRIVAL_TOLERANCE),
+            ("stops short by [m]", self.shortfall, STOPPING_TOLERANCE),
+            ("is too fast at the end by [m/s]", self.end_speed - run.final_speed, SPEED_TOLERANCE),
+            ("exceeds the permitted speed by [m/s]", self.overspeed, SPEED_TOLERANCE),
+            ("exceeds the power by a part of", self.power - 1.0, POWER_TOLERANCE),
+            ("exceeds the traction by a part of", self.effort - 1.0, EFFORT_TOLERANCE),
+            ("exceeds the brake by a part of", self.braking - 1.0, POWER_TOLERANCE),
+            ("exceeds the adhesion by a part of", self.adhesion - 1.0, EFFORT_TOLERANCE),
+        )
+        return [
+            f"configuration '{run.configurations[row].name}' {what} {excess[row]:.3g}"
+            for what, excess, tolerance in checks
+            for row in np.flatnonzero(~(excess <= tolerance))
+        ]
+
+
+def audit(run: Run, positions: FloatArray, traction: FloatArray, braking: FloatArray) -> Audit:
+    """Drive every configuration of `run` along the given efforts.
+
+    Parameters
+    ----------
+    positions : (n + 1,) array [m]
+    traction : (n,) array [N]
+    braking : (q, n) array [N]
+    """
+    train, line = run.train, run.line
+    step = np.diff(positions)
+    track = line.track_acceleration(inside(positions, 2 * SUBSTEPS))
+    points = positions[:-1, None] + step[:, None] * (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS
+    tunnel = train.tunnel_coefficient(line.tunnel_cross_section(points))
+    limit = run.permitted_speed(points)
+    adhesion = np.full(points.shape, np.inf)
+    if run.condition is not None:
+        adhesion = run.condition.lower_bound(run.layer, points, run.sigmas)
+    constants = np.array(
+        [
+            [
+                c.mass,
+                c.inertia,
+                c.resistance.r0,
+                c.resistance.r1,
+                c.resistance.r2,
+                c.max_power,
+                train.adhesive_weight(c.mass - train.mass),
+                GRAVITY * c.mass,
+                min(train.max_tractive_effort, train.max_acceleration * c.inertia),
+                min(train.max_braking_effort, train.max_deceleration * c.inertia),
+            ]
+            for c in run.configurations
+        ]
+    )
+    brakes = np.array(
+        [
+            train.max_dynamic_braking_effort,
+            train.max_dynamic_braking_power,
+            train.max_pneumatic_braking_effort,
+        ]
+    )
+    speeds, times, found = _roll(
+        run.initial_speed, step, traction, braking, constants, brakes, track, tunnel, limit,
+        adhesion,
+    )  # fmt: skip
+    wheel = np.full(len(run.configurations), float(traction @ step))
+    regained = train.efficiency_regeneration * found[:, 6]
+    return Audit(
+        speeds=speeds,
+        times=times,
+        end_speed=speeds[:, -1],
+        shortfall=found[:, 0],
+        overspeed=found[:, 1],
+        power=found[:, 2],
+        effort=found[:, 3],
+        braking=found[:, 4],
+        adhesion=found[:, 5],
+        wheel_energy=wheel,
+        line_energy=wheel / train.efficiency_traction - regained,
+    )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _force(v: float, r0: float, r1: float, r2: float) -> float:
+    return r0 + (r1 + r2 * v) * v
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _roll(
+    initial_speed: float, step: FloatArray, traction: FloatArray, braking: FloatArray,
+    constants: FloatArray, brakes: FloatArray, track: FloatArray, tunnel: FloatArray,
+    limit: FloatArray, adhesion: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Runge-Kutta on half the squared speed; the time of a sub-step is 2 h / (v + v')."""
+    q, n = braking.shape
+    speeds, times = np.zeros((q, n + 1)), np.zeros((q, n + 1))
+    found = np.zeros((q, 7))
+    for a in range(q):
+        mass, inertia, r0, r1, r2, power, adhesive, weight, pull, brake = constants[a]
+        found[a, 1] = -np.inf
+        half, time, stopped = 0.5 * initial_speed**2, 0.0, False
+        speeds[a, 0] = initial_speed
+        for k in range(n):
+            h = step[k] / SUBSTEPS
+            found[a, 3] = max(found[a, 3], traction[k] / pull)
+            for j in range(SUBSTEPS):
+                if stopped:
+                    found[a, 0] += h
+                    continue
+                effort = traction[k] - braking[a, k]
+                first = effort - mass * track[k, 2 * j]
+                middle = effort - mass * track[k, 2 * j + 1]
+                last = effort - mass * track[k, 2 * j + 2]
+                drag = r2 + tunnel[k, j]
+                v = np.sqrt(2.0 * half)
+                k1 = (first - _force(v, r0, r1, drag)) / inertia
+                u = np.sqrt(max(v * v + h * k1, 0.0))
+                k2 = (middle - _force(u, r0, r1, drag)) / inertia
+                u = np.sqrt(max(v * v + h * k2, 0.0))
+                k3 = (middle - _force(u, r0, r1, drag)) / inertia
+                u = np.sqrt(max(v * v + 2.0 * h * k3, 0.0))
+                k4 = (last - _force(u, r0, r1, drag)) / inertia
+                change = h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+                part = 1.0
+                if half + change <= 0.0:
+                    # It stops within this sub-step: the rest of the way is not travelled.
+                    part = half / -change if change < 0.0 else 0.0
+                    stopped = part < 1.0
+                    found[a, 0] += (1.0 - part) * h
+                half = max(half + change, 0.0)
+                after = np.sqrt(2.0 * half)
+                if v + after > 0.0:
+                    time += 2.0 * part * h / (v + after)
+                fastest = max(v, after)
+                dynamic = min(brakes[0], brakes[1] / max(fastest, 1e-6), adhesion[k, j] * adhesive)
+                found[a, 1] = max(found[a, 1], fastest - limit[k, j])
+                found[a, 2] = max(found[a, 2], traction[k] * fastest / power)
+                found[a, 4] = max(
+                    found[a, 4], braking[a, k] / max(min(brake, dynamic + brakes[2]), 1.0)
+                )
+                found[a, 5] = max(
+                    found[a, 5],
+                    traction[k] / (adhesion[k, j] * adhesive),
+                    braking[a, k] / (adhesion[k, j] * weight),
+                )
+                found[a, 6] += min(braking[a, k], dynamic) * h * part
+            speeds[a, k + 1], times[a, k + 1] = np.sqrt(2.0 * half), time
+    return speeds, times, found

@@ -1,0 +1,124 @@
+"""The fastest run: speed envelope and least time of each configuration.
+
+The envelope is the lower of two curves: full traction from the start, and full braking towards
+every speed limit and the end. It holds for the continuous controls, on a grid much finer than the
+trajectory's, so no trajectory is faster.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory.dynamics import brake_backwards, pull_forwards, speed_of
+from analysis.trajectory.problem import Problem, Run, discretise
+from trainlog.errors import InfeasibleError
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+
+_CELL = 10.0
+"""Longest cell of the envelope's grid [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """The fastest run of each configuration by itself.
+
+    Attributes
+    ----------
+    positions : (n + 1,) array [m]
+    speeds : (q, n + 1) array [m/s]
+    times : (q,) array [s]
+        Least time from start to end.
+    """
+
+    positions: FloatArray
+    speeds: FloatArray
+    times: FloatArray
+
+
+def fastest_run(run: Run) -> Envelope:
+    """Speed envelope and least time of each configuration of `run`.
+
+    Raises
+    ------
+    InfeasibleError
+        If a configuration cannot climb the line, or cannot brake for a limit or for the end.
+    """
+    problem = discretise(run, _fine_grid(run))
+    curve = braking_curves(problem)
+    low = np.argmin(curve, axis=1)
+    for a, configuration in enumerate(run.configurations):
+        # A curve that has no room above 0 somewhere before its end: the slope is too steep.
+        if curve[a, low[a]] <= 0.0 and low[a] < curve.shape[1] - 1:
+            raise InfeasibleError(
+                f"configuration '{configuration.name}' cannot brake on the slope at"
+                f" km {problem.positions[low[a]] / 1e3:.3f}",
+                remedy="check its mass, the gradient there and the braking effort",
+            )
+        if problem.initial > curve[a, 0] * (1.0 + 1e-9) + 1e-9:
+            raise InfeasibleError(
+                f"configuration '{configuration.name}' starts at"
+                f" {KMH * run.initial_speed:.1f} km/h and cannot brake in time: at most"
+                f" {KMH * float(speed_of(curve[a, 0])):.1f} km/h",
+                remedy="begin the run slower or end it faster",
+            )
+    z, stalled = pull_forwards(
+        curve, problem.initial, problem.traction, problem.gain, problem.power,
+        problem.mean_drag0, problem.drag1, problem.drag2, problem.step,
+    )  # fmt: skip
+    for a, configuration in enumerate(run.configurations):
+        if stalled[a] >= 0:
+            raise InfeasibleError(
+                f"configuration '{configuration.name}' comes to a stand at"
+                f" km {problem.positions[stalled[a]] / 1e3:.3f}: full traction does not overcome"
+                " the line there",
+                remedy="less load, more adhesion, or a run that begins elsewhere",
+            )
+    speeds = np.sqrt(2.0 * z)
+    times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
+    return Envelope(problem.positions, speeds, times)
+
+
+def braking_curves(problem: Problem, traction: FloatArray | None = None) -> FloatArray:
+    """Highest ``z`` at each node from which every limit ahead can still be kept.
+
+    Parameters
+    ----------
+    traction : (n,) array, optional [m/s²]
+        A common traction that is applied whatever a configuration does: it has to brake against
+        it, and to stay slow enough for its power.
+
+    Returns
+    -------
+    (q, n + 1) array
+    """
+    ceiling = np.tile(problem.ceiling, (problem.shape[0], 1))
+    if traction is None:
+        traction = np.zeros(problem.shape[1])
+    else:
+        fastest = problem.power[:, None] / np.maximum(traction, 1e-9)
+        ceiling[:, :-1] = np.minimum(ceiling[:, :-1], 0.5 * fastest**2)
+        ceiling[:, 1:] = np.minimum(ceiling[:, 1:], 0.5 * fastest**2)
+    curve = brake_backwards(
+        ceiling, problem.final, traction, problem.gain, problem.braking, problem.friction,
+        problem.dynamic, problem.dynamic_power, problem.drag0, problem.drag1, problem.drag2,
+        problem.step,
+    )  # fmt: skip
+    return np.asarray(curve)
+
+
+def _fine_grid(run: Run) -> FloatArray:
+    """The breakpoints, cells of 10 m, and cells that shrink towards both ends."""
+    edges = run.breakpoints
+    ramp = 0.02 * 1.25 ** np.arange(32)
+    ramp = ramp[ramp < 0.25 * (run.end - run.start)]
+    even = np.linspace(run.start, run.end, int(np.ceil((run.end - run.start) / _CELL)) + 1)
+    points = np.unique(np.concatenate((even, run.start + ramp, run.end - ramp)))
+    # A grid point beside a breakpoint gives way to it.
+    gap = np.abs(points - edges[np.searchsorted(edges, points).clip(0, edges.size - 1)])
+    below = np.abs(points - edges[(np.searchsorted(edges, points) - 1).clip(0)])
+    return np.unique(np.concatenate((edges, points[np.minimum(gap, below) > 5e-3])))

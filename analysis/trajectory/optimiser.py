@@ -1,0 +1,243 @@
+"""A robust trajectory with its certificate: the room's front door."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory.active_set import Answer, search
+from analysis.trajectory.audit import SUBSTEPS, Audit, audit
+from analysis.trajectory.envelope import Envelope, fastest_run
+from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.phases import phases_by_control, spelled
+from analysis.trajectory.problem import Braking, Objective, Problem, Run, discretise
+from trainlog.errors import InfeasibleError, InputError, TrainlogError
+from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
+
+FloatArray = NDArray[np.float64]
+
+GAP_TOLERANCE = 2e-3
+"""Largest gap between energy and lower bound that is called certified."""
+
+
+def optimise(
+    line: Line,
+    train: Train,
+    configurations: Sequence[Configuration],
+    *,
+    running_time: float | None = None,
+    reserve: float = 0.07,
+    start: float = 0.0,
+    end: float | None = None,
+    initial_speed: float = 0.0,
+    final_speed: float = 0.0,
+    braking: Braking = "recourse",
+    objective: Objective = "wheel",
+    condition_map: TrackConditionMap | None = None,
+    layer: str = "wet",
+    sigmas: float = 2.0,
+    protected_length: float = 0.0,
+    cells: int = 500,
+) -> Trajectory:
+    """Trajectory of least worst-case energy that every configuration can follow; paper 002.
+
+    Parameters
+    ----------
+    line : Line
+        In the direction of travel.
+    train : Train
+    configurations : sequence of Configuration
+        The observed set.
+    running_time : float, optional [s]
+        What the timetable allows. Without it, the least time of the slowest configuration and
+        `reserve` on top.
+    reserve : float
+        Part of the least time.
+    start, end : float, optional [m]
+        Section of the line; without them the whole line.
+    initial_speed, final_speed : float [m/s]
+    braking : {"recourse", "common"}
+        Each configuration brakes for itself, or all brake alike as the paper has it.
+    objective : {"wheel", "line"}
+        Energy at the wheel rims without regeneration, as the paper has it; or energy from the
+        line with the train's efficiencies and its dynamic brake.
+    condition_map : TrackConditionMap, optional
+        Limits efforts to the adhesion that the map cautiously promises where it was observed.
+    layer : str
+        Rail condition to read from the map.
+    sigmas : float
+        Standard deviations taken off the map's estimate.
+    protected_length : float [m]
+        Length of train that a speed limit protects: 0 for its front, ``train.length`` for all.
+    cells : int
+        Cells of the grid, about; a line with many breakpoints gets more.
+
+    Returns
+    -------
+    Trajectory
+        With a certificate: the audit of every configuration, the lower bound and the gap.
+
+    Raises
+    ------
+    InfeasibleError
+        If no trajectory keeps the timetable or the speeds asked for; with the figures.
+    InputError
+        If an argument makes no sense.
+    TrainlogError
+        If the result does not pass its own audit.
+
+    Notes
+    -----
+    The lower bound holds for the problem cut into these cells. With common braking,
+    configurations that differ by a few per cent in resistance cannot all stop at one place; the
+    error tells the lowest end speed they can all reach.
+    """
+    if cells < 20 or not reserve >= 0.0:
+        raise InputError(f"trajectory: {cells} cells or a reserve of {reserve} make no sense")
+    run = Run(
+        line, train, tuple(configurations), start, line.length if end is None else end,
+        initial_speed, final_speed, braking, objective,
+        condition_map, layer, sigmas, protected_length,
+    )  # fmt: skip
+    fastest = fastest_run(run)
+    slowest = int(np.argmax(fastest.times))
+    least_time = float(fastest.times[slowest])
+    if running_time is None:
+        running_time = (1.0 + reserve) * least_time
+    _check_time(run, fastest, running_time)
+
+    positions = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[slowest], cells)
+    problem = discretise(run, positions)
+    answer = search(problem, fastest.times, running_time)
+
+    traction = answer.plan.traction * problem.reference
+    brakes = answer.plan.braking * problem.reference
+    rollout = audit(run, positions, traction, brakes)
+    failures = rollout.failures(run, running_time)
+    if failures:
+        raise TrainlogError(
+            f"the trajectory does not pass its audit: {failures[0]}"
+            + (f" and {len(failures) - 1} more" if len(failures) > 1 else ""),
+            remedy="more cells, or more reserve",
+        )
+    speeds = rollout.speeds
+    if final_speed == 0.0:
+        speeds[:, -1] = 0.0  # the audit found them to stand there
+    return Trajectory(
+        line=line.name,
+        train=train.name,
+        positions=positions,
+        configurations=run.configurations,
+        speeds=speeds,
+        times=rollout.times,
+        tractive_effort=traction,
+        braking_effort=brakes,
+        running_time=running_time,
+        certificate=_certificate(problem, answer, fastest, rollout, running_time),
+        provenance={
+            "method": "cone relaxation and sequential quadratic programs, paper 002",
+            "settings": {
+                "start": run.start,
+                "end": run.end,
+                "initial_speed": initial_speed,
+                "final_speed": final_speed,
+                "braking": braking,
+                "objective": objective,
+                "adhesion": None if condition_map is None else {"layer": layer, "sigmas": sigmas},
+                "protected_length": protected_length,
+                "cells": cells,
+            },
+        },
+    )
+
+
+def _check_time(run: Run, fastest: Envelope, running_time: float) -> None:
+    """Refuse a timetable that the slowest configuration cannot keep by itself."""
+    slowest = int(np.argmax(fastest.times))
+    least = float(fastest.times[slowest])
+    if running_time < least:
+        late = [
+            configuration.name
+            for configuration, time in zip(run.configurations, fastest.times, strict=True)
+            if time > running_time
+        ]
+        raise InfeasibleError(
+            f"{running_time:.1f} s are not enough: configuration"
+            f" '{run.configurations[slowest].name}' needs at least {least:.1f} s,"
+            f" {least - running_time:.1f} s are missing"
+            f" ({len(late)} of {len(run.configurations)} configurations would be late)",
+            remedy=f"allow at least {np.ceil(least):.0f} s",
+        )
+
+
+def _certificate(
+    problem: Problem, answer: Answer, fastest: Envelope, rollout: Audit, running_time: float
+) -> dict[str, Any]:
+    """What was found, how, and how good it is; plain numbers, energies in joules."""
+    run, solution = problem.run, answer.solution
+    energies = rollout.line_energy if run.objective == "line" else rollout.wheel_energy
+    energy, bound = float(energies.max()), answer.bound * problem.reference
+    gap = energy / bound - 1.0
+    names = [configuration.name for configuration in run.configurations]
+    return {
+        "energy": energy,
+        "lower_bound": bound,
+        "gap": gap,
+        "certified": gap <= GAP_TOLERANCE,
+        "bound_holds_for": "the problem cut into these cells",
+        "wheel_energy": rollout.wheel_energy.tolist(),
+        "line_energy": rollout.line_energy.tolist(),
+        "hardest": names[int(np.argmax(rollout.arrival))],
+        "least_time": fastest.times.tolist(),
+        "reserve": running_time / float(fastest.times.max()) - 1.0,
+        "audit": {
+            "passed": True,
+            "substeps": SUBSTEPS,
+            "arrival": rollout.arrival.tolist(),
+            "lateness": float(rollout.arrival.max()) - running_time,
+            "shortfall": float(rollout.shortfall.max()),
+            "end_speed": float(rollout.end_speed.max()),
+            "overspeed": float(rollout.overspeed.max()),
+            "power": float(rollout.power.max()),
+            "effort": float(rollout.effort.max()),
+            "braking": float(rollout.braking.max()),
+            "adhesion": float(rollout.adhesion.max()),
+        },
+        "solver": {
+            "name": "CLARABEL",
+            "statuses": list(solution.statuses),
+            "relaxation": answer.bound_status,
+            "iterations": len(solution.statuses),
+            "turns": answer.turns,
+        },
+        "active": [names[row] for row in answer.active],
+        "time_price": {
+            names[row]: float(price) * problem.reference
+            for row, price in zip(answer.active, solution.time_price, strict=True)
+        },
+        "grid": {
+            "cells": problem.shape[1],
+            "shortest": float(problem.step.min()),
+            "longest": float(problem.step.max()),
+        },
+        "switching": solution.switching.tolist(),
+        "phases": _phases(problem, answer),
+    }
+
+
+def _phases(problem: Problem, answer: Answer) -> list[str]:
+    """The phase of each cell for each configuration, one letter a cell."""
+    plan = answer.plan
+    fastest = np.sqrt(2.0 * np.maximum(np.maximum(plan.z[:, :-1], plan.z[:, 1:]), 1e-9))
+    pull = np.minimum(problem.traction, (problem.power[:, None] / fastest).min(axis=0))
+    by_power = problem.dynamic_power / fastest
+    brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
+    if problem.common:
+        brake = np.broadcast_to(brake.min(axis=0), brake.shape)
+    return [
+        spelled(phases_by_control(plan.traction, plan.braking[row], pull, brake[row]))
+        for row in range(problem.shape[0])
+    ]
