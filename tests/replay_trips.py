@@ -108,7 +108,7 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
         frame_of(
             topics.REFERENCE,
             time,
-            {"speed": 0.9 * speed, "tractive_effort": pull, "braking_effort": brake},
+            {"speed": 0.9 * speed, "tractive_effort": 0.8 * pull, "braking_effort": brake},
         ),
         frame_of(topics.TRUTH, time, {"running_resistance": 1e3 + 10 * speed}),
     ]

@@ -338,17 +338,38 @@ def test_a_map_of_another_line_is_refused(trip: Trip, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_trajectory_is_a_band_from_slowest_to_fastest(trip: Trip, tmp_path: Path) -> None:
+def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
     plan = trajectory_of()
     path = tmp_path / "plan.rrd"
-    record_replay([trip], path, trajectory=plan)
+    record_replay([made_trip(), made_trip("again")], path, trajectory=plan)
     middle = curve(path, "/trajectory/speed", "Measurements:values")[:, 0]
     half = np.sqrt(curve(path, "/trajectory/speed", "Measurements:variances")[:, 0])
     assert middle + half == pytest.approx(plan.speeds.max(axis=0) * 3.6)
     assert middle - half == pytest.approx(plan.speeds.min(axis=0) * 3.6, abs=1e-9)
-    efforts = curve(path, "/trajectory/efforts")
-    assert efforts[:-1, 0] == pytest.approx(plan.tractive_effort / 1e3)
-    assert (rows(path, "/trajectory/speed")["position_mm"][1:] == plan.positions * 1e3).all()
+    found = rows(path, "/trajectory/speed")
+    assert (found["position_mm"][1:] == plan.positions * 1e3).all()
+    assert found["elapsed"][1:] / 1e9 == pytest.approx(plan.times.mean(axis=0))
+
+
+def test_a_trip_is_compared_with_what_is_planned_where_it_is(trip: Trip, tmp_path: Path) -> None:
+    topics_left = {name: frame for name, frame in trip.topics.items() if name != "/reference"}
+    path = tmp_path / "plan.rrd"
+    record_replay([replace(trip, topics=topics_left)], path, trajectory=trajectory_of())
+    entity = "/trips/up/speed/trajectory"
+    middle = curve(path, entity, "Measurements:values")[:, 0]
+    position = rows(path, entity)["position_mm"][1:] / 1e3
+    planned = [trajectory_of().speed_at(row, position) for row in (0, 1)]
+    assert middle == pytest.approx(np.mean(planned, axis=0) * 3.6, abs=1e-3)
+    assert middle[0] == 0.0
+    assert middle.max() > 70.0
+
+
+def test_trips_that_followed_or_ran_backwards_are_not_compared(trip: Trip, tmp_path: Path) -> None:
+    path = tmp_path / "plan.rrd"
+    down = made_trip("down", "reverse")
+    topics_left = {name: frame for name, frame in down.topics.items() if name != "/reference"}
+    record_replay([trip, replace(down, topics=topics_left)], path, trajectory=trajectory_of())
+    assert [name for name in entities(path) if name.endswith("/speed/trajectory")] == []
 
 
 def test_the_same_trips_give_the_same_content(trip: Trip, tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ TRACTION: Colour = (90, 205, 120)
 MOTOR_BRAKING: Colour = (250, 160, 60)
 FRICTION_BRAKING: Colour = (235, 90, 90)
 DEMAND: Colour = (150, 150, 165)
+USED: Colour = (0, 200, 140)
 TERRAIN: Colour = (200, 165, 120)
 AXLES: tuple[Colour, ...] = (
     (90, 180, 240),
@@ -66,9 +67,9 @@ class Stroke:
     ----------
     field : str
     name : str
-        Legend, in which ``{}`` stands for the axle's number; lines of one name share an entry.
+        Legend; lines of one name share an entry. Axles with ``{}`` in it, for the axle's number,
+        are told apart and take the colours `AXLES`.
     colour : Colour
-        Of axles the first one's; the others follow `AXLES`.
     scale : float
         Shown over stored value.
     """
@@ -163,7 +164,7 @@ CURVES: tuple[Curve, ...] = (
     Curve(
         "adhesion/used",
         ESTIMATED_ADHESION,
-        (Stroke("adhesion", "in use", AXLES[0]),),
+        (Stroke("adhesion", "in use", USED),),
         magnitude=True,
         width=1.0,
     ),
@@ -228,9 +229,10 @@ PANELS: tuple[Panel, ...] = (
 def legend(curve: Curve, lines: int) -> tuple[list[str], list[Colour]]:
     """Name and colour of each of `lines` lines of a curve."""
     if curve.per_axle:
-        name = curve.strokes[0].name
+        (stroke,) = curve.strokes
+        apart = "{}" in stroke.name
         return (
-            [name.format(axle) for axle in range(1, lines + 1)],
-            [AXLES[axle % len(AXLES)] for axle in range(lines)],
+            [stroke.name.format(axle) for axle in range(1, lines + 1)],
+            [AXLES[axle % len(AXLES)] if apart else stroke.colour for axle in range(lines)],
         )
     return [stroke.name for stroke in curve.strokes], [stroke.colour for stroke in curve.strokes]

@@ -24,7 +24,7 @@ PLAYBACK_POSITION = 400_000.0
 """Millimetres of a line shown in one second, when playing over position."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shown:
     """What of a trip there is to show.
 
@@ -91,7 +91,7 @@ def blueprint(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -
     layers : sequence of str
         Of the track-condition map.
     """
-    tabs = [_trip(trip, trajectory) for trip in trips]
+    tabs = [_trip(trip) for trip in trips]
     if len(tabs) == 1:
         root = tabs[0]
     else:
@@ -113,17 +113,16 @@ def blueprint(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -
     return made
 
 
-def _trip(trip: Shown, trajectory: bool) -> Any:
+def _trip(trip: Shown) -> Any:
     """Plots on the left, place, events and particulars on the right."""
-    planned = trajectory and (trip.direction != "reverse" or trip.shows("efforts/reference"))
-    rows = [_panel(trip, panel, planned) for panel in PANELS if trip.shows(panel.entity)]
+    rows = [_panel(trip, panel) for panel in PANELS if trip.shows(panel.entity)]
     shares = [panel.share for panel in PANELS if trip.shows(panel.entity)]
     if trip.shows("phase"):
         lane = rrb.StateTimelineView(
             origin=f"{trip.root}/phase", name="Driving phase", time_view=_axis()
         )
         rows.insert(1, lane)
-        shares.insert(1, 1.0)
+        shares.insert(1, 1.1)
     side = [
         view for view in (_map([trip], trip.layer, SIDE_MAP), _events(trip), _about(trip)) if view
     ]
@@ -135,33 +134,30 @@ def _trip(trip: Shown, trajectory: bool) -> Any:
     )
 
 
-def _panel(trip: Shown, panel: Panel, planned: bool) -> Any:
-    contents = [f"{trip.root}/{panel.entity}/**"]
-    if planned and panel.entity in ("speed", "efforts"):
-        contents.append(f"/trajectory/{panel.entity}")
+def _panel(trip: Shown, panel: Panel) -> Any:
     title = panel.title
     if panel.entity == "speed":
         title = f"{trip.name}: {title[0].lower()}{title[1:]}"
-    return plot(contents, title, trip.tops[panel.entity] if panel.from_zero else None)
+    top = trip.tops.get(panel.entity) if panel.from_zero else None
+    return plot([f"{trip.root}/{panel.entity}/**"], title, top)
 
 
 def _overview(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -> Any:
     """Speeds of all trips over each other, one plot a direction; the line's condition; the map."""
     rows = []
     for direction in dict.fromkeys(trip.direction for trip in trips):
-        group = [trip for trip in trips if trip.direction == direction]
-        contents = [f"{trip.root}/speed/measured" for trip in group]
-        contents.append(f"{group[0].root}/speed/limit")
-        if trajectory and direction != "reverse":
-            contents.append("/trajectory/speed")
+        group = {trip: _speed(trip) for trip in trips if trip.direction == direction}
         coloured = {
-            f"{trip.root}/speed/measured": rr.SeriesLines(
-                names=trip.name, colors=[trip.colour]
-            ).visualizer()
-            for trip in group
+            entity: rr.SeriesLines(names=trip.name, colors=[trip.colour]).visualizer()
+            for trip, entity in group.items()
+            if entity
         }
+        limits = [f"{trip.root}/speed/limit" for trip in group if "speed/limit" in trip.entities]
+        planned = ["/trajectory/speed"] if trajectory and direction != "reverse" else []
         top = max(trip.tops.get("speed", 1.0) for trip in group)
-        rows.append(plot(contents, f"Speed {direction} [km/h]", top, coloured))
+        if coloured:
+            title = f"Speed {direction} [km/h]"
+            rows.append(plot([*coloured, *limits[:1], *planned], title, top, coloured))
     rows.extend(
         plot(
             [f"{line}/maximum_adhesion/{path_of(layer)[1:]}/**" for layer in layers],
@@ -209,6 +205,14 @@ def _axis() -> Any:
     return rrb.TimeAxis(link="LinkToGlobal")
 
 
+def _speed(trip: Shown) -> str:
+    """The entity with the trip's own speed; empty without one."""
+    for entity in ("speed/measured", "speed/satellites"):
+        if entity in trip.entities:
+            return f"{trip.root}/{entity}"
+    return ""
+
+
 def _map(trips: Sequence[Shown], layer: str, size: tuple[float, float]) -> Any | None:
     """The line, the stations and the trains; None without coordinates."""
     placed = [trip for trip in trips if trip.extent is not None]
@@ -220,7 +224,7 @@ def _map(trips: Sequence[Shown], layer: str, size: tuple[float, float]) -> Any |
         contents += [f"{line}/track", f"{line}/stations/**"]
         if layer:
             contents.append(f"{line}/condition/{path_of(layer)[1:]}")
-            title = f"Line; dots: maximum adhesion, {layer}, bright is high"
+            title = f"Line and its maximum adhesion, {layer}"
     extent = np.stack([trip.extent for trip in placed if trip.extent is not None])
     whole = np.column_stack((extent[:, :, 0].min(axis=0), extent[:, :, 1].max(axis=0)))
     return rrb.MapView(contents=contents, name=title, zoom=_zoom(whole, size))

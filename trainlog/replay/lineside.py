@@ -11,7 +11,7 @@ from matplotlib import colormaps
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap, Trajectory
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds
-from trainlog.replay.curves import KILO, PLANNED, TRUE, Colour
+from trainlog.replay.curves import PLANNED, TRUE, Colour
 from trainlog.replay.samples import Samples
 from trainlog.replay.stream import path_of, send_curve, send_dots, send_static
 from trainlog.units import KMH
@@ -134,34 +134,45 @@ def draw_condition(
 
 
 def draw_trajectory(recording: Any, trajectory: Trajectory, start: int) -> None:
-    """Draw a trajectory as if it departed at `start` [ns since 1970 UTC].
-
-    Its configurations drive at different speeds: the line is the middle between the fastest and
-    the slowest, the band reaches to both.
-    """
+    """Draw a trajectory as if it departed at `start` [ns since 1970 UTC]."""
     seconds = trajectory.times.mean(axis=0)
     time = start + np.round(seconds * 1e9).astype(np.int64)
-    instants = Instants(start, time, trajectory.positions)
     slowest, fastest = trajectory.speeds.min(axis=0), trajectory.speeds.max(axis=0)
+    instants = Instants(start, time, trajectory.positions)
+    _send_span(recording, path_of("trajectory", "speed"), instants, slowest, fastest)
+
+
+def draw_plan(recording: Any, entity: str, clock: Clock, trajectory: Trajectory) -> bool:
+    """Draw what a trajectory plans where a trip is at each instant, whenever that is.
+
+    Returns
+    -------
+    bool
+        Whether the trip was where the trajectory is.
+    """
+    first, last = trajectory.positions[[0, -1]]
+    inside = (clock.position >= first) & (clock.position <= last)
+    if not inside.any():
+        return False
+    instants = clock.instants(clock.time[inside])
+    rows = range(len(trajectory.configurations))
+    speeds = np.stack([trajectory.speed_at(row, instants.position) for row in rows])
+    _send_span(recording, entity, instants, speeds.min(axis=0), speeds.max(axis=0))
+    return True
+
+
+def _send_span(
+    recording: Any, entity: str, instants: Instants, slowest: FloatArray, fastest: FloatArray
+) -> None:
+    """Send the middle between two speeds [m/s] as a line, with a band that reaches to both."""
     middle, half = 0.5 * KMH * (slowest + fastest), 0.5 * KMH * (fastest - slowest)
     send_curve(
         recording,
-        path_of("trajectory", "speed"),
+        entity,
         instants,
-        Samples(time, middle[:, None], half[:, None] ** 2),
-        names=["trajectory, slowest to fastest"],
+        Samples(instants.time, middle[:, None], half[:, None] ** 2),
+        names=["trajectory"],
         colours=[PLANNED],
-    )
-    braking = trajectory.braking_effort.mean(axis=0)
-    cells = np.column_stack((trajectory.tractive_effort * KILO, -braking * KILO))
-    send_curve(
-        recording,
-        path_of("trajectory", "efforts"),
-        instants,
-        Samples(time, np.vstack((cells, cells[-1:]))),
-        names=["trajectory traction", "trajectory braking (mean)"],
-        colours=[PLANNED, PLANNED],
-        held=True,
     )
 
 

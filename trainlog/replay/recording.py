@@ -18,7 +18,13 @@ from trainlog.railway import Line, TrackConditionMap, Trajectory
 from trainlog.replay.clock import Clock, FloatArray, clock_of, nanoseconds
 from trainlog.replay.curves import CURVES, SATELLITES, TRIPS, Colour, legend
 from trainlog.replay.layout import Shown, blueprint
-from trainlog.replay.lineside import check_line, draw_condition, draw_line, draw_trajectory
+from trainlog.replay.lineside import (
+    check_line,
+    draw_condition,
+    draw_line,
+    draw_plan,
+    draw_trajectory,
+)
 from trainlog.replay.samples import phases, samples_of, with_slip
 from trainlog.replay.stream import (
     path_of,
@@ -27,7 +33,7 @@ from trainlog.replay.stream import (
     send_rows,
     send_static,
 )
-from trainlog.topics import EVENTS, GNSS_FIX
+from trainlog.topics import EVENTS, GNSS_FIX, REFERENCE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 APPLICATION = "trainlog"
@@ -43,6 +49,9 @@ PHASES: dict[str, Colour] = {
     "standstill": (45, 45, 50),
 }
 """Driving phases and their colours."""
+
+KEYS = ("train", "line", "direction", "load", "weather", "start")
+"""What of a trip's metadata is told first."""
 
 SMALL, LARGE = 5.0, 9.0
 """Radius of a satellite fix and of a train on the map, in points."""
@@ -73,7 +82,7 @@ def record_replay(
     path : path
         Ends in ``.rrd``; written whole or not at all.
     trajectory : Trajectory, optional
-        Drawn beside the speeds and efforts of the trips.
+        What it plans is drawn where each trip is.
     condition_map : TrackConditionMap, optional
         Drawn along the line, and under each trip.
 
@@ -104,10 +113,14 @@ def record_replay(
     for first in lines:
         _draw_line(recording, trips[first], clocks[first], condition_map)
     shown = [
-        _draw_trip(recording, with_slip(trip), clock, name, TRIPS[i % len(TRIPS)], condition_map)
+        _draw_trip(
+            *(recording, with_slip(trip), clock, name, TRIPS[i % len(TRIPS)]),
+            trajectory,
+            condition_map,
+        )
         for i, (trip, clock, name) in enumerate(zip(trips, clocks, names, strict=True))
     ]
-    if trajectory is not None:
+    if trajectory is not None and len(trips) > 1:
         draw_trajectory(recording, trajectory, clocks[0].start)
     layout = blueprint(shown, trajectory is not None, _observed(condition_map))
     recording.send_blueprint(layout)
@@ -184,6 +197,7 @@ def _draw_trip(
     clock: Clock,
     name: str,
     colour: Colour,
+    trajectory: Trajectory | None,
     condition: TrackConditionMap | None,
 ) -> Shown:
     """Everything of one trip, below its own path."""
@@ -208,6 +222,10 @@ def _draw_trip(
         entities.add(curve.entity)
         highest = HEADROOM * float(np.nanquantile(points.ordinates, USUAL))
         tops[curve.panel] = max(tops.get(curve.panel, 0.0), highest)
+    # A trip that followed a trajectory carries it as its reference, in its own configuration.
+    planned = None if REFERENCE.name in trip or _backwards(trip) else trajectory
+    if planned is not None and draw_plan(recording, f"{root}/speed/trajectory", clock, planned):
+        entities.add("speed/trajectory")
     layer = "" if line is None else _layer(trip, condition)
     if layer and condition is not None:
         backwards = _backwards(trip)
@@ -327,7 +345,10 @@ def _layer(trip: Trip, condition: TrackConditionMap | None) -> str:
 
 def _about(trip: Trip, name: str) -> str:
     """What is known of the trip, as Markdown."""
-    rows = [f"| {key} | {value} |" for key, value in trip.metadata.items() if key != "trip"]
+    keys = sorted(
+        trip.metadata, key=lambda key: (KEYS.index(key) if key in KEYS else len(KEYS), key)
+    )
+    rows = [f"| {key} | {trip.metadata[key]} |" for key in keys if key != "trip"]
     steps = [f"{i}. {step['step']}" for i, step in enumerate(trip.provenance, start=1)]
     table = "\n".join([f"# {name}", "", "| | |", "|---|---|", *rows])
     return table + ("\n\nMade by\n\n" + "\n".join(steps) if steps else "") + "\n"

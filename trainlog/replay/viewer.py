@@ -181,7 +181,8 @@ def _connected(process: subprocess.Popen[bytes], port: int, recording: Path, log
         except (RuntimeError, ConnectionError, OSError, ValueError):
             time.sleep(0.25)
             continue
-        if not state.loading and any(each.timelines for each in state.recordings):
+        loaded = any(each.timelines for each in state.recordings)
+        if loaded and state.views and not state.loading:
             return viewer
         time.sleep(0.25)
     raise InputError(
