@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,9 @@ START = pd.Timestamp("2024-10-07T06:00:00Z").value
 RAIL_CLEANING = (0.97, 0.99, 1.01, 1.03)
 """Adhesion of the powered axles from front to rear: each cleans the rail for the next."""
 
+SURVEY_ERROR = 0.1e-3
+"""Standard deviation of a line file's gradients, from element to element."""
+
 STANDING = 10.0
 """Recorded after the arrival [s]."""
 
@@ -61,6 +64,8 @@ class Scenario:
     max_power : float [W]
     maximum_adhesion : StepProfile
         Along the line in its own direction.
+    survey_error : StepProfile or None
+        True gradient less that of the line's file, along the line in its own direction.
     stops : tuple of Stop
         Positions in the direction of travel; ignored when a trajectory is followed.
     habits : Habits
@@ -85,6 +90,7 @@ class Scenario:
     resistance: RunningResistance
     max_power: float
     maximum_adhesion: StepProfile
+    survey_error: StepProfile | None = None
     stops: tuple[Stop, ...] = ()
     habits: Habits = field(default_factory=Habits)
     sensors: Sensors = field(default_factory=Sensors)
@@ -115,6 +121,16 @@ class Scenario:
             return self.maximum_adhesion
         return self.maximum_adhesion.reversed(self.line.length)
 
+    @property
+    def ground(self) -> Line:
+        """The line in the direction of travel as it truly lies."""
+        if self.survey_error is None:
+            return self.travelled
+        positions = np.union1d(self.line.gradients.positions, self.survey_error.positions)
+        gradients = self.line.gradients(positions) + self.survey_error(positions)
+        true = replace(self.line, gradients=StepProfile(positions, gradients))
+        return true if self.direction == "forward" else true.reversed()
+
     def plant(self) -> Plant:
         """The train on its line."""
         count = self.train.axles.count
@@ -122,7 +138,7 @@ class Scenario:
             np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, 4), np.array(RAIL_CLEANING)
         )
         return Plant.of(
-            self.travelled,
+            self.ground,
             self.train,
             mass=self.mass,
             rotating_mass=self.rotating_mass,
@@ -140,7 +156,6 @@ class Scenario:
 
     def truth(self) -> bytes:
         """The scenario as JSON: what estimators must not see and tests judge them by."""
-        profile = self.maximum_adhesion
         content: dict[str, Any] = {
             "format": "trainlog/scenario",
             "version": 1,
@@ -157,11 +172,8 @@ class Scenario:
             "r1": self.resistance.r1,
             "r2": self.resistance.r2,
             "max_power": self.max_power,
-            "maximum_adhesion": {
-                "direction": "forward",
-                "positions": list(profile.positions),
-                "values": list(profile.values),
-            },
+            "maximum_adhesion": _told(self.maximum_adhesion),
+            "survey_error": None if self.survey_error is None else _told(self.survey_error),
             "stops": [asdict(stop) for stop in self.stops],
             "habits": asdict(self.habits),
             "sensors": asdict(self.sensors),
@@ -169,6 +181,12 @@ class Scenario:
         if self.trajectory is not None:
             content["configuration"] = self.trajectory.configurations[self.row].name
         return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def _told(profile: StepProfile) -> dict[str, Any]:
+    """A profile along the line in its own direction, for JSON."""
+    positions, values = profile.positions, profile.values
+    return {"direction": "forward", "positions": positions.tolist(), "values": values.tolist()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +306,15 @@ def draw_scenarios(
         raise InputError(f"line '{line.name}' has fewer than two stations")
     sensors = sensors or Sensors()
     bases = {weather: base_map(line, weather, seed) for weather in ("dry", "wet")}
-    return [_drawn(line, train, number, seed, sensors, bases) for number in range(count)]
+    survey = survey_error(line, seed)
+    return [_drawn(line, train, number, seed, sensors, bases, survey) for number in range(count)]
+
+
+def survey_error(line: Line, seed: int) -> StepProfile:
+    """What the line's file says wrongly of its gradients: one error an element, for all trips."""
+    generator = np.random.default_rng([seed, 5])
+    positions = line.gradients.positions
+    return StepProfile(positions, SURVEY_ERROR * generator.standard_normal(positions.size))
 
 
 def _drawn(
@@ -298,6 +324,7 @@ def _drawn(
     seed: int,
     sensors: Sensors,
     bases: dict[str, FloatArray],
+    survey: StepProfile,
 ) -> Scenario:
     """Trip `number` of a series."""
     generator = np.random.default_rng([seed, 3, number])
@@ -312,7 +339,7 @@ def _drawn(
     calls = [station for station, stop in zip(stations, kept, strict=True) if stop]
     wet = weather == "wet"
     habits = Habits(
-        lever=float(generator.uniform(0.45, 0.7) if wet else generator.uniform(0.6, 0.9)),
+        lever=min(1.0, float(generator.uniform(0.45, 0.8) if wet else generator.uniform(0.7, 1.2))),
         lever_rate=float(generator.uniform(0.15, 0.35)),
         margin=float(generator.uniform(0.4, 1.2)),
         deceleration=float(generator.uniform(0.5, 0.65) if wet else generator.uniform(0.55, 0.8)),
@@ -334,6 +361,7 @@ def _drawn(
         ),
         max_power=train.max_traction_power * float(generator.uniform(0.92, 1.0)),
         maximum_adhesion=trip_profile(line, bases[weather], weather, generator),
+        survey_error=survey,
         stops=plan(
             travelled,
             train,
@@ -382,7 +410,7 @@ def trajectory_scenarios(
             f" km {line.length / 1e3:.3f}",
             remedy="give the line that the trajectory was made for",
         )
-    base = base_map(line, weather, seed)
+    base, survey = base_map(line, weather, seed), survey_error(line, seed)
     scenarios = []
     for number, name in enumerate(names):
         row = trajectory.index_of(name)
@@ -400,6 +428,7 @@ def trajectory_scenarios(
                 resistance=configuration.resistance,
                 max_power=configuration.max_power,
                 maximum_adhesion=trip_profile(line, base, weather, generator),
+                survey_error=survey,
                 sensors=sensors or Sensors(),
                 seed=int(generator.integers(2**31)),
                 start=START + (24 + number) * 3600 * NANOSECONDS,
