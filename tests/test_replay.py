@@ -229,6 +229,20 @@ def test_stations_and_track_are_there_at_all_times(recording: Path) -> None:
     assert place == pytest.approx([float(x) for x in LINE.geometry.at(LENGTH)])
 
 
+def test_the_way_along_the_fixes_stands_for_a_line_without_coordinates(
+    trip: Trip, tmp_path: Path
+) -> None:
+    fix = trip["/gnss/fix"]
+    kept = fix.drop(fix.index[400:600])  # an outage of 20 s
+    kept.attrs = fix.attrs
+    path = tmp_path / "way.rrd"
+    record_replay([replace(trip, attachments={}).with_topic(kept)], path)
+    before, after = static(path, "/trips/up/place/way", "GeoLineStrings:line_strings")
+    assert before[0] == pytest.approx(fix[["latitude", "longitude"]].iloc[0])
+    assert (len(before), len(after)) == (40, 71)
+    assert not {name for name in entities(path) if name.startswith("/lines")}
+
+
 def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Path) -> None:
     bare = replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})
     for empty in (topics.EVENTS, topics.TRAIN_CONTROLS, topics.GNSS_FIX, topics.TRUTH):

@@ -219,7 +219,7 @@ def _map(trips: Sequence[Shown], layer: str, size: tuple[float, float]) -> Any |
     if not placed:
         return None
     contents = [f"{trip.root}/place/**" for trip in placed]
-    title = "Line"
+    title = "Line" if any(trip.line for trip in placed) else "Satellite fixes"
     for line in dict.fromkeys(trip.line for trip in placed if trip.line):
         contents += [f"{line}/track", f"{line}/stations/**"]
         if layer:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 from matplotlib import colormaps
+from numpy.typing import NDArray
 
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap, Trajectory
@@ -20,6 +21,9 @@ TRACK: Colour = (95, 100, 115)
 STATION: Colour = (235, 235, 235)
 LAYERS: dict[str, Colour] = {"dry": (245, 205, 70), "wet": (90, 180, 240)}
 """Colours of the layers of a track-condition map; others are white."""
+
+SECOND, OUTAGE = 1_000_000_000, 15_000_000_000
+"""A second, and how long fixes are missing until their way is interrupted [ns]."""
 
 LOWEST, HIGHEST = 0.05, 0.40
 """Maximum adhesion at the ends of the map's colour scale."""
@@ -60,6 +64,29 @@ def draw_line(recording: Any, line: Line, condition: TrackConditionMap | None) -
                 colors=np.array([STATION]),
             ),
         )
+
+
+def draw_way(recording: Any, entity: str, time: Nanoseconds, fixes: FloatArray) -> None:
+    """Draw the way along fixes [deg], (n, 2), taken at `time` [ns], interrupted at outages."""
+    chosen = each_second(time)
+    outages = np.flatnonzero(np.diff(time[chosen]) > OUTAGE) + 1
+    parts = [part for part in np.split(fixes[chosen], outages) if len(part) > 1]
+    if not parts:
+        return
+    send_static(
+        recording,
+        entity,
+        rr.GeoLineStrings(
+            lat_lon=parts,
+            radii=rr.Radius.ui_points(TRACK_WIDTH),
+            colors=np.array([TRACK], dtype=np.uint8),
+        ),
+    )
+
+
+def each_second(time: Nanoseconds) -> NDArray[np.int64]:
+    """Index of the first instant [ns] of each second: often enough to see a train move."""
+    return np.asarray(np.unique(time // SECOND, return_index=True)[1])
 
 
 def draw_condition(

@@ -24,6 +24,8 @@ from trainlog.replay.lineside import (
     draw_line,
     draw_plan,
     draw_trajectory,
+    draw_way,
+    each_second,
 )
 from trainlog.replay.samples import phases, samples_of, with_slip
 from trainlog.replay.stream import (
@@ -55,9 +57,6 @@ KEYS = ("train", "line", "direction", "load", "weather", "start")
 
 SMALL, LARGE = 5.0, 9.0
 """Radius of a satellite fix and of a train on the map, in points."""
-
-PLACE_PERIOD = 1_000_000_000
-"""How often the train is put on the map [ns]."""
 
 USUAL, HEADROOM = 0.999, 1.1
 """Share of the values that a plot shows, and its top over the highest of them: outliers do not
@@ -108,7 +107,8 @@ def record_replay(
     )
     stream = recording.binary_stream()
     names = _distinct([trip.name for trip in trips])
-    recording.send_recording_name(", ".join(names))
+    others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    recording.send_recording_name(names[0] + others)
     recording.send_recording_start_time_nanos(clocks[0].start)
     for first in lines:
         _draw_line(recording, trips[first], clocks[first], condition_map)
@@ -139,7 +139,11 @@ def content_id(
             for column in frame.columns:
                 values = frame[column]
                 numbers = values.dtype.kind in "fiub"
-                text = values.to_numpy().tobytes() if numbers else "\n".join(values).encode()
+                text = (
+                    values.to_numpy().tobytes()
+                    if numbers
+                    else "\n".join(values.astype(str)).encode()
+                )
                 digest.update(column.encode() + text)
     if trajectory is not None:
         digest.update(trajectory.speeds.tobytes() + trajectory.positions.tobytes())
@@ -293,30 +297,36 @@ def _draw_events(recording: Any, trip: Trip, root: str, clock: Clock) -> set[str
 def _draw_places(
     recording: Any, trip: Trip, root: str, clock: Clock, line: Line | None, colour: Colour
 ) -> tuple[set[str], FloatArray | None]:
-    """The satellite fixes, and the train on its line, as points on the map; and its extent."""
+    """The satellite fixes, and the train on its line, as points on the map; and its extent.
+
+    Where the line has no coordinates, the way along the fixes stands for it.
+    """
     drawn: set[str] = set()
     extent = None
+    geometry = None if line is None else line.geometry
     if GNSS_FIX.name in trip:
         frame = trip[GNSS_FIX.name]
         fixes = frame[["latitude", "longitude"]].to_numpy(dtype=np.float64)
         known = np.all(np.isfinite(fixes), axis=1)
-        if known.any():
-            instants = clock.instants(nanoseconds(frame)[known])
+        fixes, time = fixes[known], nanoseconds(frame)[known]
+        if time.size:
             entity = f"{root}/place/satellites"
-            send_points(recording, entity, instants, fixes[known], colour=SATELLITES, radius=SMALL)
+            instants = clock.instants(time)
+            send_points(recording, entity, instants, fixes, colour=SATELLITES, radius=SMALL)
             drawn.add("place/satellites")
-            extent = np.quantile(fixes[known], (0.01, 0.99), axis=0).T
-    if line is not None and line.geometry is not None:
-        track = np.column_stack((line.geometry.latitudes, line.geometry.longitudes))
+            extent = np.quantile(fixes, (0.01, 0.99), axis=0).T
+        if time.size and geometry is None:
+            draw_way(recording, f"{root}/place/way", time, fixes)
+            drawn.add("place/way")
+    if geometry is not None:
+        track = np.column_stack((geometry.latitudes, geometry.longitudes))
         extent = np.column_stack((track.min(axis=0), track.max(axis=0)))
-        if clock.time.size:
-            # The first sample of each second is enough to see a train move.
-            second = (clock.time - clock.start) // PLACE_PERIOD
-            instants = clock.instants(clock.time[np.unique(second, return_index=True)[1]])
-            places = np.column_stack(line.geometry.at(instants.position))
-            entity = f"{root}/place/train"
-            send_points(recording, entity, instants, places, colour=colour, radius=LARGE)
-            drawn.add("place/train")
+    if geometry is not None and clock.time.size:
+        instants = clock.instants(clock.time[each_second(clock.time)])
+        places = np.column_stack(geometry.at(instants.position))
+        entity = f"{root}/place/train"
+        send_points(recording, entity, instants, places, colour=colour, radius=LARGE)
+        drawn.add("place/train")
     return drawn, extent
 
 

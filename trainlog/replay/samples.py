@@ -147,4 +147,5 @@ def _columns(curve: Curve, frame: pd.DataFrame) -> list[str]:
 
 
 def _block(frame: pd.DataFrame, names: list[str]) -> FloatArray:
-    return frame[names].to_numpy(dtype=np.float64)
+    """Columns side by side; those that an older log does not have are unknown."""
+    return frame.reindex(columns=names).to_numpy(dtype=np.float64)
