@@ -111,7 +111,7 @@ def phases(trip: Trip) -> tuple[Nanoseconds, NDArray[np.str_]] | None:
     """
     if TRAIN_CONTROLS.name not in trip:
         return None
-    frame = trip[TRAIN_CONTROLS.name]
+    frame = trip[TRAIN_CONTROLS.name].reindex(columns=[f.name for f in TRAIN_CONTROLS.fields])
     pull = _pull(frame)
     if pull is None:
         return None
