@@ -22,7 +22,7 @@ from mcap_trips import START, assert_same, trip_of
 from rerun.chunk import McapReader
 
 from trainlog.errors import LogError
-from trainlog.mcap import read_log, write_log
+from trainlog.mcap import describe, read_log, write_log
 from trainlog.mcap.schemas import descriptor_set
 from trainlog.topics import (
     EVENTS,
@@ -461,14 +461,33 @@ def test_broken_and_contradicting_schemas_are_refused(
     assert caught.value.file == tmp_path / "trip.mcap"
 
 
-def test_a_later_version_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "9" * 5000, "next", ""])
+def test_a_later_version_is_refused(version: str, tmp_path: Path) -> None:
     with (tmp_path / "trip.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        writer.add_metadata("trainlog.format", {"schema_version": str(SCHEMA_VERSION + 1)})
+        writer.add_metadata("trainlog.format", {"schema_version": version})
         writer.finish()
     with pytest.raises(LogError, match="update trainlog"):
         read_log(tmp_path / "trip.mcap")
+
+
+@pytest.mark.parametrize("axles", ["9" * 5000, "-1", "two", "4096", "0"])
+def test_a_wrong_number_of_axles_is_not_believed(axles: str, tmp_path: Path) -> None:
+    message = message_class(TRAIN_AXLES)(wheel_speed=[1.0, 2.0], wheel_effort=[3.0, 4.0])
+    with (tmp_path / "trip.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        data = descriptor_set(TRAIN_AXLES)
+        schema = writer.register_schema(TRAIN_AXLES.message, "protobuf", data)
+        metadata = {"axles.wheel_speed": axles, "axles.wheel_effort": "2"}
+        channel = writer.register_channel(TRAIN_AXLES.name, "protobuf", schema, metadata)
+        writer.add_message(channel, START, message.SerializeToString(), START)
+        writer.finish()
+    frame = read_log(tmp_path / "trip.mcap")[TRAIN_AXLES.name]
+    assert list(frame.columns) == list(columns(TRAIN_AXLES, 2))
+    assert frame.to_numpy().tolist() == [[1.0, 2.0, 3.0, 4.0]]
+    assert describe(tmp_path / "trip.mcap").count == 1
 
 
 def test_times_beyond_pandas_are_refused(tmp_path: Path) -> None:

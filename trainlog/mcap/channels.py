@@ -82,10 +82,10 @@ def codec_of(channel: Channel, schema: Schema) -> Codec | None:
     if topic.foxglove:
         return fix_codec(channel.id) if is_location_fix(schema) else None
     fields = wire_fields(schema)
-    return None if fields is None else sample_codec(channel.id, fields, _axles(channel))
+    return None if fields is None else sample_codec(channel.id, fields, axles_of(channel))
 
 
-def _axles(channel: Channel) -> dict[str, int]:
+def axles_of(channel: Channel) -> dict[str, int]:
     """How many values each repeated field of the channel has, as its metadata tell."""
     counts = {}
     for key, text in channel.metadata.items():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.formats.files import read_bytes, sha256
-from trainlog.mcap.channels import AXLES, UNIT
+from trainlog.mcap.channels import UNIT, axles_of
 from trainlog.mcap.contents import Contents, contents_of
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
@@ -222,7 +222,6 @@ def _topic(contents: Contents, channel: Channel, time: NDArray[np.uint64]) -> To
     interval = np.diff(time).astype(np.float64) * 1e-9
     span = float(interval.sum())
     median = float(np.median(interval)) if len(interval) else np.nan
-    metadata = channel.metadata
     return TopicDescription(
         name=channel.topic,
         message=schema.name if schema else "",
@@ -235,13 +234,11 @@ def _topic(contents: Contents, channel: Channel, time: NDArray[np.uint64]) -> To
         largest_gap=float(interval.max()) if len(interval) else np.nan,
         gaps=int(np.count_nonzero(interval > GAP * median)),
         units={
-            key.removeprefix(UNIT): value for key, value in metadata.items() if key.startswith(UNIT)
+            key.removeprefix(UNIT): value
+            for key, value in channel.metadata.items()
+            if key.startswith(UNIT)
         },
-        axles={
-            key.removeprefix(AXLES): int(value)
-            for key, value in metadata.items()
-            if key.startswith(AXLES) and value.isdecimal()
-        },
+        axles=axles_of(channel),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -194,8 +195,8 @@ def _frames(contents: Contents, sources: list[_Source]) -> dict[str, pd.DataFram
         total = sum(counts[each.channel.id] for each in sources if each.topic.name == name)
         if name not in tables:
             tables[name] = _Table(source.topic, np.empty(total, dtype=np.uint64))
-        if source.codec is not None:
-            # The columns exist even if there is no message.
+        if source.codec is not None and not total:
+            # A topic without messages has its columns nevertheless.
             none = source.codec.layout.rows(0)
             tables[name].add(none[LOG_TIME], source.codec.columns(none) or {})
     for chunk, index in contents.chunks:
@@ -243,7 +244,7 @@ def _check_version(
             remedy="bring recordings of other programs in as a table (CSV, Parquet)",
         )
     version = metadata.get(FORMAT_RECORD, {}).get("schema_version", str(SCHEMA_VERSION))
-    if not version.isdecimal() or int(version) > SCHEMA_VERSION:
+    if not re.fullmatch(r"[0-9]{1,9}", version) or int(version) > SCHEMA_VERSION:
         raise LogError(
             f"follows version {shown(version)} of the table of topics, this trainlog knows "
             f"{SCHEMA_VERSION}",
