@@ -117,6 +117,7 @@ def test_what_a_person_reads(tmp_path: Path) -> None:
     assert "wheel_speed [m/s] of 2 axles" in text
     assert "10 Hz" in text
     assert "1 simulate" in text
+    assert "line.json abababababab…" in text
     assert METADATA["train"] in text
 
 

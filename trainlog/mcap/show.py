@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pandas as pd
 from rich import box
@@ -11,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from trainlog.mcap.describe import LogDescription, TopicDescription
+from trainlog.topics import EVENTS
 
 _LONGEST = 160
 """Metadata values are cut to this many characters."""
@@ -26,7 +28,7 @@ def render(description: LogDescription) -> RenderableType:
     if description.provenance:
         steps = {
             f"{number} {step.get('step', '')}".strip(): ", ".join(
-                f"{key} {value}" for key, value in step.items() if key != "step"
+                f"{key} {_told(value)}" for key, value in step.items() if key != "step"
             )
             for number, step in enumerate(description.provenance, start=1)
         }
@@ -80,7 +82,8 @@ def _topics(description: LogDescription) -> Table:
             _number(topic.rate, "Hz"),
             _time_of_day(topic.first),
             _time_of_day(topic.last),
-            f"{topic.gaps:,}",
+            # Events come as they come: there is no interval that could be missed.
+            "" if topic.message == EVENTS.message else f"{topic.gaps:,}",
             _number(topic.largest_gap, "s"),
         )
     return table
@@ -107,6 +110,14 @@ def _pairs(heading: str, pairs: dict[str, str]) -> Table:
         shown = value if len(value) <= _LONGEST else f"{value[:_LONGEST]} …"
         table.add_row(_plain(key), _plain(shown))
     return table
+
+
+def _told(value: object) -> str:
+    """A value of provenance in words, checksums shortened to their first digits."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_told(each)}" for key, each in value.items())
+    text = str(value)
+    return f"{text[:12]}…" if re.fullmatch("[0-9a-f]{64}", text) else text
 
 
 def _attachments(description: LogDescription) -> Table:
