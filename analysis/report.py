@@ -135,8 +135,8 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
         ("latest arrival", f"{audit['lateness']:+.4f} s against the timetable"),
         ("speed over the limit", f"{audit['overspeed'] * KMH:.5f} km/h"),
-        ("power over the limit", f"{audit['power']:.1e} of it"),
-        ("adhesion over the limit", f"{audit['adhesion']:.1e} of it"),
+        ("power", f"{audit['power']:.6f} of the limit at most"),
+        ("adhesion", _share(audit["adhesion"])),
     )
     for row in rows:
         facts.add_row(*row)
@@ -256,6 +256,10 @@ def _pm(value: float, std: float, unit: str = "") -> str:
     reach = 1.96 * std
     digits = max(0, 1 - math.floor(math.log10(reach))) if reach > 0.0 else 1
     return f"{value:.{digits}f} ± {reach:.{digits}f}{unit}"
+
+
+def _share(adhesion: float) -> str:
+    return f"{adhesion:.6f} of what the map promises at most" if adhesion else "no map was used"
 
 
 def _kwh(energy: float) -> str:

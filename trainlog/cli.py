@@ -79,6 +79,9 @@ def simulate(
         str,
         typer.Option(help="With --trajectory: 'hardest', 'all', or names separated by commas."),
     ] = "hardest",
+    weather: Annotated[
+        Literal["dry", "wet"], typer.Option(help="With --trajectory: the rail's condition.")
+    ] = "dry",
 ) -> None:
     """Drive trips in simulation and log them.
 
@@ -103,7 +106,9 @@ def simulate(
     else:
         plan = read_trajectory(trajectory)
         names = plan.chosen(configurations)
-        scenarios = trajectory_scenarios(plan, the_line, the_train, names, seed=seed)
+        scenarios = trajectory_scenarios(
+            plan, the_line, the_train, names, seed=seed, weather=weather
+        )
     output.mkdir(parents=True, exist_ok=True)
     with progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):

@@ -20,6 +20,8 @@ def commands(output: Path) -> list[list[str]]:
     trajectory = output / "trajectory.json"
     known: list[str | Path] = ["--line", samples / DEFAULT_LINE, "--train", samples / DEFAULT_TRAIN]
     profile: list[str | Path] = ["--profile", samples / "recorder.profile.toml"]
+    rail: list[str | Path] = ["--map", condition, "--layer", "wet"]
+    every = ["--configurations", "all"]
     plan: list[str | Path] = ["--trajectory", trajectory, "--map", condition]
     steps: list[list[str | Path]] = [
         ["samples", samples],
@@ -29,8 +31,8 @@ def commands(output: Path) -> list[list[str]]:
         ["info", recorded / "recorder.mcap"],
         ["fit", trips, "-o", parameters],
         ["map", "update", trips, "--map", condition],
-        ["optimise", parameters, "--as-fast-as", trips, "-o", trajectory],
-        ["simulate", "--trajectory", trajectory, "--configurations", "all", "-o", driven],
+        ["optimise", parameters, *rail, "--as-fast-as", trips, "-o", trajectory],
+        ["simulate", "--trajectory", trajectory, *every, "--weather", "wet", "-o", driven],
         ["compare", trips, "--with", driven],
         ["estimate", trips / "trip-01.mcap", "-o", output / "estimated"],
         ["replay", output / "estimated", driven, *plan, "-o", output / "replay.rrd"],
@@ -60,8 +62,7 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], object])
     console.print(f"Everything is in {output}. Next, try:", highlight=False)
     for command in (
         f"trainlog replay {output / 'trips'} -o {output / 'all.rrd'}",
-        f"trainlog optimise {output / 'parameters.json'} --map {output / 'map.json'} --layer wet"
-        f" -o {output / 'wet.json'}",
+        f"trainlog optimise {output / 'parameters.json'} --reserve 5 -o {output / 'faster.json'}",
         f"trainlog ingest YOUR.csv --profile {output / 'sample_logs' / 'recorder.profile.toml'}"
         f" -o {output / 'recorded'}",
     ):
