@@ -51,12 +51,12 @@ def truth(one: Trip) -> tuple[RunningResistance, float]:
 
 
 def curve_error(fit: TripFit, true: RunningResistance) -> float:
-    speed = np.linspace(*fit.asked, 61)
+    speed = np.linspace(5.0, fit.asked[1], 61)
     return float(np.sqrt(np.mean((fit.resistance(speed) / true(speed) - 1.0) ** 2)))
 
 
 def in_band(fit: TripFit, true: RunningResistance) -> bool:
-    speed = np.linspace(*fit.asked, 61)
+    speed = np.linspace(5.0, fit.asked[1], 61)
     low, high = fit.band(speed)
     return bool(np.all((low <= true(speed)) & (true(speed) <= high)))
 
@@ -74,7 +74,7 @@ def test_truth_of_simulated_trips_lies_in_the_band(
 
 def test_fit_describes_itself(fitted: list[TripFit]) -> None:
     for fit in fitted:
-        assert fit.asked[0] == 5.0
+        assert fit.asked[0] == 10.0
         assert fit.asked[1] == pytest.approx(125 / 3.6)
         assert fit.windows["used"] > 80
         assert fit.condition < 300.0
@@ -85,7 +85,7 @@ def test_fit_describes_itself(fitted: list[TripFit]) -> None:
         assert fit.masked["gap"] == 0.0
         assert 2.0 < fit.speed_range[0] < 10.0
         assert fit.speed_range[1] > 30.0
-        assert fit.noise["gradient"] < 2e-4  # the simulation's map is exact
+        assert fit.noise["gradient"] < 3e-4  # the simulation's map is 0.1 per mille off
         assert fit.points.speed.size == fit.windows["used"] + fit.windows["outlier"]
 
 
@@ -256,9 +256,10 @@ def test_power_limit_is_read_off_where_it_was_reached() -> None:
             draw_scenarios(line, train, 1, seed=2) * 2, (2.6e6, 1.7e6), strict=True
         )
     )
+    assert fit_trip(trip()).max_power is None
     assert fit_trip(simulate(strong)).max_power is None
     found = fit_trip(simulate(weak)).max_power
-    assert found == pytest.approx(1.7e6, rel=0.01)
+    assert found == pytest.approx(1.7e6, rel=0.005)
 
 
 def test_constant_speed_is_refused() -> None:

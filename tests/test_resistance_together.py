@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -175,6 +176,9 @@ def test_parameter_set_is_physical_and_complete() -> None:
         "reason": "standing all the time",
     }
     assert parameters.details[0]["max_power"] == "train file"
+    seen = [replace(fits[0], max_power=2.3e6), replace(fits[1], max_power=2.5e6), *fits[2:]]
+    powers_given = [c.max_power for c in parameter_set(seen, TRAIN).configurations]
+    assert powers_given == pytest.approx([2.3e6, 2.5e6, 2.4e6, 2.4e6, 2.4e6, 2.4e6])
     assert parameters.speed_range == (3.0, 34.0)
     assert json.loads(json.dumps(parameters.details)) == parameters.details
 

@@ -195,4 +195,5 @@ def _limits(curve: FloatArray, points: FloatArray) -> tuple[float, float]:
 
 
 def _speeds(asked: tuple[float, float]) -> FloatArray:
-    return np.linspace(*asked, 120)
+    """From standstill to the highest speed asked for [m/s]."""
+    return np.linspace(0.0, asked[1], 120)

@@ -86,8 +86,8 @@ class CommonFit:
         return curve_std(self.between, speed)
 
     def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end [N] of the 95 % band of the whole mean curve."""
-        factor = band_factor(self.covariance, self.asked, self.freedom)
+        """Lower and upper end [N] of the 95 % band of the whole mean curve, from standstill up."""
+        factor = band_factor(self.covariance, (0.0, self.asked[1]), self.freedom)
         value, reach = self.resistance(speed), factor * self.std(speed)
         return value - reach, value + reach
 
@@ -123,7 +123,7 @@ def combine(fits: Sequence[TripFit]) -> CommonFit:
         raise InputError(f"trip '{twice}' is given twice", remedy="give each trip once")
     asked = (max(f.asked[0] for f in ordered), min(f.asked[1] for f in ordered))
     # Curve values at three speeds are far better conditioned than the coefficients.
-    nodes = powers(np.linspace(*asked, 3))
+    nodes = powers(np.linspace(0.0, asked[1], 3))
     back = np.linalg.inv(nodes)
     found = _random_effects(
         np.array([nodes @ fit.beta for fit in ordered]),
@@ -157,7 +157,8 @@ def parameter_set(
     fits : sequence of TripFit
         Of the trips that were accepted.
     train : Train
-        Gives the rotating mass, and the power where no trip was at its power limit.
+        Gives the power where no trip was at its power limit; a trip that was not, while others
+        were, gets their mean.
     refused : mapping of str to str, optional
         Trips that do not determine the curve, and why; they are listed in the details.
 
@@ -170,6 +171,8 @@ def parameter_set(
     """
     common = combine(fits)
     by_name = {fit.trip: fit for fit in fits}
+    powers_seen = [fit.max_power for fit in fits if fit.max_power is not None]
+    usual = float(np.mean(sorted(powers_seen))) if powers_seen else train.max_traction_power
     configurations, details = [], []
     for row, name in enumerate(common.trips):
         fit = by_name[name]
@@ -180,10 +183,12 @@ def parameter_set(
                 mass=_mass_given(fit, resistance),
                 rotating_mass=fit.rotating_mass,
                 resistance=resistance,
-                max_power=fit.max_power or train.max_traction_power,
+                max_power=fit.max_power or usual,
             )
         )
-        details.append(_detail(fit, common.covariances[row]))
+        details.append(
+            _detail(fit, common.covariances[row], "other trips" if powers_seen else "train file")
+        )
     details += [
         {"trip": name, "accepted": False, "reason": reason}
         for name, reason in sorted((refused or {}).items())
@@ -259,7 +264,7 @@ def _mass_given(fit: TripFit, resistance: RunningResistance) -> float:
     return float(fit.mass + slope @ shift)
 
 
-def _detail(fit: TripFit, covariance: FloatArray) -> dict[str, Any]:
+def _detail(fit: TripFit, covariance: FloatArray, otherwise: str) -> dict[str, Any]:
     """What is noted beside a trip's configuration; plain values."""
     own, drawn = (np.sqrt(np.diag(c)[:3]).tolist() for c in (fit.covariance, covariance))
     return {
@@ -273,7 +278,7 @@ def _detail(fit: TripFit, covariance: FloatArray) -> dict[str, Any]:
         },
         "fitted_std": dict(zip(("r0", "r1", "r2"), own, strict=True)) | {"mass": fit.mass_std},
         "std": dict(zip(("r0", "r1", "r2"), drawn, strict=True)),
-        "max_power": "power-limited stretches" if fit.max_power else "train file",
+        "max_power": "power-limited stretches" if fit.max_power else otherwise,
         "condition": fit.condition,
         "speed_range": list(fit.speed_range),
         "windows": fit.windows,

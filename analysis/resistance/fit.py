@@ -24,8 +24,10 @@ from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
-LOWEST_SPEED = 5.0
-"""Lowest speed that is asked for unless the caller says otherwise [m/s]."""
+LOWEST_SPEED = 10.0
+"""Lowest speed that is asked for unless the caller says otherwise [m/s]: below it a train is only
+on its way from or to a stop, and running resistance is small beside the efforts. The fit's curve
+and band go down to standstill all the same."""
 
 LARGEST_CONDITION = 300.0
 """Column-normalised condition number beyond which the parameters cannot be told apart."""
@@ -160,9 +162,10 @@ class TripFit:
     def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Lower and upper end [N] of the 95 % band of the whole curve at each speed [m/s].
 
-        It holds the true curve between the speeds asked for, all of it, in 95 of 100 trips.
+        It holds the true curve, all of it from standstill to the highest speed asked for, in 95
+        of 100 trips.
         """
-        factor = band_factor(self.covariance[:3, :3], self.asked, self.freedom)
+        factor = band_factor(self.covariance[:3, :3], (0.0, self.asked[1]), self.freedom)
         value, reach = self.resistance(speed), factor * self.std(speed)
         return value - reach, value + reach
 
@@ -176,8 +179,8 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
         With ``/train/state`` and ``/train/controls``, its line and its train; ``/train/axles``
         and ``/gnss/motion`` make the fit sharper.
     speeds : (float, float) [m/s], optional
-        Speeds between which the curve is asked for; default 5 m/s to the line's highest speed
-        that the train can do.
+        Speeds between which the curve is asked for; default 10 m/s to the line's highest
+        speed that the train can do.
 
     Returns
     -------
@@ -210,7 +213,7 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
         covariance=covariance,
         freedom=used.count - 4,
         rotating_mass=train.rotating_mass,
-        max_power=power_limit(trip, prepared),
+        max_power=power_limit(trip, prepared, train),
         asked=asked,
         speed_range=(float(used.mean_speed.min()), float(used.mean_speed.max())),
         condition=regression.condition,

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.resistance.recording import Prepared
+from trainlog.railway.train import Train
 from trainlog.trip import Trip, interpolated
 
 SHORTEST = 5.0
@@ -14,11 +15,17 @@ SHORTEST = 5.0
 LOWEST_SPEED = 8.0
 """Below this speed [m/s] effort is limited by adhesion or by the motors, not by power."""
 
-LARGEST_SPREAD = 0.05
-"""If power varies by more than this at the supposed limit, it is another limit."""
+PLATEAU = 0.03
+"""Power within this share of the highest counts as the same limit."""
+
+SPEED_RANGE = 2.0
+"""Power must stay the same while speed changes by this [m/s]; a limit of effort does not."""
+
+WEAKEST = 0.5
+"""Share of the train's stated power below which another limit (adhesion, a fault) is at work."""
 
 
-def power_limit(trip: Trip, prepared: Prepared) -> float | None:
+def power_limit(trip: Trip, prepared: Prepared, train: Train) -> float | None:
     """Traction power at the wheel rims [W] where more effort was asked for than was given.
 
     Efforts are averaged over two seconds; wheels that slip and transients are left out. The
@@ -38,15 +45,17 @@ def power_limit(trip: Trip, prepared: Prepared) -> float | None:
         for name in ("tractive_effort_demand", "tractive_effort")
     )
     power = _moving_average(_power(trip, index, prepared), width)
-    limited = recording.usable & (recording.speed > LOWEST_SPEED) & (demand > 1.01 * effort)
+    limited = recording.usable & (recording.speed > LOWEST_SPEED) & np.isfinite(power)
+    limited &= demand > 1.01 * effort
     # A limit that lasts: true for the whole averaging time around the sample.
     limited &= _moving_average(limited.astype(np.float64), width) > 0.999
     if np.count_nonzero(limited) * step < SHORTEST:
         return None
-    found = power[limited]
-    middle = float(np.median(found))
-    spread = float(np.median(np.abs(found - middle)))
-    return middle if middle > 0.0 and spread < LARGEST_SPREAD * middle else None
+    highest = float(np.quantile(power[limited], 0.98))
+    plateau = limited & (power > (1.0 - PLATEAU) * highest)
+    found, speeds = float(np.median(power[plateau])), recording.speed[plateau]
+    lasts = np.count_nonzero(plateau) * step >= SHORTEST and np.ptp(speeds) >= SPEED_RANGE
+    return found if lasts and found > WEAKEST * train.max_traction_power else None
 
 
 def _power(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared) -> np.ndarray:
