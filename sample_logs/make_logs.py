@@ -19,7 +19,7 @@ from trainlog.mcap import write_log
 from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv
 from trainlog.simulation.scenario import draw_scenarios, simulate
 
-LOGS = {"trip-01": "nonstop.mcap", "trip-07": "stopping.mcap"}
+LOGS = {"trip-01": "nonstop.mcap", "trip-03": "stopping.mcap"}
 """Logs: a dry trip from St.Gallen to Wil without a stop, and a wet one that calls everywhere."""
 
 RECORDED = "trip-05"

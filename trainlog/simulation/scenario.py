@@ -185,8 +185,8 @@ class Scenario:
 
 def _told(profile: StepProfile) -> dict[str, Any]:
     """A profile along the line in its own direction, for JSON."""
-    positions, values = profile.positions, profile.values
-    return {"direction": "forward", "positions": positions.tolist(), "values": values.tolist()}
+    told = {"positions": profile.positions, "values": profile.values}
+    return {"direction": "forward"} | {name: array.tolist() for name, array in told.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,8 +334,10 @@ def _drawn(
     scale = 1.0 + np.clip(0.07 * generator.standard_normal(3), -0.15, 0.15)
     nominal = train.resistance
     load = np.round(generator.uniform(0.0, train.max_load or 20_000.0), -2)
-    stations = travelled.stations[1:-1]
-    kept = generator.uniform(size=len(stations)) < generator.choice([0.0, 0.7, 1.0, 1.0])
+    # Trains that run through and trains that call, in both directions and in any weather.
+    calling = (number // 4 + number // 2) % 2 == 1
+    stations = travelled.stations[1:-1] if calling else ()
+    kept = generator.uniform(size=len(stations)) < generator.choice([0.7, 1.0])
     calls = [station for station, stop in zip(stations, kept, strict=True) if stop]
     wet = weather == "wet"
     habits = Habits(
