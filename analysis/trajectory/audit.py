@@ -20,17 +20,17 @@ FloatArray = NDArray[np.float64]
 SUBSTEPS = 24
 """Runge-Kutta sub-steps a cell."""
 
-ARRIVAL_TOLERANCE = 0.01
+ARRIVAL_TOLERANCE = 1e-4
 """Lateness that an audited trajectory may have [s]."""
 
-SPEED_TOLERANCE = 1e-3
-"""Excess over a speed limit, or over the speed asked for at the end [m/s]."""
-
-POWER_TOLERANCE = 1e-4
-"""Excess over a power limit, relative."""
+SPEED_TOLERANCE = 1e-5
+"""Excess over the permitted speed [m/s]."""
 
 EFFORT_TOLERANCE = 1e-6
-"""Excess over an effort or adhesion limit, relative."""
+"""Excess over a limit of power, effort or adhesion, relative."""
+
+END_TOLERANCE = 1e-3
+"""Excess over the speed asked for at the end [m/s]: at standstill less than a thousandth mm."""
 
 STOPPING_TOLERANCE = 1e-3
 """Distance by which a train may stop short of the end [m]."""
@@ -76,11 +76,11 @@ class Audit:
         checks = (
             ("arrives late by [s]", self.arrival - running_time, ARRIVAL_TOLERANCE),
             ("stops short by [m]", self.shortfall, STOPPING_TOLERANCE),
-            ("is too fast at the end by [m/s]", self.end_speed - run.final_speed, SPEED_TOLERANCE),
+            ("is too fast at the end by [m/s]", self.end_speed - run.final_speed, END_TOLERANCE),
             ("exceeds the permitted speed by [m/s]", self.overspeed, SPEED_TOLERANCE),
-            ("exceeds the power by a part of", self.power - 1.0, POWER_TOLERANCE),
+            ("exceeds the power by a part of", self.power - 1.0, EFFORT_TOLERANCE),
             ("exceeds the traction by a part of", self.effort - 1.0, EFFORT_TOLERANCE),
-            ("exceeds the brake by a part of", self.braking - 1.0, POWER_TOLERANCE),
+            ("exceeds the brake by a part of", self.braking - 1.0, EFFORT_TOLERANCE),
             ("exceeds the adhesion by a part of", self.adhesion - 1.0, EFFORT_TOLERANCE),
         )
         return [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import cvxpy as cp
@@ -30,7 +31,10 @@ def solve(objective: Any, rules: list[Any]) -> tuple[cp.Problem, str]:
     """
     program = cp.Problem(cp.Minimize(objective), [rule for rule in rules if rule.size])
     try:
-        program.solve(solver=cp.CLARABEL)
+        with warnings.catch_warnings():
+            # The status says what the warning would, and the certificate carries it.
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+            program.solve(solver=cp.CLARABEL)
     except cp.SolverError as error:
         raise NoSolutionError(f"failed: {error}") from error
     if program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
@@ -79,13 +83,13 @@ def effort_rules(
     rules = [traction >= 0.0, traction <= problem.traction, braking >= low, braking <= high]
     if dynamic is None:
         return rules
-    brakes, more = each_brakes(problem, braking), np.abs(spare)
+    brakes = each_brakes(problem, braking)
     return [
         *rules,
         dynamic >= 0.0,
         dynamic <= problem.dynamic,
-        dynamic <= brakes + more,
-        brakes - dynamic <= problem.friction + more,
+        dynamic <= brakes + np.maximum(-spare, 0.0),
+        brakes - dynamic <= problem.friction + np.maximum(spare, 0.0),
     ]
 
 

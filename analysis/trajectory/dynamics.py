@@ -123,7 +123,7 @@ def brake_backwards(
         curve[a, n] = min(final, ceiling[a, n])
         for k in range(n - 1, -1, -1):
             z = curve[a, k + 1]
-            for _ in range(3):
+            for _ in range(6):
                 v = max(speed_of(z), 1e-6)
                 effort = min(braking[a, k], friction[a, k] + min(dynamic[a, k], dynamic_power / v))
                 # Motion backwards along the line: the same equation with the sign of ds turned.

@@ -7,11 +7,18 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+_SPEED_SHARE = 0.65
+"""Share of the cells that goes where the speed changes."""
+
+_BRAKING_WEIGHT = 0.25
+"""Cells for a loss of speed over those for a gain: constant braking effort is exact in any cell,
+traction at the power limit is not. Chosen with `_SPEED_SHARE` for the least gap on four lines."""
+
 
 def graded_mesh(
     breakpoints: FloatArray, positions: FloatArray, speeds: FloatArray, cells: int
 ) -> FloatArray:
-    """Positions of the nodes: half of the cells even in position, half even in speed change.
+    """Positions of the nodes: some cells even in position, more even in the change of speed.
 
     Near a standstill cells of equal speed change are short (below 1 m at the start): without them
     the time of the first metres is wrong.
@@ -29,10 +36,12 @@ def graded_mesh(
     -------
     (n + 1,) array [m]
     """
-    change = np.abs(np.diff(speeds))
-    share = 0.5 * np.diff(positions) / (positions[-1] - positions[0])
+    change = np.diff(speeds)
+    change = np.where(change > 0.0, change, -_BRAKING_WEIGHT * change)
+    even = np.diff(positions) / (positions[-1] - positions[0])
+    share = even
     if change.sum() > 0.0:
-        share = share + 0.5 * change / change.sum()
+        share = (1.0 - _SPEED_SHARE) * even + _SPEED_SHARE * change / change.sum()
     mass = np.concatenate(([0.0], np.cumsum(share)))
     at = np.interp(breakpoints, positions, mass)
     counts = _allot(np.diff(at), cells)

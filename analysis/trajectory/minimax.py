@@ -185,7 +185,7 @@ class _Round:
         )
         braking = np.broadcast_to(np.maximum(self.braking.value, 0.0), (q, n)).copy()
         share = braking if self.dynamic is None else np.clip(self.dynamic.value, 0.0, braking)
-        costate = -motion.dual_value * weight
+        costate = motion.dual_value * weight
         return Solution(
             plan=Plan(
                 np.maximum(plan.z + self.scale * self.change.value, 0.0),
