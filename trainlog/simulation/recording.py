@@ -163,6 +163,14 @@ def axle_frame(
     )
 
 
+def _moving(speed: FloatArray) -> NDArray[np.bool_]:
+    """Whether the train is on its way: from 0.1 m/s on until it stands again, (n,)."""
+    # A train that settles on its springs as the brake grips has not departed.
+    state = np.where(speed > 0.1, 1, np.where(speed > 0.0, 0, -1))
+    last = np.maximum.accumulate(np.where(state != 0, np.arange(speed.size), 0))
+    return np.asarray(state[last] > 0)
+
+
 def events(
     scenario: Scenario,
     columns: dict[str, FloatArray],
@@ -171,7 +179,7 @@ def events(
 ) -> pd.DataFrame:
     """The ``/events`` topic: departures, arrivals, slip protection, satellites."""
     found = [(when, WARNING if "lost" in text else INFO, text, "gnss") for when, text in changes]
-    moving = columns["speed"] > 0.0
+    moving = _moving(columns["speed"])
     for edge in np.flatnonzero(np.diff(moving.astype(np.int8))) + 1:
         where = place(scenario, float(columns["position"][edge]))
         text = f"departure from {where}" if moving[edge] else f"arrival at {where}"
