@@ -102,7 +102,8 @@ def evidence_of(
     and the trip's own deviation. A bin without one counts once, at the highest level that was used
     in it (less one standard deviation, since the highest of noisy values is too high).
     """
-    onsets = analysis.events[analysis.events["measured"]]
+    known = analysis.events["measured"] & analysis.events["position"].between(0.0, track.length)
+    onsets = analysis.events[known]
     place = track.bin_of(onsets["position"])
     log_adhesion = np.log(onsets["adhesion"].to_numpy())
     precision = (onsets["adhesion"] / onsets["adhesion_std"]).to_numpy() ** 2
@@ -137,6 +138,7 @@ def _censored(
     margin = min(POSITION_MARGIN, 0.25 * track.bin_length)
     within = np.mod(analysis.position, track.bin_length)
     known = np.isfinite(used) & (within >= margin) & (within <= track.bin_length - margin)
+    known &= (analysis.position >= 0.0) & (analysis.position <= track.length)
     highest = np.zeros(track.bins)
     np.maximum.at(highest, track.bin_of(analysis.position[known]), used[known])
     level = np.searchsorted(track.levels, highest, side="right") - 1

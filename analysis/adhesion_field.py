@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 from scipy.special import log_ndtr
 
 FloatArray = NDArray[np.float64]
@@ -105,7 +104,7 @@ def solve_field(
     f = np.full(bins, prior.mean)
     value, gradient, curvature = _log_posterior(f, prior.mean, diagonal, off, evidence)
     for _ in range(ITERATIONS):
-        step = solveh_banded(_banded(diagonal + curvature, off), gradient, lower=True)
+        step = _solve(diagonal + curvature, off, gradient)
         scale = 1.0
         while True:
             trial = f + scale * step
@@ -159,9 +158,19 @@ def _log_posterior(
     return value, gradient, evidence.weight + bend / std**2
 
 
-def _banded(diagonal: FloatArray, off: float) -> FloatArray:
-    """Lower banded form of a symmetric tridiagonal matrix."""
-    return np.vstack((diagonal, np.full(diagonal.size, off)))
+@njit(cache=True)
+def _solve(diagonal, off, right):  # type: ignore[no-untyped-def]
+    """Solution of a symmetric positive definite tridiagonal system, by elimination."""
+    n = diagonal.size
+    pivot, found = diagonal.copy(), right.copy()
+    for i in range(1, n):
+        share = off / pivot[i - 1]
+        pivot[i] -= share * off
+        found[i] -= share * found[i - 1]
+    found[n - 1] /= pivot[n - 1]
+    for i in range(n - 2, -1, -1):
+        found[i] = (found[i] - off * found[i + 1]) / pivot[i]
+    return found
 
 
 @njit(cache=True)

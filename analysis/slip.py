@@ -315,7 +315,10 @@ def _reference(trip: Trip, clock: pd.DatetimeIndex) -> tuple[FloatArray, FloatAr
         if frame is None or not frame["speed"].notna().any():
             continue
         known = frame[frame["speed"].notna()]
-        at = clock.get_indexer(pd.DatetimeIndex(known.index), method="nearest")
+        # What lies before, behind or in a gap of the axles' samples belongs to none of them.
+        reach = pd.Timedelta(np.median(np.diff(clock.asi8)), "ns")
+        at = clock.get_indexer(pd.DatetimeIndex(known.index), method="nearest", tolerance=reach)
+        known, at = known[at >= 0], at[at >= 0]
         speed[at] = known["speed"].to_numpy()
         std[at] = known[column].fillna(SATELLITE_STD).to_numpy()
         return speed, np.maximum(std, 1e-2)
@@ -334,10 +337,12 @@ def _slipping(slip_speed: FloatArray, noise: float, speed: TrainSpeed) -> BoolAr
 def _position(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray:
     """Chainage in the direction of travel [m]: smoothed where there is an estimate."""
     for topic in ("/estimates/state", "/train/state"):
-        if topic in trip and trip[topic]["position"].notna().any():
-            return interpolated(trip[topic], "position", clock)
+        if topic in trip:
+            found = interpolated(trip[topic], "position", clock)
+            if np.isfinite(found).any():
+                return found
     raise LogError(
-        f"trip '{trip.name}' has no position",
+        f"trip '{trip.name}' has no position while its axles were recorded",
         remedy="it needs /train/state or /estimates/state with a position",
     )
 

@@ -1,0 +1,376 @@
+"""The track-condition map: the field's mathematics, additive evidence, files and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.stats import norm
+from simulated_world import flirt, hilly_line, level_line
+
+from analysis.adhesion_field import Prior, solve_field
+from analysis.pictures.condition import draw_map
+from analysis.slip import slip
+from analysis.traction_map import (
+    LEVELS,
+    SETTINGS,
+    Evidence,
+    empty_map,
+    evidence,
+    evidence_of,
+    merge,
+    prior_of,
+    summary,
+    update,
+    update_logs,
+)
+from trainlog.errors import InputError, LogError
+from trainlog.formats.condition import map_from_bytes, map_to_bytes
+from trainlog.mcap import write_log
+from trainlog.railway import TrackConditionMap
+from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.trip import Trip
+
+FloatArray = NDArray[np.float64]
+
+LINE = level_line(2_000.0)
+BINS, BIN = 80, 25.0
+PRIOR = Prior(float(np.log(0.28)), 0.3, 120.0)
+NOTHING = np.zeros(BINS)
+NO_LEVELS = np.zeros((BINS, LEVELS.size))
+
+
+def piece(seed: int, layer: str = "dry", name: str | None = None) -> Evidence:
+    """Evidence that no trip made: events and levels here and there."""
+    rng = np.random.default_rng(seed)
+    events = rng.integers(0, 3, BINS) * (rng.uniform(size=BINS) < 0.2)
+    weight = np.round(np.where(events > 0, rng.uniform(20.0, 60.0, BINS), 0.0) * 2**20) / 2**20
+    logs = np.round(weight * np.log(rng.uniform(0.08, 0.3, BINS)) * 2**20) / 2**20
+    censored = np.zeros((BINS, LEVELS.size))
+    censored[np.arange(BINS), rng.integers(0, 12, BINS)] = events == 0
+    return Evidence(
+        LINE.name, LINE.length, BIN, layer, name or f"trip-{seed}", f"{seed:064x}",
+        events.astype(np.float64), weight, logs, censored,
+    )  # fmt: skip
+
+
+class TestField:
+    def test_the_precision_is_that_of_an_exponential_covariance(self) -> None:
+        diagonal, off = PRIOR.precision(BINS, BIN)
+        precision = np.diag(diagonal) + off * (np.eye(BINS, k=1) + np.eye(BINS, k=-1))
+        distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
+        covariance = 0.3**2 * np.exp(-distance / 120.0)
+        np.testing.assert_allclose(precision @ covariance, np.eye(BINS), atol=1e-9)
+
+    def test_without_evidence_the_prior_comes_back(self) -> None:
+        found = solve_field(PRIOR, BIN, NOTHING, NOTHING, NO_LEVELS, np.log(LEVELS), 0.1)
+        np.testing.assert_allclose(found.mean, PRIOR.mean, atol=1e-9)
+        np.testing.assert_allclose(found.std, 0.3, rtol=1e-9)
+
+    def test_onsets_alone_give_the_gaussian_posterior(self) -> None:
+        rng = np.random.default_rng(1)
+        weight = np.where(rng.uniform(size=BINS) < 0.3, rng.uniform(10.0, 500.0, BINS), 0.0)
+        logs = np.log(rng.uniform(0.1, 0.3, BINS))
+        found = solve_field(PRIOR, BIN, weight, weight * logs, NO_LEVELS, np.log(LEVELS), 0.1)
+        distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
+        covariance = 0.3**2 * np.exp(-distance / 120.0)
+        seen = weight > 0
+        gain = covariance[:, seen] @ np.linalg.inv(
+            covariance[np.ix_(seen, seen)] + np.diag(1.0 / weight[seen])
+        )
+        np.testing.assert_allclose(
+            found.mean, PRIOR.mean + gain @ (logs[seen] - PRIOR.mean), atol=1e-9
+        )
+        variance = np.diag(covariance - gain @ covariance[seen])
+        np.testing.assert_allclose(found.std**2, variance, rtol=1e-7)
+        np.testing.assert_allclose(found.events_std, found.std, rtol=1e-12)
+
+    def test_with_levels_it_is_the_mode_of_the_tobit_posterior(self) -> None:
+        rng = np.random.default_rng(2)
+        bins = 6
+        weight = np.array([0.0, 80.0, 0.0, 0.0, 40.0, 0.0])
+        logs = np.log([1.0, 0.2, 1.0, 1.0, 0.25, 1.0])
+        censored = rng.integers(0, 3, (bins, LEVELS.size)).astype(np.float64)
+        censored[:, 45:] = 0.0
+        found = solve_field(PRIOR, BIN, weight, weight * logs, censored, np.log(LEVELS), 0.12)
+        distance = BIN * np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+        precision = np.linalg.inv(0.3**2 * np.exp(-distance / 120.0))
+
+        def cost(f: FloatArray) -> float:
+            d = f - PRIOR.mean
+            tail = norm.logcdf((f[:, None] - np.log(LEVELS)) / 0.12)
+            measured = 0.5 * np.sum(weight * (f - logs) ** 2)
+            return float(0.5 * d @ precision @ d + measured - np.sum(censored * tail))
+
+        best = minimize(cost, found.mean + 0.05, method="BFGS", options={"gtol": 1e-9})
+        np.testing.assert_allclose(found.mean, best.x, atol=1e-4)
+        step = 1e-4
+        for i in range(bins):
+            plus, minus = found.mean.copy(), found.mean.copy()
+            plus[i] += step
+            minus[i] -= step
+            assert abs(cost(plus) - cost(minus)) / (2.0 * step) < 1e-4
+
+    @settings(max_examples=30, deadline=None)
+    @given(st.integers(0, 10_000), st.integers(0, BINS - 1), st.integers(0, LEVELS.size - 1))
+    def test_a_bound_from_below_never_lowers_the_estimate(
+        self, seed: int, place: int, level: int
+    ) -> None:
+        known = piece(seed)
+        args = (np.log(LEVELS), 0.12)
+        before = solve_field(PRIOR, BIN, known.weight, known.weighted_log, known.censored, *args)
+        more = known.censored.copy()
+        more[place, level] += 1.0
+        after = solve_field(PRIOR, BIN, known.weight, known.weighted_log, more, *args)
+        assert np.all(after.mean >= before.mean - 1e-9)
+
+    def test_bounds_far_out_of_reach_do_not_upset_it(self) -> None:
+        censored = NO_LEVELS.copy()
+        censored[:, -1] = 1000.0
+        found = solve_field(PRIOR, BIN, NOTHING, NOTHING, censored, np.log(LEVELS), 0.05)
+        assert np.all(found.mean > np.log(0.55))
+        assert np.all(np.isfinite(found.std))
+
+    def test_one_bin_is_a_line_too(self) -> None:
+        one = np.ones(1)
+        found = solve_field(
+            PRIOR, BIN, 100.0 * one, 100.0 * np.log(0.2) * one, NO_LEVELS[:1], np.log(LEVELS), 0.1
+        )
+        share = 100.0 / (100.0 + 1.0 / 0.09)
+        assert found.mean[0] == pytest.approx(share * np.log(0.2) + (1 - share) * np.log(0.28))
+
+
+class TestMerging:
+    @settings(max_examples=25, deadline=None)
+    @given(st.permutations(range(6)), st.lists(st.integers(0, 6), min_size=2, max_size=2))
+    def test_any_order_and_grouping_gives_the_same_bytes(
+        self, order: list[int], cuts: list[int]
+    ) -> None:
+        pieces = [piece(i, ("dry", "wet")[i % 2]) for i in range(6)]
+        together, _ = update(empty_map(LINE), pieces)
+        shuffled = [pieces[i] for i in order]
+        a, b = sorted(cuts)
+        groups = [shuffled[:a], shuffled[a:b], shuffled[b:]]
+        one_by_one = empty_map(LINE)
+        for group in groups:
+            one_by_one, skipped = update(one_by_one, group)
+            assert skipped == ()
+        apart = [update(empty_map(LINE), group)[0] for group in groups]
+        merged = merge(merge(apart[0], apart[2]), apart[1])
+        expected = map_to_bytes(together)
+        assert map_to_bytes(one_by_one) == expected
+        assert map_to_bytes(merged) == expected
+
+    def test_a_map_from_its_file_goes_on_as_if_it_had_not_been_away(self) -> None:
+        first, _ = update(empty_map(LINE), [piece(1), piece(2, "wet")])
+        again = map_from_bytes(map_to_bytes(first))
+        assert map_to_bytes(update(again, [piece(3)])[0]) == map_to_bytes(
+            update(first, [piece(3)])[0]
+        )
+
+    def test_the_same_log_is_counted_once_and_told(self) -> None:
+        first, _ = update(empty_map(LINE), [piece(1)])
+        again, skipped = update(first, [replace(piece(1), trip="renamed"), piece(2), piece(2)])
+        assert skipped == ("renamed", "trip-2")
+        assert map_to_bytes(again) == map_to_bytes(update(first, [piece(2)])[0])
+
+    def test_without_a_file_the_name_tells_trips_apart(self) -> None:
+        known, _ = update(empty_map(LINE), [replace(piece(1), sha256="")])
+        _, skipped = update(known, [replace(piece(2), sha256="", trip="trip-1")])
+        assert skipped == ("trip-1",)
+        _, skipped = update(known, [piece(2, name="trip-1")])
+        assert skipped == ()
+
+    def test_maps_that_share_a_trip_cannot_be_merged(self) -> None:
+        first, _ = update(empty_map(LINE), [piece(1), piece(2)])
+        second, _ = update(empty_map(LINE), [piece(2), piece(3)])
+        with pytest.raises(InputError, match=r"both .* count trip 'trip-2' \(1 in common\)"):
+            merge(first, second)
+
+    def test_maps_that_differ_cannot_be_merged(self) -> None:
+        first, _ = update(empty_map(LINE), [piece(1)])
+        with pytest.raises(InputError, match="differ in settings"):
+            merge(first, empty_map(LINE, settings={"trip_std": 0.2}))
+        with pytest.raises(InputError, match="differ in length"):
+            merge(first, empty_map(level_line(3_000.0)))
+        with pytest.raises(InputError, match="differ in levels"):
+            merge(first, replace(empty_map(LINE), levels=LEVELS + 0.001))
+
+    def test_provenance_names_each_trip(self) -> None:
+        track, _ = update(empty_map(LINE), [piece(2), piece(1, "wet")])
+        assert [(t["layer"], t["trip"], t["sha256"]) for t in track.trips] == [
+            ("dry", "trip-2", f"{2:064x}"),
+            ("wet", "trip-1", f"{1:064x}"),
+        ]
+        assert all(t["software"].startswith("trainlog ") for t in track.trips)
+        assert track.settings == SETTINGS
+
+
+class TestObserved:
+    def spotted(self) -> TrackConditionMap:
+        """Onsets at 500 m only; adhesion borne without slip everywhere."""
+        weight = NOTHING.copy()
+        weight[20] = 70.0
+        censored = NO_LEVELS.copy()
+        censored[:, 10] = weight == 0.0
+        sole = replace(
+            piece(1),
+            events=(weight > 0).astype(np.float64),
+            weight=weight,
+            weighted_log=weight * np.log(0.1),
+            censored=censored,
+        )
+        return update(empty_map(LINE), [sole] + [
+            replace(sole, sha256=f"{i:064x}", weight=NOTHING, weighted_log=NOTHING, events=NOTHING)
+            for i in range(2, 8)
+        ])[0]  # fmt: skip
+
+    def test_what_was_only_borne_is_not_observed(self) -> None:
+        """However many trips bore 0.12 without slip: the maximum was not seen."""
+        layer = self.spotted().layer("dry")
+        assert layer.observed[20]
+        assert not layer.observed[:15].any()
+        assert not layer.observed[26:].any()
+
+    def test_the_prior_is_never_shown_as_data(self) -> None:
+        track = self.spotted()
+        layer = track.layer("dry")
+        assert np.isnan(layer.maximum_adhesion[~layer.observed]).all()
+        assert np.isinf(track.lower_bound("dry", 1_500.0))
+        assert track.lower_bound("dry", 510.0) < 0.1
+
+    def test_model_error_is_a_floor(self) -> None:
+        many = [replace(piece(1), sha256=f"{i:064x}") for i in range(300)]
+        layer = update(empty_map(LINE), many)[0].layer("dry")
+        assert layer.log_std.min() == pytest.approx(SETTINGS["model_std"], rel=0.05)
+        assert layer.log_std.min() >= SETTINGS["model_std"]
+
+    def test_every_bin_with_an_onset_is_observed(self) -> None:
+        layer = update(empty_map(LINE), [piece(1)])[0].layer("dry")
+        assert layer.observed[layer.events > 0].all()
+
+    def test_summary(self) -> None:
+        (told,) = summary(self.spotted())
+        assert (told.layer, told.trips, told.events, told.bins) == ("dry", 7, 1, 80)
+        assert told.observed_length == 25.0 * told.observed_bins
+        assert told.lowest[0].position == 512.5
+        assert told.lowest[0].low < told.lowest[0].adhesion < told.lowest[0].high
+
+    def test_low_spots_are_told_apart(self) -> None:
+        track, _ = update(empty_map(LINE), [piece(seed) for seed in range(8)])
+        spots = summary(track, spots=4)[0].lowest
+        assert len(spots) == 4
+        places = sorted(spot.position for spot in spots)
+        assert np.min(np.diff(places)) >= 250.0
+        assert [s.adhesion for s in spots] == sorted(s.adhesion for s in spots)
+
+    def test_an_unknown_rail_condition_has_a_wider_guess_between(self) -> None:
+        track = empty_map(LINE)
+        means = [prior_of(track, name).mean for name in ("wet", "leaves", "dry")]
+        assert means == sorted(means)
+
+
+class TestRefusals:
+    def test_another_line(self) -> None:
+        with pytest.raises(InputError, match=r"ran on line 'far' .* keep one map a line"):
+            update(empty_map(LINE), [replace(piece(1), line="far")])
+
+    def test_other_bins(self) -> None:
+        with pytest.raises(InputError, match="bins of 50 m does not fit"):
+            update(empty_map(LINE), [replace(piece(1), bin_length=50.0)])
+
+    def test_settings(self) -> None:
+        with pytest.raises(InputError, match="unknown setting 'speed'"):
+            empty_map(LINE, settings={"speed": 1.0})
+        with pytest.raises(InputError, match="trip_std must be positive"):
+            empty_map(LINE, settings={"trip_std": 0.0})
+        with pytest.raises(InputError, match="bin_length must be positive"):
+            empty_map(LINE, bin_length=-25.0)
+
+    def test_a_map_of_unknown_making(self) -> None:
+        foreign = replace(empty_map(LINE), settings={})
+        with pytest.raises(InputError, match="lacks the setting 'prior_std'"):
+            update(foreign, [piece(1)])
+
+
+@pytest.fixture(scope="module")
+def trip() -> Trip:
+    return simulate(draw_scenarios(hilly_line(), flirt(), 1, seed=1)[0])
+
+
+class TestTrips:
+    def test_logs_become_a_map(self, trip: Trip, tmp_path: Path) -> None:
+        write_log(trip, tmp_path / "a.mcap")
+        track, skipped = update_logs(None, [tmp_path / "a.mcap"])
+        assert skipped == ()
+        assert track.line == "hilly"
+        assert track.layer("dry").events.sum() > 0
+        again, skipped = update_logs(track, [tmp_path / "a.mcap"])
+        assert skipped == (trip.name,)
+        assert map_to_bytes(again) == map_to_bytes(track)
+
+    def test_evidence_of_a_trip_is_one_entry_a_bin(self, trip: Trip) -> None:
+        found = evidence(trip, empty_map(hilly_line()))
+        entries = (found.events > 0) + found.censored.sum(axis=1)
+        assert entries.max() == 1
+        assert found.weight.max() <= SETTINGS["trip_std"] ** -2
+        assert (found.weight > 0).sum() == (found.events > 0).sum()
+
+    def test_what_lies_beside_the_line_does_not_count(self, trip: Trip) -> None:
+        found = slip(trip)
+        track = empty_map(hilly_line())
+        lost = np.where(np.arange(found.position.size) % 2 == 0, np.nan, -50.0)
+        away = replace(found, position=lost, events=found.events.assign(position=12_000.0))
+        nothing = evidence_of(away, track, "dry")
+        assert nothing.events.sum() == nothing.weight.sum() == nothing.censored.sum() == 0.0
+
+    def test_a_reverse_trip_counts_on_the_same_line(self) -> None:
+        both = draw_scenarios(hilly_line(), flirt(), 2, seed=1)
+        track = empty_map(hilly_line())
+        pieces = [evidence(simulate(scenario), track) for scenario in both]
+        assert {piece.line for piece in pieces} == {"hilly"}
+        merged, _ = update(track, pieces)
+        assert len(merged.trips) == 2
+
+    def test_the_rail_condition_must_be_known(self, trip: Trip) -> None:
+        told = {n: v for n, v in trip.metadata.items() if n != "weather"}
+        unknown = replace(trip, metadata=told)
+        track = empty_map(hilly_line())
+        with pytest.raises(LogError, match="does not say whether the rail was dry or wet"):
+            evidence(unknown, track)
+        assert evidence(unknown, track, layer="leaves").layer == "leaves"
+
+    def test_a_log_without_axles_is_refused_by_name(self, trip: Trip, tmp_path: Path) -> None:
+        topics = {n: f for n, f in trip.topics.items() if n != "/train/axles"}
+        write_log(replace(trip, topics=topics), tmp_path / "b.mcap")
+        with pytest.raises(LogError, match=r"b\.mcap: .* no topic /train/axles") as refused:
+            update_logs(None, [tmp_path / "b.mcap"])
+        assert refused.value.file == tmp_path / "b.mcap"
+
+    def test_no_logs(self) -> None:
+        with pytest.raises(InputError, match="no log was given"):
+            update_logs(None, [])
+
+
+class TestPicture:
+    def test_it_is_drawn_whole_and_the_same_again(self, tmp_path: Path) -> None:
+        track, _ = update(empty_map(LINE), [piece(1), piece(2, "wet"), piece(3, "leaves")])
+        truth = {"dry": np.full(BINS, 0.3)}
+        for name in ("a.png", "b.png"):
+            draw_map(track, tmp_path / name, truth)
+        data = (tmp_path / "a.png").read_bytes()
+        assert data.startswith(b"\x89PNG")
+        assert data == (tmp_path / "b.png").read_bytes()
+        draw_map(track, tmp_path / "c.png")
+        assert (tmp_path / "c.png").read_bytes() != data
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.png", "c.png"]
+
+    def test_nothing_to_draw(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match="no layer to draw"):
+            draw_map(empty_map(LINE), tmp_path / "a.png")

@@ -1,0 +1,85 @@
+"""What the track-condition map must show on simulated trips over the sample line."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from analysis.traction_map import empty_map, evidence, update
+from analysis.truth import Truth, true_adhesion, truth_of
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train
+from trainlog.railway import TrackConditionMap
+from trainlog.simulation.scenario import draw_scenarios, simulate
+
+FloatArray = NDArray[np.float64]
+
+
+@cache
+def twelve_trips(seed: int) -> tuple[TrackConditionMap, tuple[Truth, ...]]:
+    """A map of twelve trips, half of them dry, half wet, and what they truly met."""
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    empty = empty_map(line)
+    pieces, truths = [], []
+    for scenario in draw_scenarios(line, train, 12, seed=seed):
+        trip = simulate(scenario)
+        pieces.append(evidence(trip, empty))
+        truth = truth_of(trip)
+        assert truth is not None
+        truths.append(truth)
+    return update(empty, pieces)[0], tuple(truths)
+
+
+def errors(seed: int, layer: str) -> tuple[FloatArray, FloatArray]:
+    """Error of maximum adhesion in the bins with onsets, and of its logarithm in deviations."""
+    track, truths = twelve_trips(seed)
+    found = track.layer(layer)
+    true = true_adhesion(track, layer, truths)
+    seen = found.events > 0
+    score = (found.log_mean - np.log(true)) / found.log_std
+    return (found.maximum_adhesion - true)[seen], score[seen]
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize("layer", ["dry", "wet"])
+def test_twelve_trips(layer: str) -> None:
+    error, score = errors(1, layer)
+    assert error.size >= 10
+    assert rms(error) <= 0.03
+    assert np.mean(np.abs(score) < 1.96) > 0.85
+
+
+def test_only_a_small_part_of_the_line_is_ever_observed() -> None:
+    """Trains seldom ask for all that a good rail gives; the map must say so."""
+    track, _ = twelve_trips(1)
+    for layer in track.layers.values():
+        assert 0.0 < np.mean(layer.observed) < 0.2
+        assert np.all(layer.observed[layer.events > 0])
+
+
+def test_observed_bins_between_the_onsets_hold_as_well() -> None:
+    track, truths = twelve_trips(1)
+    for name, layer in track.layers.items():
+        error = layer.maximum_adhesion - true_adhesion(track, name, truths)
+        assert rms(error[layer.observed]) <= 0.03
+        assert np.isnan(error[~layer.observed]).all()
+
+
+@pytest.mark.long
+def test_twelve_trips_on_eight_lines() -> None:
+    """Each layer of each line, all together, and the share of truths in the 95 % band."""
+    every = {(seed, name): errors(seed, name) for seed in range(1, 9) for name in ("dry", "wet")}
+    for error, _ in every.values():
+        assert rms(error) <= 0.03
+    together = np.concatenate([error for error, _ in every.values()])
+    scores = np.concatenate([score for _, score in every.values()])
+    assert rms(together) <= 0.015
+    assert abs(np.mean(together)) < 0.004
+    assert np.mean(np.abs(scores) < 1.96) > 0.93
