@@ -135,7 +135,7 @@ def _differences(axes: Axes, fits: Fits) -> None:
         )
     axes.axhline(0.0, color=BLUE, linewidth=1.5)
     dress(axes, x="speed [km/h]", y="difference from the mean [%]")
-    axes.legend(fontsize=8, frameon=False, loc="upper right")
+    axes.legend(fontsize=8, frameon=False, loc="lower left")
 
 
 def _learning(axes: Axes, fit: TripFit) -> None:
