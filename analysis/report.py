@@ -41,7 +41,7 @@ LISTED = 8
 def savings_table(pairs: Sequence[Saving]) -> Group:
     """What following the trajectory saved, pair by pair and together."""
     title = "Tractive energy at the wheel rims, and running time"
-    table = _table(title, "trip", "driver", "trajectory", "saved", "", "from the line")
+    table = _table(title, "trip", "driver", "trajectory", "saved", "", "saved from the line")
     for pair in pairs:
         share = pair.traction / pair.driver.traction
         table.add_row(
@@ -50,7 +50,7 @@ def savings_table(pairs: Sequence[Saving]) -> Group:
             f"{_kwh(pair.trajectory.traction)} in {pair.trajectory.running_time:.0f} s",
             _kwh(pair.traction),
             f"{share:.1%}",
-            f"{_kwh(pair.line)} saved",
+            _kwh(pair.line),
         )
     driver, saved = total_saved(pairs)
     words = f"Saved on {len(pairs)} trips: {_kwh(saved)} of {_kwh(driver)}, {saved / driver:.1%}."

@@ -23,6 +23,9 @@ from trainlog.terminal import (
     wrote,
 )
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C; typer returns it, too."""
+
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
@@ -379,6 +382,13 @@ def optimise(
         Literal["recourse", "common"],
         typer.Option(help="Each configuration brakes for itself, or all alike as in the paper."),
     ] = "recourse",
+    objective: Annotated[
+        Literal["wheel", "line"],
+        typer.Option(
+            help="Traction at the wheel rims as in the paper, or energy from the line: efficiencies"
+            " and what the dynamic brake feeds back."
+        ),
+    ] = "wheel",
     condition: Annotated[
         Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
     ] = None,
@@ -412,6 +422,7 @@ def optimise(
             running_time=running_time,
             reserve=reserve / 100.0,
             braking=braking,
+            objective=objective,
             condition_map=None if condition is None else read_map(condition),
             layer=layer,
             cells=cells,
@@ -473,8 +484,9 @@ def main() -> None:
         # lost drive, a forbidden folder met elsewhere.
         status = _complain(f"{error.filename or 'file'}: {error.strerror or error}")
     except (KeyboardInterrupt, typer.Abort):
+        status = INTERRUPTED
+    if status == INTERRUPTED:
         complaints.print("trainlog: interrupted; what was finished is kept")
-        status = 130
     sys.exit(status)
 
 

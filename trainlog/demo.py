@@ -34,7 +34,7 @@ def commands(output: Path) -> list[list[str]]:
         ["optimise", parameters, *rail, "--as-fast-as", trips, "-o", trajectory],
         ["simulate", "--trajectory", trajectory, *every, "--weather", "wet", "-o", driven],
         ["compare", trips, "--with", driven],
-        ["estimate", trips / "trip-01.mcap", "-o", output / "estimated"],
+        ["estimate", trips / "trip-03.mcap", "-o", output / "estimated"],
         ["replay", output / "estimated", driven, *plan, "-o", output / "replay.rrd"],
         ["report", output],
     ]

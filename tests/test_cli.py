@@ -1,0 +1,229 @@
+"""The command line: what a person meets, with good and with bad input."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from trainlog import cli, demo
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path
+) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of one command."""
+    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    captured = capsys.readouterr()
+    return int(ended.value.code or 0), captured.out, captured.err
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> dict[str, Path]:
+    """Files that no command can use."""
+    log = sample("nonstop.mcap").read_bytes()
+    files = {
+        "missing": tmp_path / "missing.mcap",
+        "empty": tmp_path / "empty.mcap",
+        "truncated": tmp_path / "truncated.mcap",
+        "foreign": tmp_path / "foreign.mcap",
+        "nonsensical": tmp_path / "nonsensical.mcap",
+        "folder": tmp_path / "folder",
+    }
+    files["empty"].write_bytes(b"")
+    files["truncated"].write_bytes(log[: len(log) // 3])
+    files["foreign"].write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 8)
+    files["nonsensical"].write_text('{"format": "trainlog/line", "length": -1}')
+    files["folder"].mkdir()
+    return files
+
+
+COMMANDS: dict[str, list[str]] = {
+    "fit": ["fit", "BAD", "-o", "OUT.json"],
+    "estimate": ["estimate", "BAD", "-o", "OUT"],
+    "map update": ["map", "update", "BAD", "--map", "OUT.json"],
+    "map show": ["map", "show", "BAD", "--picture", "OUT.png"],
+    "replay": ["replay", "BAD", "-o", "OUT.rrd", "--no-viewer"],
+    "compare": ["compare", "BAD", "--with", "BAD"],
+    "ingest": ["ingest", "BAD", "-o", "OUT"],
+    "import": ["import", "BAD", "-o", "OUT"],
+    "optimise": ["optimise", "BAD", "-o", "OUT.json"],
+    "simulate --line": ["simulate", "--line", "BAD", "-o", "OUT"],
+    "simulate --train": ["simulate", "--train", "BAD", "-o", "OUT"],
+    "simulate --trajectory": ["simulate", "--trajectory", "BAD", "-o", "OUT"],
+    "report": ["report", "BAD"],
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "kind", ["missing", "empty", "truncated", "foreign", "nonsensical", "folder"]
+)
+def test_bad_files_are_refused_in_one_line(
+    command: str,
+    kind: str,
+    broken: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bad = broken[kind]
+    output = tmp_path / "output"
+    words = [
+        word.replace("BAD", str(bad)).replace("OUT", str(output)) for word in COMMANDS[command]
+    ]
+    status, _, complaint = run(monkeypatch, capsys, *words)
+    assert status == 2
+    assert complaint.count("\n") == 1
+    assert complaint.startswith("trainlog: ")
+    assert bad.name in complaint
+    assert "Traceback" not in complaint
+    left = [path for path in tmp_path.rglob("*") if path not in (*broken.values(), output)]
+    assert [path for path in left if path.is_file()] == []
+
+
+@pytest.mark.parametrize("kind", ["missing", "empty", "foreign", "nonsensical"])
+def test_info_refuses_what_is_no_log(
+    kind: str,
+    broken: dict[str, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status, _, complaint = run(monkeypatch, capsys, "info", broken[kind])
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert broken[kind].name in complaint
+
+
+def test_info_tells_what_is_left_of_a_cut_log(
+    broken: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, told, _ = run(monkeypatch, capsys, "info", broken["truncated"])
+    assert status == 0
+    assert "/train/state" in told
+    assert "does not end properly" in told or "byte" in told
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["fit"],
+        ["nonsense"],
+        ["simulate", "--count", "zero", "-o", "x"],
+        ["simulate", "--count", "0", "-o", "x"],
+        ["optimise", "a.json", "--braking", "hard", "-o", "x"],
+    ],
+)
+def test_wrong_words_are_explained_in_one_line(
+    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, complaint = run(monkeypatch, capsys, *words)
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert "--help" in complaint
+
+
+def test_a_timetable_that_cannot_be_kept_is_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parameters = tmp_path / "parameters.json"
+    run(monkeypatch, capsys, "fit", sample("stopping.mcap"), "-o", parameters)
+    status, _, complaint = run(
+        monkeypatch,
+        capsys,
+        *("optimise", parameters, "--running-time", "600", "-o", tmp_path / "trajectory.json"),
+    )
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert "600" in complaint
+    assert "at least" in complaint
+    assert not (tmp_path / "trajectory.json").exists()
+
+
+def test_a_log_is_counted_into_a_map_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    track = tmp_path / "map.json"
+    run(monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track)
+    first = track.read_bytes()
+    status, told, _ = run(
+        monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track
+    )
+    assert status == 0
+    assert "not counted again" in told
+    assert track.read_bytes() == first
+
+
+def test_ingest_tells_what_it_repaired(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
+    profile = ("--profile", sample("recorder.profile.toml"))
+    status, told, _ = run(
+        monkeypatch, capsys, "ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path
+    )
+    assert status == 0
+    assert "rows read" in told
+    assert "time_backwards" in told
+    status, told, _ = run(monkeypatch, capsys, "info", tmp_path / "recorder.mcap")
+    assert "/train/axles" in told
+
+
+def test_ingest_refuses_two_recordings_of_one_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "gnss.csv"
+    copy.write_bytes(sample("gnss.csv").read_bytes())
+    status, _, complaint = run(
+        monkeypatch, capsys, "ingest", sample("gnss.csv"), copy, "-o", tmp_path / "out"
+    )
+    assert status == 2
+    assert "same name" in complaint
+
+
+def test_help_teaches_every_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, told, _ = run(monkeypatch, capsys, "--help")
+    assert status == 0
+    for command in ("simulate", "ingest", "info", "fit", "map", "optimise", "replay", "demo"):
+        assert command in told
+    for words in demo.commands(Path("results")):
+        verb = words[:2] if words[0] == "map" else words[:1]
+        status, told, _ = run(monkeypatch, capsys, *verb, "--help")
+        assert status == 0
+        assert "Usage" in told
+
+
+def test_an_interrupted_command_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("trainlog.simulation.scenario.simulate", interrupted)
+    status, _, complaint = run(monkeypatch, capsys, "simulate", "-o", tmp_path)
+    assert status == 130
+    assert "interrupted" in complaint
+
+
+def test_simulated_logs_are_the_same_for_the_same_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for folder in ("a", "b"):
+        run(monkeypatch, capsys, "simulate", "--count", "1", "--seed", "3", "-o", tmp_path / folder)
+    logs = [(tmp_path / folder / "trip-01.mcap").read_bytes() for folder in ("a", "b")]
+    assert logs[0] == logs[1]
+
+
+def test_fit_writes_what_it_was_made_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "parameters.json"
+    status, _, _ = run(monkeypatch, capsys, "fit", sample("stopping.mcap"), "-o", target)
+    assert status == 0
+    provenance = json.loads(target.read_text("utf-8"))["provenance"]
+    assert provenance["inputs"]
+    assert target.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
