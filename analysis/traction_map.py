@@ -49,26 +49,30 @@ TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/e
 LEVELS = np.round(np.arange(0.02, 0.601, 0.01), 2)
 """Adhesion levels of the censoring histograms."""
 
-PRIOR_MEANS = {"dry": float(np.log(DRY.peak)), "wet": float(np.log(WET.peak))}
-"""Log maximum adhesion expected of a layer before any evidence: paper 003, table 1."""
-
-OTHER_PRIOR_MEAN = 0.5 * sum(PRIOR_MEANS.values())
-"""The same for layers of any other name."""
-
 SETTINGS: dict[str, float] = {
+    "prior_dry": DRY.peak,
+    "prior_wet": WET.peak,
+    "prior_other": float(np.sqrt(DRY.peak * WET.peak)),
     "prior_std": 0.4,
     "correlation_length": 120.0,
     "trip_std": 0.12,
     "model_std": 0.04,
     "observed_share": 0.5,
 }
-"""How a map is made.
+"""How a map is made; every map records its own.
 
-``prior_std``: standard deviation of the log maximum adhesion along a line; ``correlation_length``
-[m]: of the same; ``trip_std``: of the log maximum adhesion from trip to trip at one place, leaves
-and other passing spots included; ``model_std``: least standard deviation that is published, for
-what the model leaves out; ``observed_share``: a bin is observed where an onset was measured in it,
-or where onsets nearby bring the standard deviation, by themselves, to this share of ``prior_std``.
+prior_dry, prior_wet, prior_other
+    Maximum adhesion expected of a layer before any evidence (paper 003, table 1; between the two
+    for layers of any other name).
+prior_std, correlation_length [m]
+    Of the logarithm of the maximum adhesion along a line.
+trip_std
+    Of the same from trip to trip at one place, leaves and other passing spots included.
+model_std
+    Least standard deviation that is published, for what the model leaves out.
+observed_share
+    A bin is observed where an onset was measured in it, or where onsets nearby bring the standard
+    deviation, by themselves, to this share of prior_std.
 """
 
 Sums = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -228,8 +232,9 @@ def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackCondition
 
 def prior_of(track: TrackConditionMap, layer: str) -> Prior:
     """What the map's settings say of a layer before any evidence."""
+    known = layer if layer in ("dry", "wet") else "other"
     return Prior(
-        PRIOR_MEANS.get(layer, OTHER_PRIOR_MEAN),
+        float(np.log(setting(track, f"prior_{known}"))),
         setting(track, "prior_std"),
         setting(track, "correlation_length"),
     )

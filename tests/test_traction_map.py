@@ -270,9 +270,9 @@ class TestObserved:
         assert np.min(np.diff(places)) >= 250.0
         assert [s.adhesion for s in spots] == sorted(s.adhesion for s in spots)
 
-    def test_an_unknown_rail_condition_has_a_wider_guess_between(self) -> None:
+    def test_a_rail_condition_of_another_name_is_expected_between_wet_and_dry(self) -> None:
         track = empty_map(LINE)
-        means = [prior_of(track, name).mean for name in ("wet", "leaves", "dry")]
+        means = [prior_of(track, name).mean for name in ("wet", "leaves", "std", "dry")]
         assert means == sorted(means)
 
 
@@ -295,7 +295,7 @@ class TestRefusals:
 
     def test_a_map_of_unknown_making(self) -> None:
         foreign = replace(empty_map(LINE), settings={})
-        with pytest.raises(InputError, match="lacks the setting 'prior_std'"):
+        with pytest.raises(InputError, match="lacks the setting 'prior_dry'"):
             update(foreign, [piece(1)])
 
 
