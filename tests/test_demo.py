@@ -1,0 +1,149 @@
+"""The demo, from end to end: every command runs, and the results keep their promises."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from rerun.chunk import McapReader
+from rich.console import Console
+
+import trainlog
+from analysis.compare import savings
+from analysis.truth import curve_error, map_error, truth_of
+from trainlog import cli, demo
+from trainlog.formats.condition import read_map
+from trainlog.formats.parameters import read_parameters
+from trainlog.formats.trajectory import read_trajectory
+from trainlog.mcap import describe
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("demo") / "results"
+    with (output.parent / "told.txt").open("w", encoding="utf-8") as told:
+        demo.run_demo(output, Console(file=told, width=110), cli.run)
+    return output
+
+
+def logs(results: Path) -> list[Path]:
+    return sorted(results.glob("*/*.mcap"))
+
+
+def test_every_command_is_shown_and_the_next_ones_are_named(results: Path) -> None:
+    told = (results.parent / "told.txt").read_text("utf-8")
+    for command in demo.commands(results):
+        assert f"$ trainlog {command[0]}" in told
+    assert told.rstrip().splitlines()[-4].startswith("Everything is in")
+    assert [line.split()[:2] for line in told.rstrip().splitlines()[-3:]] == [
+        ["trainlog", "replay"],
+        ["trainlog", "optimise"],
+        ["trainlog", "ingest"],
+    ]
+
+
+def test_twelve_trips_two_recordings_and_the_driven_ones_are_logged(results: Path) -> None:
+    assert len(list((results / "trips").glob("*.mcap"))) == 12
+    assert {p.stem for p in (results / "recorded").glob("*.mcap")} == {"recorder", "gnss"}
+    assert len(list((results / "driven").glob("*.mcap"))) >= 3
+
+
+def test_every_log_opens_in_the_official_reader(results: Path) -> None:
+    for log in logs(results):
+        with log.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            summary = reader.get_summary()
+            assert summary is not None
+            count = sum(1 for _ in reader.iter_messages())
+        assert count == summary.statistics.message_count
+        assert count == sum(topic.count for topic in describe(log).topics)
+
+
+def test_a_log_is_decoded_by_the_official_reader_to_the_same_values(results: Path) -> None:
+    log = results / "trips" / "trip-01.mcap"
+    state = trainlog.read(log)["/train/state"]
+    with log.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        speeds = [m.speed for *_, m in reader.iter_decoded_messages(topics=["/train/state"])]
+    np.testing.assert_array_equal(speeds, state.speed.to_numpy())
+
+
+def test_logs_open_in_reruns_own_importer(results: Path) -> None:
+    for log in (results / "trips" / "trip-01.mcap", results / "recorded" / "gnss.mcap"):
+        entities = {str(chunk.entity_path) for chunk in McapReader(log).stream().to_chunks()}
+        for topic in describe(log).topics:
+            assert topic.name in entities
+
+
+def test_the_observed_set_holds_the_truth(results: Path) -> None:
+    found = read_parameters(results / "parameters.json")
+    truths = {log.stem: truth_of(trainlog.read(log)) for log in (results / "trips").glob("*.mcap")}
+    known = [truth for truth in truths.values() if truth is not None]
+    assert len(found.configurations) >= 11
+    for configuration in found.configurations:
+        truth = truths[configuration.name]
+        assert truth is not None
+        assert curve_error(configuration.resistance, [truth]) <= 0.08
+        assert configuration.mass == pytest.approx(truth.mass, rel=0.01)
+    assert found.common is not None
+    assert curve_error(found.common, known) <= 0.02
+
+
+def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results: Path) -> None:
+    track = read_map(results / "map.json")
+    truths = [truth_of(trainlog.read(log)) for log in (results / "trips").glob("*.mcap")]
+    error, bins = map_error(track, [truth for truth in truths if truth is not None])
+    assert bins >= 30
+    assert error <= 0.03
+    assert set(track.layers) == {"dry", "wet"}
+    for layer in track.layers.values():
+        assert layer.observed[layer.events > 0].all()
+        assert np.isnan(layer.maximum_adhesion[~layer.observed]).all()
+        assert (~layer.observed).any()
+
+
+def test_the_trajectory_keeps_its_certificate(results: Path) -> None:
+    trajectory = read_trajectory(results / "trajectory.json")
+    observed = read_parameters(results / "parameters.json")
+    assert len(trajectory.configurations) == len(observed.configurations)
+    certificate = trajectory.certificate
+    assert 0.0 <= certificate["gap"] <= 0.002
+    audit = certificate["audit"]
+    assert audit["lateness"] <= 0.01
+    assert audit["overspeed"] <= 1e-3
+    assert audit["power"] <= 1.0 + 1e-4
+    assert audit["adhesion"] <= 1.0 + 1e-4
+
+
+def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
+    trips, driven = (
+        [trainlog.read(log) for log in sorted((results / folder).glob("*.mcap"))]
+        for folder in ("trips", "driven")
+    )
+    pairs = savings(trips, driven)
+    assert len(pairs) >= 2
+    saved = sum(pair.traction for pair in pairs) / sum(pair.driver.traction for pair in pairs)
+    assert 0.05 < saved < 0.4
+    for trip in driven:
+        limit = trip["/environment"].speed_limit.max()
+        assert trip["/truth"].speed.max() <= limit + 0.3
+        assert trip["/reference"].speed.notna().any()
+
+
+def test_every_result_says_what_it_was_made_from(results: Path) -> None:
+    for name in ("parameters.json", "trajectory.json"):
+        provenance = json.loads((results / name).read_text("utf-8"))["provenance"]
+        assert provenance
+    assert len(read_map(results / "map.json").trips) == 12
+    for log in logs(results):
+        assert describe(log).provenance
+
+
+def test_pictures_and_the_replay_are_there(results: Path) -> None:
+    for name in ("parameters.png", "map.png", "trajectory.png"):
+        assert (results / name).read_bytes().startswith(b"\x89PNG")
+    assert (results / "replay.rrd").read_bytes()[:4] == b"RRF2"
