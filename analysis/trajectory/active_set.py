@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 _LATE = 5e-5
 """Lateness that makes a configuration active [s]."""
 
-_OVER = 2e-6
+_OVER = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
 
 
@@ -122,7 +122,7 @@ def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -
 
 def _violators(problem: Problem, plan: Plan, running_time: float, active: list[int]) -> set[int]:
     """The worst of the others of each kind: late, short of power or brake, too fast, too dear."""
-    fastest = np.sqrt(2.0 * np.maximum(plan.z[:, :-1], plan.z[:, 1:]))
+    fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge))
     by_power = problem.dynamic_power / np.maximum(fastest, 1e-6)
     brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)

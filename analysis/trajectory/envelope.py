@@ -101,8 +101,9 @@ def braking_curves(problem: Problem, traction: FloatArray | None = None) -> Floa
         traction = np.zeros(problem.shape[1])
     else:
         fastest = problem.power[:, None] / np.maximum(traction, 1e-9)
-        ceiling[:, :-1] = np.minimum(ceiling[:, :-1], 0.5 * fastest**2)
-        ceiling[:, 1:] = np.minimum(ceiling[:, 1:], 0.5 * fastest**2)
+        highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
+        ceiling[:, :-1] = np.minimum(ceiling[:, :-1], highest)
+        ceiling[:, 1:] = np.minimum(ceiling[:, 1:], highest)
     curve = brake_backwards(
         ceiling, problem.final, traction, problem.gain, problem.braking, problem.friction,
         problem.dynamic, problem.dynamic_power, problem.drag0, problem.drag1, problem.drag2,

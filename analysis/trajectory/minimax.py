@@ -256,7 +256,8 @@ class _Round:
         problem, rules = self.problem, []
         n = problem.shape[1]
         for nodes in (slice(0, n), slice(1, n + 1)):
-            v = np.maximum(self.speed[:, nodes], SLOW)
+            highest = np.sqrt(self.speed[:, nodes] ** 2 + 2.0 * problem.bulge)
+            v = np.maximum(highest, SLOW)
             inverse = 1.0 / v - cp.multiply(self.scale[:, nodes] / v**3, self.change[:, nodes])
             for row, power in enumerate(problem.power):
                 at = power_cells(problem, power, problem.traction)

@@ -12,8 +12,10 @@ from analysis.trajectory.active_set import Answer, search
 from analysis.trajectory.audit import SUBSTEPS, Audit, audit
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.pace import paced_run
 from analysis.trajectory.phases import phases_by_control, spelled
 from analysis.trajectory.problem import Braking, Objective, Problem, Run, discretise
+from analysis.trajectory.referee import second_opinion
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
 
@@ -41,6 +43,7 @@ def optimise(
     sigmas: float = 2.0,
     protected_length: float = 0.0,
     cells: int = 500,
+    referee: bool = False,
 ) -> Trajectory:
     """Trajectory of least worst-case energy that every configuration can follow; paper 002.
 
@@ -74,6 +77,8 @@ def optimise(
         Length of train that a speed limit protects: 0 for its front, ``train.length`` for all.
     cells : int
         Cells of the grid, about; a line with many breakpoints gets more.
+    referee : bool
+        Have IPOPT solve the same problem too, and put what it found into the certificate.
 
     Returns
     -------
@@ -123,6 +128,9 @@ def optimise(
             + (f" and {len(failures) - 1} more" if len(failures) > 1 else ""),
             remedy="more cells, or more reserve",
         )
+    certificate = _certificate(problem, answer, fastest, rollout, running_time)
+    if referee:
+        certificate["referee"] = _refereed(problem, answer, running_time)
     speeds = rollout.speeds
     if final_speed == 0.0:
         speeds[:, -1] = 0.0  # the audit found them to stand there
@@ -136,7 +144,7 @@ def optimise(
         tractive_effort=traction,
         braking_effort=brakes,
         running_time=running_time,
-        certificate=_certificate(problem, answer, fastest, rollout, running_time),
+        certificate=certificate,
         provenance={
             "method": "cone relaxation and sequential quadratic programs, paper 002",
             "settings": {
@@ -228,10 +236,23 @@ def _certificate(
     }
 
 
+def _refereed(problem: Problem, answer: Answer, running_time: float) -> dict[str, Any]:
+    """What IPOPT makes of the active configurations, beginning from a paced run."""
+    part = problem.select(answer.active)
+    opinion = second_opinion(part, paced_run(part, running_time), running_time)
+    return {
+        "name": "IPOPT",
+        "energy": opinion.energy * problem.reference,
+        "difference": answer.solution.energy / opinion.energy - 1.0,
+        "status": opinion.status,
+        "iterations": opinion.iterations,
+    }
+
+
 def _phases(problem: Problem, answer: Answer) -> list[str]:
     """The phase of each cell for each configuration, one letter a cell."""
     plan = answer.plan
-    fastest = np.sqrt(2.0 * np.maximum(np.maximum(plan.z[:, :-1], plan.z[:, 1:]), 1e-9))
+    fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge + 1e-9))
     pull = np.minimum(problem.traction, (problem.power[:, None] / fastest).min(axis=0))
     by_power = problem.dynamic_power / fastest
     brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))

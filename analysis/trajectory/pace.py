@@ -108,7 +108,7 @@ def ride_along(problem: Problem, traction: FloatArray, braking: FloatArray | Non
 
 def dynamic_share(problem: Problem, z: FloatArray, braking: FloatArray) -> FloatArray:
     """The most of `braking` that the dynamic brake can take at these speeds, (q, n) [m/s²]."""
-    highest = np.sqrt(2.0 * np.maximum(np.maximum(z[:, :-1], z[:, 1:]), 1e-12))
+    highest = np.sqrt(2.0 * (np.maximum(z[:, :-1], z[:, 1:]) + problem.bulge + 1e-12))
     by_power = problem.dynamic_power / highest
     return np.asarray(np.minimum(np.minimum(braking, problem.dynamic), by_power))
 

@@ -164,6 +164,8 @@ class Problem:
         With the tunnel's share.
     ceiling : (n + 1,) array [m²/s²]
         Largest permitted ``z`` at the nodes, so that the limit holds between them too.
+    bulge : (n,) array [m²/s²]
+        By how much ``z`` can rise above both ends of a cell inside it.
     traction : (n,) array [m/s²]
         Largest common tractive effort; eq. (6) with comfort and adhesion.
     power : (q,) array [W/kg]
@@ -186,6 +188,7 @@ class Problem:
     drag1: FloatArray
     drag2: FloatArray
     ceiling: FloatArray
+    bulge: FloatArray
     traction: FloatArray
     power: FloatArray
     braking: FloatArray
@@ -307,6 +310,7 @@ def discretise(run: Run, positions: FloatArray) -> Problem:
         drag1=coefficients[:, 1] / inertia,
         drag2=(coefficients[:, 2:] + tunnel) / inertia[:, None],
         ceiling=ceiling,
+        bulge=bulge,
         traction=efforts.traction.min(axis=0) / reference,
         power=np.array([c.max_power for c in run.configurations]) / reference,
         braking=efforts.braking / reference,
