@@ -1,0 +1,194 @@
+"""A second opinion: the same transcription as one nonlinear program, solved by CasADi and IPOPT.
+
+It shares cells, Runge-Kutta sub-steps and limits with `minimax`, but neither its linearisation nor
+its solver. Used by tests and benchmarks, and on request in a certificate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory.convex import power_cells, tells_dynamic
+from analysis.trajectory.dynamics import SUBSTEPS
+from analysis.trajectory.problem import Plan, Problem
+
+FloatArray = NDArray[np.float64]
+
+_FLOOR = 1e-5
+"""Smallest ``z`` between the two ends, as in `minimax` [m²/s²]."""
+
+_STANDSTILL = 1e-6
+"""Added to ``v²`` under the root, so that its slope is finite at standstill [m²/s²]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opinion:
+    """What IPOPT found.
+
+    Attributes
+    ----------
+    energy : float [J/kg]
+        Worst case, per unit reference inertia.
+    z : (q, n + 1) array [m²/s²]
+    traction : (n,) array [m/s²]
+    status : str
+    iterations : int
+    """
+
+    energy: float
+    z: FloatArray
+    traction: FloatArray
+    status: str
+    iterations: int
+
+    @property
+    def solved(self) -> bool:
+        """Whether IPOPT vouches for it."""
+        return self.status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+
+def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinion:
+    """Minimise the worst-case energy from `start` within `running_time` [s]."""
+    q, n = problem.shape
+    rows = 1 if problem.common else q
+    z, traction = ca.MX.sym("z", n + 1, q), ca.MX.sym("traction", n)
+    braking = ca.MX.sym("braking", n, rows)
+    dynamic = ca.MX.sym("dynamic", n, q if tells_dynamic(problem) else 0)
+    worst = ca.MX.sym("worst")
+    rules: list[tuple[Any, float, float]] = []  # expression, least, most
+    cell = _cell().map(n)
+    bulge = ca.DM(problem.bulge)
+    train = problem.run.train
+    for a in range(q):
+        brakes = braking[:, 0 if problem.common else a]
+        reached, times = cell(
+            z[:-1, a].T,
+            problem.gain[a] * (traction - brakes).T,
+            problem.drag0[a].T,
+            problem.drag1[a],
+            problem.drag2[a],
+            problem.step,
+        )
+        rules += [(reached.T - z[1:, a], 0.0, 0.0), (ca.sum2(times), -np.inf, running_time)]
+        for nodes in (slice(0, n), slice(1, n + 1)):
+            at = power_cells(problem, problem.power[a], problem.traction).tolist()
+            v = _speed(z[nodes, a] + bulge)
+            rules.append((traction[at] * v[at], -np.inf, float(problem.power[a])))
+            if dynamic.numel():
+                at = power_cells(problem, problem.dynamic_power, problem.dynamic[a]).tolist()
+                rules.append((dynamic[at, a] * v[at], -np.inf, problem.dynamic_power))
+        spent = ca.dot(problem.step, traction)
+        if dynamic.numel():
+            rules.append((brakes - dynamic[:, a], 0.0, problem.friction[a]))
+        if problem.run.objective == "line":
+            regained = ca.dot(problem.step, dynamic[:, a]) * train.efficiency_regeneration
+            rules.append((worst - spent / train.efficiency_traction + regained, 0.0, np.inf))
+        else:
+            rules.append((worst - spent, 0.0, np.inf))
+    unknowns, low, high, first = _bounded(problem, start, z, traction, braking, dynamic, worst)
+    return _solved(problem, worst, unknowns, rules, low, high, first)
+
+
+def _cell() -> ca.Function:
+    """Motion through one cell as in `dynamics.advance`: ``z`` at its end, and the time in it."""
+    z0, effort, drag0 = ca.SX.sym("z"), ca.SX.sym("effort"), ca.SX.sym("drag0", SUBSTEPS + 1)
+    drag1, drag2, step = ca.SX.sym("drag1"), ca.SX.sym("drag2"), ca.SX.sym("step")
+
+    def slope(z: Any, constant: Any) -> Any:
+        return effort - constant - drag1 * _speed(z) - 2.0 * drag2 * z
+
+    z, time, h = z0, 0.0, step / SUBSTEPS
+    for j in range(SUBSTEPS):
+        first, last = drag0[j], drag0[j + 1]
+        mean = 0.5 * (first + last)
+        k1 = slope(z, first)
+        k2 = slope(z + 0.5 * h * k1, mean)
+        k3 = slope(z + 0.5 * h * k2, mean)
+        k4 = slope(z + h * k3, last)
+        following = z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        middle = 0.5 * (z + following) + 0.125 * h * (k1 - slope(following, last))
+        v, v_middle, v_following = _speed(z), _speed(middle), _speed(following)
+        whole = 2.0 * h / (v + v_following)
+        halves = h / (v + v_middle) + h / (v_middle + v_following)
+        time += (4.0 * halves - whole) / 3.0
+        z = following
+    return ca.Function("cell", [z0, effort, drag0, drag1, drag2, step], [z, time])
+
+
+def _speed(z: Any) -> Any:
+    return ca.sqrt(ca.fmax(2.0 * z, 0.0) + _STANDSTILL)
+
+
+def _bounded(
+    problem: Problem, start: Plan, z: Any, traction: Any, braking: Any, dynamic: Any, worst: Any
+) -> tuple[Any, FloatArray, FloatArray, FloatArray]:
+    """All unknowns in one vector, with their bounds and where they start."""
+    q, n = problem.shape
+    low_z = np.full((q, n + 1), _FLOOR)
+    high_z = np.tile(problem.ceiling, (q, 1))
+    low_z[:, 0] = high_z[:, 0] = problem.initial
+    low_z[:, n], high_z[:, n] = 0.0, problem.final_ceiling
+    brakes = problem.braking.min(axis=0, keepdims=True) if problem.common else problem.braking
+    most_dynamic = problem.dynamic if dynamic.numel() else np.empty((0, n))
+    unknowns = ca.veccat(z, traction, braking, dynamic, worst)
+    zeros = np.zeros(n + brakes.size + most_dynamic.size)
+    low = np.concatenate((low_z.ravel(), zeros, [-np.inf]))
+    high = np.concatenate(
+        (high_z.ravel(), problem.traction, brakes.ravel(), most_dynamic.ravel(), [np.inf])
+    )
+    first = np.concatenate(
+        (
+            start.z.ravel(),
+            start.traction,
+            start.braking[: brakes.shape[0]].ravel(),
+            start.dynamic[: most_dynamic.shape[0]].ravel(),
+            [float(problem.step @ start.traction)],
+        )
+    )
+    return unknowns, low, high, first
+
+
+def _solved(
+    problem: Problem,
+    objective: Any,
+    unknowns: Any,
+    rules: list[tuple[Any, float, float]],
+    low: FloatArray,
+    high: FloatArray,
+    first: FloatArray,
+) -> Opinion:
+    q, n = problem.shape
+    sizes = [expression.numel() for expression, _, _ in rules]
+    least = np.concatenate(
+        [np.broadcast_to(b, s) for (_, b, _), s in zip(rules, sizes, strict=True)]
+    )
+    most = np.concatenate(
+        [np.broadcast_to(b, s) for (_, _, b), s in zip(rules, sizes, strict=True)]
+    )
+    program: dict[str, Any] = {
+        "x": unknowns,
+        "f": objective,
+        "g": ca.vertcat(*(ca.vec(expression) for expression, _, _ in rules)),
+    }
+    settings: dict[str, Any] = {
+        "print_time": False,
+        "show_eval_warnings": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.max_iter": 300,
+    }
+    solver = ca.nlpsol("referee", "ipopt", program, settings)
+    found = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
+    values, statistics = np.asarray(found["x"]).ravel(), solver.stats()
+    return Opinion(
+        energy=float(values[-1]),
+        z=values[: q * (n + 1)].reshape(q, n + 1),
+        traction=values[q * (n + 1) : q * (n + 1) + n],
+        status=str(statistics["return_status"]),
+        iterations=int(statistics["iter_count"]),
+    )
