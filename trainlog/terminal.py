@@ -54,9 +54,12 @@ def read_trips(paths: list[Path]) -> list[Trip]:
 
 def about(trip: Trip) -> str:
     """One line on a trip."""
-    told = ("direction", "weather", "load", "configuration")
-    words = [f"{key} {trip.metadata[key]}" for key in told if trip.metadata.get(key)]
-    return f"  {trip.name}: {trip.duration / 60.0:.1f} min, " + ", ".join(words)
+    known = trip.metadata
+    words = [f"{trip.duration / 60.0:.1f} min", known.get("direction", "")]
+    words += [f"{known['weather']} rail"] if known.get("weather") else []
+    words += [f"load {float(known['load']) / 1e3:.1f} t"] if known.get("load") else []
+    words += [f"as {known['configuration']}"] if known.get("configuration") else []
+    return f"  {trip.name}: {', '.join(filter(None, words))}"
 
 
 def wrote(*paths: Path) -> None:
