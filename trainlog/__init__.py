@@ -12,7 +12,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from trainlog.mcap import describe, read_log as read, write_log as write
+    from trainlog.mcap import describe
+    from trainlog.mcap import read_log as read
+    from trainlog.mcap import write_log as write
 
 __all__ = ["__version__", "describe", "read", "write"]
 
