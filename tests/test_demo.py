@@ -16,6 +16,7 @@ import trainlog
 from analysis.compare import savings
 from analysis.truth import curve_error, map_error, truth_of
 from trainlog import cli, demo
+from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
 from trainlog.formats.parameters import read_parameters
 from trainlog.formats.trajectory import read_trajectory
@@ -141,6 +142,25 @@ def test_every_result_says_what_it_was_made_from(results: Path) -> None:
     assert len(read_map(results / "map.json").trips) == 12
     for log in logs(results):
         assert describe(log).provenance
+
+
+def test_a_folder_of_other_files_is_left_alone(tmp_path: Path) -> None:
+    kept = tmp_path / "trips" / "mine.mcap"
+    kept.parent.mkdir()
+    kept.write_bytes(b"mine")
+    with pytest.raises(InputError, match="not the demo's; name a new folder"):
+        demo.run_demo(tmp_path, Console(quiet=True), cli.run)
+    assert kept.read_bytes() == b"mine"
+
+
+def test_the_demo_can_be_repeated(tmp_path: Path) -> None:
+    ran: list[list[str]] = []
+    for _ in range(2):
+        demo.run_demo(tmp_path / "results", Console(quiet=True), ran.append)
+        (tmp_path / "results" / "stale.json").write_text("{}")
+    assert ran == demo.commands(tmp_path / "results") * 2
+    demo.run_demo(tmp_path / "results", Console(quiet=True), ran.append)
+    assert not (tmp_path / "results" / "stale.json").exists()
 
 
 def test_pictures_and_the_replay_are_there(results: Path) -> None:

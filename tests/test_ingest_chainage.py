@@ -146,7 +146,8 @@ def test_chainage_and_speed_follow_the_truth(run: tuple[Trip, Trip]) -> None:
         assert inside.mean() > 0.9, f"{name}: the band holds {inside.mean():.0%} of the truth"
     assert np.all(np.diff(estimate["position"]) >= 0.0)
     assert estimate["speed"].min() >= 0.0
-    assert float(read.metadata["line.misfit"]) < 2.0
+    # A line that lies right is misplaced by no more than the fixes' own error.
+    assert float(read.metadata["line.misfit"]) < 2.5
 
 
 def test_a_single_fix_makes_no_chainage(tmp_path: Path) -> None:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
 from rich.console import Console
 
+from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
+
+
+MARKER = ".trainlog-demo"
+"""File that tells the demo's own folder from others."""
 
 
 def commands(output: Path) -> list[list[str]]:
@@ -41,18 +47,39 @@ def commands(output: Path) -> list[list[str]]:
     return [[str(word) for word in step] for step in steps]
 
 
+def _clear(output: Path) -> None:
+    """Make room for the results: earlier ones of the demo go, a folder of other files stays."""
+    marker = output / MARKER
+    if output.exists() and not marker.exists() and any(output.iterdir()):
+        raise InputError(
+            "holds files that are not the demo's",
+            file=output,
+            remedy="name a new folder with --output",
+        )
+    if output.exists():
+        shutil.rmtree(output)
+    output.mkdir(parents=True)
+    marker.write_text("Results of 'trainlog demo'; the next demo replaces this folder.\n", "utf-8")
+
+
 def run_demo(output: Path, console: Console, run: Callable[[list[str]], object]) -> None:
     """Run the whole chain and say where the results are.
 
     Parameters
     ----------
     output : path
-        Folder of the results; earlier results in it are replaced.
+        Folder of the results; earlier results of the demo in it are replaced.
     console : rich Console
     run : callable
         Runs one command, given as a list of words.
+
+    Raises
+    ------
+    InputError
+        If the folder holds files that are not the demo's.
     """
     begin = perf_counter()
+    _clear(output)
     steps = commands(output)
     for number, step in enumerate(steps, start=1):
         console.rule(f"[dim]{number} of {len(steps)}, {perf_counter() - begin:.0f} s", align="left")
