@@ -140,6 +140,10 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     )
     for row in rows:
         facts.add_row(*row)
+    if "referee" in certificate:
+        judge = certificate["referee"]
+        words = f"{_kwh(judge['energy'])}, ours {judge['difference']:+.4%} ({judge['status']})"
+        facts.add_row(f"second opinion by {judge['name']}", words)
     table = _table("", "configuration", "mass", "arrival", "top speed", "energy")
     order = np.argsort(-np.asarray(certificate["wheel_energy"]))
     for row in order[:LISTED]:

@@ -394,6 +394,9 @@ def optimise(
     ] = None,
     layer: Annotated[str, typer.Option(help="Rail condition of the map.")] = "wet",
     cells: Annotated[int, typer.Option(min=20, help="Cells of the grid.")] = 500,
+    referee: Annotated[
+        bool, typer.Option("--referee", help="Solve it again with CasADi and IPOPT, and compare.")
+    ] = False,
 ) -> None:
     """Find the trajectory of least energy that every observed configuration can follow.
 
@@ -426,6 +429,7 @@ def optimise(
             condition_map=None if condition is None else read_map(condition),
             layer=layer,
             cells=cells,
+            referee=referee,
         )
     write_trajectory(trajectory, output)
     draw_trajectory(trajectory, the_line, output.with_suffix(".png"))

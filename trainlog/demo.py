@@ -13,7 +13,6 @@ from rich.console import Console
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
 
-
 MARKER = ".trainlog-demo"
 """File that tells the demo's own folder from others."""
 
