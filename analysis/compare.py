@@ -183,13 +183,13 @@ def savings(drivers: Sequence[Trip], followed: Sequence[Trip]) -> tuple[Saving, 
     LogError
         If no pair is comparable.
     """
-    costs = {trip.name: trip_cost(trip) for trip in drivers}
+    by_name = {trip.name: trip for trip in drivers}
     pairs = []
     for trip in followed:
-        driver = costs.get(trip.metadata.get("configuration", ""))
-        if driver is None:
+        observed = by_name.get(trip.metadata.get("configuration", ""))
+        if observed is None:
             continue
-        cost = trip_cost(trip)
+        driver, cost = trip_cost(observed), trip_cost(trip)
         if (
             cost.direction == driver.direction
             and cost.stops == driver.stops == 0

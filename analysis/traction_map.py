@@ -164,11 +164,18 @@ def update(
 
 
 def update_logs(
-    known: TrackConditionMap | None, logs: Iterable[Path]
+    known: TrackConditionMap | None, logs: Iterable[Path], layer: str | None = None
 ) -> tuple[TrackConditionMap, tuple[str, ...]]:
     """Add log files to a map; None begins a new one on the line of the first log.
 
     A log is told from others by the SHA-256 of its file.
+
+    Parameters
+    ----------
+    known : TrackConditionMap or None
+    logs : iterable of path
+    layer : str, optional
+        Rail condition of all of them; default: what each log says.
 
     Returns
     -------
@@ -188,7 +195,7 @@ def update_logs(
         try:
             if track is None:
                 track = empty_map(_own_line(trip))
-            pieces.append(evidence(trip, track, sha256=sha256_of(path)))
+            pieces.append(evidence(trip, track, sha256=sha256_of(path), layer=layer))
         except TrainlogError as error:
             raise type(error)(error.problem, file=path, remedy=error.remedy) from error
     if track is None:

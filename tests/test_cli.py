@@ -183,6 +183,35 @@ def test_ingest_refuses_two_recordings_of_one_name(
     assert "same name" in complaint
 
 
+def test_a_recorded_trip_can_be_fitted_and_mapped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
+    profile = ("--profile", sample("recorder.profile.toml"), "--set", "load=24000")
+    log = tmp_path / "recorder.mcap"
+    run(monkeypatch, capsys, "ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path)
+    status, _, complaint = run(monkeypatch, capsys, "fit", log, "-o", tmp_path / "fit.json")
+    assert (status, complaint) == (0, "")
+    update = ("map", "update", log, "--map", tmp_path / "map.json")
+    status, _, complaint = run(monkeypatch, capsys, *update)
+    assert status == 2
+    assert "dry or wet" in complaint
+    status, told, _ = run(monkeypatch, capsys, *update, "--layer", "dry")
+    assert status == 0
+    assert "dry" in told
+
+
+@pytest.mark.parametrize("fact", ["weather", "=wet", "weather=", "load=heavy", "load=nan"])
+def test_facts_that_make_no_sense_are_refused(
+    fact: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, complaint = run(
+        monkeypatch, capsys, "ingest", sample("gnss.csv"), "--set", fact, "-o", tmp_path / "out"
+    )
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert not (tmp_path / "out").exists()
+
+
 def test_help_teaches_every_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

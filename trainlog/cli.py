@@ -17,6 +17,7 @@ from trainlog.terminal import (
     console,
     line_and_train,
     logs_in,
+    pairs,
     progress_bar,
     read_trips,
     working,
@@ -132,6 +133,10 @@ def ingest(
     reverse: Annotated[
         bool, typer.Option("--reverse", help="The trip ran against the line's chainage.")
     ] = False,
+    facts: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="What the file does not tell: weather=wet, load=12000 [kg]."),
+    ] = None,
 ) -> None:
     """Turn recorded logs into trips; what was repaired is counted and kept in the log.
 
@@ -150,6 +155,7 @@ def ingest(
         raise InputError(
             "two recordings have the same name", remedy="ingest them into different folders"
         )
+    metadata = pairs(facts or [])
     output.mkdir(parents=True, exist_ok=True)
     for target, recording in targets.items():
         with working(f"reading {recording.name}"):
@@ -159,6 +165,7 @@ def ingest(
                 line=the_line,
                 train=the_train,
                 direction="reverse" if reverse else None,
+                metadata=metadata,
             )
             write_log(trip, target)
         console.print(about(trip), highlight=False)
@@ -319,6 +326,9 @@ def estimate(
 def map_update(
     logs: Logs,
     condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
+    layer: Annotated[
+        str | None, typer.Option(help="Rail condition; default: the weather that each log tells.")
+    ] = None,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
 
@@ -333,7 +343,8 @@ def map_update(
 
     known = read_map(condition) if condition.exists() else None
     with progress_bar() as progress:
-        updated, told = update_logs(known, progress.track(logs_in(logs), description="mapping"))
+        every = progress.track(logs_in(logs), description="mapping")
+        updated, told = update_logs(known, every, layer)
     for trip in told:
         console.print(f"  {trip}: in the map already, not counted again", highlight=False)
     write_map(updated, condition)

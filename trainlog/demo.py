@@ -24,6 +24,7 @@ def commands(output: Path) -> list[list[str]]:
     parameters, condition = output / "parameters.json", output / "map.json"
     trajectory = output / "trajectory.json"
     known: list[str | Path] = ["--line", samples / DEFAULT_LINE, "--train", samples / DEFAULT_TRAIN]
+    facts = ["--set", "weather=dry", "--set", "load=24000"]
     profile: list[str | Path] = ["--profile", samples / "recorder.profile.toml"]
     rail: list[str | Path] = ["--map", condition, "--layer", "wet"]
     every = ["--configurations", "all"]
@@ -31,7 +32,7 @@ def commands(output: Path) -> list[list[str]]:
     steps: list[list[str | Path]] = [
         ["samples", samples],
         ["simulate", "--count", "12", "--seed", "1", "-o", trips],
-        ["ingest", samples / "recorder.csv", *profile, *known, "-o", recorded],
+        ["ingest", samples / "recorder.csv", *profile, *known, *facts, "-o", recorded],
         ["ingest", samples / "gnss.csv", *known, "-o", recorded],
         ["info", recorded / "recorder.mcap"],
         ["fit", trips, "-o", parameters],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -50,6 +51,26 @@ def read_trips(paths: list[Path]) -> list[Trip]:
 
     with progress_bar() as progress:
         return [read_log(log) for log in progress.track(logs_in(paths), description="reading")]
+
+
+def pairs(words: list[str]) -> dict[str, str]:
+    """Metadata given as ``key=value``."""
+    found = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not (key and equals and value):
+            raise InputError(f"'{word}' is not of the form key=value", remedy="as in weather=wet")
+        if key == "load" and not _is_number(value):
+            raise InputError(f"load '{value}' is not a number", remedy="give it in kg")
+        found[key] = value
+    return found
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
 
 
 def about(trip: Trip) -> str:
