@@ -1,0 +1,212 @@
+"""Trajectories against answers that are known from theory and from others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trajectory_world import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed
+
+from analysis.trajectory import Phase, optimise, phases_of
+from analysis.trajectory.phases import phases_by_switching
+from trainlog.railway import RunningResistance, Train, Trajectory
+
+KWH = 3.6e6
+
+
+@pytest.fixture(scope="module")
+def reference() -> Trajectory:
+    """The field's reference run: 48.5 km level, VIRM6, 1541 s, from 1 to 10 m/s, no losses."""
+    return optimise(
+        level_line(),
+        VIRM6,
+        observed(VIRM6, 1.0),
+        running_time=1541.0,
+        initial_speed=1.0,
+        final_speed=10.0,
+    )
+
+
+def test_reference_run_costs_no_more_than_the_best_known(reference: Trajectory) -> None:
+    per_mass = reference.certificate["energy"] / (1.06 * VIRM6.mass)
+    assert per_mass <= 2802.9
+    assert per_mass >= 2802.5, "less than every solver and the lower bound found"
+    assert 0.0 <= reference.certificate["gap"] <= 5e-4
+
+
+def test_audit_is_far_stricter_than_asked(reference: Trajectory) -> None:
+    audit = reference.certificate["audit"]
+    assert abs(audit["lateness"]) <= 1e-4
+    assert audit["overspeed"] <= 1e-5
+    assert audit["power"] <= 1.0 + 1e-6
+    assert audit["end_speed"] <= 10.0 + 1e-5
+
+
+def test_published_pseudospectral_solution() -> None:
+    """440.141 kWh at the line, efficiency 0.73 both ways, dynamic brake only, from 1 to 1 m/s."""
+    train = replace(
+        VIRM6,
+        max_traction_power=3_129_277.0,
+        max_dynamic_braking_effort=213_900.0,
+        max_dynamic_braking_power=3_129_277.0,
+        max_pneumatic_braking_effort=0.0,
+        max_deceleration=10.0,
+        efficiency_traction=0.73,
+        efficiency_regeneration=0.73,
+    )
+    line = level_line(48_531.0, (0.0, 140.0), (25_000.0, 100.0), (35_000.0, 140.0))
+    found = optimise(
+        line, train, observed(train, 1.0),
+        running_time=1541.0, initial_speed=1.0, final_speed=1.0, objective="line",
+    )  # fmt: skip
+    energy = found.certificate["energy"] / KWH
+    assert abs(energy / 440.141 - 1.0) <= 2e-4
+    assert found.certificate["lower_bound"] / KWH <= 440.141
+
+
+def test_cruising_speed_and_braking_speed_are_those_of_optimal_control(
+    reference: Trajectory,
+) -> None:
+    """On level track: price of time ``V² R'(V)``; braking begins at ``V² R' / (R + V R')``."""
+    resistance, phases = VIRM6.resistance, phases_of(reference, 0)
+    cells = np.flatnonzero(phases == Phase.CRUISING)[5:-5]
+    cruising = float(np.median(reference.speeds[0, cells]))
+    slope = resistance.r1 + 2.0 * resistance.r2 * cruising
+    price = cruising**2 * slope
+    assert reference.certificate["time_price"]["x1"] == pytest.approx(price, rel=1e-3)
+    first = int(np.argmax(phases >= Phase.PARTIAL_BRAKING))
+    braking = price / (float(resistance(cruising)) + cruising * slope)
+    assert reference.speeds[0, first] == pytest.approx(braking, rel=0.01)
+
+
+def test_phases_come_in_the_order_of_the_textbook(reference: Trajectory) -> None:
+    phases = phases_of(reference, 0)
+    changes = [Phase(p) for p in phases[np.flatnonzero(np.diff(phases, prepend=-1))]]
+    main = [p for p in changes if p is not Phase.PARTIAL_BRAKING]
+    assert main == [
+        Phase.MAXIMUM_TRACTION,
+        Phase.CRUISING,
+        Phase.COASTING,
+        Phase.MAXIMUM_BRAKING,
+    ]
+
+
+def test_costates_tell_the_same_phases_as_the_controls(reference: Trajectory) -> None:
+    switching = np.asarray(reference.certificate["switching"])
+    told = phases_by_switching(switching, band=3e-4)
+    # Where the control is singular the switching function says so only to within its band.
+    agree = np.mean(told == phases_of(reference, 0))
+    assert agree >= 0.95
+
+
+def test_energy_balance_of_the_run(reference: Trajectory) -> None:
+    """Traction less braking is kinetic energy gained plus the work of the running resistance."""
+    positions, speeds = reference.positions, reference.speeds[0]
+    step = np.diff(positions)
+    shares = (np.arange(400) + 0.5) / 400
+    square = speeds[:-1, None] ** 2 + np.diff(speeds**2)[:, None] * shares
+    work = float((VIRM6.resistance(np.sqrt(square)).mean(axis=1) * step).sum())
+    inertia = reference.configurations[0].inertia
+    kinetic = 0.5 * inertia * (speeds[-1] ** 2 - speeds[0] ** 2)
+    efforts = (reference.tractive_effort - reference.braking_effort[0]) @ step
+    assert efforts == pytest.approx(kinetic + work, rel=1e-5)
+
+
+def test_steady_running_where_nothing_else_is_possible() -> None:
+    """The limit is the mean speed, so the train has to hold it: resistance times distance."""
+    speed, length = 25.0, 20_000.0
+    found = optimise(
+        level_line(length, (0.0, speed * KMH)), VIRM6, observed(VIRM6, 1.0),
+        running_time=(1.0 + 1e-6) * length / speed, initial_speed=speed, final_speed=speed,
+        cells=200,
+    )  # fmt: skip
+    steady = float(VIRM6.resistance(speed)) * length
+    assert found.certificate["energy"] == pytest.approx(steady, rel=5e-3)
+    assert found.speeds[0] == pytest.approx(speed, rel=2e-3)
+
+
+def test_no_run_costs_less_than_steady_running_at_its_mean_speed() -> None:
+    """As ``v R(v)`` is convex, distance and time given: Jensen's inequality."""
+    speed, length = 25.0, 20_000.0
+    found = optimise(
+        level_line(length), VIRM6, observed(VIRM6, 1.0),
+        running_time=length / speed, initial_speed=speed, final_speed=speed, cells=200,
+    )  # fmt: skip
+    steady = float(VIRM6.resistance(speed)) * length
+    lost = 0.5 * 1.06 * VIRM6.mass * (speed**2 - found.speeds[0, -1] ** 2)
+    assert found.certificate["energy"] + lost > steady
+    assert found.certificate["energy"] < steady, "it may end slower, and does"
+
+
+def test_more_time_never_costs_more() -> None:
+    energies = [
+        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=reserve, cells=200)
+        .certificate["energy"]
+        for reserve in (0.03, 0.07, 0.15, 0.3, 0.6)
+    ]  # fmt: skip
+    assert np.all(np.diff(energies) < 0.0)
+
+
+def test_more_configurations_never_cost_less() -> None:
+    configurations = drawn(FLIRT, 6, seed=3)
+    energies = [
+        optimise(
+            hilly_line(), FLIRT, configurations[: count + 1], running_time=460.0, cells=200
+        ).certificate["energy"]
+        for count in range(6)
+    ]
+    # The grid follows the slowest configuration, so equal answers differ by its gap.
+    assert np.all(np.diff(energies) >= -1e-5 * energies[0])
+    assert energies[-1] > energies[0]
+
+
+def test_finer_grids_agree() -> None:
+    energies = {
+        cells: optimise(
+            hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=420.0, cells=cells
+        ).certificate
+        for cells in (150, 600)
+    }
+    coarse, fine = energies[150], energies[600]
+    assert abs(coarse["energy"] / fine["energy"] - 1.0) <= 2e-3
+    assert fine["gap"] < coarse["gap"]
+    assert fine["energy"] >= fine["lower_bound"]
+
+
+def test_tunnels_and_curves_cost_energy() -> None:
+    line = hilly_line()
+    time = 420.0
+    full = optimise(line, FLIRT, observed(FLIRT, 1.0), running_time=time, cells=200)
+    for bare in (replace(line, tunnels=()), replace(line, curvatures=None)):
+        found = optimise(bare, FLIRT, observed(FLIRT, 1.0), running_time=time, cells=200)
+        assert found.certificate["energy"] < full.certificate["energy"]
+
+
+def test_regeneration_is_worth_something_and_not_too_much() -> None:
+    line, configurations = hilly_line(), observed(FLIRT, 1.0)
+    without = optimise(line, FLIRT, configurations, running_time=430.0, cells=200)
+    at_line = optimise(
+        line, FLIRT, configurations, running_time=430.0, objective="line", cells=200
+    ).certificate["energy"]
+    bought = without.certificate["energy"] / FLIRT.efficiency_traction
+    assert at_line < without.certificate["line_energy"][0] + 1.0
+    assert 0.4 * bought < at_line < bought
+
+
+def test_lossless_train_gets_its_kinetic_energy_back() -> None:
+    """Without resistance and losses, and with a brake that returns all, nothing is spent."""
+    train: Train = replace(
+        VIRM6,
+        resistance=RunningResistance(0.0, 0.0, 0.0),
+        max_dynamic_braking_effort=500_000.0,
+        max_dynamic_braking_power=1e8,
+        efficiency_traction=1.0,
+        efficiency_regeneration=1.0,
+    )
+    found = optimise(
+        level_line(10_000.0, (0.0, 100.0)), train, observed(train, 1.0),
+        reserve=0.1, objective="line", cells=150,
+    )  # fmt: skip
+    top = 0.5 * 1.06 * train.mass * float(found.speeds.max()) ** 2
+    assert abs(found.certificate["line_energy"][0]) <= 1e-4 * top

@@ -1,0 +1,186 @@
+"""What a trajectory has to keep to: limits, adhesion, stops, brakes, the file it is written to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trajectory_world import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed, slippery
+
+from analysis.trajectory import optimise
+from trainlog.errors import InputError
+from trainlog.formats.trajectory import read_trajectory, write_trajectory
+from trainlog.railway import Trajectory
+
+
+@pytest.fixture(scope="module")
+def set_of_twelve() -> Trajectory:
+    return optimise(hilly_line(), FLIRT, drawn(FLIRT, 12, seed=1), reserve=0.1, cells=250)
+
+
+def test_every_configuration_keeps_the_limits(set_of_twelve: Trajectory) -> None:
+    line, found = hilly_line(), set_of_twelve
+    middle = 0.5 * (found.positions[1:] + found.positions[:-1])
+    limit = line.speed_limit(middle)
+    assert np.all(found.speeds[:, 1:] <= limit + 1e-5)
+    assert np.all(found.speeds[:, :-1] <= limit + 1e-5)
+
+
+def test_power_is_kept_at_both_ends_of_every_cell(set_of_twelve: Trajectory) -> None:
+    found = set_of_twelve
+    fastest = np.maximum(found.speeds[:, 1:], found.speeds[:, :-1])
+    power = np.array([[c.max_power] for c in found.configurations])
+    assert np.all(found.tractive_effort * fastest <= power * (1.0 + 1e-6))
+
+
+def test_runs_from_standstill_to_standstill(set_of_twelve: Trajectory) -> None:
+    found = set_of_twelve
+    assert np.all(found.speeds[:, [0, -1]] == 0.0)
+    assert np.all(np.isfinite(found.times))
+    assert np.diff(found.positions)[0] < 1.0
+    assert -5e-3 <= found.times[:, -1].max() - found.running_time <= 1e-4
+
+
+def test_times_are_those_of_constant_acceleration(set_of_twelve: Trajectory) -> None:
+    found = set_of_twelve
+    step = np.diff(found.positions)
+    times = 2.0 * step / (found.speeds[:, 1:] + found.speeds[:, :-1])
+    assert np.diff(found.times, axis=1) == pytest.approx(times, rel=2e-3)
+
+
+def test_few_configurations_decide(set_of_twelve: Trajectory) -> None:
+    found = set_of_twelve
+    active = found.certificate["active"]
+    assert 1 <= len(active) <= 5
+    alone = optimise(
+        hilly_line(),
+        FLIRT,
+        [c for c in found.configurations if c.name in active],
+        running_time=found.running_time,
+        cells=250,
+    )
+    # Limits that all share, as the comfort of the lightest, are left out here: never dearer.
+    assert alone.certificate["energy"] <= found.certificate["energy"] * (1.0 + 2e-5)
+    assert found.certificate["gap"] <= 2e-3
+
+
+def test_thirty_configurations_are_all_audited() -> None:
+    found = optimise(hilly_line(), FLIRT, drawn(FLIRT, 30, seed=7), reserve=0.1, cells=200)
+    assert len(found.certificate["audit"]["arrival"]) == 30
+    assert found.certificate["audit"]["passed"]
+    assert found.certificate["gap"] <= 2e-3
+    assert len(found.certificate["phases"]) == 30
+    assert {len(letters) for letters in found.certificate["phases"]} == {found.positions.size - 1}
+
+
+def test_the_map_limits_the_efforts_where_it_was_observed() -> None:
+    line = level_line(8_000.0, (0.0, 100.0))
+    condition = slippery(line, (0.0, 400.0, 0.10), (7_800.0, 8_000.0, 0.06))
+    found = optimise(
+        line, FLIRT, observed(FLIRT, 1.0), running_time=420.0, condition_map=condition, cells=200
+    )
+    starting = found.positions[:-1] < 350.0
+    cautious = 0.10 * np.exp(-0.1)
+    assert found.tractive_effort[starting].max() == pytest.approx(
+        cautious * FLIRT.adhesive_weight(), rel=1e-6
+    )
+    assert found.certificate["audit"]["adhesion"] <= 1.0 + 1e-6
+    free = optimise(line, FLIRT, observed(FLIRT, 1.0), running_time=420.0, cells=200)
+    assert free.certificate["energy"] < found.certificate["energy"]
+    nothing = np.zeros(condition.bins, dtype=bool)
+    blind = replace(condition, layers={"wet": replace(condition.layers["wet"], observed=nothing)})
+    unaware = optimise(
+        line, FLIRT, observed(FLIRT, 1.0), running_time=420.0, condition_map=blind, cells=200
+    )
+    assert np.array_equal(unaware.tractive_effort, free.tractive_effort)
+
+
+def test_the_map_is_not_read_more_boldly_than_asked() -> None:
+    line = level_line(6_000.0, (0.0, 100.0))
+    condition = slippery(line, (0.0, 400.0, 0.10))
+    starts = [
+        optimise(
+            line, FLIRT, observed(FLIRT, 1.0), running_time=360.0, condition_map=condition,
+            sigmas=sigmas, cells=120,
+        ).tractive_effort[0]
+        for sigmas in (0.0, 2.0, 4.0)
+    ]  # fmt: skip
+    assert starts[0] > starts[1] > starts[2]
+
+
+def test_a_section_between_two_stations() -> None:
+    line = hilly_line()
+    found = optimise(
+        line, FLIRT, observed(FLIRT, 1.0), start=line.stations[0].position,
+        end=line.stations[1].position, cells=150,
+    )  # fmt: skip
+    assert found.positions[0] == 0.0
+    assert found.positions[-1] == 5_000.0
+    assert found.speeds[0, -1] == 0.0
+
+
+def test_the_whole_train_keeps_the_limit_when_it_is_asked_to() -> None:
+    line = hilly_line()
+    found = optimise(
+        line, FLIRT, observed(FLIRT, 1.0), reserve=0.05, protected_length=FLIRT.length, cells=200
+    )
+    # Its tail is still in the lower limit for a train's length.
+    behind = np.linspace(4_500.0, 4_500.0 + FLIRT.length, 50)
+    assert found.speed_at(0, behind).max() <= 80.0 / KMH + 1e-5
+    front = optimise(line, FLIRT, observed(FLIRT, 1.0), reserve=0.05, cells=200)
+    assert front.certificate["least_time"][0] < found.certificate["least_time"][0]
+
+
+def test_common_and_own_brakes_agree_for_one_configuration() -> None:
+    options = {"running_time": 1541.0, "initial_speed": 1.0, "final_speed": 10.0, "cells": 150}
+    energies = [
+        optimise(level_line(), VIRM6, observed(VIRM6, 1.0), braking=braking, **options)  # type: ignore[arg-type]
+        .certificate["energy"]
+        for braking in ("recourse", "common")
+    ]  # fmt: skip
+    assert energies[0] == pytest.approx(energies[1], rel=1e-6)
+
+
+def test_common_brakes_are_common_and_cost_no_less() -> None:
+    options = {"running_time": 1541.0, "initial_speed": 1.0, "final_speed": 15.0, "cells": 150}
+    configurations = observed(VIRM6, 0.97, 1.0, 1.03)
+    common = optimise(level_line(), VIRM6, configurations, braking="common", **options)  # type: ignore[arg-type]
+    own = optimise(level_line(), VIRM6, configurations, **options)  # type: ignore[arg-type]
+    assert np.array_equal(common.braking_effort[0], common.braking_effort[2])
+    assert np.all(common.speeds[:, -1] <= 15.0 + 1e-5)
+    assert common.certificate["energy"] >= own.certificate["energy"] * (1.0 - 1e-6)
+
+
+def test_same_question_same_answer(tmp_path: Path) -> None:
+    for name in ("a.json", "b.json"):
+        found = optimise(hilly_line(), FLIRT, drawn(FLIRT, 3, seed=2), cells=100)
+        write_trajectory(found, tmp_path / name)
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    again = read_trajectory(tmp_path / "a.json")
+    assert np.array_equal(again.speeds, found.speeds)
+    assert again.certificate["gap"] == found.certificate["gap"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"configurations": []}, "no parameter configuration"),
+        ({"configurations": observed(FLIRT, 1.0, 1.0)}, "two configurations are called 'x1'"),
+        ({"start": 5_000.0, "end": 4_000.0}, "is no section"),
+        ({"end": 9_000.0}, "is no section"),
+        ({"initial_speed": -1.0}, "must not be negative"),
+        ({"initial_speed": 30.0}, "above the 90.0 km/h permitted"),
+        ({"braking": "none"}, "no such braking 'none'"),
+        ({"objective": "time"}, "objective 'time'"),
+        ({"cells": 3}, "make no sense"),
+        ({"reserve": -0.1}, "make no sense"),
+        ({"condition_map": slippery(level_line(5_000.0))}, "belongs to a line of 5.000 km"),
+        ({"condition_map": slippery(hilly_line()), "layer": "icy"}, "no layer 'icy'"),
+    ],
+)
+def test_senseless_questions_are_refused(changes: dict[str, object], words: str) -> None:
+    question: dict[str, object] = {"configurations": observed(FLIRT, 1.0), **changes}
+    with pytest.raises(InputError, match=words):
+        optimise(hilly_line(), FLIRT, **question)  # type: ignore[arg-type]

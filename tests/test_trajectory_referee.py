@@ -1,0 +1,88 @@
+"""IPOPT on the same transcription finds the same; the bound lies below both; the picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trajectory_world import FLIRT, VIRM6, drawn, hilly_line, level_line, observed
+
+from analysis.pictures.trajectory import draw_trajectory
+from analysis.trajectory import Phase, optimise
+from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.phases import phases_by_control, phases_by_switching, spelled
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_train
+
+
+@pytest.mark.parametrize("objective", ["wheel", "line"])
+def test_referee_agrees(objective: str) -> None:
+    found = optimise(
+        level_line(), VIRM6, observed(VIRM6, 1.0), running_time=1541.0, initial_speed=1.0,
+        final_speed=10.0, cells=120, objective=objective, referee=True,  # type: ignore[arg-type]
+    )  # fmt: skip
+    referee = found.certificate["referee"]
+    assert referee["status"] == "Solve_Succeeded"
+    assert abs(referee["difference"]) <= 3e-6
+    assert referee["energy"] >= found.certificate["lower_bound"]
+
+
+def test_referee_agrees_on_hills_with_several_configurations() -> None:
+    found = optimise(
+        hilly_line(), FLIRT, drawn(FLIRT, 3, seed=4, spread=0.04), reserve=0.15,
+        initial_speed=2.0, final_speed=2.0, cells=120, referee=True,
+    )  # fmt: skip
+    assert abs(found.certificate["referee"]["difference"]) <= 3e-5
+
+
+def test_embedded_line_and_train_with_twelve_configurations() -> None:
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    found = optimise(line, train, drawn(train, 12, seed=5), reserve=0.07)
+    certificate = found.certificate
+    assert certificate["gap"] <= 5e-4
+    assert certificate["certified"]
+    assert certificate["audit"]["lateness"] <= 1e-4
+    assert certificate["audit"]["overspeed"] <= 1e-5
+    assert certificate["audit"]["power"] <= 1.0 + 1e-6
+
+
+def test_phases_by_control() -> None:
+    traction = np.array([100.0, 60.0, 0.0, 0.0, 0.0, 40.0])
+    braking = np.array([0.0, 0.0, 0.0, 30.0, 50.0, 25.0])
+    phases = phases_by_control(traction, braking, np.full(6, 100.0), np.full(6, 50.0))
+    assert spelled(phases) == "TPCHBP"
+    switching = np.array([1.5, 1.0, 0.5, 0.0, -0.5, 1.0])
+    assert spelled(phases_by_switching(switching)) == "TPCHBP"
+    assert Phase.MAXIMUM_TRACTION.label == "maximum traction"
+
+
+def test_mesh_goes_through_every_breakpoint_and_is_fine_where_speed_changes() -> None:
+    positions = np.linspace(0.0, 1_000.0, 1_001)
+    speeds = np.minimum(np.sqrt(2.0 * positions), 20.0)
+    breakpoints = np.array([0.0, 333.3, 777.7, 1_000.0])
+    mesh = graded_mesh(breakpoints, positions, speeds, 100)
+    assert np.isin(breakpoints, mesh).all()
+    assert abs(mesh.size - 1 - 100) <= 3
+    step = np.diff(mesh)
+    assert step[0] < 0.2 * step[-1]
+
+
+def test_mesh_keeps_spare_cells_on_a_line_of_many_breakpoints() -> None:
+    positions = np.linspace(0.0, 1_000.0, 1_001)
+    speeds = np.minimum(np.sqrt(2.0 * positions), 20.0)
+    breakpoints = np.linspace(0.0, 1_000.0, 101)
+    assert graded_mesh(breakpoints, positions, speeds, 80).size - 1 >= 118
+
+
+def test_picture(tmp_path: Path) -> None:
+    line = hilly_line()
+    found = optimise(line, FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=100)
+    for name in ("a.png", "b.png"):
+        draw_trajectory(found, line, tmp_path / name)
+    data = (tmp_path / "a.png").read_bytes()
+    assert data.startswith(b"\x89PNG")
+    assert len(data) > 30_000
+    assert data == (tmp_path / "b.png").read_bytes()

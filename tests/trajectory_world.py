@@ -1,0 +1,156 @@
+"""Lines and trains for the tests of the trajectories: nothing read from disk.
+
+The VIRM6, the FLIRT and the level line restate facts of TTOBench v1.5 (BSD-2-Clause).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from trainlog.railway import (
+    Configuration,
+    CurvatureProfile,
+    Line,
+    RunningResistance,
+    Station,
+    StepProfile,
+    TrackConditionMap,
+    Train,
+    Tunnel,
+)
+from trainlog.railway.condition import BIN_LENGTH, ConditionLayer
+
+KMH = 3.6
+
+VIRM6 = Train(
+    name="NL_Intercity_VIRM6",
+    mass=391_000.0,
+    rotating_mass_factor=0.06,
+    resistance=RunningResistance(5_854.0, 74.16, 12.96),
+    max_tractive_effort=213_900.0,
+    max_traction_power=2_157_000.0,
+    max_dynamic_braking_effort=142_500.0,
+    max_dynamic_braking_power=3_616_000.0,
+    max_pneumatic_braking_effort=273_500.0,
+    max_speed=140.0 / KMH,
+    max_deceleration=0.66,
+    efficiency_traction=0.875,
+    efficiency_regeneration=0.7,
+)
+
+FLIRT = Train(
+    name="CH_Stadler_FLIRT_TPF",
+    mass=122_000.0,
+    rotating_mass_factor=0.1,
+    resistance=RunningResistance(2_378.88, 61.13394, 12.0870144),
+    max_tractive_effort=200_000.0,
+    max_traction_power=2_600_000.0,
+    max_dynamic_braking_effort=200_000.0,
+    max_dynamic_braking_power=2_600_000.0,
+    max_pneumatic_braking_effort=1_220_000.0,
+    max_speed=160.0 / KMH,
+    max_acceleration=1.1,
+    max_deceleration=1.1,
+    efficiency_traction=0.9,
+    efficiency_regeneration=0.9,
+    length=58.6,
+    tunnel_resistance=((24.0, 15.160608), (40.0, 7.230384)),
+)
+
+
+_BENDS = np.array(
+    [
+        (0.0, 0.0, 0.0),
+        (700.0, 0.0, 1 / 400),
+        (800.0, 1 / 400, 1 / 400),
+        (1_500.0, 1 / 400, -1 / 350),
+        (1_640.0, -1 / 350, -1 / 350),
+        (2_500.0, -1 / 350, 0.0),
+        (2_600.0, 0.0, 0.0),
+        (5_100.0, 0.0, 1 / 500),
+        (5_200.0, 1 / 500, 1 / 500),
+        (5_900.0, 1 / 500, 0.0),
+    ]
+)
+"""Position, curvature at the start and at the end of each element [m], [1/m]."""
+
+
+def steps(*pairs: tuple[float, float]) -> StepProfile:
+    positions, values = zip(*pairs, strict=True)
+    return StepProfile(np.array(positions, dtype=float), np.array(values, dtype=float))
+
+
+def level_line(length: float = 48_531.0, *limits: tuple[float, float]) -> Line:
+    """TTOBench's reference: level, 140 km/h unless said otherwise [m, km/h]."""
+    return Line(
+        name="level",
+        length=length,
+        stations=(Station("A", 0.0), Station("B", length)),
+        speed_limits=steps(*((s, v / KMH) for s, v in limits or ((0.0, 140.0),))),
+        gradients=steps((0.0, 0.0)),
+    )
+
+
+def hilly_line() -> Line:
+    """Eight kilometres with all that a line can have, bends of opposite hand included."""
+    length = 8_000.0
+    return Line(
+        name="hilly",
+        length=length,
+        stations=(Station("A", 0.0), Station("B", 5_000.0), Station("C", length)),
+        speed_limits=steps(
+            (0.0, 90 / KMH), (600.0, 125 / KMH), (3_000.0, 80 / KMH), (4_500.0, 110 / KMH)
+        ),
+        gradients=steps(
+            (0.0, 0.0), (900.0, 0.012), (2_000.0, -0.018), (3_600.0, -0.002), (6_000.0, 0.007)
+        ),
+        curvatures=CurvatureProfile(*_BENDS.T.copy()),
+        tunnels=(Tunnel(6_200.0, 900.0, 24.0),),
+    )
+
+
+def observed(train: Train, *factors: float, load: float = 0.0) -> list[Configuration]:
+    """Configurations whose running resistance is the train's own times each factor."""
+    nominal = Configuration.of(train, load)
+    return [
+        replace(nominal, name=f"x{factor:g}", resistance=train.resistance.scaled(factor))
+        for factor in factors
+    ]
+
+
+def drawn(train: Train, count: int, seed: int = 0, spread: float = 0.1) -> list[Configuration]:
+    """Configurations drawn at random: resistance, load and power vary."""
+    random = np.random.default_rng(seed)
+    return [
+        Configuration(
+            f"trip {number}",
+            train.mass * (1.0 + random.uniform(0.0, spread)),
+            train.rotating_mass,
+            train.resistance.scaled(1.0 + random.uniform(-spread, spread)),
+            train.max_traction_power * (1.0 - random.uniform(0.0, spread)),
+        )
+        for number in range(count)
+    ]
+
+
+def slippery(line: Line, *spots: tuple[float, float, float]) -> TrackConditionMap:
+    """A map that knows 0.30 everywhere but in the spots (from [m], to [m], maximum adhesion)."""
+    bins = int(np.ceil(line.length / BIN_LENGTH))
+    centres = (np.arange(bins) + 0.5) * BIN_LENGTH
+    adhesion = np.full(bins, 0.30)
+    for start, end, value in spots:
+        adhesion[(centres > start) & (centres < end)] = value
+    nothing = np.zeros(bins)
+    layer = ConditionLayer(
+        log_mean=np.log(adhesion),
+        log_std=np.full(bins, 0.05),
+        observed=np.ones(bins, dtype=bool),
+        events=nothing,
+        weight=nothing,
+        weighted_log=nothing,
+        censored=np.zeros((bins, 3)),
+    )
+    levels = np.array([0.1, 0.2, 0.3])
+    return TrackConditionMap(line.name, line.length, BIN_LENGTH, levels, {"wet": layer})
