@@ -6,7 +6,7 @@ lower bound for some is one for all. Few are ever active: the slowest, and those
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.minimax import Solution, minimise
 from analysis.trajectory.pace import cell_times, paced_run, realise, ride_along
 from analysis.trajectory.problem import Plan, Problem
-from analysis.trajectory.relaxation import Relaxation
+from analysis.trajectory.relaxation import Relaxation, Relaxed
 from trainlog.errors import InfeasibleError
 from trainlog.units import KMH
 
@@ -23,6 +23,9 @@ FloatArray = NDArray[np.float64]
 
 _LATE = 5e-5
 """Lateness that makes a configuration active [s]."""
+
+_FAR_BEHIND = 0.5
+"""Lateness that makes a configuration active before the optimum is refined [s]."""
 
 _OVER = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
@@ -70,7 +73,7 @@ def search(problem: Problem, least_times: FloatArray, running_time: float) -> An
     InfeasibleError
         If there is no such trajectory; with the figures.
     """
-    active = {int(np.argmax(least_times))}
+    active = {int(np.argmax(least_times)), _dearest(problem, least_times)}
     if problem.common:
         active |= {int(np.argmin(least_times)), int(np.argmin(problem.power))}
     turns = 0
@@ -78,25 +81,12 @@ def search(problem: Problem, least_times: FloatArray, running_time: float) -> An
         turns += 1
         rows = sorted(active)
         part = problem.select(rows)
-        relaxation = Relaxation(part, paced_run(part, running_time))
-        try:
-            relaxed = relaxation.least_energy(running_time)
-        except NoSolutionError as word:
-            raise _explained(part, relaxation, running_time, str(word)) from None
-        try:
-            solution = minimise(part, relaxed.plan, relaxed.time_price, running_time)
-        except NoSolutionError as word:
-            raise InfeasibleError(
-                f"no trajectory found in {running_time:.1f} s on {part.shape[1]} cells: a convex"
-                f" step is {word}",
-                remedy="allow more time or more cells",
-            ) from None
-        if solution.lateness > _LATE:
-            raise InfeasibleError(
-                f"{running_time:.2f} s are {solution.lateness:.2f} s too short for"
-                f" {_names(part)} together on {part.shape[1]} cells",
-                remedy="allow more time or more cells",
-            )
+        relaxed = _relaxed(part, running_time)
+        late = cell_times(problem, _all_ride(problem, rows, part, relaxed.plan)).sum(axis=1)
+        if late.max() > max(running_time, late[rows].max()) + _FAR_BEHIND:
+            active |= _worst(late, running_time)
+            continue
+        solution = _optimum(part, relaxed, running_time)
         plan = _all_ride(problem, rows, part, solution.plan)
         new = _violators(problem, plan, running_time, rows)
         if not new:
@@ -135,12 +125,20 @@ def _violators(problem: Problem, plan: Plan, running_time: float, active: list[i
     if problem.run.objective == "line":
         spent = -(plan.dynamic @ problem.step)
         excesses.append((spent - np.median(spent)) / (plan.traction @ problem.step))
-    found = set()
+    found: set[int] = set()
     for excess in excesses:
         excess[active] = -np.inf
-        if excess.max() > _OVER:
-            found.add(int(np.argmax(excess)))
+        found |= _worst(excess, _OVER)
     return found
+
+
+def _worst(amounts: FloatArray, limit: float) -> set[int]:
+    """The worst configuration beyond `limit`, and the next if it is nearly half as bad."""
+    first, second = np.argsort(-amounts)[:2] if amounts.size > 1 else (0, 0)
+    excess = amounts - limit
+    if excess[first] <= 0.0:
+        return set()
+    return {int(first), int(second)} if excess[second] > 0.4 * excess[first] else {int(first)}
 
 
 def _model_times(problem: Problem, plan: Plan) -> FloatArray:
@@ -148,34 +146,101 @@ def _model_times(problem: Problem, plan: Plan) -> FloatArray:
     return np.asarray((2.0 * problem.step / (speed[:, :-1] + speed[:, 1:])).sum(axis=1))
 
 
-def _explained(
+def _dearest(problem: Problem, least_times: FloatArray) -> int:
+    """The configuration of the highest resistance at the mean speed of the fastest runs."""
+    speed = float(problem.step.sum()) / float(np.median(least_times))
+    drag = problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2
+    drag += (problem.mean_drag0 @ problem.step) / problem.step.sum()
+    return int(np.argmax(drag / problem.gain))
+
+
+def _relaxed(problem: Problem, running_time: float) -> Relaxed:
+    """The relaxation for these configurations.
+
+    Raises
+    ------
+    InfeasibleError
+        With what is missing: time, or with common braking a higher speed at the end.
+    """
+    relaxation = Relaxation(problem, paced_run(problem, running_time))
+    try:
+        return relaxation.least_energy(running_time)
+    except NoSolutionError as word:
+        if problem.common:
+            raise _brakes_explained(problem, running_time) from None
+        raise _time_explained(problem, relaxation, running_time, str(word)) from None
+
+
+def _optimum(problem: Problem, relaxed: Relaxed, running_time: float) -> Solution:
+    """The optimum for these configurations, from their relaxation.
+
+    Raises
+    ------
+    InfeasibleError
+        As `_relaxed`, where the relaxation has a solution and the problem none.
+    """
+    try:
+        solution = minimise(problem, relaxed.plan, relaxed.time_price, running_time)
+        word = f"{solution.lateness:.2f} s are missing"
+    except NoSolutionError as failure:
+        solution, word = None, f"a convex step is {failure}"
+    if solution is not None and solution.lateness <= _LATE:
+        return solution
+    if problem.common:
+        raise _brakes_explained(problem, running_time)
+    raise InfeasibleError(
+        f"{running_time:.2f} s are not enough for {_names(problem)} under one common traction on"
+        f" {problem.shape[1]} cells: {word}",
+        remedy="allow more time or more cells",
+    )
+
+
+def _time_explained(
     problem: Problem, relaxation: Relaxation, running_time: float, word: str
 ) -> InfeasibleError:
     """Why the relaxation, and so the problem, has no solution."""
     names = _names(problem)
-    if problem.common:
-        try:
-            speed = relaxation.least_end_speed(running_time)
-        except NoSolutionError:
-            pass
-        else:
-            return InfeasibleError(
-                f"with one braking effort for all, {names} cannot all end below"
-                f" {KMH * speed:.1f} km/h, asked for are {KMH * problem.run.final_speed:.1f} km/h",
-                remedy="let each configuration brake for itself (recourse), or end faster",
-            )
     try:
         time = relaxation.least_time()
     except NoSolutionError:
-        return InfeasibleError(f"{names} cannot make this run together: the relaxation is {word}")
+        return InfeasibleError(f"no common run of {names}: the relaxation is {word}")
     if time <= running_time:
-        return InfeasibleError(
-            f"the solver of the lower bound gave up: {word}", remedy="more cells"
-        )
+        return InfeasibleError(f"the convex solver gave up: {word}", remedy="allow more cells")
     return InfeasibleError(
-        f"under one common traction {names} need at least {time:.1f} s, the timetable gives"
-        f" {running_time:.1f} s: {time - running_time:.1f} s are missing",
+        f"under one common traction, in {problem.shape[1]} cells, at least {time:.1f} s are needed"
+        f" by {names}; the timetable gives {running_time:.1f} s, {time - running_time:.1f} s are"
+        " missing",
         remedy=f"allow at least {np.ceil(time):.0f} s",
+    )
+
+
+def _brakes_explained(problem: Problem, running_time: float) -> InfeasibleError:
+    """The lowest speed to which one braking effort brings them all, to 0.05 m/s."""
+    names = _names(problem)
+
+    def reached(speed: float) -> bool:
+        trial = replace(problem, final=0.5 * speed**2)
+        try:
+            relaxed = Relaxation(trial, paced_run(trial, running_time)).least_energy(running_time)
+            solution = minimise(trial, relaxed.plan, relaxed.time_price, running_time, rounds=12)
+        except NoSolutionError:
+            return False
+        return solution.lateness <= _LATE
+
+    low, high = float(np.sqrt(2.0 * problem.final)), float(np.sqrt(2.0 * problem.ceiling[-1]))
+    if not reached(high):
+        return InfeasibleError(
+            f"with one braking effort for all, {names} cannot keep {running_time:.1f} s whatever"
+            " their speed at the end",
+            remedy="allow more time, or let each configuration brake for itself (recourse)",
+        )
+    while high - low > 0.05:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if reached(middle) else (middle, high)
+    return InfeasibleError(
+        f"with one braking effort for all, {names} cannot all end below {KMH * high:.1f} km/h in"
+        f" {running_time:.1f} s; asked for are {KMH * problem.run.final_speed:.1f} km/h",
+        remedy="let each configuration brake for itself (recourse), or end faster",
     )
 
 

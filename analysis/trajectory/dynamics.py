@@ -122,11 +122,14 @@ def brake_backwards(
     for a in range(q):
         curve[a, n] = min(final, ceiling[a, n])
         for k in range(n - 1, -1, -1):
-            z = curve[a, k + 1]
+            z, effort = curve[a, k + 1], -1.0
             for _ in range(6):
-                v = max(speed_of(z), 1e-6)
-                effort = min(braking[a, k], friction[a, k] + min(dynamic[a, k], dynamic_power / v))
+                by_power = dynamic_power / max(speed_of(z), 1e-6)
+                limit = min(braking[a, k], friction[a, k] + min(dynamic[a, k], by_power))
+                if limit == effort:
+                    break
                 # Motion backwards along the line: the same equation with the sign of ds turned.
+                effort = limit
                 net = gain[a] * (effort - traction[k])
                 z = _back(curve[a, k + 1], net, drag0[a, k], drag1[a], drag2[a, k], step[k])
             curve[a, k] = max(min(z, ceiling[a, k]), 0.0)

@@ -79,7 +79,6 @@ class Relaxation:
         self.braking = cp.Variable((1 if problem.common else q, n))
         self.dynamic = cp.Variable((q, n)) if tells_dynamic(problem) else None
         self.time = cp.sum(cp.multiply(2.0 * problem.step / self.total, self.tau), axis=1)
-        self.end = cp.multiply(0.5 * self.scale[:, n] ** 2, self.square[:, n])
         # The resistance acts on the mean of a cell's end speeds, which the true mean exceeds by a
         # trifle; the brake gets that much more room, so that no trajectory is excluded.
         spare = _MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
@@ -97,8 +96,7 @@ class Relaxation:
         problem = self.problem
         arrival = self.time <= running_time
         energy = worst_energy(problem, self.traction, self.dynamic)
-        rules = [*self.rules, self.end <= problem.final_ceiling, arrival]
-        program, status = solve(energy, rules)
+        program, status = solve(energy, [*self.rules, arrival])
         z = np.maximum(0.5 * self.scale**2 * self.square.value, 0.0)
         traction = np.maximum(self.traction.value, 0.0)
         braking = np.broadcast_to(np.maximum(self.braking.value, 0.0), problem.shape).copy()
@@ -114,20 +112,8 @@ class Relaxation:
         NoSolutionError
             If no trajectory exists for any time.
         """
-        rules = [*self.rules, self.end <= self.problem.final_ceiling]
-        program, _ = solve(cp.max(self.time), rules)
+        program, _ = solve(cp.max(self.time), self.rules)
         return float(program.value)
-
-    def least_end_speed(self, running_time: float) -> float:
-        """No trajectory brings every configuration to less than this speed at the end [m/s].
-
-        Raises
-        ------
-        NoSolutionError
-            If `running_time` [s] cannot be kept whatever the end speed.
-        """
-        program, _ = solve(cp.max(self.end), [*self.rules, self.time <= running_time])
-        return float(np.sqrt(2.0 * max(program.value, 0.0)))
 
     def _motion(self) -> list[Any]:
         """Eq. (2) over a cell, exact for the quadratic resistance; rows scaled by the speed."""
@@ -136,6 +122,7 @@ class Relaxation:
         mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
         row = 1.0 / self.scale[:, 1:]
         push, half = step * mean * row, 0.5 * self.scale**2
+        ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
         linear = 0.5 * push * problem.drag1[:, None]
         return [
             cp.multiply(half[:, 1:] * row, self.square[:, 1:])
@@ -148,7 +135,7 @@ class Relaxation:
             == -push * problem.mean_drag0,
             self.square[:, 0] == problem.initial / half[:, 0],
             self.w[:, 0] == np.sqrt(2.0 * problem.initial) / self.scale[:, 0],
-            self.square[:, 1:] <= (problem.ceiling / half)[:, 1:],
+            self.square[:, 1:] <= (ceiling / half)[:, 1:],
         ]
 
     def _cones(self) -> list[Any]:
