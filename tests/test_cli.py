@@ -115,7 +115,9 @@ def test_info_tells_what_is_left_of_a_cut_log(
         ["nonsense"],
         ["simulate", "--count", "zero", "-o", "x"],
         ["simulate", "--count", "0", "-o", "x"],
+        ["simulate", "--seed", "-1", "-o", "x"],
         ["optimise", "a.json", "--braking", "hard", "-o", "x"],
+        ["optimise", "a.json", "--cells", "100000000", "-o", "x"],
     ],
 )
 def test_wrong_words_are_explained_in_one_line(

@@ -43,7 +43,7 @@ LineOption = Annotated[
 TrainOption = Annotated[
     Path | None, typer.Option("--train", help="Train file; default: Stadler FLIRT.")
 ]
-Seed = Annotated[int, typer.Option(help="Same seed, same bytes.")]
+Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
 
 
 def _version(show: bool) -> None:
@@ -404,7 +404,7 @@ def optimise(
         Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
     ] = None,
     layer: Annotated[str, typer.Option(help="Rail condition of the map.")] = "wet",
-    cells: Annotated[int, typer.Option(min=20, help="Cells of the grid.")] = 500,
+    cells: Annotated[int, typer.Option(min=20, max=20_000, help="Cells of the grid.")] = 500,
     referee: Annotated[
         bool, typer.Option("--referee", help="Solve it again with CasADi and IPOPT, and compare.")
     ] = False,

@@ -21,6 +21,9 @@ from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Traj
 
 FloatArray = NDArray[np.float64]
 
+FEWEST_CELLS, MOST_CELLS = 20, 20_000
+"""Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
+
 GAP_TOLERANCE = 2e-3
 """Largest gap between energy and lower bound that is called certified."""
 
@@ -100,8 +103,7 @@ def optimise(
     configurations that differ by a few per cent in resistance cannot all stop at one place; the
     error tells the lowest end speed they can all reach.
     """
-    if cells < 20 or not reserve >= 0.0:
-        raise InputError(f"trajectory: {cells} cells or a reserve of {reserve} make no sense")
+    _check_arguments(running_time, reserve, cells)
     run = Run(
         line, train, tuple(configurations), start, line.length if end is None else end,
         initial_speed, final_speed, braking, objective,
@@ -160,6 +162,24 @@ def optimise(
             },
         },
     )
+
+
+def _check_arguments(running_time: float | None, reserve: float, cells: int) -> None:
+    """Refuse numbers that no timetable and no grid has."""
+    if running_time is not None and not (running_time > 0.0 and np.isfinite(running_time)):
+        raise InputError(
+            f"trajectory: a running time of {running_time} s makes no sense",
+            remedy="give the timetable's running time in seconds",
+        )
+    if not (reserve >= 0.0 and np.isfinite(reserve)):
+        raise InputError(
+            f"trajectory: a reserve of {reserve:.0%} makes no sense", remedy="give 0 or more"
+        )
+    if not FEWEST_CELLS <= cells <= MOST_CELLS:
+        raise InputError(
+            f"trajectory: {cells} cells make no sense",
+            remedy=f"give {FEWEST_CELLS} to {MOST_CELLS}",
+        )
 
 
 def _check_time(run: Run, fastest: Envelope, running_time: float) -> None:
