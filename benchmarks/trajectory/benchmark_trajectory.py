@@ -1,0 +1,210 @@
+"""Time and quality of robust trajectories, next to CasADi and IPOPT in the same run.
+
+    python benchmarks/trajectory/benchmark_trajectory.py [--repeats 3] [--long]
+
+Both solve the same cells with the same Runge-Kutta sub-steps. Ours includes grid, envelope, lower
+bound, audit of every configuration and the active set; IPOPT is timed from a paced run to its
+answer, program building included, and takes the configurations that the active set found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from analysis.trajectory import optimise
+from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.pace import paced_run
+from analysis.trajectory.problem import Run, discretise
+from analysis.trajectory.referee import Opinion, second_opinion
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_train
+from trainlog.railway import (
+    Configuration,
+    Line,
+    RunningResistance,
+    Station,
+    StepProfile,
+    Train,
+    Trajectory,
+)
+
+KWH = 3.6e6
+LONGEST_FOR_IPOPT = 4
+"""Active configurations beyond which IPOPT is not asked; it would take minutes."""
+
+LEVEL = Line(
+    name="level 48.5 km",
+    length=48_531.0,
+    stations=(Station("A", 0.0), Station("B", 48_531.0)),
+    speed_limits=StepProfile(np.array([0.0]), np.array([140.0 / 3.6])),
+    gradients=StepProfile(np.array([0.0]), np.array([0.0])),
+    source="TTOBench v1.5, 00_reference",
+)
+VIRM6 = Train(
+    name="VIRM6",
+    mass=391_000.0,
+    rotating_mass_factor=0.06,
+    resistance=RunningResistance(5_854.0, 74.16, 12.96),
+    max_tractive_effort=213_900.0,
+    max_traction_power=2_157_000.0,
+    max_dynamic_braking_effort=142_500.0,
+    max_dynamic_braking_power=3_616_000.0,
+    max_pneumatic_braking_effort=273_500.0,
+    max_speed=140.0 / 3.6,
+    max_deceleration=0.66,
+    source="TTOBench v1.5, NL_Intercity_VIRM6",
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of the table."""
+
+    line: Line
+    train: Train
+    configurations: int
+    cells: int
+    options: dict[str, Any]
+
+    def observed(self) -> tuple[Configuration, ...]:
+        """The nominal train alone, or as many as asked, drawn with a fixed seed."""
+        if self.configurations == 1:
+            return (Configuration.of(self.train),)
+        random, train = np.random.default_rng(1), self.train
+        return tuple(
+            Configuration(
+                f"c{number}",
+                train.mass * (1.0 + random.uniform(0.0, 0.1)),
+                train.rotating_mass,
+                train.resistance.scaled(1.0 + random.uniform(-0.1, 0.1)),
+                train.max_traction_power * (1.0 - random.uniform(0.0, 0.1)),
+            )
+            for number in range(self.configurations)
+        )
+
+
+def ours(case: Case, repeats: int) -> tuple[Trajectory, float]:
+    """The trajectory, and the median time it took [s]."""
+    configurations, seconds = case.observed(), []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        found = optimise(case.line, case.train, configurations, cells=case.cells, **case.options)
+        seconds.append(time.perf_counter() - begin)
+    return found, statistics.median(seconds)
+
+
+def referee(case: Case, found: Trajectory, repeats: int) -> tuple[Opinion, float, float]:
+    """IPOPT's answer, the median time it took [s], and the reference inertia [kg]."""
+    active = found.certificate["active"]
+    known = {"initial_speed", "final_speed", "objective"}
+    run = Run(
+        case.line, case.train, case.observed(), 0.0, case.line.length,
+        **{key: value for key, value in case.options.items() if key in known},
+    )  # fmt: skip
+    fastest = fastest_run(run)
+    slowest = int(np.argmax(fastest.times))
+    mesh = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[slowest], case.cells)
+    names = [configuration.name for configuration in run.configurations]
+    problem = discretise(run, mesh).select([names.index(name) for name in active])
+    start = paced_run(problem, found.running_time)
+    seconds = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        opinion = second_opinion(problem, start, found.running_time)
+        seconds.append(time.perf_counter() - begin)
+    return opinion, statistics.median(seconds), problem.reference
+
+
+def row(case: Case, repeats: int) -> str:
+    """Measure one case."""
+    found, seconds = ours(case, repeats)
+    certificate = found.certificate
+    audit, solver = certificate["audit"], certificate["solver"]
+    cells, active = certificate["grid"]["cells"], len(certificate["active"])
+    words = [
+        f"{case.line.name[:15]:15s} {case.options.get('objective', 'wheel'):6s}",
+        f"{case.configurations:4d} {cells:6d} {active:6d} {solver['iterations']:4d}",
+        f"{seconds:8.2f}",
+    ]
+    if active <= LONGEST_FOR_IPOPT:
+        opinion, other, reference = referee(case, found, max(1, repeats // 2))
+        difference = certificate["energy"] / (opinion.energy * reference) - 1.0
+        words.append(
+            f"{other:8.2f} {other / seconds:6.1f} {difference:+9.1e}"
+            f" {'' if opinion.solved else opinion.status}"
+        )
+    else:
+        words.append(f"{'-':>8s} {'-':>6s} {'-':>9s} ")
+    words.append(
+        f"{certificate['energy'] / KWH:9.3f} {100.0 * certificate['gap']:8.4f}"
+        f" {audit['lateness']:+9.1e} {audit['overspeed']:+9.1e} {audit['power'] - 1.0:+9.1e}"
+    )
+    return " ".join(words)
+
+
+def cases(long: bool) -> list[Case]:
+    """What is measured."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    flirt = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    timetable = {"running_time": 1541.0, "initial_speed": 1.0, "final_speed": 10.0}
+    published = replace(
+        VIRM6,
+        max_traction_power=3_129_277.0,
+        max_dynamic_braking_effort=213_900.0,
+        max_dynamic_braking_power=3_129_277.0,
+        max_pneumatic_braking_effort=0.0,
+        max_deceleration=10.0,
+        efficiency_traction=0.73,
+        efficiency_regeneration=0.73,
+    )
+    slower = replace(
+        LEVEL,
+        name="level, 100 km/h",
+        speed_limits=StepProfile(
+            np.array([0.0, 25_000.0, 35_000.0]), np.array([140.0, 100.0, 140.0]) / 3.6
+        ),
+    )
+    found = [
+        Case(LEVEL, VIRM6, 1, 500, timetable),
+        Case(LEVEL, VIRM6, 1, 1000, timetable),
+        Case(slower, published, 1, 500, {**timetable, "final_speed": 1.0, "objective": "line"}),
+        Case(line, flirt, 1, 500, {}),
+        Case(line, flirt, 1, 500, {"objective": "line"}),
+        Case(line, flirt, 3, 500, {}),
+        Case(line, flirt, 12, 500, {}),
+        Case(line, flirt, 30, 1000, {}),
+        Case(line, flirt, 500, 1000, {}),
+    ]
+    if long:
+        found += [Case(line, flirt, 12, 500, {"objective": "line"})]
+        found += [Case(LEVEL, VIRM6, 1, cells, timetable) for cells in (200, 2000, 4000)]
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--long", action="store_true")
+    arguments = parser.parse_args()
+    measured = cases(arguments.long)
+    # Compiled code and caches are warm before anything is timed.
+    optimise(measured[0].line, VIRM6, measured[0].observed(), cells=60, referee=True)
+    print(
+        f"{'line':15s} {'energy':6s} {'q':>4s} {'cells':>6s} {'active':>6s} {'QPs':>4s}"
+        f" {'time s':>8s} {'IPOPT s':>8s} {'ratio':>6s} {'E/IPOPT':>9s}  {'kWh':>9s} {'gap %':>8s}"
+        f" {'late s':>9s} {'over m/s':>9s} {'power':>9s}"
+    )
+    for case in measured:
+        print(row(case, arguments.repeats), flush=True)
+
+
+if __name__ == "__main__":
+    main()
