@@ -11,7 +11,7 @@ from analysis.resistance.recording import speed_scale
 from analysis.slip import slip
 from estimators.kalman import smooth_motion
 from trainlog import __version__
-from trainlog.errors import TrainlogError
+from trainlog.errors import LogError, TrainlogError
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of, seconds
 
@@ -39,6 +39,11 @@ def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
         With the topics ``/estimates/*``, and slip events among the ``/events``.
     refusals : tuple of str
         What could not be estimated, and why.
+
+    Raises
+    ------
+    LogError
+        If nothing could be estimated.
     """
     refusals: list[str] = []
     added: list[str] = []
@@ -53,6 +58,11 @@ def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
             added.append(name)
         except TrainlogError as error:
             refusals.append(f"{name}: {error}")
+    if not added:
+        raise LogError(
+            f"trip '{trip.name}': nothing can be estimated; {refusals[0]}",
+            remedy="give a log with /train/state",
+        )
     done = result.with_step(
         "estimate", software=f"trainlog {__version__}", added=added, refused=refusals
     )

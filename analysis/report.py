@@ -53,7 +53,8 @@ def savings_table(pairs: Sequence[Saving]) -> Group:
             _kwh(pair.line),
         )
     driver, saved = total_saved(pairs)
-    words = f"Saved on {len(pairs)} trips: {_kwh(saved)} of {_kwh(driver)}, {saved / driver:.1%}."
+    words = f"Saved on {len(pairs)} trips: {_kwh(saved)} of {_kwh(driver)}, {saved / driver:.1%};"
+    words += f" {_kwh(sum(pair.line for pair in pairs))} from the line; {_times(pairs)}."
     return Group(table, words)
 
 
@@ -133,8 +134,8 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         ("configurations", deciding),
         ("worst-case energy", f"{_kwh(certificate['energy'])}, {bound}"),
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
-        ("latest arrival", f"{audit['lateness']:+.4f} s against the timetable"),
-        ("speed over the limit", f"{audit['overspeed'] * KMH:.5f} km/h"),
+        ("latest arrival", f"{_never(audit['lateness']):.4f} s after the timetable"),
+        ("speed over the limit", f"{_never(audit['overspeed']) * KMH:.5f} km/h"),
         ("power", f"{audit['power']:.6f} of the limit at most"),
         ("adhesion", _share(audit["adhesion"])),
     )
@@ -231,13 +232,14 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
         return ()
     trajectory = read_trajectory(path)
     certificate = trajectory.certificate
+    audit = certificate["audit"]
     energy = (
         f"{_kwh(certificate['energy'])} at worst over {len(trajectory.configurations)}"
         f" configurations in {trajectory.running_time:.0f} s"
     )
     proof = (
-        f"gap {certificate['gap']:.3%}, arrival {certificate['audit']['lateness']:+.4f} s,"
-        f" speed {certificate['audit']['overspeed'] * KMH:+.5f} km/h over"
+        f"gap {certificate['gap']:.3%}, latest arrival {_never(audit['lateness']):.4f} s after"
+        f" the timetable, speed {_never(audit['overspeed']) * KMH:.5f} km/h over the limit"
     )
     return ("trajectory", energy, str(path)), ("certificate", proof, "")
 
@@ -250,7 +252,7 @@ def _saved(folder: Path, trips: Sequence[Trip]) -> tuple[str, str, str] | None:
     driver, saved = total_saved(pairs)
     words = (
         f"{_kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"
-        f" ({len(pairs)} trips)"
+        f" ({len(pairs)} trips, {_times(pairs)})"
     )
     return "energy saved", words, str(folder)
 
@@ -260,6 +262,18 @@ def _pm(value: float, std: float, unit: str = "") -> str:
     reach = 1.96 * std
     digits = max(0, 1 - math.floor(math.log10(reach))) if reach > 0.0 else 1
     return f"{value:.{digits}f} ± {reach:.{digits}f}{unit}"
+
+
+def _times(pairs: Sequence[Saving]) -> str:
+    """Mean running times of both, in words."""
+    driver = np.mean([pair.driver.running_time for pair in pairs])
+    trajectory = np.mean([pair.trajectory.running_time for pair in pairs])
+    return f"{trajectory:.0f} s on the trajectory against {driver:.0f} s on average"
+
+
+def _never(excess: float) -> float:
+    """An excess as people read it: nothing rather than a negative or a minus zero."""
+    return excess if excess > 0.0 else 0.0
 
 
 def _share(adhesion: float) -> str:

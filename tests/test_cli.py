@@ -258,3 +258,51 @@ def test_fit_writes_what_it_was_made_from(
     provenance = json.loads(target.read_text("utf-8"))["provenance"]
     assert provenance["inputs"]
     assert target.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_outputs_are_checked_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "trip.mcap"
+    log.write_bytes(sample("nonstop.mcap").read_bytes())
+    before = log.read_bytes()
+    for words in (
+        ["fit", log, "-o", log],
+        ["fit", log, "-o", tmp_path / "fit.png"],
+        ["fit", log, "-o", tmp_path / "missing" / "fit.json"],
+        ["map", "update", log, "--map", tmp_path / "map"],
+        ["map", "show", sample("CH_StGallen_Wil.map.json"), "--picture", tmp_path],
+        ["optimise", tmp_path / "p.json", "-o", tmp_path],
+        ["estimate", log, "-o", tmp_path],
+        ["simulate", "-o", log],
+    ):
+        status, told, complaint = run(monkeypatch, capsys, *words)
+        assert (status, complaint.count("\n"), told) == (2, 1, "")
+    assert log.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["trip.mcap"]
+
+
+def test_parameters_of_another_train_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.train.json"
+    train = sample(DEFAULT_TRAIN).read_text("utf-8")
+    other.write_text(train.replace("CH_Stadler_FLIRT_TPF", "OTHER"), "utf-8")
+    parameters = tmp_path / "parameters.json"
+    run(monkeypatch, capsys, "fit", sample("stopping.mcap"), "-o", parameters)
+    status, _, complaint = run(
+        monkeypatch, capsys, "optimise", parameters, "--train", other, "-o", tmp_path / "t.json"
+    )
+    assert status == 2
+    assert "observed on train 'CH_Stadler_FLIRT_TPF', not on 'OTHER'" in complaint
+
+
+def test_options_that_contradict_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, complaint = run(
+        monkeypatch, capsys, "simulate", "--weather", "wet", "-o", tmp_path / "out"
+    )
+    assert status == 2
+    assert "--trajectory" in complaint
+    assert not (tmp_path / "out").exists()

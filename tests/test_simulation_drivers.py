@@ -226,8 +226,17 @@ def test_choice_of_configurations() -> None:
 
 def test_trajectory_of_another_line_is_refused() -> None:
     trajectory = trajectory_of(hilly_line(), flirt(), (1.0,))
-    with pytest.raises(InputError, match=r"ends at km 11\.000"):
+    with pytest.raises(InputError, match="made for line 'hilly', not for 'level'"):
         trajectory_scenarios(trajectory, level_line(length=5_000.0), flirt(), ["r1"])
+    shorter = replace(level_line(length=5_000.0), name="hilly")
+    with pytest.raises(InputError, match=r"ends at km 11\.000"):
+        trajectory_scenarios(trajectory, shorter, flirt(), ["r1"])
+
+
+def test_a_train_that_cannot_brake_is_not_driven() -> None:
+    train = replace(flirt(), max_dynamic_braking_effort=0.0, max_pneumatic_braking_effort=0.0)
+    with pytest.raises(InputError, match="has no brake"):
+        draw_scenarios(hilly_line(), train, count=1)
 
 
 def test_any_driver_can_drive() -> None:

@@ -181,7 +181,11 @@ def test_same_question_same_answer(tmp_path: Path) -> None:
         ({"running_time": np.nan}, "a running time of nan s makes no sense"),
         ({"running_time": np.inf}, "a running time of inf s makes no sense"),
         ({"running_time": -5.0}, "makes no sense; give the timetable's"),
-        ({"condition_map": slippery(level_line(5_000.0))}, "belongs to a line of 5.000 km"),
+        ({"condition_map": slippery(level_line(5_000.0))}, "is of line '"),
+        (
+            {"condition_map": replace(slippery(hilly_line()), length=5_000.0)},
+            "belongs to a line of 5.000 km",
+        ),
         ({"condition_map": slippery(hilly_line()), "layer": "icy"}, "no layer 'icy'"),
     ],
 )

@@ -15,6 +15,8 @@ from trainlog.terminal import (
     about,
     complaints,
     console,
+    destination,
+    folder,
     line_and_train,
     logs_in,
     pairs,
@@ -84,8 +86,9 @@ def simulate(
         typer.Option(help="With --trajectory: 'hardest', 'all', or names separated by commas."),
     ] = "hardest",
     weather: Annotated[
-        Literal["dry", "wet"], typer.Option(help="With --trajectory: the rail's condition.")
-    ] = "dry",
+        Literal["dry", "wet"] | None,
+        typer.Option(help="With --trajectory: the rail's condition; default dry."),
+    ] = None,
 ) -> None:
     """Drive trips in simulation and log them.
 
@@ -106,14 +109,16 @@ def simulate(
 
     the_line, the_train = line_and_train(line, train)
     if trajectory is None:
+        if weather is not None:
+            raise InputError("--weather goes with --trajectory", remedy="leave it out")
         scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
     else:
         plan = read_trajectory(trajectory)
         names = plan.chosen(configurations)
         scenarios = trajectory_scenarios(
-            plan, the_line, the_train, names, seed=seed, weather=weather
+            plan, the_line, the_train, names, seed=seed, weather=weather or "dry"
         )
-    output.mkdir(parents=True, exist_ok=True)
+    folder(output)
     with progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
             trip = drive(scenario)
@@ -135,7 +140,7 @@ def ingest(
     ] = False,
     facts: Annotated[
         list[str] | None,
-        typer.Option("--set", help="What the file does not tell: weather=wet, load=12000 [kg]."),
+        typer.Option("--set", help="What the file does not tell: weather=wet, load=12000 (kg)."),
     ] = None,
 ) -> None:
     """Turn recorded logs into trips; what was repaired is counted and kept in the log.
@@ -156,7 +161,6 @@ def ingest(
             "two recordings have the same name", remedy="ingest them into different folders"
         )
     metadata = pairs(facts or [])
-    output.mkdir(parents=True, exist_ok=True)
     for target, recording in targets.items():
         with working(f"reading {recording.name}"):
             trip = read_recording(
@@ -167,6 +171,7 @@ def ingest(
                 direction="reverse" if reverse else None,
                 metadata=metadata,
             )
+            folder(output)
             write_log(trip, target)
         console.print(about(trip), highlight=False)
         for finding in report_of(trip).lines():
@@ -185,7 +190,7 @@ def import_(
     """
     from trainlog.formats.ttobench import convert
 
-    output.mkdir(parents=True, exist_ok=True)
+    folder(output)
     for file in files:
         wrote(convert(file, output))
 
@@ -197,7 +202,7 @@ def import_(
 def info(logs: Logs) -> None:
     """Tell what is in a log: topics, units, rates, time and position span, gaps, provenance.
 
-    Example: trainlog info results/trips/trip_01.mcap
+    Example: trainlog info results/trips/trip-01.mcap
     """
     from trainlog.mcap import describe
     from trainlog.mcap.show import render
@@ -220,7 +225,7 @@ def replay(
 ) -> None:
     """Show trips in the Rerun viewer, by time and by position.
 
-    Example: trainlog replay results/trips/trip_01.mcap -o results/replay.rrd
+    Example: trainlog replay results/trips/trip-01.mcap -o results/replay.rrd
     """
     from trainlog.formats.condition import read_map
     from trainlog.formats.trajectory import read_trajectory
@@ -292,12 +297,14 @@ def fit(
     from analysis.resistance import fit_logs
     from trainlog.formats.parameters import write_parameters
 
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
     with progress_bar() as progress:
         fits = fit_logs(progress.track(logs_in(logs), description="fitting"))
     write_parameters(fits.parameters, output)
-    draw_fits(fits, picture or output.with_suffix(".png"))
+    draw_fits(fits, shown)
     console.print(fit_table(fits))
-    wrote(output, picture or output.with_suffix(".png"))
+    wrote(output, shown)
 
 
 @app.command(rich_help_panel="Learn")
@@ -312,10 +319,12 @@ def estimate(
     from analysis.estimates import with_estimates
     from trainlog.mcap import read_log, write_log
 
-    output.mkdir(parents=True, exist_ok=True)
     with progress_bar() as progress:
         for log in progress.track(logs_in(logs), description="estimating"):
+            if (output / log.name).resolve() == log.resolve():
+                raise InputError("would be overwritten", file=log, remedy="name another folder")
             trip, refusals = with_estimates(read_log(log))
+            folder(output)
             write_log(trip, output / log.name)
             for refusal in refusals:
                 progress.console.print(f"  not estimated: {refusal}", highlight=False)
@@ -327,7 +336,8 @@ def map_update(
     logs: Logs,
     condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
     layer: Annotated[
-        str | None, typer.Option(help="Rail condition; default: the weather that each log tells.")
+        Literal["dry", "wet"] | None,
+        typer.Option(help="Rail condition; default: the weather that each log tells."),
     ] = None,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
@@ -341,6 +351,7 @@ def map_update(
     from analysis.traction_map import update_logs
     from trainlog.formats.condition import read_map, write_map
 
+    destination(condition, ".json")
     known = read_map(condition) if condition.exists() else None
     with progress_bar() as progress:
         every = progress.track(logs_in(logs), description="mapping")
@@ -363,6 +374,8 @@ def map_show(
     from analysis.report import map_table
     from trainlog.formats.condition import read_map
 
+    if picture is not None:
+        destination(picture, ".png")
     known = read_map(condition)
     console.print(map_table(known))
     if picture is not None:
@@ -380,10 +393,10 @@ def optimise(
     line: LineOption = None,
     train: TrainOption = None,
     running_time: Annotated[
-        float | None, typer.Option(help="Timetable's running time [s].")
+        float | None, typer.Option(help="Timetable's running time in seconds.")
     ] = None,
     reserve: Annotated[
-        float, typer.Option(help="Without --running-time: reserve over the least time [%].")
+        float, typer.Option(help="Without --running-time: reserve over the least time (%).")
     ] = 10.0,
     as_fast_as: Annotated[
         Path | None,
@@ -403,8 +416,15 @@ def optimise(
     condition: Annotated[
         Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
     ] = None,
-    layer: Annotated[str, typer.Option(help="Rail condition of the map.")] = "wet",
-    cells: Annotated[int, typer.Option(min=20, max=20_000, help="Cells of the grid.")] = 500,
+    layer: Annotated[
+        Literal["dry", "wet"], typer.Option(help="Rail condition of the map.")
+    ] = "wet",
+    cells: Annotated[
+        int,
+        typer.Option(
+            min=20, max=20_000, help="Cells of the grid; at least one for each step of the line."
+        ),
+    ] = 500,
     referee: Annotated[
         bool, typer.Option("--referee", help="Solve it again with CasADi and IPOPT, and compare.")
     ] = False,
@@ -424,9 +444,13 @@ def optimise(
     from trainlog.formats.parameters import read_parameters
     from trainlog.formats.trajectory import write_trajectory
 
+    destination(output, ".json")
     the_line, the_train = line_and_train(line, train)
     observed = read_parameters(parameters)
+    observed.check_train(the_train.name)
     if as_fast_as is not None:
+        if running_time is not None:
+            raise InputError("--running-time and --as-fast-as contradict", remedy="give one")
         running_time = fastest_nonstop(read_trips([as_fast_as]), the_line)
     with working(f"optimising over {len(observed.configurations)} configurations"):
         trajectory = solve(

@@ -53,6 +53,10 @@ def read_trips(paths: list[Path]) -> list[Trip]:
         return [read_log(log) for log in progress.track(logs_in(paths), description="reading")]
 
 
+FACTS = ("trip", "weather", "load", "clock")
+"""What can be said of a recorded trip that its file does not tell."""
+
+
 def pairs(words: list[str]) -> dict[str, str]:
     """Metadata given as ``key=value``."""
     found = {}
@@ -60,17 +64,46 @@ def pairs(words: list[str]) -> dict[str, str]:
         key, equals, value = word.partition("=")
         if not (key and equals and value):
             raise InputError(f"'{word}' is not of the form key=value", remedy="as in weather=wet")
-        if key == "load" and not _is_number(value):
-            raise InputError(f"load '{value}' is not a number", remedy="give it in kg")
+        if key not in FACTS:
+            raise InputError(f"'{key}' is no known fact", remedy=f"known: {', '.join(FACTS)}")
+        if key == "weather" and value not in ("dry", "wet"):
+            raise InputError(f"weather '{value}' is unknown", remedy="it is dry or wet")
+        if key == "load" and not _is_load(value):
+            raise InputError(f"load '{value}' is no load", remedy="give it in kg, 0 or more")
         found[key] = value
     return found
 
 
-def _is_number(word: str) -> bool:
+def _is_load(word: str) -> bool:
     try:
-        return math.isfinite(float(word))
+        return 0.0 <= float(word) < math.inf
     except ValueError:
         return False
+
+
+def destination(path: Path, suffix: str) -> Path:
+    """A file to be written, checked before any work is done."""
+    if path.suffix != suffix:
+        raise InputError(
+            f"is not the name of a {suffix} file", file=path, remedy=f"end it in {suffix}"
+        )
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        what = "is a folder" if path.is_dir() else "cannot be written: its folder does not exist"
+        raise InputError(what, file=path, remedy="name a file in a folder that exists")
+    return path
+
+
+def folder(path: Path) -> Path:
+    """A folder to write to, made if need be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot be made: {(error.strerror or str(error)).lower()}",
+            file=path,
+            remedy="choose another folder",
+        ) from error
+    return path
 
 
 def about(trip: Trip) -> str:
@@ -100,7 +133,9 @@ def progress_bar() -> Iterator[Progress]:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     ]
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as progress:
         yield progress
 
 

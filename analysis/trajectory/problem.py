@@ -99,6 +99,11 @@ class Run:
                 f"{where}: the initial speed {KMH * self.initial_speed:.1f} km/h is above the"
                 f" {KMH * limit:.1f} km/h permitted at km {self.start / 1e3:.3f}"
             )
+        if self.condition is not None and self.condition.line != line.name:
+            raise InputError(
+                f"{where}: the track-condition map is of line '{self.condition.line}'",
+                remedy="give the map of this line",
+            )
         if self.condition is not None and abs(self.condition.length - line.length) > 1.0:
             raise InputError(
                 f"{where}: the track-condition map belongs to a line of"

@@ -89,3 +89,17 @@ class ParameterSet:
     speed_range: tuple[float, float] = (0.0, 0.0)
     details: list[dict[str, Any]] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    def check_train(self, train: str) -> None:
+        """Refuse to be used for another train.
+
+        Raises
+        ------
+        InputError
+            If the set was observed on a train of another name.
+        """
+        if self.train != train:
+            raise InputError(
+                f"the parameter set was observed on train '{self.train}', not on '{train}'",
+                remedy="give that train, or fit its own logs",
+            )

@@ -70,6 +70,21 @@ class Trajectory:
                     f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}"
                 )
 
+    def check(self, line: str, train: str) -> None:
+        """Refuse to be used on another line or for another train.
+
+        Raises
+        ------
+        InputError
+            If line or train have other names than those it was made for.
+        """
+        for what, mine, other in (("line", self.line, line), ("train", self.train, train)):
+            if mine != other:
+                raise InputError(
+                    f"the trajectory was made for {what} '{mine}', not for '{other}'",
+                    remedy=f"give that {what}, or optimise for this one",
+                )
+
     def index_of(self, configuration: str) -> int:
         """Row of the configuration called `configuration`.
 

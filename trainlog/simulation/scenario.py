@@ -304,10 +304,20 @@ def draw_scenarios(
         raise InputError(f"cannot draw {count} scenarios", remedy="give a count of 1 or more")
     if len(line.stations) < 2:
         raise InputError(f"line '{line.name}' has fewer than two stations")
+    _check_brakes(train)
     sensors = sensors or Sensors()
     bases = {weather: base_map(line, weather, seed) for weather in ("dry", "wet")}
     survey = survey_error(line, seed)
     return [_drawn(line, train, number, seed, sensors, bases, survey) for number in range(count)]
+
+
+def _check_brakes(train: Train) -> None:
+    """Refuse a train that could never stop."""
+    if not train.max_braking_effort > 0.0:
+        raise InputError(
+            f"train '{train.name}' has no brake: its braking efforts are all 0",
+            remedy="give the efforts of its dynamic or its friction brake",
+        )
 
 
 def survey_error(line: Line, seed: int) -> StepProfile:
@@ -406,6 +416,8 @@ def trajectory_scenarios(
     InputError
         If the trajectory has no such configuration or leaves the line.
     """
+    trajectory.check(line.name, train.name)
+    _check_brakes(train)
     if float(trajectory.positions[-1]) > line.length + 1.0:
         raise InputError(
             f"trajectory ends at km {trajectory.positions[-1] / 1e3:.3f}, line '{line.name}' at"
