@@ -13,10 +13,12 @@ from ingest_logs import clean_run, plain_profile, write
 from simulated_world import flirt, hilly_line
 
 from trainlog import __version__
-from trainlog.errors import LogError
+from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.samples import sample
 from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
 from trainlog.mcap import read_log, write_log
+from trainlog.railway import Line, Station, StepProfile
 from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv
 from trainlog.simulation.scenario import draw_scenarios, simulate
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
@@ -180,3 +182,15 @@ def test_a_million_rows_in_seconds(tmp_path: Path) -> None:
     trip = ingest(tmp_path / "run.csv", profile=plain_profile())
     assert len(trip["/train/state"]) == count
     assert process_time() - begin < 10.0
+
+
+def test_a_line_that_the_train_runs_out_of_is_refused() -> None:
+    short = Line(
+        name="short",
+        length=5_000.0,
+        stations=(Station("A", 0.0), Station("B", 5_000.0)),
+        speed_limits=StepProfile(np.array([0.0]), np.array([30.0])),
+        gradients=StepProfile(np.array([0.0]), np.array([0.0])),
+    )
+    with pytest.raises(InputError, match=r"recorder\.csv: positions reach km 29\..*line 'short'"):
+        ingest(sample("recorder.csv"), profile=sample("recorder.profile.toml"), line=short)

@@ -34,6 +34,9 @@ PROFILE_OBJECT_ATTACHMENT = "profile.json"
 SPEED_MARGIN = 1.5
 """Speeds beyond this multiple of what line and train allow are impossible."""
 
+OVERRUN = 500.0
+"""How far recorded positions may leave the line [m]: odometers drift, lines end at platforms."""
+
 Direction = Literal["forward", "reverse"]
 
 
@@ -82,6 +85,8 @@ def ingest(
     try:
         recording = chosen.read(source, rules)
         trip, report = _trip(recording, rules or _default_profile(), line, train, direction)
+        if line is not None:
+            _check_on_line(trip, line)
     except InputError as error:
         if error.file is not None:
             raise
@@ -99,6 +104,20 @@ def ingest(
         inputs={source.name: sha256_of(source)} | digests,
         report=report.details(),
     )
+
+
+def _check_on_line(trip: Trip, line: Line) -> None:
+    """Refuse a line that the recorded positions run out of."""
+    for topic in ("/train/state", "/estimates/state"):
+        if topic not in trip or not trip[topic]["position"].notna().any():
+            continue
+        furthest = float(trip[topic]["position"].max())
+        if furthest > line.length + OVERRUN:
+            raise InputError(
+                f"positions reach km {furthest / 1e3:.3f}, line '{line.name}' ends at km"
+                f" {line.length / 1e3:.3f}",
+                remedy="give the line it was driven on, or check the unit of the position",
+            )
 
 
 def _profile(profile: str | Path | Profile | None) -> tuple[Profile | None, dict[str, bytes]]:
