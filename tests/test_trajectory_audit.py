@@ -178,8 +178,9 @@ def test_any_run_passes_its_audit_and_respects_its_bound(
         )
     except TrainlogError as refusal:
         # So few cells may not hold the line; then no answer leaves, and it says why.
-        assert re.search("does not pass its audit.*more cells", str(refusal))
-        return
+        if re.search("does not pass its audit.*more cells", str(refusal)):
+            return
+        raise
     certificate = found.certificate
     assert certificate["energy"] >= certificate["lower_bound"] * (1.0 - 1e-6)
     assert certificate["audit"]["lateness"] <= 1e-4
