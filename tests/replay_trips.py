@@ -111,6 +111,7 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
             {"speed": 0.9 * speed, "tractive_effort": 0.8 * pull, "braking_effort": brake},
         ),
         frame_of(topics.TRUTH, time, {"running_resistance": 1e3 + 10 * speed}),
+        frame_of(topics.IMU, time, {"specific_force_z": np.full(len(time), 9.81)}),
     ]
     return Trip(
         {frame.attrs["topic"]: frame for frame in frames},

@@ -226,6 +226,20 @@ TRUTH = Topic(
     ),
 )
 
+IMU = Topic(
+    "/imu",
+    "trainlog.Imu",
+    "Inertial measurement unit, in the axes of its own housing.",
+    (
+        Field("specific_force_x", "m/s^2", "acceleration less gravity along the first axis"),
+        Field("specific_force_y", "m/s^2", "the same along the second axis"),
+        Field("specific_force_z", "m/s^2", "the same along the third axis"),
+        Field("angular_rate_x", "rad/s", "rate of turn about the first axis"),
+        Field("angular_rate_y", "rad/s", "rate of turn about the second axis"),
+        Field("angular_rate_z", "rad/s", "rate of turn about the third axis"),
+    ),
+)
+
 TOPICS: dict[str, Topic] = {
     topic.name: topic
     for topic in (
@@ -241,6 +255,7 @@ TOPICS: dict[str, Topic] = {
         ESTIMATED_ADHESION,
         REFERENCE,
         TRUTH,
+        IMU,
     )
 }
 """Every topic of trainlog by channel name, in the order in which they are shown."""
