@@ -93,19 +93,6 @@ def destination(path: Path, suffix: str) -> Path:
     return path
 
 
-def folder(path: Path) -> Path:
-    """A folder to write to, made if need be."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot be made: {(error.strerror or str(error)).lower()}",
-            file=path,
-            remedy="choose another folder",
-        ) from error
-    return path
-
-
 def about(trip: Trip) -> str:
     """One line on a trip."""
     known = trip.metadata

@@ -85,6 +85,26 @@ def read_bytes(path: str | Path) -> bytes:
         _refuse_reading(path, error)
 
 
+def made_folder(path: str | os.PathLike[str]) -> Path:
+    """A folder to write to, made if need be.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made.
+    """
+    made = Path(path)
+    try:
+        made.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot be made: {(error.strerror or str(error)).lower()}",
+            file=made,
+            remedy="choose another folder",
+        ) from error
+    return made
+
+
 def sha256(data: bytes) -> str:
     """SHA-256 of `data`, as 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()

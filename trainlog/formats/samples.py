@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.files import made_folder, read_bytes, write_bytes
 
 DEFAULT_LINE = "CH_StGallen_Wil.line.json"
 """The line that is used where none is named."""
@@ -67,15 +67,7 @@ def copy_samples(output: str | os.PathLike[str]) -> list[Path]:
     InputError
         If the folder cannot be made or written to.
     """
-    target = Path(output)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot be made: {(error.strerror or str(error)).lower()}",
-            file=target,
-            remedy="choose another folder",
-        ) from error
+    target = made_folder(output)
     for name in names():
         write_bytes(target / name, read_bytes(sample(name)))
     return [target / name for name in names()]

@@ -38,9 +38,7 @@ LIMITS: dict[str, Limit] = {
     "/environment.curvature": Limit(unit="1/m", min=-0.05, max=0.05),
     "/environment.air_temperature": Limit(unit="degC", min=-60.0, max=60.0),
     "/environment.head_wind": Limit(unit="m/s", min=-60.0, max=60.0),
-    **{
-        f"/imu.specific_force_{axis}": Limit(unit="m/s^2", min=-200.0, max=200.0) for axis in "xyz"
-    },
+    **{f"/imu.specific_force_{axis}": Limit(unit="m/s^2", min=-200.0, max=200.0) for axis in "xyz"},
     **{f"/imu.angular_rate_{axis}": Limit(unit="rad/s", min=-40.0, max=40.0) for axis in "xyz"},
 }
 """What each field can be, unless the profile says otherwise."""

@@ -1,0 +1,1 @@
+"""The commands, one function a verb, by the panel of `trainlog --help` they stand in."""

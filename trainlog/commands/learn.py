@@ -1,0 +1,129 @@
+"""Commands that learn from logs: fit, estimate, and the track-condition map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from trainlog.commands.options import Logs
+from trainlog.errors import InputError
+from trainlog.formats.files import made_folder
+from trainlog.terminal import (
+    console,
+    destination,
+    logs_in,
+    progress_bar,
+    wrote,
+)
+
+app = typer.Typer()
+map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
+app.add_typer(map_app, name="map", rich_help_panel="Learn")
+
+
+@app.command(rich_help_panel="Learn")
+def fit(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Observed parameter set (JSON).")],
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+) -> None:
+    """Fit running resistance by recursive least squares, per trip and together.
+
+    Writes the observed set of parameter configurations, with uncertainty, and a picture. Trips
+    that do not determine the resistance are refused with the reason.
+
+    Example: trainlog fit results/trips -o results/parameters.json
+    """
+    from analysis.pictures.resistance import draw_fits
+    from analysis.report import fit_table
+    from analysis.resistance import fit_logs
+    from trainlog.formats.parameters import write_parameters
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    with progress_bar() as progress:
+        fits = fit_logs(progress.track(logs_in(logs), description="fitting"))
+    write_parameters(fits.parameters, output)
+    draw_fits(fits, shown)
+    console.print(fit_table(fits))
+    wrote(output, shown)
+
+
+@app.command(rich_help_panel="Learn")
+def estimate(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+) -> None:
+    """Add estimates to logs: smoothed motion, running resistance as it is learnt, adhesion, slip.
+
+    Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
+    """
+    from analysis.estimates import with_estimates
+    from trainlog.mcap import read_log, write_log
+
+    with progress_bar() as progress:
+        for log in progress.track(logs_in(logs), description="estimating"):
+            if (output / log.name).resolve() == log.resolve():
+                raise InputError("would be overwritten", file=log, remedy="name another folder")
+            trip, refusals = with_estimates(read_log(log))
+            made_folder(output)
+            write_log(trip, output / log.name)
+            for refusal in refusals:
+                progress.console.print(f"  not estimated: {refusal}", highlight=False)
+            wrote(output / log.name)
+
+
+@map_app.command("update")
+def map_update(
+    logs: Logs,
+    condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
+    layer: Annotated[
+        Literal["dry", "wet"] | None,
+        typer.Option(help="Rail condition; default: the weather that each log tells."),
+    ] = None,
+) -> None:
+    """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
+
+    A log that the map already holds is not counted again.
+
+    Example: trainlog map update results/trips --map results/map.json
+    """
+    from analysis.pictures.condition import draw_map
+    from analysis.report import map_table
+    from analysis.traction_map import update_logs
+    from trainlog.formats.condition import read_map, write_map
+
+    destination(condition, ".json")
+    known = read_map(condition) if condition.exists() else None
+    with progress_bar() as progress:
+        every = progress.track(logs_in(logs), description="mapping")
+        updated, told = update_logs(known, every, layer)
+    for trip in told:
+        console.print(f"  {trip}: in the map already, not counted again", highlight=False)
+    write_map(updated, condition)
+    draw_map(updated, condition.with_suffix(".png"))
+    console.print(map_table(updated))
+    wrote(condition, condition.with_suffix(".png"))
+
+
+@map_app.command("show")
+def map_show(
+    condition: Annotated[Path, typer.Argument(help="Map file.")],
+    picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
+) -> None:
+    """Show what a track-condition map knows, and where it knows nothing."""
+    from analysis.pictures.condition import draw_map
+    from analysis.report import map_table
+    from trainlog.formats.condition import read_map
+
+    if picture is not None:
+        destination(picture, ".png")
+    known = read_map(condition)
+    console.print(map_table(known))
+    if picture is not None:
+        draw_map(known, picture)
+        wrote(picture)

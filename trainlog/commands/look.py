@@ -1,0 +1,95 @@
+"""Commands that look at logs: info, replay, compare, report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trainlog.commands.options import Logs
+from trainlog.terminal import (
+    console,
+    logs_in,
+    read_trips,
+    working,
+    wrote,
+)
+
+app = typer.Typer()
+
+
+@app.command(rich_help_panel="Look")
+def info(logs: Logs) -> None:
+    """Tell what is in a log: topics, units, rates, time and position span, gaps, provenance.
+
+    Example: trainlog info results/trips/trip-01.mcap
+    """
+    from trainlog.mcap import describe
+    from trainlog.mcap.show import render
+
+    for log in logs_in(logs):
+        console.print(render(describe(log)))
+
+
+@app.command(rich_help_panel="Look")
+def replay(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .rrd recording.")],
+    trajectory: Annotated[Path | None, typer.Option(help="Trajectory file to show.")] = None,
+    condition: Annotated[
+        Path | None, typer.Option("--map", help="Track-condition map to show.")
+    ] = None,
+    viewer: Annotated[
+        bool, typer.Option(help="Open the Rerun viewer where there is a display.")
+    ] = True,
+) -> None:
+    """Show trips in the Rerun viewer, by time and by position.
+
+    Example: trainlog replay results/trips/trip-01.mcap -o results/replay.rrd
+    """
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.replay import open_viewer, record_replay
+
+    trips = read_trips(logs)
+    with working(f"writing {output.name}"):
+        record_replay(
+            trips,
+            output,
+            trajectory=None if trajectory is None else read_trajectory(trajectory),
+            condition_map=None if condition is None else read_map(condition),
+        )
+    wrote(output)
+    if viewer:
+        console.print(open_viewer(output))
+
+
+@app.command(rich_help_panel="Look")
+def compare(
+    logs: Logs,
+    followed: Annotated[
+        Path, typer.Option("--with", help="Log or folder of trips that followed a trajectory.")
+    ],
+) -> None:
+    """Compare drivers' trips with trips that followed a trajectory: time and energy.
+
+    Example: trainlog compare results/trips --with results/driven
+    """
+    from analysis.compare import savings
+    from analysis.report import savings_table
+
+    console.print(savings_table(savings(read_trips(logs), read_trips([followed]))))
+
+
+@app.command(rich_help_panel="Look")
+def report(
+    results: Annotated[Path, typer.Argument(help="Folder of results, as the demo leaves it.")],
+) -> None:
+    """Sum up a folder of results: fit, map, trajectory, energy; simulated trips against the truth.
+
+    Example: trainlog report results
+    """
+    from analysis.report import results_table
+
+    console.print(results_table(results))

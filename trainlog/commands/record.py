@@ -1,0 +1,147 @@
+"""Commands that make logs: simulate, ingest; and import of lines and trains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from trainlog.commands.options import LineOption, Seed, TrainOption
+from trainlog.errors import InputError
+from trainlog.formats.files import made_folder
+from trainlog.terminal import (
+    about,
+    console,
+    line_and_train,
+    pairs,
+    progress_bar,
+    working,
+    wrote,
+)
+
+app = typer.Typer()
+
+
+@app.command(rich_help_panel="Record")
+def simulate(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+    line: LineOption = None,
+    train: TrainOption = None,
+    count: Annotated[int, typer.Option(min=1, help="Trips to drive.")] = 12,
+    seed: Seed = 1,
+    trajectory: Annotated[
+        Path | None, typer.Option(help="Follow this trajectory instead of a driver's habits.")
+    ] = None,
+    configurations: Annotated[
+        str,
+        typer.Option(help="With --trajectory: 'hardest', 'all', or names separated by commas."),
+    ] = "hardest",
+    weather: Annotated[
+        Literal["dry", "wet"] | None,
+        typer.Option(help="With --trajectory: the rail's condition; default dry."),
+    ] = None,
+) -> None:
+    """Drive trips in simulation and log them.
+
+    Loads, weather, running resistance, drivers and slippery spots vary with the seed; sensors
+    have noise. With [bold]--trajectory[/bold] the trips follow it, one a configuration.
+
+    Example: trainlog simulate --count 12 --seed 1 -o results/trips
+    """
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.mcap import write_log
+    from trainlog.simulation.scenario import (
+        draw_scenarios,
+        trajectory_scenarios,
+    )
+    from trainlog.simulation.scenario import (
+        simulate as drive,
+    )
+
+    the_line, the_train = line_and_train(line, train)
+    if trajectory is None:
+        if weather is not None:
+            raise InputError("--weather goes with --trajectory", remedy="leave it out")
+        scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
+    else:
+        plan = read_trajectory(trajectory)
+        names = plan.chosen(configurations)
+        scenarios = trajectory_scenarios(
+            plan, the_line, the_train, names, seed=seed, weather=weather or "dry"
+        )
+    made_folder(output)
+    with progress_bar() as progress:
+        for scenario in progress.track(scenarios, description="driving"):
+            trip = drive(scenario)
+            write_log(trip, output / f"{trip.name}.mcap")
+            progress.console.print(about(trip), highlight=False)
+
+
+@app.command(rich_help_panel="Record")
+def ingest(
+    recordings: Annotated[list[Path], typer.Argument(help="Recorded files (CSV, Parquet).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+    profile: Annotated[
+        Path | None, typer.Option(help="TOML profile: columns, units, signs, time format.")
+    ] = None,
+    line: Annotated[Path | None, typer.Option(help="Line it was driven on, if known.")] = None,
+    train: Annotated[Path | None, typer.Option(help="Train that drove, if known.")] = None,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="The trip ran against the line's chainage.")
+    ] = False,
+    facts: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="What the file does not tell: weather=wet, load=12000 (kg)."),
+    ] = None,
+) -> None:
+    """Turn recorded logs into trips; what was repaired is counted and kept in the log.
+
+    Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
+    """
+    from trainlog.formats.line import read_line
+    from trainlog.formats.train import read_train
+    from trainlog.ingest import ingest as read_recording
+    from trainlog.ingest import report_of
+    from trainlog.mcap import write_log
+
+    the_line = None if line is None else read_line(line)
+    the_train = None if train is None else read_train(train)
+    targets = {output / f"{recording.stem}.mcap": recording for recording in recordings}
+    if len(targets) < len(recordings):
+        raise InputError(
+            "two recordings have the same name", remedy="ingest them into different folders"
+        )
+    metadata = pairs(facts or [])
+    for target, recording in targets.items():
+        with working(f"reading {recording.name}"):
+            trip = read_recording(
+                recording,
+                profile=profile,
+                line=the_line,
+                train=the_train,
+                direction="reverse" if reverse else None,
+                metadata=metadata,
+            )
+            made_folder(output)
+            write_log(trip, target)
+        console.print(about(trip), highlight=False)
+        for finding in report_of(trip).lines():
+            console.print(f"    {finding}", highlight=False)
+        wrote(target)
+
+
+@app.command(name="import", rich_help_panel="Record")
+def import_(
+    files: Annotated[list[Path], typer.Argument(help="TTOBench tracks, trains or journeys.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
+) -> None:
+    """Turn TTOBench tracks and trains into trainlog's line and train files.
+
+    Example: trainlog import CH_StGallen_Wil.json CH_Stadler_FLIRT_TPF.json -o railway
+    """
+    from trainlog.formats.ttobench import convert
+
+    made_folder(output)
+    for file in files:
+        wrote(convert(file, output))
