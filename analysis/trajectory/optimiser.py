@@ -24,6 +24,9 @@ FloatArray = NDArray[np.float64]
 FEWEST_CELLS, MOST_CELLS = 20, 20_000
 """Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
 
+REFINEMENTS = 3
+"""How often a grid whose answer does not pass the audit is made twice as fine."""
+
 GAP_TOLERANCE = 2e-3
 """Largest gap between energy and lower bound that is called certified."""
 
@@ -116,20 +119,9 @@ def optimise(
         running_time = (1.0 + reserve) * least_time
     _check_time(run, fastest, running_time)
 
-    positions = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[slowest], cells)
-    problem = discretise(run, positions)
-    answer = search(problem, fastest.times, running_time)
-
+    problem, answer, rollout = _audited(run, fastest, running_time, cells)
     traction = answer.plan.traction * problem.reference
     brakes = answer.plan.braking * problem.reference
-    rollout = audit(run, positions, traction, brakes)
-    failures = rollout.failures(run, running_time)
-    if failures:
-        raise TrainlogError(
-            f"the trajectory does not pass its audit: {failures[0]}"
-            + (f" and {len(failures) - 1} more" if len(failures) > 1 else ""),
-            remedy="more cells, or more reserve",
-        )
     certificate = _certificate(problem, answer, fastest, rollout, running_time)
     if referee:
         certificate["referee"] = _refereed(problem, answer, running_time)
@@ -139,7 +131,7 @@ def optimise(
     return Trajectory(
         line=line.name,
         train=train.name,
-        positions=positions,
+        positions=problem.positions,
         configurations=run.configurations,
         speeds=speeds,
         times=rollout.times,
@@ -161,6 +153,31 @@ def optimise(
                 "cells": cells,
             },
         },
+    )
+
+
+def _audited(
+    run: Run, fastest: Envelope, running_time: float, cells: int
+) -> tuple[Problem, Answer, Audit]:
+    """The problem on its grid, its answer, and the audit that the answer passed.
+
+    A grid too coarse for the line shows in the audit; then it is made finer.
+    """
+    slowest = int(np.argmax(fastest.times))
+    finer = [cells * 2**times for times in range(REFINEMENTS + 1)]
+    for count in [each for each in finer if each <= MOST_CELLS]:
+        positions = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[slowest], count)
+        problem = discretise(run, positions)
+        answer = search(problem, fastest.times, running_time)
+        traction = answer.plan.traction * problem.reference
+        rollout = audit(run, positions, traction, answer.plan.braking * problem.reference)
+        failures = rollout.failures(run, running_time)
+        if not failures:
+            return problem, answer, rollout
+    raise TrainlogError(
+        f"the trajectory does not pass its audit: {failures[0]}"
+        + (f" and {len(failures) - 1} more" if len(failures) > 1 else ""),
+        remedy="more cells, or more reserve",
     )
 
 
