@@ -11,6 +11,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.mcap.layout import scatter
+from trainlog.mcap.sink import RawChunk
 
 PERIOD = 10 * 10**9
 """Longest time that one chunk spans [ns]: 10 s of a trip is what a damaged chunk costs, and files
@@ -45,25 +46,6 @@ class Stream:
         if isinstance(self.records, list):
             return np.array([len(record) for record in self.records], dtype=np.int64)
         return np.full(len(self.records), self.records.dtype.itemsize, dtype=np.int64)
-
-
-@dataclass(frozen=True)
-class RawChunk:
-    """The content of one chunk before compression.
-
-    Attributes
-    ----------
-    data : bytearray
-    start, end : int
-        Log time of its first and last message [ns].
-    index : dict of int to (n, 2) uint64 array
-        Log time and offset of each message by channel id, for the channels it holds.
-    """
-
-    data: bytearray
-    start: int
-    end: int
-    index: dict[int, NDArray[np.uint64]]
 
 
 def chunks(streams: Sequence[Stream]) -> Iterator[RawChunk]:
