@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,6 +21,7 @@ from trainlog.terminal import (
     working,
     wrote,
 )
+from trainlog.trip import Trip
 
 app = typer.Typer()
 
@@ -80,7 +83,9 @@ def simulate(
 
 @app.command(rich_help_panel="Record")
 def ingest(
-    recordings: Annotated[list[Path], typer.Argument(help="Recorded files (CSV, Parquet).")],
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Recorded files: docs/ingest.md lists the formats.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
     profile: Annotated[
         Path | None, typer.Option(help="TOML profile: columns, units, signs, time format.")
@@ -97,38 +102,58 @@ def ingest(
 ) -> None:
     """Turn recorded logs into trips; what was repaired is counted and kept in the log.
 
+    A log is named after its file or, where the file holds several recordings, after its trip.
+
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
     """
     from trainlog.formats.line import read_line
     from trainlog.formats.train import read_train
-    from trainlog.ingest import ingest as read_recording
-    from trainlog.ingest import report_of
+    from trainlog.ingest import ingest_each, report_of
     from trainlog.mcap import write_log
 
     the_line = None if line is None else read_line(line)
     the_train = None if train is None else read_train(train)
-    targets = {output / f"{recording.stem}.mcap": recording for recording in recordings}
-    if len(targets) < len(recordings):
+    if len({recording.stem for recording in recordings}) < len(recordings):
         raise InputError(
             "two recordings have the same name", remedy="ingest them into different folders"
         )
     metadata = pairs(facts or [])
-    for target, recording in targets.items():
-        with working(f"reading {recording.name}"):
-            trip = read_recording(
-                recording,
-                profile=profile,
-                line=the_line,
-                train=the_train,
-                direction="reverse" if reverse else None,
-                metadata=metadata,
-            )
+    written: set[Path] = set()
+    for recording in recordings:
+        trips = ingest_each(
+            recording,
+            profile=profile,
+            line=the_line,
+            train=the_train,
+            direction="reverse" if reverse else None,
+            metadata=metadata,
+        )
+        for target, trip in _named(recording, output, trips):
+            if target in written:
+                raise InputError(
+                    f"would write {target.name} twice",
+                    file=recording,
+                    remedy="ingest the files into different folders",
+                )
+            written.add(target)
             made_folder(output)
             write_log(trip, target)
-        console.print(about(trip), highlight=False)
-        for finding in report_of(trip).lines():
-            console.print(f"    {finding}", highlight=False)
-        wrote(target)
+            console.print(about(trip), highlight=False)
+            for finding in report_of(trip).lines():
+                console.print(f"    {finding}", highlight=False)
+            wrote(target)
+
+
+def _named(recording: Path, output: Path, trips: Iterator[Trip]) -> Iterator[tuple[Path, Trip]]:
+    """Each trip of a recorded file with its log: named after the file if it holds one recording."""
+    while True:
+        with working(f"reading {recording.name}"):
+            trip = next(trips, None)
+        if trip is None:
+            return
+        several = "recording" in trip.provenance[0]
+        name = re.sub(r"[^\w.+-]+", "_", trip.name) if several else recording.stem
+        yield output / f"{name}.mcap", trip
 
 
 @app.command(name="import", rich_help_panel="Record")

@@ -5,7 +5,7 @@
 >>> report_of(trip).lines()                                      # doctest: +SKIP
 """
 
-from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest
+from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest, ingest_each
 from trainlog.ingest.profile import Profile, profile_of, read_profile
 from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table
 from trainlog.ingest.registry import Format, formats
@@ -25,6 +25,7 @@ __all__ = [
     "Table",
     "formats",
     "ingest",
+    "ingest_each",
     "profile_of",
     "read_profile",
     "report_of",

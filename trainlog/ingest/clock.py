@@ -38,13 +38,8 @@ def drop_before_first_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG0
     if fix is None or not all(name.startswith("/gnss/") for name in table.signals):
         return table, []
     usable = fix & (table.time != NO_TIME)
-    if not usable.any():
-        raise InputError(
-            "no row has both a time and a satellite fix",
-            place=f"rows {table.rows[0]} to {table.rows[-1]}" if len(table) else None,
-            remedy="the receiver never saw the sky; nothing can be made of this file",
-        )
-    before = np.arange(len(table)) < int(np.argmax(usable))
+    first = int(np.argmax(usable)) if usable.any() else len(table)
+    before = np.arange(len(table)) < first
     return table.take(~before), table.found("before_first_fix", before)
 
 
@@ -70,12 +65,6 @@ def has_fix(table: Table) -> BoolArray | None:
 def drop_unreadable_time(table: Table, limits: Limits) -> Result:  # noqa: ARG001
     """Drop rows whose time is empty or cannot be read."""
     unreadable = table.time == NO_TIME
-    if unreadable.all():
-        raise InputError(
-            "no row has a time that can be read",
-            place=f"rows {table.rows[0]} to {table.rows[-1]}" if len(table) else None,
-            remedy="check the columns, format and unit under [time] of the profile",
-        )
     return table.take(~unreadable), table.found("time_unreadable", unreadable)
 
 

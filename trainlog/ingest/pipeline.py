@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +19,7 @@ from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.frames import frames
 from trainlog.ingest.profile import Limits, Profile, TripOptions, parse_profile
 from trainlog.ingest.recording import Finding, Recording, Table
-from trainlog.ingest.registry import format_of
+from trainlog.ingest.registry import Format, format_of
 from trainlog.ingest.report import Report
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.ingest.values import LIMITS
@@ -77,32 +79,149 @@ def ingest(
     Raises
     ------
     InputError
-        If the file cannot be used, with row and column where they are known and a remedy.
+        If the file cannot be used, with row and column where they are known and a remedy; or if
+        it holds several recordings, see `ingest_each`.
+    """
+    source = _opened(path, profile, format)
+    if len(source.recordings) > 1:
+        names = [recording.metadata.get("trip", "") for recording in source.recordings]
+        shown = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+        raise InputError(
+            f"holds {len(names)} recordings: {shown}",
+            file=source.path,
+            remedy="take them one by one with ingest_each, or with the command trainlog ingest",
+        )
+    return _finished(source, source.recordings[0], line, train, direction, metadata)
+
+
+def ingest_each(
+    path: str | Path,
+    *,
+    profile: str | Path | Profile | None = None,
+    format: str | None = None,
+    line: Line | None = None,
+    train: Train | None = None,
+    direction: Direction | None = None,
+    metadata: Mapping[str, str] | None = None,
+) -> Iterator[Trip]:
+    """Turn every recording of a file into a trip: the rides of a phone log, the tracks of a GPX.
+
+    Parameters are those of `ingest`. Recordings that cannot be used do not keep the others from
+    becoming trips; they are told when all others have been handed over.
+
+    Yields
+    ------
+    Trip
+        In the order of the file. Where there are several, each is named after its recording.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, or, after the last trip, if some of its recordings cannot.
+    """
+    source = _opened(path, profile, format)
+    refused: list[InputError] = []
+    for recording in source.recordings:
+        try:
+            trip = _finished(source, recording, line, train, direction, metadata)
+        except InputError as error:
+            refused.append(error)
+        else:
+            yield trip
+    if len(refused) == 1 and len(source.recordings) == 1:
+        raise refused[0]
+    if refused:
+        raise InputError(
+            f"{len(refused)} of {len(source.recordings)} recordings became no trip, the first:"
+            f" {refused[0].problem}",
+            file=source.path,
+            place=refused[0].place,
+            remedy=refused[0].remedy,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A recorded file that has been read, and how."""
+
+    path: Path
+    chosen: Format
+    profile: Profile | None
+    carried: dict[str, bytes]
+    recordings: tuple[Recording, ...]
+
+
+def _opened(path: str | Path, profile: str | Path | Profile | None, format: str | None) -> _Source:
+    """Read what a file holds.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read as its format, or holds no recording.
     """
     source = Path(path)
     rules, carried = _profile(profile)
     chosen = format_of(source, format or (rules.file.format if rules else None))
+    with _naming(source):
+        read = chosen.read(source, rules)
+    recordings = (read,) if isinstance(read, Recording) else tuple(read)
+    if not recordings:
+        raise InputError(
+            "holds no recording", file=source, remedy="was the recorder stopped at once?"
+        )
+    if chosen.layout == "own" and rules is not None:
+        idle = {"[time]": int(rules.time is not None), "[columns]": len(rules.columns)}
+        told = {
+            f"{section} of the profile, format '{chosen.name}' has its own": count
+            for section, count in idle.items()
+            if count
+        }
+        recordings = tuple(replace(item, not_used=item.not_used | told) for item in recordings)
+    return _Source(source, chosen, rules, carried, recordings)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Have errors name the file."""
     try:
-        recording = chosen.read(source, rules)
-        trip, report = _trip(recording, rules or _default_profile(), line, train, direction)
-        if line is not None:
-            _check_on_line(trip, line)
+        yield
     except InputError as error:
         if error.file is not None:
             raise
         raise InputError(
-            error.problem, file=source, place=error.place, remedy=error.remedy
+            error.problem, file=path, place=error.place, remedy=error.remedy
         ) from error
-    named = {"trip": source.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
-    attachments = carried | trip.attachments
+
+
+def _finished(
+    source: _Source,
+    recording: Recording,
+    line: Line | None,
+    train: Train | None,
+    direction: Direction | None,
+    metadata: Mapping[str, str] | None,
+) -> Trip:
+    """The trip of a recording, with what is known of its files."""
+    with _naming(source.path):
+        profile = source.profile or _default_profile()
+        trip, report = _trip(recording, profile, line, train, direction)
+        if line is not None:
+            _check_on_line(trip, line)
+    named = {"trip": source.path.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
+    which: dict[str, str] = {}
+    if len(source.recordings) > 1:
+        which["recording"] = named["trip"] = recording.metadata["trip"]
+    attachments = source.carried | trip.attachments
+    files = {file.name: sha256_of(file) for file in (source.path, *recording.inputs)}
     digests = {name: sha256(data) for name, data in attachments.items()}
-    return Trip(trip.topics, named, (), attachments).with_step(
+    return Trip(trip.topics, named, (), attachments | recording.attachments).with_step(
         "ingest",
         software=f"trainlog {__version__}",
-        format=chosen.name,
-        profile=rules.name if rules else None,
-        inputs={source.name: sha256_of(source)} | digests,
+        format=source.chosen.name,
+        profile=source.profile.name if source.profile else None,
+        inputs=files | digests,
         report=report.details(),
+        **which,
     )
 
 
@@ -147,13 +266,14 @@ def _trip(
     findings = list(recording.findings)
     limits = _limits(profile.limits, line, train)
     tables: list[Table] = []
+    least = 2 if len(recording.tables) == 1 else 0
     for table in recording.tables:
-        kept, found = repaired(table, limits, profile.repair)
+        kept, found = repaired(table, limits, profile.repair, least)
         tables.append(_from_start(kept, profile.trip))
         findings += found
     way = direction or profile.trip.direction or "forward"
     travelled = line.reversed() if line is not None and way == "reverse" else line
-    topics = frames(tables, recording.constants)
+    topics = frames([table for table in tables if len(table)], recording.constants)
     if not topics:
         raise InputError(
             f"nothing is left of {recording.rows_read} rows after repair",
@@ -171,7 +291,13 @@ def _trip(
     if train is not None:
         trip.attachments[TRAIN_ATTACHMENT] = train_to_bytes(train)
     kept_rows = sum(len(table) for table in tables)
-    report = Report(recording.rows_read, kept_rows, _joined(findings), profile.repair.switched_off)
+    report = Report(
+        recording.rows_read,
+        kept_rows,
+        _joined(findings),
+        profile.repair.switched_off,
+        recording.not_used,
+    )
     return trip, report
 
 

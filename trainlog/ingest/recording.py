@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +114,15 @@ class Recording:
     constants : dict of str to float or str
         By ``"/topic.field"``, in SI: what does not change over the trip.
     metadata : dict of str to str
-        What the file says of the trip, such as the recorder's clock.
+        What the file says of the trip, such as the recorder's clock. Where a file holds several
+        recordings, ``"trip"`` names this one.
+    not_used : dict of str to int
+        What the file holds besides and was not used, such as messages of other kinds, by name,
+        with how many there are.
+    inputs : tuple of Path
+        Further files that were read beside the one given.
+    attachments : dict of str to bytes
+        Files to be carried along with the trip.
     """
 
     tables: tuple[Table, ...]
@@ -121,6 +130,9 @@ class Recording:
     findings: tuple[Finding, ...] = ()
     constants: dict[str, float | str] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
+    not_used: dict[str, int] = field(default_factory=dict)
+    inputs: tuple[Path, ...] = ()
+    attachments: dict[str, bytes] = field(default_factory=dict)
 
 
 def field_of(name: str) -> tuple[Topic, str, Field]:

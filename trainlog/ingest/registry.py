@@ -1,19 +1,23 @@
 """Which formats can be ingested: the built-in ones and those that other packages register.
 
 A package registers a format by an entry point of the group ``trainlog.ingest``, which names a
-function ``read(path, profile) -> Recording``, or a `Format` that can also recognise its files.
+function ``read(path, profile)`` that gives a `Recording` or a sequence of them, or a `Format` that
+can also recognise its files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Literal
 
 from trainlog.errors import InputError
 from trainlog.ingest.delimited import is_delimited, read_delimited
+from trainlog.ingest.gpx import is_gpx, read_gpx
+from trainlog.ingest.mtk import is_mtk, read_mtk
 from trainlog.ingest.parquet import is_parquet, read_parquet
 from trainlog.ingest.profile import Profile, suggestion
 from trainlog.ingest.recording import Recording
@@ -25,7 +29,7 @@ GROUP = "trainlog.ingest"
 HEAD = 65_536
 """Bytes of a file that a format may look at to recognise it."""
 
-Reader = Callable[[Path, Profile | None], Recording]
+Reader = Callable[[Path, Profile | None], Recording | Sequence[Recording]]
 
 
 def never(head: bytes) -> bool:  # noqa: ARG001
@@ -41,18 +45,24 @@ class Format:
     ----------
     name : str
     read : callable
-        ``read(path, profile) -> Recording``.
+        ``read(path, profile)`` gives what the file holds: a `Recording`, or a sequence of them.
     recognises : callable
         ``recognises(head) -> bool``, given the first 64 KiB of a file.
+    layout : {"profile", "own"}
+        Where it is told what the columns mean: in [time] and [columns] of a profile, or by the
+        format itself, which then has no use for those sections; the report tells if they are given.
     """
 
     name: str
     read: Reader
     recognises: Callable[[bytes], bool] = never
+    layout: Literal["profile", "own"] = "profile"
 
 
 BUILT_IN = (
-    Format("ublox", read_ublox, is_ublox),
+    Format("mtk", read_mtk, is_mtk, "own"),
+    Format("ublox", read_ublox, is_ublox, "own"),
+    Format("gpx", read_gpx, is_gpx, "own"),
     Format("parquet", read_parquet, is_parquet),
     # Last: any text may be a CSV.
     Format("csv", read_delimited, is_delimited),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from trainlog.errors import LogError
@@ -23,12 +23,15 @@ class Report:
         In the order in which the rules were applied.
     switched_off : tuple of str
         Rules that the profile switches off.
+    not_used : dict of str to int
+        What the file, or the profile, holds besides and was not used, with how many there are.
     """
 
     rows_read: int
     rows_kept: int
     findings: tuple[Finding, ...] = ()
     switched_off: tuple[str, ...] = ()
+    not_used: dict[str, int] = field(default_factory=dict)
 
     @property
     def rows_dropped(self) -> int:
@@ -66,7 +69,7 @@ class Report:
                 found[f"repair.{finding.rule}.note"] = finding.note
         if self.switched_off:
             found["repair.switched_off"] = ", ".join(self.switched_off)
-        return found
+        return found | {f"not_used.{what}": str(count) for what, count in self.not_used.items()}
 
     def details(self) -> dict[str, Any]:
         """The report as an entry of provenance; `report_of` makes it a report again."""
@@ -77,6 +80,7 @@ class Report:
                 {**asdict(finding), "rows": list(finding.rows)} for finding in self.findings
             ],
             "switched_off": list(self.switched_off),
+            "not_used": dict(self.not_used),
         }
 
     def lines(self) -> list[str]:
@@ -90,6 +94,7 @@ class Report:
             shown.append(f"{finding.rule}: {finding.count}{where}{rows}{note}")
         if self.switched_off:
             shown.append(f"switched off: {', '.join(self.switched_off)}")
+        shown += [f"not used: {what}: {count}" for what, count in self.not_used.items()]
         return shown
 
 
@@ -112,6 +117,7 @@ def report_of(trip: Trip) -> Report:
                     for finding in told["findings"]
                 ),
                 tuple(told["switched_off"]),
+                {what: int(count) for what, count in told.get("not_used", {}).items()},
             )
     raise LogError(
         f"trip '{trip.name}' was not made by ingest", remedy="simulated trips have no such report"

@@ -70,8 +70,13 @@ def refuse_switched_off(findings: tuple[Finding, ...], repair: Repair) -> None:
                     _refuse(finding)
 
 
-def repaired(table: Table, limits: Limits, repair: Repair) -> Result:
+def repaired(table: Table, limits: Limits, repair: Repair, least: int = 2) -> Result:
     """Apply the rules, one after the other.
+
+    Parameters
+    ----------
+    least : int
+        Rows that have to be left: a trip needs 2, one table among several none.
 
     Raises
     ------
@@ -85,17 +90,37 @@ def repaired(table: Table, limits: Limits, repair: Repair) -> Result:
         wanted = getattr(repair, rule.name)
         if not wanted and rule.off == "keep":
             continue
-        table, found = rule.apply(table, limits)
+        before = table
+        table, found = rule.apply(before, limits)
         if found and not wanted:
             _refuse(found[0])
         findings += found
-        if len(table) < 2:
-            raise InputError(
-                f"{len(table)} row is left after rule '{rule.name}', a trip needs 2",
-                place=f"row {table.rows[0]}" if len(table) else None,
-                remedy="check the time column; was the recorder stopped at once?",
-            )
+        if len(table) < least:
+            raise _too_short(before, table, rule.name)
+        if not len(table):
+            break
     return table, findings
+
+
+def _too_short(before: Table, table: Table, rule: str) -> InputError:
+    every = f"rows {before.rows[0]} to {before.rows[-1]}" if len(before) else None
+    if rule == "before_first_fix" and not len(table):
+        return InputError(
+            "no row has both a time and a satellite fix",
+            place=every,
+            remedy="the receiver never saw the sky; nothing can be made of this file",
+        )
+    if rule == "time_unreadable" and not len(table):
+        return InputError(
+            "no row has a time that can be read",
+            place=every,
+            remedy="check the columns, format and unit under [time] of the profile",
+        )
+    return InputError(
+        f"{len(table)} row is left after rule '{rule}', a trip needs 2",
+        place=f"row {table.rows[0]}" if len(table) else None,
+        remedy="check the time column; was the recorder stopped at once?",
+    )
 
 
 def _refuse(finding: Finding) -> None:

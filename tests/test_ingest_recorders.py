@@ -1,0 +1,194 @@
+"""The files of recorders met in the field, with all their defects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorder_files import MTK_HEADER, Recorded, drive, gpx, gpx_text, mtk
+
+from trainlog.cli import main
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, ingest_each, report_of
+from trainlog.mcap import read_log
+from trainlog.trip import Trip
+
+
+def read(tmp_path: Path, name: str, text: str, **options: object) -> Trip:
+    path = tmp_path / name
+    path.write_text(text, "utf-8")
+    return ingest(path, **options)
+
+
+def assert_fixes(trip: Trip, recorded: Recorded) -> None:
+    """The fixes are those of the drive, to the file's last digit, at the right instants."""
+    fix, truth = trip["/gnss/fix"], recorded.truth
+    np.testing.assert_array_equal(fix.index.as_unit("ns").asi8, truth.time)
+    for column in ("latitude", "longitude", "altitude"):
+        np.testing.assert_allclose(fix[column], getattr(truth, column), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(fix["horizontal_accuracy"], 3.0 * truth.hdop, rtol=1e-12)
+    np.testing.assert_array_equal(trip["/gnss/motion"]["satellites"], truth.satellites)
+
+
+# ------------------------------------------------------------------ GPX
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("speed", "offset"),
+    [("1.0", "Z"), ("garmin", "+02:00"), ("osmand", "-05:00"), ("plain", "Z"), ("none", "+01:00")],
+)
+def test_gpx_comes_back(tmp_path: Path, seed: int, speed: str, offset: str) -> None:
+    recorded = gpx(seed, speed=speed, offset=offset)
+    trip = read(tmp_path, "run.gpx", recorded.text)
+    report = report_of(trip)
+    assert report.counts == recorded.defects
+    assert report.not_used == {"points <wpt>": 1}
+    assert trip.provenance[0]["format"] == "gpx"
+    assert_fixes(trip, recorded)
+    np.testing.assert_allclose(trip["/gnss/fix"]["vertical_accuracy"], 1.5 * 4.2)
+    motion = trip["/gnss/motion"]["speed"]
+    if speed == "none":
+        assert motion.isna().all()
+    else:
+        np.testing.assert_allclose(motion, recorded.truth.speed, rtol=0, atol=1e-12)
+    assert trip.metadata["recorder"] == "logger 7"
+    assert trip.metadata["horizontal_accuracy"] == "3 m times HDOP"
+
+
+def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path: Path) -> None:
+    run = drive(300, 1.0)
+    parts = np.split(np.arange(300), [100, 150, 220])
+    path = tmp_path / "day.gpx"
+    path.write_text(gpx_text(run, parts=[parts]), "utf-8")
+    trip = ingest(path)
+    assert len(trip["/gnss/fix"]) == 300
+    assert trip.metadata["segments"] == "4"
+    path.write_text(gpx_text(run, parts=[parts[:2], [], parts[2:]]), "utf-8")
+    with pytest.raises(InputError, match=r"day\.gpx: holds 2 recordings: day-1, day-2; .*_each"):
+        ingest(path)
+    trips = list(ingest_each(path))
+    assert [t.name for t in trips] == ["day-1", "day-2"]
+    assert [t.metadata["track"] for t in trips] == ["track 1", "track 3"]
+    assert [len(t["/gnss/fix"]) for t in trips] == [150, 150]
+    assert report_of(trips[0]).not_used["tracks without points"] == 1
+
+
+def test_a_track_that_is_no_trip_does_not_cost_the_others(tmp_path: Path) -> None:
+    run = drive(60, 1.0)
+    parts = [[np.arange(30)], [np.arange(30, 31)], [np.arange(31, 60)]]
+    path = tmp_path / "day.gpx"
+    path.write_text(gpx_text(run, parts=parts), "utf-8")
+    trips: list[str] = []
+    with pytest.raises(InputError, match=r"day\.gpx.*1 of 3 recordings became no trip.*1 row is"):
+        trips.extend(trip.name for trip in ingest_each(path))
+    assert trips == ["day-1", "day-3"]
+
+
+def test_a_gpx_cut_off_anywhere_gives_its_whole_points(tmp_path: Path) -> None:
+    text = gpx_text(drive(40, 1.0))
+    for end in range(len(text) - 1200, len(text) - 8, 7):
+        whole = text[:end].count("</trkpt>")
+        trip = read(tmp_path, "run.gpx", text[:end])
+        assert len(trip["/gnss/fix"]) == whole
+        assert report_of(trip).counts == {"truncated_rows": 1}
+
+
+BOMB = (
+    '<?xml version="1.0"?>\n<!DOCTYPE gpx [<!ENTITY a "aaaaaaaaaa">'
+    '<!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>\n<gpx><trk><name>&b;</name></trk></gpx>'
+)
+EXTERNAL = '<?xml version="1.0"?>\n<!DOCTYPE gpx [<!ENTITY a SYSTEM "file:///etc/passwd">]><gpx/>'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (BOMB, r"line 2, column \d+: declares the entity 'a'; "),
+        (EXTERNAL, r"line 2, column \d+: declares the entity 'a'; "),
+        (gpx_text(drive(9, 1.0)).replace("</ele>", "</el>", 1), "line 5, column .*mismatched tag"),
+        (gpx_text(drive(9, 1.0)).replace("<sat>", "<<", 1), "line 5, column .*not well-formed"),
+        (gpx_text(drive(9, 1.0))[:300], r"line \d+, column \d+: is not XML"),
+        ("<gpx></gpx>", "holds no track point; give the track"),
+        ('<gpx><rte><rtept lat="1" lon="2"/></rte></gpx>', "no track point, but 1 rtept; give"),
+        ("<kml><gpx/></kml>", "its first element is <kml>"),
+        (
+            gpx_text(drive(9, 1.0)).replace("<time>", "<when>").replace("</time>", "</when>"),
+            "no row has both a time and a satellite fix",
+        ),
+    ],
+)
+def test_bad_gpx_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, "run.gpx", text, format="gpx")
+
+
+def test_the_command_names_logs_after_files_or_trips(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, out = drive(60, 1.0), tmp_path / "out"
+    parts = np.split(np.arange(60), [20])
+    (tmp_path / "day.gpx").write_text(gpx_text(run, parts=[[part] for part in parts]), "utf-8")
+    (tmp_path / "one.gpx").write_text(gpx_text(run), "utf-8")
+    files = [str(tmp_path / name) for name in ("day.gpx", "one.gpx")]
+    monkeypatch.setattr("sys.argv", ["trainlog", "ingest", *files, "-o", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 0, capsys.readouterr().err
+    assert sorted(log.name for log in out.iterdir()) == ["day-1.mcap", "day-2.mcap", "one.mcap"]
+    assert read_log(out / "day-2.mcap").name == "day-2"
+    (tmp_path / "day-1.gpx").write_text(gpx_text(run), "utf-8")
+    twice = [files[0], str(tmp_path / "day-1.gpx")]
+    monkeypatch.setattr("sys.argv", ["trainlog", "ingest", *twice, "-o", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    assert "would write day-1.mcap twice" in " ".join(capsys.readouterr().err.split())
+
+
+# ------------------------------------------------------------------ MTK
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("scaled", [False, True])
+def test_mtk_comes_back(tmp_path: Path, seed: int, scaled: bool) -> None:
+    recorded = mtk(seed, scaled=scaled)
+    trip = read(tmp_path, "run.csv", recorded.text)
+    report = report_of(trip)
+    assert trip.provenance[0]["format"] == "mtk"
+    assert report.count("subsecond") == 1800 - 180
+    for rule, count in recorded.defects.items():
+        assert report.count(rule) == count
+    assert set(report.counts) == {"subsecond", *recorded.defects}
+    assert_fixes(trip, recorded)
+    speed = trip["/gnss/motion"]["speed"]
+    known = speed.notna()
+    assert (~known).sum() == recorded.defects["spikes"]
+    np.testing.assert_allclose(speed[known], recorded.truth.speed[known], rtol=0, atol=1e-12)
+
+
+def test_mtk_columns_are_found_by_name(tmp_path: Path) -> None:
+    recorded = mtk(4, before=5)
+    lines = recorded.text.splitlines()
+    lines[0] = "year,month,day,hour,min,sec,sats,longitude,latitude,height,speed,hdop"
+    assert_fixes(read(tmp_path, "run.csv", "\n".join(lines)), recorded)
+    with pytest.raises(InputError, match=r"row 1, the header: no column of the hdop; expected"):
+        read(tmp_path, "x.csv", recorded.text.replace("HDOP", "PDOP"), format="mtk")
+
+
+def test_an_mtk_log_without_any_fix_is_refused(tmp_path: Path) -> None:
+    rows = "\n".join(["2000,0,0,0,0,0,0,0,0,0,0,9999"] * 50)
+    with pytest.raises(InputError, match="no row has both a time and a satellite fix"):
+        read(tmp_path, "run.csv", f"{MTK_HEADER}\n{rows}\n")
+
+
+def test_a_profiles_columns_that_are_not_used_are_told(tmp_path: Path) -> None:
+    from ingest_logs import plain_profile
+
+    trip = read(tmp_path, "run.csv", mtk(5, before=0).text, profile=plain_profile())
+    assert report_of(trip).not_used == {
+        "[time] of the profile, format 'mtk' has its own": 1,
+        "[columns] of the profile, format 'mtk' has its own": 2,
+    }
+    assert any(line.startswith("not used: [columns]") for line in report_of(trip).lines())

@@ -1,0 +1,251 @@
+"""Format ``gpx``: GPX 1.0 and 1.1 track logs. Each track is a recording, its segments are not.
+
+Read in one pass by expat, which keeps what readers of waypoints lose: the line of each point, the
+speed of GPX 1.0, and the speeds and accuracies that vendors put into extensions. Entities are
+refused, so that a small file cannot grow. Points of waypoints and routes are counted as not used.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+import pyarrow as pa
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes
+from trainlog.ingest.dop import HORIZONTAL_PER_HDOP, VERTICAL_PER_VDOP
+from trainlog.ingest.mapping import recording_of
+from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions
+from trainlog.ingest.recording import Finding, Recording
+from trainlog.ingest.textfile import Cells
+
+SPELLINGS = {
+    "time": "time",
+    "ele": "altitude",
+    "speed": "speed",
+    "sat": "satellites",
+    "hdop": "hdop",
+    "vdop": "vdop",
+    "pdop": "pdop",
+    # Of extensions: GPSLogger, OsmAnd, OpenTracks, Basic Air Data.
+    "accuracy": "horizontal_accuracy",
+    "hacc": "horizontal_accuracy",
+    "accuracy_horizontal": "horizontal_accuracy",
+    "vacc": "vertical_accuracy",
+    "accuracy_vertical": "vertical_accuracy",
+}
+"""What an element of a track point, or of its extensions, means; without its namespace."""
+
+COLUMNS = ("latitude", "longitude", *dict.fromkeys(SPELLINGS.values()))
+
+LAYOUT = Profile(
+    format=PROFILE_FORMAT,
+    version=1,
+    name="GPX",
+    time=TimeOptions(column="time"),
+    columns={
+        "/gnss/fix.latitude": Column(column="latitude", unit="deg"),
+        "/gnss/fix.longitude": Column(column="longitude", unit="deg"),
+        "/gnss/fix.altitude": Column(column="altitude", unit="m", optional=True),
+        "/gnss/fix.horizontal_accuracy": Column(
+            column="horizontal_accuracy", unit="m", optional=True
+        ),
+        "/gnss/fix.vertical_accuracy": Column(column="vertical_accuracy", unit="m", optional=True),
+        "/gnss/motion.speed": Column(column="speed", unit="m/s", optional=True),
+        "/gnss/motion.satellites": Column(column="satellites", optional=True),
+        "/gnss/motion.pdop": Column(column="pdop", optional=True),
+    },
+)
+"""What the elements mean, in the words of a profile."""
+
+CUT_OFF = (
+    expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS],
+    expat.errors.codes[expat.errors.XML_ERROR_UNCLOSED_TOKEN],
+    expat.errors.codes[expat.errors.XML_ERROR_PARTIAL_CHAR],
+    expat.errors.codes[expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION],
+)
+"""What expat says of a file that ends too early, as a recorder without power leaves it."""
+
+
+@dataclass
+class _Track:
+    """A track as it is read."""
+
+    name: str = ""
+    segments: int = 0
+    rows: list[int] = field(default_factory=list)
+    points: list[dict[str, str]] = field(default_factory=list)
+
+
+@dataclass
+class _Reader:
+    """What the elements of a file are gathered in; its methods are expat's handlers."""
+
+    parser: Any
+    tracks: list[_Track] = field(default_factory=list)
+    others: Counter[str] = field(default_factory=Counter)
+    creator: str = ""
+    root: str = ""
+    depth: int = 0
+    point: dict[str, str] | None = None
+    row: int = 0
+    text: list[str] | None = None
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        local = name.rpartition(":")[2]
+        self.depth += 1
+        if self.depth == 1:
+            self.root, self.creator = local, attributes.get("creator", "")
+        elif local == "trk":
+            self.tracks.append(_Track())
+        elif local == "trkseg" and self.tracks:
+            self.tracks[-1].segments += 1
+        elif local == "trkpt" and self.tracks:
+            self.row = self.parser.CurrentLineNumber
+            self.point = {
+                "latitude": attributes.get("lat", ""),
+                "longitude": attributes.get("lon", ""),
+            }
+        elif local in ("wpt", "rtept"):
+            self.others[local] += 1
+        elif (self.point is not None and local.lower() in SPELLINGS) or (
+            local == "name" and self.depth == 3 and self.tracks
+        ):
+            self.text = []
+
+    def end(self, name: str) -> None:
+        local = name.rpartition(":")[2]
+        self.depth -= 1
+        if local == "trkpt" and self.point is not None:
+            self.tracks[-1].points.append(self.point)
+            self.tracks[-1].rows.append(self.row)
+            self.point = None
+        elif self.text is not None:
+            text = "".join(self.text).strip()
+            if self.point is not None:
+                # A point's own elements come before those of its extensions, and count.
+                self.point.setdefault(SPELLINGS.get(local.lower(), local), text)
+            elif self.tracks and not self.tracks[-1].name:
+                self.tracks[-1].name = text
+        self.text = None
+
+    def characters(self, data: str) -> None:
+        if self.text is not None:
+            self.text.append(data)
+
+    def entity(self, name: str, *_: Any) -> None:
+        raise InputError(
+            f"declares the entity '{name}'",
+            place=f"line {self.parser.CurrentLineNumber}, column {self.parser.CurrentColumnNumber}",
+            remedy="no recorder writes that; a file that grows while it is read is refused",
+        )
+
+
+def is_gpx(head: bytes) -> bool:
+    """Whether a file begins as GPX does: XML whose first element is ``gpx``."""
+    plain = head.replace(b"\0", b"") if head[:2] in (b"\xff\xfe", b"\xfe\xff") else head
+    text = plain.removeprefix(b"\xef\xbb\xbf").lstrip(b"\xff\xfe \t\r\n")
+    return text.startswith(b"<") and b"<gpx" in text[:4096]
+
+
+def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: ARG001
+    """Read the tracks of a GPX file, in their order; tracks without points are not handed over.
+
+    Raises
+    ------
+    InputError
+        If it is no XML, with line and column; declares entities; or holds no track with points.
+    """
+    # A power cut leaves zeros where the file system had no time for data.
+    reader, cut = _parsed(read_bytes(path).rstrip(b"\0"), path)
+    filled = [track for track in reader.tracks if track.points]
+    if not filled:
+        told = ", ".join(f"{count} {kind}" for kind, count in reader.others.items())
+        raise InputError(
+            f"holds no track point{f', but {told}' if told else ''}",
+            file=path,
+            remedy="give the track that was recorded, not waypoints or a planned route",
+        )
+    not_used = {f"points <{kind}>": count for kind, count in sorted(reader.others.items())}
+    if len(filled) < len(reader.tracks):
+        not_used["tracks without points"] = len(reader.tracks) - len(filled)
+    found: list[Recording] = []
+    for number, track in enumerate(filled, start=1):
+        several = f"{path.stem}-{number}" if len(filled) > 1 else ""
+        cut_here = cut if number == len(filled) else 0
+        found.append(_recording(track, several, cut_here, reader.creator, not_used, path))
+    return found
+
+
+def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:
+    """What a file holds, and the line at which it is cut off, 0 if it is whole."""
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    reader = _Reader(parser)
+    parser.StartElementHandler = reader.start
+    parser.EndElementHandler = reader.end
+    parser.CharacterDataHandler = reader.characters
+    parser.EntityDeclHandler = reader.entity
+    cut = 0
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        if error.code not in CUT_OFF or not any(track.points for track in reader.tracks):
+            raise InputError(
+                f"is not XML: {expat.ErrorString(error.code)}",
+                file=path,
+                place=f"line {error.lineno}, column {error.offset}",
+                remedy="copy the file again, or correct it there or just before",
+            ) from error
+        cut = error.lineno
+    if reader.root != "gpx":
+        raise InputError(
+            f"is XML, but its first element is <{reader.root}>",
+            file=path,
+            remedy="give a GPX file",
+        )
+    return reader, cut
+
+
+def _recording(
+    track: _Track,
+    trip: str,
+    cut: int,
+    creator: str,
+    not_used: dict[str, int],
+    path: Path,
+) -> Recording:
+    columns = {
+        name: pa.array([point.get(name) or None for point in track.points], pa.string())
+        for name in COLUMNS
+    }
+    told = {"clock": "GNSS, UTC", "segments": str(track.segments)}
+    told |= {key: value for key, value in (("track", track.name), ("recorder", creator)) if value}
+    layout = LAYOUT
+    for accuracy, dop, metres in (
+        ("horizontal_accuracy", "hdop", HORIZONTAL_PER_HDOP),
+        ("vertical_accuracy", "vdop", VERTICAL_PER_VDOP),
+    ):
+        if columns[accuracy].null_count == len(track.points) > columns[dop].null_count:
+            name = f"/gnss/fix.{accuracy}"
+            scaled = Column(column=dop, unit="m", scale=metres)
+            layout = layout.model_copy(update={"columns": layout.columns | {name: scaled}})
+            told[accuracy] = f"{metres:g} m times {dop.upper()}"
+    present = {
+        name: column
+        for name, column in columns.items()
+        if column.null_count < len(column) or name in ("time", "latitude", "longitude")
+    }
+    rows = np.array(track.rows, dtype=np.int64)
+    lost = (Finding("truncated_rows", 1, (cut,)),) if cut else ()
+    cells = Cells(pa.table(present), rows, rows.size + len(lost), lost)
+    found = recording_of(cells, layout, path)
+    named = {"trip": trip} if trip else {}
+    return Recording(
+        found.tables, found.rows_read, found.findings, {}, told | named, dict(not_used)
+    )
