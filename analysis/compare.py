@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
 from trainlog.railway import Line, Train
-from trainlog.trip import Trip, interpolated, seconds
+from trainlog.resampling import interpolated
+from trainlog.trip import Trip, seconds
 
 FloatArray = NDArray[np.float64]
 

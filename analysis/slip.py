@@ -25,8 +25,9 @@ from estimators.train_speed import (
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.railway.train import Train
+from trainlog.resampling import interpolated
 from trainlog.topics import ESTIMATED_ADHESION, EVENTS
-from trainlog.trip import Trip, frame_of, interpolated, seconds
+from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]

@@ -14,10 +14,11 @@ from analysis.slip import adhesion_noise, slip, wheel_noise
 from trainlog.errors import LogError
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Axles
+from trainlog.resampling import interpolated
 from trainlog.simulation.scenario import draw_scenarios
 from trainlog.simulation.sensors import Sensors
 from trainlog.topics import TOPICS
-from trainlog.trip import TRAIN_ATTACHMENT, Trip, column_field, interpolated
+from trainlog.trip import TRAIN_ATTACHMENT, Trip, column_field
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 
 from trainlog.errors import LogError
+from trainlog.resampling import interpolated
 from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, column_field, columns
-from trainlog.trip import Trip, frame_of, interpolated, seconds
+from trainlog.trip import Trip, frame_of, seconds
 
 SECOND = 1_000_000_000
 

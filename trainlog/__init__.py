@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from trainlog.version import __version__
+
 if TYPE_CHECKING:
     from trainlog.mcap import describe
     from trainlog.mcap import read_log as read
     from trainlog.mcap import write_log as write
 
 __all__ = ["__version__", "describe", "read", "write"]
-
-__version__ = "0.1.0"
 
 _LAZY = {"read": "read_log", "write": "write_log", "describe": "describe"}
 

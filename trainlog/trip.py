@@ -2,6 +2,7 @@
 
 A `Trip` is what the rooms of trainlog hand to each other. It is plain data: one pandas DataFrame
 a topic, indexed by UTC time in nanoseconds, in SI units, with the units in ``frame.attrs``.
+Bringing topics onto one clock is in `trainlog.resampling`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,12 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from trainlog.errors import LogError
-from trainlog.topics import TOPICS, Topic, column_field
+from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
+from trainlog.topics import Topic, column_field
+from trainlog.version import __version__
+
+POSITION_TOPICS = ("/estimates/state", "/train/state")
+"""Where a trip's position is found: the first of these topics in which any position is known."""
 
 LINE_ATTACHMENT = "line.json"
 """Attachment that holds the line the trip was driven on, in trainlog's line format."""
@@ -94,11 +100,83 @@ class Trip:
         """A copy of the trip with one more entry of provenance."""
         return replace(self, provenance=(*self.provenance, {"step": step, **details}))
 
+    def between(self, start: Any = None, end: Any = None) -> Trip:
+        """The part of the trip from one time to another, both ends belonging to it.
+
+        Every topic stays, with the rows in that time, none perhaps. Metadata and attachments are
+        those of the whole trip; the provenance has a step more.
+
+        Parameters
+        ----------
+        start, end : anything that `pandas.Timestamp` takes, optional
+            Without a time zone it is UTC; None leaves that end open.
+
+        Raises
+        ------
+        InputError
+            If an end is no time, or the start is after the end.
+        """
+        spans = np.array([time_limits(start, end)], dtype=np.int64)
+        told = [None if each is None else utc(each).isoformat() for each in (start, end)]
+        return self._cut(spans).with_step("slice", software=_SOFTWARE, time=told)
+
+    def within(self, start: float | None = None, end: float | None = None) -> Trip:
+        """The part of the trip in which the train was between two positions.
+
+        All topics, events too, are cut to the same times: those at which the position, on a line
+        between its known samples, was from `start` to `end`, both belonging to it. A train that
+        goes back and forth gives several such spans of time. Before the first known position and
+        after the last there is none. The position is that of the first of `POSITION_TOPICS` that
+        knows any. For the rest see `between`.
+
+        Parameters
+        ----------
+        start, end : float [m], optional
+            Chainage as the trip counts it; None leaves that end open.
+
+        Raises
+        ------
+        InputError
+            If an end is not a number, or the start is behind the end.
+        LogError
+            If the trip has no position.
+        """
+        limits = position_limits(start, end)
+        state = self._located()
+        time = pd.DatetimeIndex(state.index).as_unit("ns").asi8
+        position = state["position"].to_numpy(dtype=np.float64)
+        cut = self._cut(spans_within(time, position, *limits))
+        told = [None if each is None else float(each) for each in (start, end)]
+        return cut.with_step("slice", software=_SOFTWARE, position=told)
+
+    def _cut(self, spans: Spans) -> Trip:
+        """The rows of all topics in the spans of time."""
+        cut = {}
+        for name, frame in self.topics.items():
+            kept = frame[in_spans(pd.DatetimeIndex(frame.index).as_unit("ns").asi8, spans)]
+            kept.attrs = frame.attrs
+            cut[name] = kept
+        return replace(self, topics=cut)
+
+    def _located(self) -> pd.DataFrame:
+        """The frame that knows where the train was."""
+        for name in POSITION_TOPICS:
+            frame = self.topics.get(name)
+            if frame is not None and "position" in frame and frame["position"].notna().any():
+                return frame
+        raise LogError(
+            f"trip '{self.name}' does not know where the train was",
+            remedy=f"it needs a position in {' or '.join(POSITION_TOPICS)}; slice it by time",
+        )
+
     def _filled(self) -> list[pd.DataFrame]:
         frames = [frame for frame in self.topics.values() if len(frame)]
         if not frames:
             raise LogError(f"trip '{self.name}' holds no samples")
         return frames
+
+
+_SOFTWARE = f"trainlog {__version__}"
 
 
 def frame_of(
@@ -163,26 +241,3 @@ def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> NDArray[
     index = pd.DatetimeIndex(frame.index)
     start = index[0] if origin is None else origin
     return np.asarray((index - start) / pd.Timedelta(seconds=1), dtype=np.float64)
-
-
-def interpolated(frame: pd.DataFrame, column: str, time: pd.DatetimeIndex) -> NDArray[np.float64]:
-    """The values of a column at other times, by the topic table's interpolation rule.
-
-    Nothing is invented: outside the recorded span the result is NaN.
-    """
-    topic = TOPICS[frame.attrs["topic"]]
-    rule = column_field(topic, column).interpolation
-    known = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
-    wanted = time.as_unit("ns").asi8
-    values = frame[column].to_numpy(dtype=np.float64)
-    if len(known) == 0:
-        return np.full(len(wanted), np.nan)
-    inside = (wanted >= known[0]) & (wanted <= known[-1])
-    if rule == "linear":
-        origin = known[0]
-        found = np.interp(
-            (wanted - origin).astype(np.float64), (known - origin).astype(np.float64), values
-        )
-    else:
-        found = values[np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, None)]
-    return np.where(inside, found, np.nan)

@@ -7,7 +7,8 @@ import pandas as pd
 
 from analysis.resistance.recording import Prepared
 from trainlog.railway.train import Train
-from trainlog.trip import Trip, interpolated
+from trainlog.resampling import interpolated
+from trainlog.trip import Trip
 
 SHORTEST = 5.0
 """Shorter time at the limit than this [s] tells nothing."""

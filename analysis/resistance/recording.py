@@ -13,7 +13,8 @@ from estimators.kalman import smooth_motion
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
-from trainlog.trip import Trip, interpolated, seconds
+from trainlog.resampling import interpolated
+from trainlog.trip import Trip, seconds
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

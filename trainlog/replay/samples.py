@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from trainlog.replay.clock import FloatArray, Nanoseconds, nanoseconds
 from trainlog.replay.curves import Curve
+from trainlog.resampling import interpolated
 from trainlog.topics import ESTIMATED_ADHESION, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
-from trainlog.trip import Trip, frame_of, interpolated
+from trainlog.trip import Trip, frame_of
 
 GAP_PERIODS = 5.0
 """Samples that are this many median periods apart have a gap between them."""

@@ -1,0 +1,220 @@
+"""Topics on one clock, without inventing data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.mcap_trips import START, frames, trip_of, trips
+from trainlog.errors import InputError, LogError
+from trainlog.resampling import interpolated, joined, regular_clock, resampled, resampled_frame
+from trainlog.topics import (
+    EVENTS,
+    GNSS_MOTION,
+    TOPICS,
+    TRAIN_AXLES,
+    TRAIN_CONTROLS,
+    TRAIN_STATE,
+    column_field,
+)
+from trainlog.trip import Trip, frame_of
+
+SECOND = 10**9
+
+
+def clock(*times: float) -> pd.DatetimeIndex:
+    nanoseconds = START + np.round(np.array(times) * SECOND).astype(np.int64)
+    return pd.DatetimeIndex(nanoseconds.view("M8[ns]"), tz="UTC")
+
+
+def state(times: list[float], speeds: list[float]) -> pd.DataFrame:
+    return frame_of(TRAIN_STATE, clock(*times), {"speed": speeds})
+
+
+def controls(times: list[float], levers: list[float]) -> pd.DataFrame:
+    return frame_of(TRAIN_CONTROLS, clock(*times), {"lever": levers})
+
+
+sampled = st.sampled_from([topic for topic in TOPICS.values() if topic is not EVENTS])
+drawn = sampled.flatmap(frames)
+some_times = st.lists(st.integers(0, 4 * 10**18 + 12 * 10**13), max_size=12).map(
+    lambda each: pd.DatetimeIndex(np.array(sorted(each), dtype="M8[ns]"), tz="UTC")
+)
+
+
+@settings(deadline=None)
+@given(drawn)
+def test_at_its_own_times_a_topic_is_what_it_was(frame: pd.DataFrame) -> None:
+    again = resampled_frame(frame, pd.DatetimeIndex(frame.index), max_gap=0.001)
+    pd.testing.assert_frame_equal(again, frame, check_exact=True)
+    assert again.attrs == frame.attrs
+
+
+@st.composite
+def frames_and_times(draw: st.DrawFn) -> tuple[pd.DataFrame, pd.DatetimeIndex]:
+    """A frame, and times at, between and around its rows."""
+    frame = draw(drawn)
+    known = frame.index.asi8
+    steps = st.one_of(st.integers(-5, 5), st.integers(-(10**12), 10**12))
+    times = sorted(max(0, int(at) + draw(steps)) for at in np.repeat(known, 2))
+    every = pd.DatetimeIndex(np.array(times, dtype="M8[ns]"), tz="UTC")
+    return frame, every.append(draw(some_times)).sort_values()
+
+
+@settings(deadline=None)
+@given(frames_and_times(), st.one_of(st.none(), st.floats(1e-9, 1e4)))
+def test_no_value_lies_beyond_its_neighbours_nor_outside_the_record(
+    given_: tuple[pd.DataFrame, pd.DatetimeIndex], max_gap: float | None
+) -> None:
+    frame, times = given_
+    found = resampled_frame(frame, times, max_gap=max_gap)
+    known, wanted = frame.index.asi8, times.asi8
+    for name in frame.columns:
+        values = frame[name].to_numpy()
+        for at, value in zip(wanted, found[name], strict=True):
+            if np.isnan(value):
+                continue
+            before = values[known <= at][-1]
+            after = before if at in known else values[known > at][0]
+            assert min(before, after) <= value <= max(before, after)
+            if column_field(TOPICS[frame.attrs["topic"]], name).interpolation == "previous":
+                assert value == before
+            if max_gap is not None and at not in known:
+                gap = known[known > at][0] - known[known <= at][-1]
+                assert gap <= max_gap * SECOND
+
+
+def test_lines_are_followed_and_held_values_held() -> None:
+    times = clock(-1.0, 0.0, 0.5, 1.5, 2.0, 3.0)
+    speed = interpolated(state([0, 1, 2], [0.0, 10.0, 20.0]), "speed", times)
+    np.testing.assert_array_equal(speed, [np.nan, 0.0, 5.0, 15.0, 20.0, np.nan])
+    lever = interpolated(controls([0, 1, 2], [0.0, 0.5, 1.0]), "lever", times)
+    np.testing.assert_array_equal(lever, [np.nan, 0.0, 0.0, 0.5, 1.0, np.nan])
+
+
+def test_gaps_and_unknown_samples_are_not_bridged() -> None:
+    frame = state([0, 1, 11, 12, 13], [0.0, 1.0, 11.0, np.nan, 13.0])
+    times = clock(0.5, 1.0, 6.0, 11.0, 11.5, 12.5, 13.0)
+    np.testing.assert_array_equal(
+        interpolated(frame, "speed", times, max_gap=5.0),
+        [0.5, 1.0, np.nan, 11.0, np.nan, np.nan, 13.0],
+    )
+    assert interpolated(frame, "speed", times)[2] == 6.0
+    held = interpolated(controls([0, 10], [0.5, 1.0]), "lever", clock(0, 5, 10), max_gap=5.0)
+    np.testing.assert_array_equal(held, [0.5, np.nan, 1.0])
+
+
+def test_a_hundred_days_do_not_blur_a_nanosecond() -> None:
+    days = 200 * 86_400
+    frame = state([0, days], [0.0, 1.0])
+    late = pd.DatetimeIndex([frame.index[-1] - pd.Timedelta(1, "ns")])
+    assert interpolated(frame, "speed", late)[0] == pytest.approx(1.0, abs=1e-15)
+    exact = frame.index[[1]]
+    assert interpolated(frame, "speed", exact)[0] == 1.0
+
+
+def test_a_trip_on_one_clock_keeps_its_events_where_they_were() -> None:
+    trip = trip_of(rows=21)
+    again = resampled(trip, 0.05, max_gap=1.0)
+    for name, frame in again.topics.items():
+        if name == EVENTS.name:
+            pd.testing.assert_frame_equal(frame, trip[name])
+        else:
+            assert len(frame) == 41
+            assert frame.index[0] == trip.start
+            assert frame.attrs == trip[name].attrs
+    last = again.provenance[-1]
+    assert (last["step"], last["seconds"], last["max_gap"]) == ("resample", 0.05, 1.0)
+    assert again.metadata == trip.metadata
+
+
+@settings(deadline=None)
+@given(trips())
+def test_resampling_twice_to_one_clock_changes_nothing_more(trip: Trip) -> None:
+    times = clock(0.0, 1.0, 2.5)
+    once = resampled(trip, times, max_gap=None)
+    twice = resampled(once, times, max_gap=None)
+    for name, frame in once.topics.items():
+        pd.testing.assert_frame_equal(frame, twice[name], check_exact=True)
+
+
+def test_columns_of_several_topics_stand_side_by_side_with_their_units() -> None:
+    trip = Trip({}).with_topic(state([0, 1], [0.0, 10.0]))
+    trip = trip.with_topic(controls([0, 0.4, 2], [0.0, 0.5, 1.0]))
+    trip = trip.with_topic(
+        frame_of(TRAIN_AXLES, clock(0.0, 1.0), {"wheel_speed": np.array([[0, 1], [10, 11]])})
+    )
+    names = ["/train/state.speed", "/train/controls.lever", "/train/axles.wheel_speed"]
+    table = joined(trip, names, 0.5, max_gap=1.0)
+    assert list(table.columns) == [
+        *names[:2],
+        "/train/axles.wheel_speed_1",
+        "/train/axles.wheel_speed_2",
+    ]
+    assert table.attrs["units"]["/train/axles.wheel_speed_2"] == "m/s"
+    np.testing.assert_array_equal(
+        table.to_numpy(),
+        [
+            [0.0, 0.0, 0.0, 1.0],
+            [5.0, np.nan, 5.0, 6.0],  # the lever was not recorded for more than a second
+            [10.0, np.nan, 10.0, 11.0],
+            [np.nan, np.nan, np.nan, np.nan],
+            [np.nan, 1.0, np.nan, np.nan],
+        ],
+    )
+
+
+def test_the_clock_may_be_a_topic_or_any_times() -> None:
+    trip = Trip({}).with_topic(state([0, 1, 1], [0.0, 10.0, 20.0]))
+    trip = trip.with_topic(controls([0.5], [1.0]))
+    own = joined(trip, ["/train/state.speed"], "/train/state", max_gap=1.0)
+    assert own["/train/state.speed"].tolist() == [0.0, 10.0, 20.0]
+    other = joined(trip, "/train/state.speed", "/train/controls", max_gap=1.0)
+    assert other["/train/state.speed"].tolist() == [5.0]
+    zoned = clock(0.25).tz_convert("Europe/Zurich")
+    at = joined(trip, "/train/state.speed", zoned, max_gap=1.0)
+    assert at["/train/state.speed"].tolist() == [2.5]
+    assert str(at.index.dtype) == "datetime64[ns, UTC]"
+    assert at.index.name == "time"
+
+
+@pytest.mark.parametrize(
+    ("columns", "on", "error", "said"),
+    [
+        (["speed"], 1.0, InputError, "'speed' is not a column of a topic"),
+        (["/train/state.velocity"], 1.0, LogError, "no column velocity; its columns are"),
+        (["/gnss/fix.latitude"], 1.0, LogError, "no topic /gnss/fix"),
+        (["/train/state.speed"] * 2, 1.0, InputError, "joined twice"),
+        (["/events.message"], 1.0, InputError, "no values between its samples"),
+        (["/train/state.speed"], 0.0, InputError, "steps of 0 s"),
+        (["/train/state.speed"], np.nan, InputError, "steps of nan s"),
+        (["/train/state.speed"], "/gnss/fix", LogError, "no topic /gnss/fix"),
+        (["/train/state.speed"], clock(1.0, 0.0), InputError, "do not increase"),
+    ],
+)
+def test_what_cannot_be_joined_is_named(
+    columns: list[str], on: str | float | pd.DatetimeIndex, error: type[Exception], said: str
+) -> None:
+    trip = Trip({}).with_topic(state([0, 1], [0.0, 10.0]))
+    trip = trip.with_topic(frame_of(EVENTS, clock(0.0), {"message": ["departure"]}))
+    with pytest.raises(error, match=said):
+        joined(trip, columns, on, max_gap=None)
+
+
+def test_columns_that_are_not_there_are_named() -> None:
+    with pytest.raises(KeyError):
+        interpolated(state([0], [1.0]), "velocity", clock(0.0))
+
+
+def test_a_clock_begins_at_the_start_and_does_not_pass_the_end() -> None:
+    times = regular_clock(clock(0.0)[0], clock(1.0)[0], 0.3)
+    assert (times.asi8 - START).tolist() == [0, 3 * 10**8, 6 * 10**8, 9 * 10**8]
+    assert len(regular_clock(clock(0.0)[0], clock(0.0)[0], 0.3)) == 1
+
+
+def test_an_empty_topic_stays_empty_of_values() -> None:
+    frame = frame_of(GNSS_MOTION, [], {})
+    assert np.isnan(resampled_frame(frame, clock(0.0), max_gap=None).to_numpy()).all()

@@ -1,0 +1,252 @@
+"""Slices of trips by time and by position."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from tests.mcap_trips import START, assert_same, trips
+from trainlog.errors import InputError, LogError
+from trainlog.mcap import read_log, write_log
+from trainlog.spans import in_spans, merged_spans, spans_within
+from trainlog.topics import ESTIMATED_STATE, EVENTS, TRAIN_STATE
+from trainlog.trip import Trip, frame_of
+
+SECOND = 10**9
+instants = st.integers(0, 5 * 10**18)
+
+
+def driven(times: list[float], positions: list[float]) -> Trip:
+    """A trip with its position, and an event every half second."""
+    first, last = times[0], times[-1]
+    events = np.arange(first, last + 0.25, 0.5)
+    return Trip(
+        {
+            TRAIN_STATE.name: frame_of(
+                TRAIN_STATE, START + np.array(times) * SECOND, {"position": positions}
+            ),
+            EVENTS.name: frame_of(
+                EVENTS, START + events * SECOND, {"message": [f"{at:g} s" for at in events]}
+            ),
+        },
+        {"trip": "test"},
+    )
+
+
+def stamp(nanoseconds: int) -> pd.Timestamp:
+    return pd.Timestamp(nanoseconds, tz="UTC")
+
+
+def told(trip: Trip) -> list[str]:
+    return trip[EVENTS.name]["message"].tolist()
+
+
+# ------------------------------------------------------------------------------------- by time
+
+
+@settings(deadline=None)
+@given(trips(), instants)
+def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
+    before = trip.between(None, stamp(at))
+    after = trip.between(stamp(at + 1), None)
+    for name, frame in trip.topics.items():
+        together = pd.concat([before[name], after[name]])
+        pd.testing.assert_frame_equal(together, frame, check_exact=True)
+        assert before[name].attrs == after[name].attrs == frame.attrs
+
+
+@settings(deadline=None, max_examples=40)
+@given(trips(), instants, instants)
+def test_slicing_and_writing_can_change_places(
+    tmp_path_factory: pytest.TempPathFactory, trip: Trip, one: int, other: int
+) -> None:
+    span = (stamp(min(one, other)), stamp(max(one, other)))
+    folder = tmp_path_factory.mktemp("slices")
+    write_log(trip, folder / "whole.mcap")
+    write_log(trip.between(*span), folder / "part.mcap")
+    assert_same(read_log(folder / "whole.mcap").between(*span), read_log(folder / "part.mcap"))
+
+
+def test_both_ends_belong_to_a_slice_and_a_time_without_zone_is_utc() -> None:
+    trip = driven([0, 1, 2, 3], [0, 10, 20, 30])
+    start = stamp(START + SECOND)
+    cut = trip.between(
+        start.tz_localize(None), stamp(START + 2 * SECOND).tz_convert("Europe/Zurich")
+    )
+    assert cut[TRAIN_STATE.name]["position"].tolist() == [10, 20]
+    assert told(cut) == ["1 s", "1.5 s", "2 s"]
+
+
+def test_a_slice_is_a_step_of_provenance_and_leaves_the_trip_as_it_was() -> None:
+    trip = driven([0, 1], [0, 10])
+    cut = trip.between(start=stamp(START)).within(2, None)
+    assert [step["step"] for step in cut.provenance] == ["slice", "slice"]
+    assert cut.provenance[0]["time"] == [stamp(START).isoformat(), None]
+    assert cut.provenance[1]["position"] == [2.0, None]
+    assert cut.metadata == trip.metadata
+    assert trip.provenance == ()
+    assert len(trip[TRAIN_STATE.name]) == 2
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "said"),
+    [
+        ("2024-05-02", "2024-05-01", r"2024-05-02.* is after 2024-05-01"),
+        ("soon", None, "'soon' is not a time"),
+        (None, pd.NaT, "'NaT' is not a time"),
+        (None, "0001-01-01", "not a time"),
+    ],
+)
+def test_times_that_make_no_slice_are_refused(start: object, end: object, said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        driven([0, 1], [0, 10]).between(start, end)
+    assert caught.value.remedy
+
+
+# --------------------------------------------------------------------------------- by position
+
+
+def test_every_topic_is_cut_to_the_times_within_the_stretch() -> None:
+    cut = driven([0, 1, 2, 3], [0, 10, 20, 30]).within(5, 20)
+    assert cut[TRAIN_STATE.name]["position"].tolist() == [10, 20]
+    # 5 m were passed half way between two samples.
+    assert told(cut) == ["0.5 s", "1 s", "1.5 s", "2 s"]
+
+
+def test_a_train_that_comes_back_gives_several_spans() -> None:
+    cut = driven([0, 1, 2, 3, 4], [0, 20, 40, 20, 0]).within(10, 20)
+    assert cut[TRAIN_STATE.name]["position"].tolist() == [20, 20]
+    assert told(cut) == ["0.5 s", "1 s", "3 s", "3.5 s"]
+
+
+def test_a_stretch_passed_between_two_samples_still_has_its_time() -> None:
+    cut = driven([0, 1, 2], [0, 100, 200]).within(40, 60)
+    assert len(cut[TRAIN_STATE.name]) == 0
+    assert told(cut) == ["0.5 s"]
+
+
+def test_standing_at_the_limit_is_within() -> None:
+    assert told(driven([0, 1, 2], [0, 10, 10]).within(10, 12)) == ["1 s", "1.5 s", "2 s"]
+
+
+def test_the_smoothed_position_counts_where_there_is_one() -> None:
+    trip = driven([0, 1], [0, 10])
+    smoothed = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"position": [100, 110]})
+    assert told(trip.with_topic(smoothed).within(100, 104)) == ["0 s"]
+    unknown = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"speed": [1.0, 1.0]})
+    assert told(trip.with_topic(unknown).within(0, 4)) == ["0 s"]
+
+
+def test_positions_that_are_not_known_are_passed_over() -> None:
+    cut = driven([0, 1, 2, 3], [np.nan, 10, np.nan, 30]).within(10, 20)
+    assert told(cut) == ["1 s", "1.5 s", "2 s"]
+
+
+def test_a_trip_without_position_is_refused() -> None:
+    trip = Trip({EVENTS.name: frame_of(EVENTS, [START], {})}, {"trip": "t7"})
+    with pytest.raises(LogError, match=r"t7.*does not know where.*slice it by time"):
+        trip.within(0, 1)
+
+
+@pytest.mark.parametrize("limits", [(2, 1), (np.nan, 1), (0, np.nan)])
+def test_stretches_that_are_none_are_refused(limits: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="there is no stretch"):
+        driven([0, 1], [0, 10]).within(*limits)
+
+
+@st.composite
+def rides(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
+    rows = draw(st.integers(1, 15))
+    steps = draw(hnp.arrays(np.int64, rows, elements=st.integers(0, 50)))
+    positions = st.one_of(
+        st.integers(-20, 20).map(float), st.floats(-1e9, 1e9), st.just(np.nan), st.just(np.inf)
+    )
+    return np.cumsum(steps), draw(hnp.arrays(np.float64, rows, elements=positions))
+
+
+limits = st.one_of(st.integers(-20, 20).map(float), st.floats(-1e9, 1e9))
+
+
+@given(rides(), limits, limits)
+def test_spans_hold_exactly_the_samples_within_the_limits(
+    ride: tuple[np.ndarray, np.ndarray], one: float, other: float
+) -> None:
+    time, position = ride
+    start, end = sorted((one, other))
+    spans = spans_within(time, position, start, end)
+    inside = (position >= start) & (position <= end)
+    held = in_spans(time, spans)
+    assert held[inside].all()
+    # A time at which several positions were recorded is within if one of them is.
+    others = np.isfinite(position) & ~np.isin(time, time[inside])
+    assert not held[others].any()
+    if len(spans):
+        known = time[np.isfinite(position)]
+        assert (spans[:, 0] <= spans[:, 1]).all()
+        assert (spans[1:, 0] > spans[:-1, 1] + 1).all()
+        assert spans[0, 0] >= known[0]
+        assert spans[-1, 1] <= known[-1]
+
+
+@given(rides(), limits, limits)
+def test_between_two_samples_the_position_is_on_the_line(
+    ride: tuple[np.ndarray, np.ndarray], one: float, other: float
+) -> None:
+    time, position = ride
+    known = np.isfinite(position)
+    time, position = time[known], position[known]
+    start, end = sorted((one, other))
+    spans = spans_within(time, position, start, end)
+    if len(time) == 0:
+        return
+    every = np.arange(time[0], time[-1] + 1)
+    every = every[~np.isin(every, time)]
+    place = np.interp(every, time, position)
+    slack = 1e-6 * (1.0 + np.abs(place))
+    held = in_spans(every, spans)
+    assert held[(place > start + slack) & (place < end - slack)].all()
+    assert not held[(place < start - slack) | (place > end + slack)].any()
+
+
+@given(rides(), limits, limits, st.integers(0, 15))
+def test_spans_of_pieces_make_the_spans_of_the_whole(
+    ride: tuple[np.ndarray, np.ndarray], one: float, other: float, at: int
+) -> None:
+    time, position = ride
+    known = np.isfinite(position)
+    time, position = time[known], position[known]
+    start, end = sorted((one, other))
+    at = min(at, len(time))
+    overlap = max(at - 1, 0)
+    pieces = [
+        spans_within(time[:at], position[:at], start, end),
+        spans_within(time[overlap:], position[overlap:], start, end),
+    ]
+    np.testing.assert_array_equal(
+        merged_spans(np.concatenate(pieces)), spans_within(time, position, start, end)
+    )
+
+
+@settings(deadline=None, max_examples=30)
+@given(rides(), limits, limits)
+def test_slicing_by_position_and_writing_can_change_places(
+    tmp_path_factory: pytest.TempPathFactory,
+    ride: tuple[np.ndarray, np.ndarray],
+    one: float,
+    other: float,
+) -> None:
+    time, position = ride
+    if not np.isfinite(position).any():
+        return
+    frame = frame_of(TRAIN_STATE, START + time, {"position": position})
+    events = frame_of(EVENTS, START + np.arange(time[-1] + 1), {})
+    trip = Trip({TRAIN_STATE.name: frame, EVENTS.name: events})
+    stretch = sorted((one, other))
+    folder = tmp_path_factory.mktemp("slices")
+    write_log(trip, folder / "whole.mcap")
+    write_log(trip.within(*stretch), folder / "part.mcap")
+    assert_same(read_log(folder / "whole.mcap").within(*stretch), read_log(folder / "part.mcap"))

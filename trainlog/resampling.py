@@ -1,0 +1,255 @@
+"""Bringing a trip's topics onto one clock, without inventing data.
+
+How a value between two samples is found stands in the table of topics: on the line between them,
+held since the last, or not at all. Nothing is known before the first sample of a topic, after its
+last, beside a sample that is not known, and in a gap longer than a stated time: there the result is
+NaN. What has no value between samples (texts and codes) is never resampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError, LogError
+from trainlog.topics import TOPICS, Topic, column_field
+from trainlog.trip import Trip
+from trainlog.version import __version__
+
+FloatArray = NDArray[np.float64]
+
+Clock = pd.DatetimeIndex | float
+"""The times to resample to: as they are, or the step between them [s]."""
+
+_SECOND = 1_000_000_000
+
+
+def interpolated(
+    frame: pd.DataFrame, column: str, time: pd.DatetimeIndex, max_gap: float | None = None
+) -> FloatArray:
+    """The values of a column at other times, by the topic table's interpolation rule.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Of a topic, in the order of time.
+    column : str
+        One with a unit; texts and codes have no values between samples.
+    time : (n,) DatetimeIndex
+    max_gap : float [s], optional
+        Samples further apart than this have nothing between them. Default: no limit.
+
+    Returns
+    -------
+    (n,) array
+        In the column's unit. A sample at exactly one of the times is found as it is, the last of
+        several. NaN outside the recorded span, in gaps, and between two samples of which one is
+        not known.
+
+    Raises
+    ------
+    KeyError
+        If the topic has no such column.
+    InputError
+        If its values cannot be interpolated.
+    """
+    rule = column_field(TOPICS[frame.attrs["topic"]], column).interpolation
+    if rule == "none":
+        raise InputError(
+            f"{column} of {frame.attrs['topic']} has no values between its samples",
+            remedy="take the rows as they are",
+        )
+    known = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+    wanted = time.as_unit("ns").asi8
+    values = frame[column].to_numpy(dtype=np.float64)
+    if len(known) == 0:
+        return np.full(len(wanted), np.nan)
+    if np.array_equal(known, wanted):
+        return values.copy()  # At its own times a topic is what it was, though one come twice.
+    before = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, None)
+    after = np.clip(before + 1, None, len(known) - 1)
+    step = known[after] - known[before]
+    since = np.clip(wanted - known[before], 0, step)
+    found = values[before]
+    if rule == "linear":
+        found = np.where(since == 0, found, _on_line(found, values[after], since, step))
+    unknown = (wanted < known[0]) | (wanted > known[-1])
+    if max_gap is not None:
+        unknown |= (since > 0) & (step > max_gap * _SECOND)
+    return np.where(unknown, np.nan, found)
+
+
+def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
+    """A trip with all its topics on one clock.
+
+    Topics without values between samples (the events) keep their own rows; columns of that kind
+    in other topics are left out.
+
+    Parameters
+    ----------
+    trip : Trip
+    clock : DatetimeIndex, or float [s]
+        The times; or the step between them, from the first sample of the trip to its last.
+    max_gap : float [s] or None
+        Samples of a topic further apart than this have nothing between them; None: no limit.
+
+    Returns
+    -------
+    Trip
+        With one step of provenance more.
+
+    Raises
+    ------
+    InputError
+        If the step is not positive, or the clock's times do not increase.
+    LogError
+        If the trip holds no samples.
+    """
+    times = _times(trip, clock)
+    topics = {
+        name: frame if _is_text(TOPICS[name]) else resampled_frame(frame, times, max_gap=max_gap)
+        for name, frame in trip.topics.items()
+    }
+    step = None if isinstance(clock, pd.DatetimeIndex) else float(clock)
+    return replace(trip, topics=topics).with_step(
+        "resample", software=f"trainlog {__version__}", seconds=step, max_gap=max_gap
+    )
+
+
+def resampled_frame(
+    frame: pd.DataFrame, time: pd.DatetimeIndex, *, max_gap: float | None
+) -> pd.DataFrame:
+    """The frame of a topic at other times; see `interpolated`. Texts and codes are left out."""
+    topic = TOPICS[frame.attrs["topic"]]
+    names = [name for name in frame.columns if column_field(topic, name).interpolation != "none"]
+    found = pd.DataFrame(
+        {name: interpolated(frame, name, time, max_gap) for name in names},
+        index=_named(time),
+        columns=names,
+        dtype=np.float64,
+    )
+    units = frame.attrs.get("units", {})
+    found.attrs = {**frame.attrs, "units": {n: u for n, u in units.items() if n in names}}
+    return found
+
+
+def joined(
+    trip: Trip, columns: Iterable[str], on: str | Clock, *, max_gap: float | None
+) -> pd.DataFrame:
+    """Columns of several topics on one clock, side by side.
+
+    Parameters
+    ----------
+    trip : Trip
+    columns : iterable of str
+        As ``"/train/state.speed"``. A field with one value for each axle gives all its columns:
+        ``"/train/axles.wheel_speed"``.
+    on : str, DatetimeIndex, or float [s]
+        Topic whose times are the clock; or the times; or the step between them.
+    max_gap : float [s] or None
+        Samples of a topic further apart than this have nothing between them; None: no limit.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by time, one column a name, the units in ``attrs["units"]``.
+
+    Raises
+    ------
+    LogError
+        If the trip has no such topic, or the topic no such column.
+    InputError
+        If a name is not of the form ``topic.column``, comes twice, or its values cannot be
+        interpolated; if the clock cannot be used.
+    """
+    times = pd.DatetimeIndex(trip[on].index) if isinstance(on, str) else _times(trip, on)
+    found: dict[str, FloatArray] = {}
+    units: dict[str, str] = {}
+    for name in [columns] if isinstance(columns, str) else columns:
+        topic, frame = _frame_of(trip, name)
+        for column in _columns_of(frame, name):
+            full = f"{topic}.{column}"
+            if full in found:
+                raise InputError(f"{full} is joined twice", remedy="name it once")
+            found[full] = interpolated(frame, column, times, max_gap)
+            units[full] = frame.attrs["units"][column]
+    result = pd.DataFrame(found, index=_named(times), columns=list(found), dtype=np.float64)
+    result.attrs = {"units": units}
+    return result
+
+
+def regular_clock(start: pd.Timestamp, end: pd.Timestamp, step: float) -> pd.DatetimeIndex:
+    """Times from `start` on, `step` seconds apart, none after `end`.
+
+    Raises
+    ------
+    InputError
+        If the step is shorter than a nanosecond.
+    """
+    nanoseconds = round(step * _SECOND) if np.isfinite(step) else 0
+    if nanoseconds < 1:
+        raise InputError(f"a clock cannot go in steps of {step:g} s", remedy="give seconds above 0")
+    times = np.arange(start.as_unit("ns").value, end.as_unit("ns").value + 1, nanoseconds)
+    return pd.DatetimeIndex(times.view("M8[ns]"), tz="UTC", name="time")
+
+
+def _on_line(
+    first: FloatArray, second: FloatArray, since: NDArray[np.int64], step: NDArray[np.int64]
+) -> FloatArray:
+    """Values on the lines from `first` to `second`, never beyond either."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = since / step
+        # The weighted sum cannot overflow, as the difference of large values would.
+        value = (1.0 - part) * first + part * second
+        return np.clip(value, np.minimum(first, second), np.maximum(first, second))
+
+
+def _times(trip: Trip, clock: Clock) -> pd.DatetimeIndex:
+    """The clock's times in UTC, checked."""
+    if not isinstance(clock, pd.DatetimeIndex):
+        return regular_clock(trip.start, trip.end, clock)
+    if not clock.is_monotonic_increasing or clock.hasnans:
+        raise InputError("the times of the clock do not increase", remedy="sort them")
+    return clock.tz_localize("UTC") if clock.tz is None else clock.tz_convert("UTC")
+
+
+def _named(time: pd.DatetimeIndex) -> pd.DatetimeIndex:
+    return time.as_unit("ns").rename("time")
+
+
+def _is_text(topic: Topic) -> bool:
+    return all(field.interpolation == "none" for field in topic.fields)
+
+
+def _frame_of(trip: Trip, name: str) -> tuple[str, pd.DataFrame]:
+    """Topic and frame that a name like ``/train/state.speed`` belongs to."""
+    topic, dot, column = name.rpartition(".")
+    if not (dot and topic and column):
+        raise InputError(
+            f"'{name}' is not a column of a topic", remedy="write it as /train/state.speed"
+        )
+    return topic, trip[topic]
+
+
+def _columns_of(frame: pd.DataFrame, name: str) -> list[str]:
+    """The column, or the columns of a field with one value for each axle."""
+    wanted = name.rpartition(".")[2]
+    topic = TOPICS[frame.attrs["topic"]]
+    found = [
+        column for column in frame.columns if wanted in (column, _field_if_per_axle(topic, column))
+    ]
+    if not found:
+        raise LogError(
+            f"{topic.name} has no column {wanted}",
+            remedy=f"its columns are {', '.join(frame.columns)}",
+        )
+    return found
+
+
+def _field_if_per_axle(topic: Topic, column: str) -> str | None:
+    field = column_field(topic, column)
+    return field.name if field.per_axle else None

@@ -1,0 +1,141 @@
+"""Spans of time: which samples of a trip lie between two times, or between two positions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+
+Spans = NDArray[np.int64]
+"""Spans of time, (k, 2): first and last instant of each [ns since 1970 UTC], both belonging to it;
+in order, apart from each other."""
+
+ALWAYS = (int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max))
+"""The limits of a time that is open at both ends."""
+
+
+def utc(time: Any) -> pd.Timestamp:
+    """A time in UTC, to the nanosecond; one without a time zone is UTC already.
+
+    Raises
+    ------
+    InputError
+        If it is no time.
+    """
+    try:
+        stamp = pd.Timestamp(time)
+        if pd.isna(stamp):
+            raise ValueError("no time")
+        aware = stamp.tz_localize("UTC") if stamp.tzinfo is None else stamp.tz_convert("UTC")
+        return aware.as_unit("ns")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"'{time}' is not a time", remedy="write it as 2024-05-01T06:00:00Z"
+        ) from error
+
+
+def time_limits(start: Any = None, end: Any = None) -> tuple[int, int]:
+    """First and last instant of a span of time [ns since 1970 UTC]; see `Trip.between`.
+
+    Raises
+    ------
+    InputError
+        If an end is no time, or the start is after the end.
+    """
+    first = ALWAYS[0] if start is None else utc(start).value
+    last = ALWAYS[1] if end is None else utc(end).value
+    if first > last:
+        raise InputError(
+            f"the time {utc(start).isoformat()} is after {utc(end).isoformat()}",
+            remedy="give the earlier time first",
+        )
+    return first, last
+
+
+def position_limits(start: float | None = None, end: float | None = None) -> tuple[float, float]:
+    """Lowest and highest position of a slice [m]; see `Trip.within`.
+
+    Raises
+    ------
+    InputError
+        If an end is not a number, or the start is behind the end.
+    """
+    first = -np.inf if start is None else float(start)
+    last = np.inf if end is None else float(end)
+    if not first <= last:
+        raise InputError(
+            f"there is no stretch from {first:g} m to {last:g} m",
+            remedy="give the lower chainage first",
+        )
+    return first, last
+
+
+def spans_within(time: ArrayLike, position: ArrayLike, start: float, end: float) -> Spans:
+    """When a position was within limits, on a line between neighbouring samples.
+
+    The samples of a long recording can be given piece by piece: begin each piece with the last
+    known sample of the one before, and put the spans together with `merged_spans`.
+
+    Parameters
+    ----------
+    time : (n,) int array [ns since 1970 UTC]
+        Not decreasing.
+    position : (n,) array [m]
+        Samples whose position is not finite are passed over.
+    start, end : float [m]
+        Limits, both belonging to it; may be infinite.
+
+    Returns
+    -------
+    (k, 2) int array
+        First and last instant [ns] of each span; none begins before the first known sample or
+        ends after the last.
+    """
+    place = np.asarray(position, dtype=np.float64)
+    known = np.isfinite(place)
+    t, s = np.asarray(time, dtype=np.int64)[known], place[known]
+    if t.size == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    inside = (s >= start) & (s <= end)
+    instants = np.column_stack((t, t))[inside]
+    # Only a step with an end inside, or one that passes right through, has a span.
+    side = (s > end).astype(np.int8) - (s < start).astype(np.int8)
+    step = np.flatnonzero((np.diff(t) > 0) & (inside[1:] | inside[:-1] | (np.diff(side) != 0)))
+    limits = np.clip([start, end], s.min() - 1.0, s.max() + 1.0)
+    length = (t[step + 1] - t[step]).astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        crossed = (limits - s[step, None]) / (s[step + 1] - s[step])[:, None] * length[:, None]
+    first, last = np.nan_to_num(np.sort(crossed, axis=1)).T
+    # A sample outside is never in a span, however near to the limit it lies.
+    entered = t[step] + np.clip(np.ceil(first), 1.0, length).astype(np.int64)
+    left = t[step] + np.clip(np.floor(last), 0.0, length - 1.0).astype(np.int64)
+    spans = np.column_stack(
+        (
+            np.where(inside[step], t[step], entered),
+            np.where(inside[step + 1], t[step + 1], left),
+        )
+    )
+    return merged_spans(np.concatenate((instants, spans[spans[:, 0] <= spans[:, 1]])))
+
+
+def merged_spans(spans: Spans) -> Spans:
+    """Spans of time in order; those that touch or overlap become one."""
+    if len(spans) == 0:
+        return spans
+    ordered = spans[np.argsort(spans[:, 0], kind="stable")]
+    reached = np.maximum.accumulate(ordered[:, 1])
+    first = np.concatenate(([True], ordered[1:, 0] > reached[:-1] + 1))
+    last = np.append(first[1:], True)
+    return np.column_stack((ordered[first, 0], reached[last]))
+
+
+def in_spans(time: NDArray[np.int64], spans: Spans) -> NDArray[np.bool_]:
+    """Whether each time [ns since 1970 UTC] is in one of the spans; (n,)."""
+    if len(spans) == 0:
+        return np.zeros(time.size, dtype=np.bool_)
+    before = np.searchsorted(spans[:, 0], time, side="right") - 1
+    return np.asarray((before >= 0) & (time <= spans[np.clip(before, 0, None), 1]))
