@@ -36,7 +36,8 @@ def broken(tmp_path: Path) -> dict[str, Path]:
         "folder": tmp_path / "folder",
     }
     files["empty"].write_bytes(b"")
-    files["truncated"].write_bytes(log[: len(log) // 3])
+    # Before the end of its first chunk.
+    files["truncated"].write_bytes(log[:10_000])
     files["foreign"].write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 8)
     files["nonsensical"].write_text('{"format": "trainlog/line", "length": -1}')
     files["folder"].mkdir()
@@ -99,13 +100,35 @@ def test_info_refuses_what_is_no_log(
     assert broken[kind].name in complaint
 
 
+@pytest.fixture
+def cut(tmp_path: Path) -> Path:
+    """A log of which a third is left."""
+    log = sample("nonstop.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(log[: len(log) // 3])
+    return tmp_path / "cut.mcap"
+
+
 def test_info_tells_what_is_left_of_a_cut_log(
-    broken: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cut: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, told, _ = run(monkeypatch, capsys, "info", broken["truncated"])
+    status, told, _ = run(monkeypatch, capsys, "info", cut)
     assert status == 0
     assert "/train/state" in told
     assert "does not end properly" in told or "byte" in told
+
+
+def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
+    cut: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, complaint = run(
+        monkeypatch, capsys, "replay", cut, "-o", tmp_path / "cut.rrd", "--no-viewer"
+    )
+    assert status == 0
+    for line in complaint.splitlines():
+        assert line.startswith(f"trainlog: warning: {cut}: ")
+        assert "messages in" in line
+        assert "lost: bytes" in line
+    assert complaint
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,11 @@
-"""Damaged files give one `LogError` that names the byte, or the whole trip; nothing else."""
+"""Damaged files give all that is readable with an account of the rest, or one `LogError`."""
 
 from __future__ import annotations
 
 import re
 import struct
 import tracemalloc
+import warnings
 import zlib
 from collections.abc import Callable
 from io import BytesIO
@@ -20,7 +21,7 @@ from mcap.records import Chunk
 from mcap_trips import assert_same, trip_of
 
 from trainlog.errors import LogError
-from trainlog.mcap import describe, read_log, write_log
+from trainlog.mcap import Account, DamageWarning, describe, read_log, write_log
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -55,31 +56,59 @@ def outcome(read: Callable[[Path], _T], path: Path) -> _T | LogError:
     return found
 
 
+def read_with_account(path: Path) -> tuple[Trip, Account | None]:
+    """The trip, and the account of what is lost if the user was warned."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        trip = read_log(path)
+    accounts = [each.message.account for each in caught if isinstance(each.message, DamageWarning)]
+    assert len(accounts) == len(caught) <= 1
+    for account in accounts:
+        assert not account.whole
+        assert account.messages == sum(len(frame) for frame in trip.topics.values())
+        for loss in account.losses:
+            assert 0 <= loss.start <= loss.end <= path.stat().st_size
+            assert loss.reason.isprintable()
+    return trip, accounts[0] if accounts else None
+
+
+def assert_part(part: Trip, trip: Trip) -> None:
+    """Every row that was read is one that was written."""
+    for name, frame in part.topics.items():
+        rows = trip[name].index.get_indexer(frame.index)
+        assert (rows >= 0).all()
+        assert_same(Trip({name: trip[name].iloc[rows]}), Trip({name: frame}))
+
+
 def small(tmp_path: Path) -> tuple[Trip, bytes]:
     trip = trip_of(rows=12, axles=2, topics=[TRAIN_STATE.name, GNSS_FIX.name, EVENTS.name])
     write_log(trip, tmp_path / "small.mcap")
     return trip, (tmp_path / "small.mcap").read_bytes()
 
 
-def test_a_file_cut_anywhere_says_where_and_what_is_readable(tmp_path: Path) -> None:
-    _, data = small(tmp_path)
+def test_a_file_cut_anywhere_gives_its_whole_chunks_or_says_why_not(tmp_path: Path) -> None:
+    trip, data = small(tmp_path)
     path = tmp_path / "cut.mcap"
+    chunk_end = only_chunk(data)[1]
     for length in range(0, len(data), 7):
         path.write_bytes(data[:length])
-        with pytest.raises(LogError) as caught:
-            read_log(path)
-        error = caught.value
-        assert error.file == path
-        found = re.fullmatch(r"byte (\d+)", error.place or "")
-        assert found is not None
-        assert int(found[1]) <= length
-        assert error.remedy
+        found = outcome(read_with_account, path)
+        if isinstance(found, LogError):
+            assert length < chunk_end
+            place = re.fullmatch(r"byte (\d+)", found.place or "")
+            assert place is not None
+            assert int(place[1]) <= length
+        else:
+            assert length >= chunk_end
+            assert_same(trip, found[0])
+            assert found[1] is not None
+            assert found[1].losses[-1].end == length
         if length < 8:
             continue
         described = describe(path)
         assert not described.complete
         assert described.problem is not None
-        assert f"{described.count:,} messages in {described.chunks:,} chunks" in error.remedy
+        assert described.count == (0 if isinstance(found, LogError) else 36)
 
 
 def test_a_cut_file_keeps_its_whole_chunks(trip: Trip, data: bytes, tmp_path: Path) -> None:
@@ -100,30 +129,44 @@ def test_a_cut_file_keeps_its_whole_chunks(trip: Trip, data: bytes, tmp_path: Pa
 def test_flipped_bytes_are_noticed(trip: Trip, data: bytes, tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     path = tmp_path / "flipped.mcap"
-    noticed = 0
     for _ in range(500):
         flipped = bytearray(data)
         flipped[random.integers(len(data))] ^= int(random.integers(1, 256))
         path.write_bytes(flipped)
-        found = outcome(read_log, path)
+        found = outcome(read_with_account, path)
         if isinstance(found, LogError):
             assert found.place
-            noticed += 1
         else:
-            assert_same(trip, found)
-    assert noticed == 500
+            part, account = found
+            assert account is not None
+            assert_part(part, trip)
 
 
-def test_selected_topics_notice_damage_elsewhere(data: bytes, tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_left_out(trip: Trip, data: bytes, tmp_path: Path) -> None:
     summary = SeekingReader(BytesIO(data)).get_summary()
     assert summary is not None
     last = summary.chunk_indexes[-1]
     flipped = bytearray(data)
     flipped[last.chunk_start_offset + last.chunk_length // 2] ^= 0x10
-    (tmp_path / "flipped.mcap").write_bytes(flipped)
-    with pytest.raises(LogError, match=rf"byte {last.chunk_start_offset}: is damaged: a chunk"):
-        read_log(tmp_path / "flipped.mcap", topics=[])
-    assert describe(tmp_path / "flipped.mcap").count == 600
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(flipped)
+    part, account = read_with_account(path)
+    assert account is not None
+    (loss,) = account.losses
+    assert (loss.start, loss.messages) == (last.chunk_start_offset, 300)
+    assert loss.end == loss.start + last.chunk_length + last.message_index_length
+    assert (account.messages, account.chunks) == (600, 2)
+    assert_same(
+        Trip(
+            {name: frame.iloc[:200] for name, frame in trip.topics.items()},
+            trip.metadata,
+            trip.provenance,
+            trip.attachments,
+        ),
+        part,
+    )
+    with pytest.warns(DamageWarning, match="lost: bytes"):
+        read_log(path, topics=[TRAIN_STATE.name])
 
 
 def without_checksums(data: bytes) -> bytearray:
@@ -148,15 +191,16 @@ def test_without_checksums_damage_still_raises_nothing_else(tmp_path: Path) -> N
     path.write_bytes(stripped)
     assert_same(trip, read_log(path))
     random = np.random.default_rng(4)
-    refused = 0
+    noticed = 0
     for _ in range(500):
         flipped = bytearray(stripped)
         for _ in range(random.integers(1, 4)):
             flipped[random.integers(len(flipped))] = random.integers(256)
         path.write_bytes(flipped)
-        refused += isinstance(outcome(read_log, path), LogError)
+        found = outcome(read_with_account, path)
+        noticed += isinstance(found, LogError) or found[1] is not None
         outcome(describe, path)
-    assert refused > 50
+    assert noticed > 50
 
 
 def test_uncompressed_messages_with_broken_bytes(tmp_path: Path) -> None:
@@ -167,13 +211,14 @@ def test_uncompressed_messages_with_broken_bytes(tmp_path: Path) -> None:
     chunk = record(Chunk("", content, 0, 0, 0, len(content)))
     random = np.random.default_rng(5)
     path = tmp_path / "flipped.mcap"
-    refused = 0
+    noticed = 0
     for _ in range(500):
         flipped = bytearray(chunk)
         flipped[random.integers(len(chunk) - len(content), len(chunk))] = random.integers(256)
         path.write_bytes(with_summary_moved(plain, start, end, bytes(flipped)))
-        refused += isinstance(outcome(read_log, path), LogError)
-    assert refused > 50
+        found = outcome(read_with_account, path)
+        noticed += isinstance(found, LogError) or found[1] is not None
+    assert noticed > 50
 
 
 def only_chunk(data: bytes) -> tuple[int, int, bytes]:
@@ -214,7 +259,7 @@ def test_forged_chunk_sizes_do_not_exhaust_the_memory(
         struct.pack_into("<Q", forged, index.chunk_start_offset + 9 + 16, claimed)
     (tmp_path / "forged.mcap").write_bytes(forged)
     tracemalloc.start()
-    with pytest.raises(LogError):
+    with pytest.raises(LogError, match="no message of it is readable"):
         read_log(tmp_path / "forged.mcap")
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -246,8 +291,10 @@ def test_attachments_are_checked_on_their_own(tmp_path: Path) -> None:
     flipped = without_checksums(data)
     flipped[flipped.index(b'{"format": "trainlog/line"}')] ^= 1
     (tmp_path / "flipped.mcap").write_bytes(flipped)
-    with pytest.raises(LogError, match=r"attachment 'line\.json' fails its checksum"):
-        read_log(tmp_path / "flipped.mcap")
+    trip, account = read_with_account(tmp_path / "flipped.mcap")
+    assert account is not None
+    assert [loss.reason for loss in account.losses] == ["attachment 'line.json' fails its checksum"]
+    assert "line.json" not in trip.attachments
 
 
 @pytest.mark.parametrize("opcode", [0x03, 0x04, 0x06, 0x07, 0x09, 0x0B, 0x0C])
@@ -263,16 +310,19 @@ def test_forged_record_lengths(opcode: int, data: bytes, tmp_path: Path) -> None
             forged = without_checksums(data)
             struct.pack_into("<I", forged, place, claimed)
             (tmp_path / "forged.mcap").write_bytes(forged)
-            outcome(read_log, tmp_path / "forged.mcap")
+            outcome(read_with_account, tmp_path / "forged.mcap")
 
 
-def test_a_wrong_summary_is_noticed(data: bytes, tmp_path: Path) -> None:
+def test_a_wrong_summary_is_noticed(trip: Trip, data: bytes, tmp_path: Path) -> None:
     (summary_start,) = struct.unpack_from("<Q", data, len(data) - 8 - 20)
     flipped = bytearray(data)
     flipped[summary_start + 20] ^= 1
     (tmp_path / "flipped.mcap").write_bytes(flipped)
-    with pytest.raises(LogError, match=f"byte {summary_start}: is damaged: the summary fails"):
-        read_log(tmp_path / "flipped.mcap")
+    part, account = read_with_account(tmp_path / "flipped.mcap")
+    assert_same(trip, part)
+    assert account is not None
+    (loss,) = account.losses
+    assert (loss.start, loss.reason) == (summary_start, "the summary fails its checksum")
 
 
 def test_statistics_that_contradict_the_indexes_do_not_hide_messages(
@@ -290,10 +340,13 @@ def test_statistics_that_contradict_the_indexes_do_not_hide_messages(
     assert_same(trip, read_log(tmp_path / "forged.mcap"))
 
 
-def test_bytes_after_the_end_are_noticed(data: bytes, tmp_path: Path) -> None:
+def test_bytes_after_the_end_are_noticed(trip: Trip, data: bytes, tmp_path: Path) -> None:
     (tmp_path / "long.mcap").write_bytes(data + b"\0")
-    with pytest.raises(LogError, match="does not end where its footer does"):
-        read_log(tmp_path / "long.mcap")
+    part, account = read_with_account(tmp_path / "long.mcap")
+    assert_same(trip, part)
+    assert account is not None
+    (loss,) = account.losses
+    assert loss.reason == "the file does not end where its footer does"
 
 
 @pytest.mark.parametrize(

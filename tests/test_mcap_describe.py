@@ -40,7 +40,7 @@ def test_everything_in_a_log_is_told(tmp_path: Path) -> None:
     found = described(trip, tmp_path)
     data = (tmp_path / "trip.mcap").read_bytes()
     assert found.path == tmp_path / "trip.mcap"
-    assert (found.size, found.sha256) == (len(data), hashlib.sha256(data).hexdigest())
+    assert found.size == len(data)
     assert found.problem is None
     assert found.complete
     assert found.schema_version == "1"

@@ -6,6 +6,7 @@ The commands stand in `trainlog.commands`; here are the program around them and 
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -89,7 +90,10 @@ def main() -> None:
     Exit status 0: done; 2: bad input, told in one line; 130: interrupted.
     """
     try:
-        status = run(sys.argv[1:])
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", UserWarning)
+            warnings.showwarning = _warn
+            status = run(sys.argv[1:])
     except TrainlogError as error:
         status = _complain(str(error))
     except TyperException as error:
@@ -110,3 +114,8 @@ def _complain(message: str) -> int:
     told = " ".join(message.split())
     complaints.print(f"trainlog: {told}", markup=False, highlight=False, soft_wrap=True)
     return 2
+
+
+def _warn(message: Warning | str, *_: object) -> None:
+    """One line for a warning, such as that a log is damaged and what of it is lost."""
+    _complain(f"warning: {message}")

@@ -82,7 +82,7 @@ def read_bytes(path: str | Path) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        _refuse_reading(path, error)
+        refuse_reading(path, error)
 
 
 def made_folder(path: str | os.PathLike[str]) -> Path:
@@ -116,7 +116,7 @@ def sha256_of(path: str | Path) -> str:
         with Path(path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        _refuse_reading(path, error)
+        refuse_reading(path, error)
 
 
 def read_json(path: str | Path) -> Any:
@@ -201,7 +201,8 @@ def _refuse_writing(path: str | Path, error: OSError) -> NoReturn:
     raise InputError(f"cannot be written: {reason}", file=path, remedy=remedy) from error
 
 
-def _refuse_reading(path: str | Path, error: OSError) -> NoReturn:
+def refuse_reading(path: str | Path, error: OSError) -> NoReturn:
+    """Raise the InputError for a file that the operating system does not let us read."""
     if isinstance(error, FileNotFoundError):
         raise InputError("does not exist", file=path, remedy="check the path") from error
     if Path(path).is_dir():

@@ -1,5 +1,6 @@
 """The log: trips as MCAP files."""
 
+from trainlog.mcap.account import Account, DamageWarning, Loss
 from trainlog.mcap.describe import (
     AttachmentDescription,
     LogDescription,
@@ -10,8 +11,11 @@ from trainlog.mcap.reader import read_log
 from trainlog.mcap.writer import write_log
 
 __all__ = [
+    "Account",
     "AttachmentDescription",
+    "DamageWarning",
     "LogDescription",
+    "Loss",
     "TopicDescription",
     "describe",
     "read_log",

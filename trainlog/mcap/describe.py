@@ -12,12 +12,17 @@ from mcap.records import Channel
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.formats.files import read_bytes, sha256
+from trainlog.formats.files import sha256
+from trainlog.mcap.account import Account
 from trainlog.mcap.channels import UNIT, axles_of
-from trainlog.mcap.contents import Contents, contents_of
+from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
-from trainlog.mcap.reader import metadata_of, trip_of
+from trainlog.mcap.places import Contents
+from trainlog.mcap.reader import attachments_of, metadata_of, trip_of
+from trainlog.mcap.source import Source
+from trainlog.mcap.stored import MisplacedError, index_in
+from trainlog.mcap.walk import contents_by_walk
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -81,12 +86,12 @@ class LogDescription:
     path : Path
     size : int
         Of the file [bytes].
-    sha256 : str
-        Of the file.
+    account : Account
+        What is readable and what is lost, as far as that shows without reading the messages;
+        `account_of` reads them all.
     problem : str or None
-        Why `read_log` refuses the file: damaged, foreign, of a later version; None if it reads.
-    complete : bool
-        Whether the file ends properly and its checksums hold.
+        What is lost first, or why `read_log` refuses the file: foreign, of a later version; None
+        if it reads.
     schema_version : str or None
         Version of the table of topics; None in files that trainlog did not write.
     topics : tuple of TopicDescription
@@ -105,9 +110,8 @@ class LogDescription:
 
     path: Path
     size: int
-    sha256: str
+    account: Account
     problem: str | None
-    complete: bool
     schema_version: str | None
     topics: tuple[TopicDescription, ...]
     metadata: dict[str, str]
@@ -118,6 +122,11 @@ class LogDescription:
     compression: tuple[str, ...]
     stored_size: int
     content_size: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is known to be lost."""
+        return self.account.whole
 
     @property
     def count(self) -> int:
@@ -148,43 +157,49 @@ def describe(path: str | Path) -> LogDescription:
     InputError
         If there is no such file.
     """
-    data = read_bytes(path)
-    with in_file(path):
-        contents = contents_of(data)
-    records = metadata_of(contents)
-    trip, problem = _trip(contents)
-    stored = [chunk for chunk, _ in contents.chunks]
+    with Source(path) as source, in_file(path):
+        contents = contents_of(source)
+        records = metadata_of(contents)
+        try:
+            trip, problem = _trip(source, contents)
+        except MisplacedError:
+            contents = contents_by_walk(source)
+            trip, problem = _trip(source, contents)
+        topics = _topics(source, contents)
+        attachments = tuple(
+            AttachmentDescription(place.name, place.media_type, place.size, sha256(data))
+            for place, data in attachments_of(source, contents)
+        )
+    account = contents.account
+    if not account.whole:
+        first = account.losses[0]
+        problem = f"byte {first.start}: {first.reason}"
     return LogDescription(
         path=Path(path),
-        size=len(data),
-        sha256=sha256(data),
+        size=source.size,
+        account=account,
         problem=problem,
-        complete=contents.damage is None,
         schema_version=records.get(FORMAT_RECORD, {}).get("schema_version"),
-        topics=_topics(contents),
+        topics=topics,
         metadata=_metadata(records),
         provenance=trip.provenance if trip else (),
-        attachments=tuple(
-            AttachmentDescription(each.name, each.media_type, len(each.data), sha256(each.data))
-            for each in contents.attachments
-        ),
+        attachments=attachments,
         position_span=_position_span(trip),
-        chunks=len(stored),
-        compression=tuple(sorted({chunk.compression for chunk in stored})),
-        stored_size=sum(len(chunk.data) for chunk in stored),
-        content_size=sum(chunk.size for chunk in stored),
+        chunks=len(contents.chunks),
+        compression=tuple(sorted({chunk.compression for chunk in contents.chunks})),
+        stored_size=sum(chunk.stored for chunk in contents.chunks),
+        content_size=sum(chunk.size for chunk in contents.chunks),
     )
 
 
-def _trip(contents: Contents) -> tuple[Trip | None, str | None]:
-    """The trip with its train state only, and the problem that reading the file meets."""
-    problem = None
-    if contents.damage is not None:
-        problem = f"{contents.damage.place}: {contents.damage.problem}"
+def _trip(source: Source, contents: Contents) -> tuple[Trip | None, str | None]:
+    """The trip with its train state only, or the problem that reading the file meets."""
     try:
-        return trip_of(contents, {TRAIN_STATE.name}), problem
+        return trip_of(source, contents, {TRAIN_STATE.name}), None
+    except MisplacedError:
+        raise
     except LogError as error:
-        return None, problem or str(error)
+        return None, str(error)
 
 
 def _metadata(records: dict[str, dict[str, str]]) -> dict[str, str]:
@@ -206,9 +221,14 @@ def _position_span(trip: Trip | None) -> tuple[float, float] | None:
     return (float(known.min()), float(known.max())) if len(known) else None
 
 
-def _topics(contents: Contents) -> tuple[TopicDescription, ...]:
+def _topics(source: Source, contents: Contents) -> tuple[TopicDescription, ...]:
     times: dict[int, list[NDArray[np.uint64]]] = {number: [] for number in contents.channels}
-    for _, index in contents.chunks:
+    for place in list(contents.chunks):
+        try:
+            index = index_in(source, place)
+        except LogError as error:
+            contents.drop(place, error.problem)
+            continue
         for number, entries in index.items():
             times[number].append(entries[:, 0])
     return tuple(

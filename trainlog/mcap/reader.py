@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from collections.abc import Container, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,21 +14,29 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from isal import isal_zlib
 from mcap.records import Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.formats.files import read_bytes
+from trainlog.mcap.account import DamageWarning, Loss
 from trainlog.mcap.channels import codec_of, topic_of
-from trainlog.mcap.contents import Contents, contents_of
+from trainlog.mcap.contents import contents_of
 from trainlog.mcap.decode import Decoder, columns_of, decoder_of
-from trainlog.mcap.errors import damaged, in_file, shown, unusable
+from trainlog.mcap.errors import in_file, shown, unusable
 from trainlog.mcap.layout import LOG_TIME, gather
 from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
-from trainlog.mcap.records import message_data, opened
+from trainlog.mcap.places import AttachmentPlace, ChunkPlace, Contents
+from trainlog.mcap.records import Index, index_of, message_data, opened
 from trainlog.mcap.samples import Codec, Columns
+from trainlog.mcap.source import Source
+from trainlog.mcap.stored import MisplacedError, attachment_data, fetched, fetched_index
+from trainlog.mcap.walk import contents_by_walk
 from trainlog.topics import EVENTS, SCHEMA_VERSION, TOPICS, Topic, column_field
 from trainlog.trip import Trip, frame_of
+
+_PIECE = 2**22
+"""Read at once for the checksum of the data section [bytes]."""
 
 _MOST_NAMED = 8
 """Topics of a foreign file that an error names."""
@@ -34,6 +44,9 @@ _MOST_NAMED = 8
 
 def read_log(path: str | Path, topics: Iterable[str] | None = None) -> Trip:
     """Read a trip from an MCAP file.
+
+    Of a damaged file everything that is readable comes back, with a `DamageWarning` that carries
+    the account of what is lost.
 
     Parameters
     ----------
@@ -50,31 +63,81 @@ def read_log(path: str | Path, topics: Iterable[str] | None = None) -> Trip:
     Raises
     ------
     LogError
-        If the file is damaged, holds no trip, was written by a newer version of trainlog, or a
-        topic is asked for that does not exist.
+        If the file is no log, nothing of it is readable, it holds no trip, was written by a newer
+        version of trainlog, or a topic is asked for that does not exist.
     InputError
         If there is no such file.
     """
     wanted = _known(topics)
-    data = read_bytes(path)
-    with in_file(path):
-        contents = contents_of(data)
-        if contents.damage is not None:
-            raise _damage(contents, contents.damage)
-        return trip_of(contents, wanted)
+    with Source(path) as source, in_file(path):
+        contents = contents_of(source)
+        try:
+            trip = trip_of(source, contents, wanted)
+        except MisplacedError:
+            contents = contents_by_walk(source)
+            trip = trip_of(source, contents, wanted)
+        if topics is None:
+            check_data_section(source, contents)
+        _check_readable(contents)
+    report_losses(path, contents)
+    return trip
 
 
-def trip_of(contents: Contents, wanted: Container[str]) -> Trip:
-    """The trip with the topics `wanted` that a file's contents hold; LogError as `read_log`."""
-    sources = _sources(contents)
+def report_losses(path: str | Path, contents: Contents) -> None:
+    """Warn of what is lost of a file with a `DamageWarning` at the line that called trainlog."""
+    if contents.losses:
+        # From here over the public function to its caller.
+        warnings.warn(DamageWarning(str(path), contents.account), stacklevel=3)
+
+
+def check_data_section(source: Source, contents: Contents) -> None:
+    """Notice damage outside of the chunks and attachments, each of which has its own checksum."""
+    if contents.data_section is None or contents.losses:
+        return
+    end, expected = contents.data_section
+    if not expected:
+        return
+    checksum = 0
+    for at in range(0, end, _PIECE):
+        checksum = isal_zlib.crc32(source.read(at, min(_PIECE, end - at)), checksum)
+    if checksum != expected:
+        reason = "a record between the chunks fails the checksum of the data section"
+        contents.losses.append(Loss(end, end, reason, messages=0))
+
+
+def trip_of(source: Source, contents: Contents, wanted: Container[str]) -> Trip:
+    """The trip with the topics `wanted` that a file holds; what turns out damaged is dropped.
+
+    Raises
+    ------
+    LogError
+        As `read_log`.
+    MisplacedError
+        If the summary by which the contents were found turns out to be wrong.
+    """
+    channels = _channels(contents)
     metadata = metadata_of(contents)
-    _check_version(contents, metadata, sources)
+    _check_readable(contents)
+    _check_version(contents, metadata, channels)
     return Trip(
-        topics=_frames(contents, [source for source in sources if source.topic.name in wanted]),
+        topics=_frames(source, contents, [each for each in channels if each.topic.name in wanted]),
         metadata=metadata.get(TRIP_RECORD, {}),
         provenance=_provenance(metadata),
-        attachments={each.name: each.data for each in contents.attachments},
+        attachments={place.name: data for place, data in attachments_of(source, contents)},
     )
+
+
+def attachments_of(source: Source, contents: Contents) -> list[tuple[AttachmentPlace, bytes]]:
+    """Each attachment with its content; those that fail their checksum are dropped."""
+    found = []
+    for place in list(contents.attachments):
+        try:
+            found.append((place, attachment_data(source, place)))
+        except LogError as error:
+            contents.attachments.remove(place)
+            end = place.offset + place.length
+            contents.losses.append(Loss(place.offset, end, error.problem, messages=0))
+    return found
 
 
 def metadata_of(contents: Contents) -> dict[str, dict[str, str]]:
@@ -101,7 +164,7 @@ def _provenance(metadata: dict[str, dict[str, str]]) -> tuple[dict[str, Any], ..
 
 
 @dataclass
-class _Source:
+class _TopicChannel:
     """A channel of the file that carries one of trainlog's topics."""
 
     channel: Channel
@@ -129,7 +192,10 @@ class _Source:
         for offset in offsets.tolist():
             found = message_data(content, offset, self.channel.id)
             if found is None:
-                raise damaged(chunk, f"a message of {self.topic.name} is not where it should be")
+                raise MisplacedError(
+                    f"a message of {self.topic.name} is not where it should be",
+                    place=f"byte {chunk}",
+                )
             times.append(found[0])
             messages.append(self.decoder(found[1]))
         return np.array(times, dtype=np.uint64), columns_of(self.topic, messages)
@@ -148,8 +214,10 @@ class _Table:
     def add(self, time: NDArray[np.uint64], columns: Columns) -> None:
         """Append the messages of one channel in one chunk."""
         part = slice(self.filled, self.filled + len(time))
+        if part.stop > len(self.time):
+            self._grow(part.stop)
         self.time[part] = time
-        self.filled += len(time)
+        self.filled = part.stop
         if self.topic is EVENTS:
             self.texts.append(columns)
             return
@@ -161,10 +229,11 @@ class _Table:
 
     def frame(self) -> pd.DataFrame:
         """The topic's frame, in the order of time."""
-        if np.any(self.time > np.uint64(pd.Timestamp.max.value)):
+        stamps = self.time[: self.filled]
+        if np.any(stamps > np.uint64(pd.Timestamp.max.value)):
             raise unusable(f"{self.topic.name} has times after {pd.Timestamp.max.year}")
-        time = self.time.astype(np.int64)
-        data: dict[str, Any] = dict(self.columns)
+        time = stamps.astype(np.int64)
+        data: dict[str, Any] = {name: each[: self.filled] for name, each in self.columns.items()}
         if self.texts:
             data = {
                 name: np.concatenate([np.asarray(part[name]) for part in self.texts])
@@ -177,6 +246,13 @@ class _Table:
         index = pd.DatetimeIndex(time.view("M8[ns]"), tz="UTC")
         return frame_of(self.topic, index, data)
 
+    def _grow(self, rows: int) -> None:
+        """Make place for messages that the file's indexes do not list."""
+        more = max(rows, 2 * len(self.time)) - len(self.time)
+        self.time = np.append(self.time, np.zeros(more, dtype=np.uint64))
+        for name, values in self.columns.items():
+            self.columns[name] = np.append(values, np.full(more, np.nan))
+
     def _knows(self, column: str) -> bool:
         try:
             column_field(self.topic, column)
@@ -185,40 +261,85 @@ class _Table:
         return True
 
 
-def _frames(contents: Contents, sources: list[_Source]) -> dict[str, pd.DataFrame]:
-    """The frames of the sources' topics, in the order of the table."""
-    by_channel = {source.channel.id: source for source in sources}
+def _frames(
+    source: Source, contents: Contents, channels: list[_TopicChannel]
+) -> dict[str, pd.DataFrame]:
+    """The frames of the channels' topics, in the order of the table."""
+    by_channel = {each.channel.id: each for each in channels}
     counts = contents.counts()
-    tables = {}
-    for source in sources:
-        name = source.topic.name
-        total = sum(counts[each.channel.id] for each in sources if each.topic.name == name)
+    tables: dict[str, _Table] = {}
+    for each in channels:
+        name = each.topic.name
+        total = sum(counts[one.channel.id] for one in channels if one.topic.name == name)
         if name not in tables:
-            tables[name] = _Table(source.topic, np.empty(total, dtype=np.uint64))
-        if source.codec is not None and not total:
+            tables[name] = _Table(each.topic, np.empty(total, dtype=np.uint64))
+        if each.codec is not None and not total:
             # A topic without messages has its columns nevertheless.
-            none = source.codec.layout.rows(0)
-            tables[name].add(none[LOG_TIME], source.codec.columns(none) or {})
-    for chunk, index in contents.chunks:
-        held = [channel for channel in index if channel in by_channel]
-        if not held:
+            none = each.codec.layout.rows(0)
+            tables[name].add(none[LOG_TIME], each.codec.columns(none) or {})
+    for place in list(contents.chunks):
+        if place.counts.keys().isdisjoint(by_channel):
             continue
-        content = opened(chunk)
-        for channel in held:
-            source = by_channel[channel]
-            part = source.decode(content, index[channel][:, 1], chunk.offset)
-            tables[source.topic.name].add(*part)
+        try:
+            parts = _decoded(source, place, by_channel)
+        except MisplacedError as error:
+            if contents.indexed:
+                raise
+            contents.drop(place, error.problem)
+        except _DamagedChunkError as error:
+            contents.drop(place, error.problem)
+        else:
+            for channel, part in parts.items():
+                tables[by_channel[channel].topic.name].add(*part)
     return {name: tables[name].frame() for name in TOPICS if name in tables}
 
 
-def _sources(contents: Contents) -> list[_Source]:
+class _DamagedChunkError(LogError):
+    """A chunk's bytes are not what was written."""
+
+
+_Parts = dict[int, tuple[NDArray[np.uint64], Columns]]
+"""Times and columns of the messages in a chunk by channel id."""
+
+
+def _decoded(source: Source, place: ChunkPlace, channels: dict[int, _TopicChannel]) -> _Parts:
+    """What the chunk that stands there holds of the channels."""
+    chunk = fetched(source, place)
+    try:
+        content = opened(chunk, check=True)
+    except LogError as error:
+        raise _DamagedChunkError(error.problem, place=error.place) from error
+    try:
+        if place.indexes:
+            # An index that does not fit the chunk is made again from the chunk's records.
+            with suppress(LogError):
+                return _parts(content, fetched_index(source, place, channels), place, channels)
+        return _parts(content, index_of(content, place.offset), place, channels)
+    except LogError as error:
+        if chunk.checksum:
+            # These are the bytes that were written.
+            raise
+        raise _DamagedChunkError(error.problem, place=error.place) from error
+
+
+def _parts(
+    content: bytes, index: Index, place: ChunkPlace, channels: dict[int, _TopicChannel]
+) -> _Parts:
+    return {
+        number: channels[number].decode(content, entries[:, 1], place.offset)
+        for number, entries in index.items()
+        if number in channels
+    }
+
+
+def _channels(contents: Contents) -> list[_TopicChannel]:
     """The channels that carry topics of trainlog."""
     found = []
     for channel in contents.channels.values():
         schema = contents.schema(channel)
         topic = topic_of(channel, schema)
         if topic is not None and schema is not None:
-            found.append(_Source(channel, schema, topic))
+            found.append(_TopicChannel(channel, schema, topic))
     return found
 
 
@@ -233,10 +354,10 @@ def _known(topics: Iterable[str] | None) -> set[str]:
 
 
 def _check_version(
-    contents: Contents, metadata: dict[str, dict[str, str]], sources: list[_Source]
+    contents: Contents, metadata: dict[str, dict[str, str]], channels: list[_TopicChannel]
 ) -> None:
     """Refuse files that hold no trip, and those of a later version."""
-    if FORMAT_RECORD not in metadata and not sources:
+    if FORMAT_RECORD not in metadata and not channels:
         held = sorted({shown(channel.topic) for channel in contents.channels.values()})
         raise LogError(
             f"holds no topic of trainlog, but {', '.join(held[:_MOST_NAMED]) or 'none at all'}"
@@ -252,12 +373,14 @@ def _check_version(
         )
 
 
-def _damage(contents: Contents, damage: LogError) -> LogError:
-    """The error for a damaged file, telling what of it is readable."""
-    count = contents.counts().total()
-    return LogError(
-        f"is damaged: {damage.problem}",
-        place=damage.place,
-        remedy=f"copy or record it again ({count:,} messages in {len(contents.chunks):,} chunks "
-        "are readable)",
+def _check_readable(contents: Contents) -> None:
+    """Refuse a damaged file of which no message is readable."""
+    account = contents.account
+    if account.messages or account.whole:
+        return
+    first = account.losses[0]
+    raise LogError(
+        f"is damaged and no message of it is readable: {first.reason}",
+        place=f"byte {first.start}",
+        remedy="copy or record it again",
     )

@@ -7,7 +7,6 @@ leads out of the file, or a content that does not parse, is a `LogError` at a by
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -16,6 +15,7 @@ from typing import Protocol, TypeVar
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
+from isal import isal_zlib
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -144,7 +144,7 @@ def opened(chunk: StoredChunk, *, check: bool = False) -> bytes:
         raise damaged(chunk.offset, "a chunk cannot be decompressed") from error
     if len(content) != chunk.size:
         raise damaged(chunk.offset, "a chunk has another length than it declares")
-    if check and chunk.checksum and zlib.crc32(content) != chunk.checksum:
+    if check and chunk.checksum and isal_zlib.crc32(content) != chunk.checksum:
         raise damaged(chunk.offset, "a chunk fails its checksum")
     return content
 

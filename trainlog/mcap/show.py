@@ -52,7 +52,7 @@ def _overview(description: LogDescription) -> Table:
             "position", f"km {start / 1e3:.3f} to km {end / 1e3:.3f} ({(end - start) / 1e3:.3f} km)"
         )
     table.add_row("messages", f"{description.count:,} in {_chunks(description)}")
-    table.add_row("file", f"{_size(description.size)}, SHA-256 {description.sha256}")
+    table.add_row("file", _size(description.size))
     if description.schema_version is not None:
         table.add_row("topics", f"version {description.schema_version} of the table of topics")
     state = "ends properly" if description.complete else "damaged, only what is readable is listed"
