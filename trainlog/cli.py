@@ -116,6 +116,6 @@ def _complain(message: str) -> int:
     return 2
 
 
-def _warn(message: Warning | str, *_: object) -> None:
+def _warn(message: Warning | str, *_: object, **__: object) -> None:
     """One line for a warning, such as that a log is damaged and what of it is lost."""
     _complain(f"warning: {message}")
