@@ -149,6 +149,7 @@ def test_the_report_reads_as_text(tmp_path: Path) -> None:
         "51 rows read, 50 kept, 1 dropped",
         "duplicates: 1 (rows 22)",
         "gaps: 1 (rows 33); longest 11.0 s, beyond 5 s",
+        "raw values: 3 kept",
     ]
 
 

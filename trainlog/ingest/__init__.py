@@ -7,18 +7,21 @@
 
 from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest, ingest_each
 from trainlog.ingest.profile import Profile, profile_of, read_profile
-from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table
+from trainlog.ingest.recording import NO_TIME, Finding, Raw, Recording, Table
 from trainlog.ingest.registry import Format, formats
+from trainlog.ingest.repairs import REPAIRS_ATTACHMENT, repairs_of
 from trainlog.ingest.report import Report, report_of
 from trainlog.ingest.rules import RULES, Rule
 
 __all__ = [
     "NO_TIME",
     "PROFILE_ATTACHMENT",
+    "REPAIRS_ATTACHMENT",
     "RULES",
     "Finding",
     "Format",
     "Profile",
+    "Raw",
     "Recording",
     "Report",
     "Rule",
@@ -28,5 +31,6 @@ __all__ = [
     "ingest_each",
     "profile_of",
     "read_profile",
+    "repairs_of",
     "report_of",
 ]

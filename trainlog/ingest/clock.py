@@ -5,6 +5,7 @@ Each rule takes a table and the profile's limits and returns the table it leaves
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -266,7 +267,7 @@ def merge_same_time(table: Table, limits: Limits) -> Result:  # noqa: ARG001
         candidates = np.where(words == "", len(table), number)
         present = np.minimum.reduceat(candidates, starts)
         texts[name] = words[np.where(present < len(table), present, starts)]
-    return Table(merged.time, merged.rows, values, texts), table.found("same_time", ~new)
+    return replace(merged, signals=values, texts=texts), table.found("same_time", ~new)
 
 
 def count_gaps(table: Table, limits: Limits) -> Result:

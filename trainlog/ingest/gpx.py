@@ -8,7 +8,7 @@ refused, so that a small file cannot grow. Points of waypoints and routes are co
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -246,6 +246,4 @@ def _recording(
     cells = Cells(pa.table(present), rows, rows.size + len(lost), lost)
     found = recording_of(cells, layout, path)
     named = {"trip": trip} if trip else {}
-    return Recording(
-        found.tables, found.rows_read, found.findings, {}, told | named, dict(not_used)
-    )
+    return replace(found, metadata=told | named, not_used=dict(not_used))

@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile import WORDS, Column, Profile
 from trainlog.ingest.recording import (
+    NO_TIME,
     SHOWN_ROWS,
+    TIME_CELL,
     BoolArray,
     Finding,
     FloatArray,
+    IntArray,
+    Raw,
     Recording,
     Table,
     field_of,
@@ -51,7 +55,9 @@ def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> li
     return names
 
 
-def recording_of(cells: Cells, profile: Profile, file: Path) -> Recording:
+def recording_of(
+    cells: Cells, profile: Profile, file: Path, time: IntArray | None = None
+) -> Recording:
     """The recording that a table of cells holds, as the profile describes it.
 
     Parameters
@@ -60,19 +66,25 @@ def recording_of(cells: Cells, profile: Profile, file: Path) -> Recording:
         With the columns that `wanted_columns` names.
     file : Path
         For messages.
+    time : (n,) int64 array [ns], optional
+        Time of the rows, where the file itself tells it; default: as the profile says.
 
     Raises
     ------
     InputError
         If a column holds no numbers, or no number at all is to be found.
     """
-    assert profile.time is not None, "wanted_columns checks it"
-    time = read_time(cells.table, profile.time, profile.file.decimal, file)
+    raw = list(cells.raw)
+    if time is None:
+        assert profile.time is not None, "wanted_columns checks it"
+        time = read_time(cells.table, profile.time, profile.file.decimal, file)
+        raw += _unreadable_times(cells, profile.time.names, time)
     values: dict[str, FloatArray] = {}
     texts: dict[str, NDArray[np.object_]] = {}
     constants: dict[str, float | str] = {}
     findings = list(cells.findings)
     present = set(cells.table.column_names)
+    times = set(profile.time.names) if profile.time is not None else set()
     for name, column in profile.columns.items():
         if column.optional and not set(column.names) <= present:
             continue
@@ -83,24 +95,50 @@ def recording_of(cells: Cells, profile: Profile, file: Path) -> Recording:
         elif name in WORDS:
             texts[name] = _words(cells.table, column)
         else:
-            found, met = _field(name, column, cells, profile, file)
+            found, met, garbled = _field(name, column, cells, profile, file)
             values |= found
             findings += met
+            raw += [
+                Raw(
+                    "not_a_number", target, cells.rows[mask], _text(cells, source, mask), time[mask]
+                )
+                for target, source, mask in garbled
+            ]
     if not texts and not any(np.isfinite(column).any() for column in values.values()):
         raise InputError(
             "none of the mapped columns holds a number",
             file=file,
-            place=f"columns {', '.join(sorted(present - set(profile.time.names)))}",
+            place=f"columns {', '.join(sorted(present - times))}",
             remedy="check the columns under [columns] of the profile",
         )
     table = Table(time, cells.rows, values, texts)
-    return Recording((table,), cells.rows_read, tuple(findings), constants)
+    return Recording((table,), cells.rows_read, tuple(findings), constants, raw=tuple(raw))
+
+
+def _unreadable_times(cells: Cells, names: tuple[str, ...], time: IntArray) -> list[Raw]:
+    """What stood where a time should."""
+    lost = time == NO_TIME
+    if not lost.any():
+        return []
+    columns = [_text(cells, name, lost) for name in names]
+    words = np.array([" ".join(parts) for parts in zip(*columns, strict=True)], dtype=np.object_)
+    return [Raw("time_unreadable", TIME_CELL, cells.rows[lost], words)]
+
+
+def _text(cells: Cells, column: str, rows: BoolArray) -> NDArray[np.object_]:
+    """The text of some cells of a column; empty where there is none."""
+    picked = pc.fill_null(pc.cast(cells.table[column].filter(pa.array(rows)), pa.string()), "")
+    return np.asarray(picked.to_pylist(), dtype=np.object_)
 
 
 def _field(
     name: str, column: Column, cells: Cells, profile: Profile, file: Path
-) -> tuple[dict[str, FloatArray], list[Finding]]:
-    """The values of one field, one entry an axle where it has several, and what was met."""
+) -> tuple[dict[str, FloatArray], list[Finding], list[tuple[str, str, BoolArray]]]:
+    """The values of one field, one entry an axle where it has several, and what was met.
+
+    Also which cells of which column of ours and of the file are no numbers.
+    """
+    texts: list[tuple[str, str, BoolArray]] = []
     values: dict[str, FloatArray] = {}
     empty = np.zeros(0, dtype=np.int64)
     unreadable = empty
@@ -111,12 +149,14 @@ def _field(
         values[target] = _in_si(name, column, raw)
         empty = np.append(empty, cells.rows[absent])
         unreadable = np.append(unreadable, cells.rows[garbled])
+        if garbled.any():
+            texts.append((target, source, garbled))
     findings = [
         Finding(rule, rows.size, tuple(int(row) for row in np.sort(rows)[:SHOWN_ROWS]), name)
         for rule, rows in (("empty", empty), ("not_a_number", unreadable))
         if rows.size
     ]
-    return values, findings
+    return values, findings, texts
 
 
 def _refuse_garbled(

@@ -20,6 +20,7 @@ from trainlog.ingest.frames import frames
 from trainlog.ingest.profile import Limits, Profile, TripOptions, parse_profile
 from trainlog.ingest.recording import Finding, Recording, Table
 from trainlog.ingest.registry import Format, format_of
+from trainlog.ingest.repairs import REPAIRS_ATTACHMENT, Repairs, read_as_text
 from trainlog.ingest.report import Report
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.ingest.values import LIMITS
@@ -204,7 +205,7 @@ def _finished(
     """The trip of a recording, with what is known of its files."""
     with _naming(source.path):
         profile = source.profile or _default_profile()
-        trip, report = _trip(recording, profile, line, train, direction)
+        trip, report, raw = _trip(recording, profile, line, train, direction)
         if line is not None:
             _check_on_line(trip, line)
     named = {"trip": source.path.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
@@ -214,7 +215,7 @@ def _finished(
     attachments = source.carried | trip.attachments
     files = {file.name: sha256_of(file) for file in (source.path, *recording.inputs)}
     digests = {name: sha256(data) for name, data in attachments.items()}
-    return Trip(trip.topics, named, (), attachments | recording.attachments).with_step(
+    return Trip(trip.topics, named, (), attachments | recording.attachments | raw).with_step(
         "ingest",
         software=f"trainlog {__version__}",
         format=source.chosen.name,
@@ -260,15 +261,18 @@ def _trip(
     line: Line | None,
     train: Train | None,
     direction: Direction | None,
-) -> tuple[Trip, Report]:
-    """The trip, without what is known of its files, and the report."""
+) -> tuple[Trip, Report, dict[str, bytes]]:
+    """The trip, without what is known of its files, the report, and the raw values."""
     refuse_switched_off(recording.findings, profile.repair)
     findings = list(recording.findings)
     limits = _limits(profile.limits, line, train)
     tables: list[Table] = []
     least = 2 if len(recording.tables) == 1 else 0
-    for table in recording.tables:
-        kept, found = repaired(table, limits, profile.repair, least)
+    repairs = Repairs()
+    repairs.add(0, read_as_text(recording.raw))
+    for number, table in enumerate(recording.tables):
+        kept, found, changed = repaired(table, limits, profile.repair, least)
+        repairs.add(number, changed)
         tables.append(_from_start(kept, profile.trip))
         findings += found
     way = direction or profile.trip.direction or "forward"
@@ -297,8 +301,11 @@ def _trip(
         _joined(findings),
         profile.repair.switched_off,
         recording.not_used,
+        len(repairs),
+        repairs.beyond,
     )
-    return trip, report
+    raw = {REPAIRS_ATTACHMENT: repairs.to_bytes()} if len(repairs) else {}
+    return trip, report, raw
 
 
 def _joined(findings: list[Finding]) -> tuple[Finding, ...]:

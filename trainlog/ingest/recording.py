@@ -17,6 +17,9 @@ BoolArray = NDArray[np.bool_]
 NO_TIME = int(np.iinfo(np.int64).min)
 """Time of a row whose clock could not be read."""
 
+TIME_CELL = "time"
+"""Column of a `Raw` that tells of times which could not be read."""
+
 SHOWN_ROWS = 5
 """How many of the rows concerned a finding names."""
 
@@ -60,12 +63,19 @@ class Table:
         By ``"/topic.column"`` (``"/train/axles.wheel_speed_2"``), in SI; NaN where absent.
     texts : dict of str to (n,) object array
         The same for the fields that are words; empty where absent.
+    samples : (n,) int64 array
+        Number of each sample in the table as it was read; set by the table itself.
     """
 
     time: IntArray
     rows: IntArray
     signals: dict[str, FloatArray]
     texts: dict[str, NDArray[np.object_]] = field(default_factory=dict)
+    samples: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        if self.samples.size != self.time.size:
+            object.__setattr__(self, "samples", np.arange(self.time.size, dtype=np.int64))
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -79,6 +89,7 @@ class Table:
             self.rows[index],
             {name: values[index] for name, values in self.signals.items()},
             {name: texts[index] for name, texts in self.texts.items()},
+            self.samples[index],
         )
 
     def at(self, time: IntArray) -> Table:
@@ -97,6 +108,31 @@ class Table:
             return []
         first = np.sort(self.rows[cells])[:SHOWN_ROWS]
         return [Finding(rule, count, tuple(int(row) for row in first), column, note)]
+
+
+@dataclass(frozen=True, eq=False)
+class Raw:
+    """What stood in the file where a reader could not read it.
+
+    Attributes
+    ----------
+    rule : str
+        Name of the rule that deals with it.
+    column : str
+        ``"/topic.column"``, `TIME_CELL`, or empty for whole rows.
+    rows : (n,) int64 array
+        Rows of the file.
+    text : (n,) object array
+        What stood there.
+    time : (n,) int64 array [ns], optional
+        Time of the rows, where it could be read.
+    """
+
+    rule: str
+    column: str
+    rows: IntArray
+    text: NDArray[np.object_]
+    time: IntArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +159,8 @@ class Recording:
         Further files that were read beside the one given.
     attachments : dict of str to bytes
         Files to be carried along with the trip.
+    raw : tuple of Raw
+        What stood where the reader met no number, no time or no whole row.
     """
 
     tables: tuple[Table, ...]
@@ -133,6 +171,7 @@ class Recording:
     not_used: dict[str, int] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
     attachments: dict[str, bytes] = field(default_factory=dict)
+    raw: tuple[Raw, ...] = ()
 
 
 def field_of(name: str) -> tuple[Topic, str, Field]:

@@ -25,6 +25,10 @@ class Report:
         Rules that the profile switches off.
     not_used : dict of str to int
         What the file, or the profile, holds besides and was not used, with how many there are.
+    raw_kept : int
+        Entries of `trainlog.ingest.repairs_of`: raw values of what was dropped, changed or moved.
+    raw_beyond : int
+        Entries beyond the bound, which are in the recorded file alone.
     """
 
     rows_read: int
@@ -32,6 +36,8 @@ class Report:
     findings: tuple[Finding, ...] = ()
     switched_off: tuple[str, ...] = ()
     not_used: dict[str, int] = field(default_factory=dict)
+    raw_kept: int = 0
+    raw_beyond: int = 0
 
     @property
     def rows_dropped(self) -> int:
@@ -69,6 +75,10 @@ class Report:
                 found[f"repair.{finding.rule}.note"] = finding.note
         if self.switched_off:
             found["repair.switched_off"] = ", ".join(self.switched_off)
+        if self.raw_kept:
+            found["repairs.kept"] = str(self.raw_kept)
+        if self.raw_beyond:
+            found["repairs.beyond"] = str(self.raw_beyond)
         return found | {f"not_used.{what}": str(count) for what, count in self.not_used.items()}
 
     def details(self) -> dict[str, Any]:
@@ -81,6 +91,8 @@ class Report:
             ],
             "switched_off": list(self.switched_off),
             "not_used": dict(self.not_used),
+            "raw_kept": self.raw_kept,
+            "raw_beyond": self.raw_beyond,
         }
 
     def lines(self) -> list[str]:
@@ -94,6 +106,9 @@ class Report:
             shown.append(f"{finding.rule}: {finding.count}{where}{rows}{note}")
         if self.switched_off:
             shown.append(f"switched off: {', '.join(self.switched_off)}")
+        if self.raw_kept:
+            beyond = f", {self.raw_beyond} more are in the file alone" if self.raw_beyond else ""
+            shown.append(f"raw values: {self.raw_kept} kept{beyond}")
         shown += [f"not used: {what}: {count}" for what, count in self.not_used.items()]
         return shown
 
@@ -118,6 +133,8 @@ def report_of(trip: Trip) -> Report:
                 ),
                 tuple(told["switched_off"]),
                 {what: int(count) for what, count in told.get("not_used", {}).items()},
+                int(told.get("raw_kept", 0)),
+                int(told.get("raw_beyond", 0)),
             )
     raise LogError(
         f"trip '{trip.name}' was not made by ingest", remedy="simulated trips have no such report"

@@ -11,6 +11,7 @@ from trainlog.ingest import checks, clock, values
 from trainlog.ingest.clock import Result
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.recording import Finding, Table
+from trainlog.ingest.repairs import Change, changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,9 @@ def refuse_switched_off(findings: tuple[Finding, ...], repair: Repair) -> None:
                     _refuse(finding)
 
 
-def repaired(table: Table, limits: Limits, repair: Repair, least: int = 2) -> Result:
+def repaired(
+    table: Table, limits: Limits, repair: Repair, least: int = 2
+) -> tuple[Table, list[Finding], list[Change]]:
     """Apply the rules, one after the other.
 
     Parameters
@@ -78,12 +81,18 @@ def repaired(table: Table, limits: Limits, repair: Repair, least: int = 2) -> Re
     least : int
         Rows that have to be left: a trip needs 2, one table among several none.
 
+    Returns
+    -------
+    Table, list of Finding, list of Change
+        What is left, what was met, and how what was changed stood before.
+
     Raises
     ------
     InputError
         If a defect cannot be repaired, or its rule is switched off and it cannot stay.
     """
     findings: list[Finding] = []
+    changed: list[Change] = []
     for rule in RULES:
         if rule.apply is None:
             continue
@@ -95,11 +104,12 @@ def repaired(table: Table, limits: Limits, repair: Repair, least: int = 2) -> Re
         if found and not wanted:
             _refuse(found[0])
         findings += found
+        changed += changes(rule.name, before, table)
         if len(table) < least:
             raise _too_short(before, table, rule.name)
         if not len(table):
             break
-    return table, findings
+    return table, findings, changed
 
 
 def _too_short(before: Table, table: Table, rule: str) -> InputError:

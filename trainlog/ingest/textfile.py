@@ -14,7 +14,7 @@ import pyarrow.csv
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.profile import FileOptions, suggestion
-from trainlog.ingest.recording import SHOWN_ROWS, Finding, IntArray
+from trainlog.ingest.recording import SHOWN_ROWS, Finding, IntArray, Raw
 
 MAX_RAGGED = 0.5
 """Share of rows with the wrong number of cells beyond which the delimiter is doubted."""
@@ -33,12 +33,14 @@ class Cells:
     rows_read : int
         `n` and the rows that could not be split into cells.
     findings : tuple of Finding
+    raw : tuple of Raw
     """
 
     table: pa.Table
     rows: IntArray
     rows_read: int
     findings: tuple[Finding, ...] = ()
+    raw: tuple[Raw, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,7 @@ class TextFile:
                 file=self.path,
                 remedy=self._delimiter_remedy(),
             )
-        table, ragged, found = parsed
+        table, ragged, found, lines = parsed
         if ragged.size > MAX_RAGGED * self.rows.size:
             raise InputError(
                 f"{ragged.size} of {self.rows.size} rows do not have the header's"
@@ -98,18 +100,29 @@ class TextFile:
             )
         first = tuple(int(row) for row in self.rows[ragged[:SHOWN_ROWS]])
         findings = (Finding("truncated_rows", ragged.size, first),) if ragged.size else ()
-        return Cells(table, np.delete(self.rows, ragged), self.rows.size, findings)
+        raw = Raw("truncated_rows", "", self.rows[ragged], np.array(lines, dtype=np.object_))
+        return Cells(
+            table,
+            np.delete(self.rows, ragged),
+            self.rows.size,
+            findings,
+            (raw,) if ragged.size else (),
+        )
 
-    def _parsed(self, names: list[str], *, quotes: bool) -> tuple[pa.Table, IntArray, int] | None:
-        """The named columns, the rows that do not fit, and how many cells the first of them has.
+    def _parsed(
+        self, names: list[str], *, quotes: bool
+    ) -> tuple[pa.Table, IntArray, int, list[str]] | None:
+        """The named columns, the rows that do not fit, how many cells the first has, their text.
 
         None if lines and rows do not correspond.
         """
         ragged: list[int] = []
+        lines: list[str] = []
         cells_found: list[int] = [0]
 
         def pass_over(row: pa.csv.InvalidRow) -> str:
             ragged.append(row.number - 1)
+            lines.append(row.text or "")
             cells_found.append(row.actual_columns)
             return "skip"
 
@@ -135,7 +148,7 @@ class TextFile:
             return None
         if table.num_rows + len(ragged) != self.rows.size:
             return None
-        return table, np.array(ragged, dtype=np.int64), cells_found[min(1, len(ragged))]
+        return table, np.array(ragged, dtype=np.int64), cells_found[min(1, len(ragged))], lines
 
     def _check(self, name: str) -> None:
         count = self.names.count(name)
