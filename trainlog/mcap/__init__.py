@@ -7,6 +7,7 @@ from trainlog.mcap.describe import (
     TopicDescription,
     describe,
 )
+from trainlog.mcap.foreign import ForeignFrames, Skipped, frames_of
 from trainlog.mcap.reader import read_log
 from trainlog.mcap.writer import write_log
 
@@ -14,10 +15,13 @@ __all__ = [
     "Account",
     "AttachmentDescription",
     "DamageWarning",
+    "ForeignFrames",
     "LogDescription",
     "Loss",
+    "Skipped",
     "TopicDescription",
     "describe",
+    "frames_of",
     "read_log",
     "write_log",
 ]

@@ -1,0 +1,527 @@
+"""Files of other programs become frames: every encoding, with known values, as far as it reads."""
+
+import json
+import struct
+import tempfile
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from foreign_logs import (
+    FIX_1,
+    FIX_2,
+    IMU_2,
+    START,
+    ForeignLog,
+    cdr,
+    cdr_numbers,
+    json_log,
+    schema_text,
+)
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap_protobuf.writer import Writer as ProtobufWriter
+from mcap_ros1.decoder import DecoderFactory as Ros1DecoderFactory
+from mcap_ros1.writer import Writer as Ros1Writer
+from mcap_ros2.writer import Writer as Ros2Writer
+from mcap_trips import trip_of
+
+from trainlog.errors import InputError, LogError
+from trainlog.mcap import frames_of, write_log
+from trainlog.mcap.account import DamageWarning
+from trainlog.mcap.foreign_rows import BYTES, LONG_ARRAY, MOST_ELEMENTS, BrokenMessage
+from trainlog.mcap.ros_definitions import NUMBERS, DefinitionError
+from trainlog.mcap.ros_wire import decoder
+
+SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
+COVARIANCE = [4.0, 0.5, 0.0, 0.5, 9.0, 0.0, 0.0, 0.0, 25.0]
+
+
+def fix_message(row):
+    return {
+        "header": {"stamp": {"sec": 1_700_000_000 + row, "nanosec": 5}, "frame_id": "gnss" * row},
+        "status": {"status": -1 if row == 2 else 0, "service": 65_535},
+        "latitude": 47.1 + row,
+        "longitude": -8.25,
+        "altitude": 411.0,
+        "position_covariance": COVARIANCE,
+        "position_covariance_type": 2,
+    }
+
+
+def assert_fixes(frame, stamp):
+    assert frame["latitude"].tolist() == [47.1, 48.1, 49.1]
+    assert frame["longitude"].tolist() == [-8.25] * 3
+    assert [frame[f"position_covariance[{at}]"].iloc[1] for at in range(9)] == COVARIANCE
+    assert frame["header.frame_id"].tolist() == ["", "gnss", "gnssgnss"]
+    assert frame[stamp].tolist() == [1_700_000_000, 1_700_000_001, 1_700_000_002]
+    assert frame["status.status"].tolist() == [0, 0, -1]
+    assert frame["status.service"].dtype == np.int64
+    assert frame["status.service"].iloc[0] == 65_535
+    assert frame.index.tolist() == [
+        pd.Timestamp(START + row * 10**9, unit="ns", tz="UTC") for row in range(3)
+    ]
+
+
+def test_ros2_messages_of_the_official_writer_become_columns(tmp_path):
+    path = tmp_path / "ros2.mcap"
+    with path.open("wb") as stream:
+        writer = Ros2Writer(stream)
+        fix = writer.register_msgdef("sensor_msgs/msg/NavSatFix", FIX_2)
+        imu = writer.register_msgdef("sensor_msgs/msg/Imu", IMU_2)
+        for row in range(3):
+            time = START + row * 10**9
+            writer.write_message("/fix", fix, fix_message(row), time, time + 7)
+            turn = {"x": 0.5, "y": -1.0, "z": row}
+            writer.write_message("/imu/data", imu, {"angular_velocity": turn}, time, time)
+        writer.finish()
+    found = frames_of(path)
+    assert_fixes(found.frames["/fix"], "header.stamp.sec")
+    assert found.frames["/fix"].attrs == {
+        "schema": "sensor_msgs/msg/NavSatFix",
+        "encoding": "cdr",
+    }
+    assert found.publish_times["/fix"].asi8.tolist() == [START + r * 10**9 + 7 for r in range(3)]
+    assert found.frames["/imu/data"]["angular_velocity.z"].tolist() == [0.0, 1.0, 2.0]
+    assert found.frames["/imu/data"]["angular_velocity.y"].tolist() == [-1.0] * 3
+    assert found.skipped == ()
+    only = frames_of(path, topics=["/fix"])
+    assert list(only.frames) == ["/fix"]
+
+
+def test_ros1_messages_of_the_official_writer_become_columns(tmp_path):
+    schema = SimpleNamespace(id=1, name="sensor_msgs/NavSatFix", encoding="ros1msg")
+    schema.data = FIX_1.encode()
+    factory = Ros1DecoderFactory()
+    factory.decoder_for("ros1", schema)
+    kind = factory._types[1]
+    path = tmp_path / "ros1.mcap"
+    with path.open("wb") as stream:
+        writer = Ros1Writer(stream)
+        for row in range(3):
+            given_fix = fix_message(row)
+            message = kind()
+            message.header.stamp.secs = 1_700_000_000 + row
+            message.header.frame_id = given_fix["header"]["frame_id"]
+            message.status.status = given_fix["status"]["status"]
+            message.status.service = given_fix["status"]["service"]
+            message.latitude = given_fix["latitude"]
+            message.longitude = given_fix["longitude"]
+            message.position_covariance = COVARIANCE
+            writer.write_message("/fix", message, START + row * 10**9)
+        writer.finish()
+    found = frames_of(path)
+    assert_fixes(found.frames["/fix"], "header.stamp.secs")
+    assert found.skipped == ()
+
+
+def test_protobuf_messages_become_columns(tmp_path):
+    path = tmp_path / "protobuf.mcap"
+    with path.open("wb") as stream:
+        writer = ProtobufWriter(stream)
+        for row in range(3):
+            fix = LocationFix(latitude=47.1 + row, longitude=8.25, frame_id="gnss")
+            fix.timestamp.seconds = 1_700_000_000 + row
+            fix.position_covariance.extend(COVARIANCE if row else [])
+            fix.position_covariance_type = LocationFix.KNOWN
+            writer.write_message("/position", fix, START + row * 10**9)
+            writer.write_message("/log", Log(level=Log.WARNING, message="größer"), START)
+        writer.finish()
+    found = frames_of(path)
+    fixes = found.frames["/position"]
+    assert fixes["latitude"].tolist() == [47.1, 48.1, 49.1]
+    assert fixes["timestamp.seconds"].tolist() == [1_700_000_000, 1_700_000_001, 1_700_000_002]
+    assert fixes["position_covariance_type"].tolist() == [3, 3, 3]
+    assert np.isnan(fixes["position_covariance[4]"].iloc[0])
+    assert fixes["position_covariance[4]"].iloc[2] == 9.0
+    assert found.frames["/log"]["message"].tolist() == ["größer"] * 3
+    assert found.frames["/log"]["level"].tolist() == [3, 3, 3]
+    assert found.skipped == ()
+
+
+def test_json_messages_become_columns_of_their_kinds(tmp_path):
+    messages = [
+        {"v": 1, "on": True, "name": "a", "at": {"km": 1.5}, "big": 2**63, "n": [1, 2]},
+        {"v": 2.5, "on": None, "name": "b", "n": [3, 4], "count": 2**53 + 1},
+        {"v": 3, "on": False, "at": {"km": 2}, "big": 0, "n": []},
+    ]
+    path = json_log(tmp_path / "json.mcap", "/things", messages)
+    found = frames_of(path)
+    frame = found.frames["/things"]
+    assert frame["v"].tolist() == [1.0, 2.5, 3.0]
+    assert frame["on"].dtype == "boolean"
+    assert frame["on"].isna().tolist() == [False, True, False]
+    assert frame["count"].dtype == "Int64"
+    assert frame["count"].iloc[1] == 2**53 + 1
+    assert frame["big"].dtype == "UInt64"
+    assert frame["big"].iloc[0] == 2**63
+    assert frame["at.km"].iloc[2] == 2.0
+    assert frame["n[1]"].isna().tolist() == [False, False, True]
+    assert frame["name"].iloc[:2].tolist() == ["a", "b"]
+    assert found.skipped == ()
+
+
+def test_what_does_not_become_columns_is_named_and_counted(tmp_path):
+    messages = [
+        {"fits": 1, "long": [0] * (MOST_ELEMENTS + 1), "kind": 1, "grows": [1]},
+        {"fits": 2, "long": [0] * (MOST_ELEMENTS + 1), "kind": "two", "grows": [1, 2]},
+        {"fits": 3, "a": {"b": 1}, "a.b": 2},
+    ]
+    found = frames_of(json_log(tmp_path / "json.mcap", "/things", messages))
+    assert list(found.frames["/things"].columns) == ["fits", "a.b"]
+    told = {(item.field, item.messages) for item in found.skipped}
+    assert told == {("long", 2), ("kind", 2), ("grows", 2), ("a.b", 1)}
+    assert found.frames["/things"]["a.b"].iloc[2] == 1
+
+
+NAMES = [f"f{number}" for number in range(6)]
+
+
+@st.composite
+def ros_fields(draw):
+    """Lines of a definition, and a value for each field."""
+    lines, values = [], {}
+    for name in draw(st.lists(st.sampled_from(NAMES), min_size=1, unique=True)):
+        kind = draw(st.sampled_from([*NUMBERS, "string"]))
+        if kind == "string":
+            one = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
+        elif kind == "bool":
+            one = st.booleans()
+        elif kind.startswith("float"):
+            one = st.floats(width=int(kind[5:]), allow_nan=False)
+        else:
+            bits = int(kind.lstrip("uint"))
+            low = 0 if kind.startswith("u") else -(2 ** (bits - 1))
+            one = st.integers(low, low + 2**bits - 1)
+        count = draw(st.sampled_from([None, None, 0, 1, 3, 70]))
+        fixed = draw(st.booleans()) and count
+        bound = "" if count is None else f"[{count if fixed else ''}]"
+        lines.append(f"{kind}{bound} {name}")
+        if count is None:
+            values[name] = draw(one)
+        elif kind in ("uint8", "int8") and not fixed:
+            values[name] = BYTES
+        elif count > MOST_ELEMENTS:
+            values[name] = LONG_ARRAY
+        else:
+            values[name] = draw(st.lists(one, min_size=count, max_size=count))
+    return lines, values
+
+
+def written(lines, values):
+    """The bytes of a message by the official writer; long arrays and blobs are filled up."""
+    from mcap_ros2._dynamic import serialize_dynamic
+
+    given_values = {}
+    for line, (name, value) in zip(lines, values.items(), strict=True):
+        if value is BYTES:
+            value = [1, 2, 3, 4, 5]
+        elif value is LONG_ARRAY:
+            value = ["" if line.startswith("string") else 0] * 70
+        given_values[name] = value
+    text = "\n".join(lines)
+    return serialize_dynamic("p/msg/Thing", text)["p/msg/Thing"](given_values)
+
+
+def expanded(found):
+    """A decoded message with its fixed arrays as lists again."""
+    joined = {}
+    for path, value in found.items():
+        name, _, index = path.partition("[")
+        if index:
+            joined.setdefault(name, []).append(value)
+        else:
+            joined[name] = value
+    return joined
+
+
+@settings(max_examples=150)
+@given(ros_fields(), st.integers(0, 3))
+def test_ros2_messages_come_back_as_the_official_writer_got_them(drawn, padding):
+    lines, values = drawn
+    data = written(lines, values)
+    decode = decoder("p/msg/Thing", "\n".join(lines).encode(), "ros2")
+    assert expanded(decode(data + bytes(padding))) == values
+    for end in range(len(data)):
+        with pytest.raises(BrokenMessage):
+            decode(data[:end])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=200))
+def test_no_bytes_raise_anything_but_a_broken_message(data):
+    for schema, dialect in ((FIX_1, "ros1"), (FIX_2, "ros2")):
+        decode = decoder("sensor_msgs/NavSatFix", schema.encode(), dialect)
+        for payload in (data, cdr(data)):
+            try:
+                decode(payload)
+            except BrokenMessage as error:
+                assert str(error)  # noqa: PT017
+
+
+def test_nested_messages_and_arrays_of_them():
+    text = schema_text(
+        "Point[2] ends\nPoint[] way\nstring[] names\nfloat32[<=3] few\nwide/Name one\nint8 last=7",
+        geo__Point="float64 x\nint8 y -3\nint8 Y=5\n",
+        wide__Name="string<=5 text\n",
+    )
+    decode = decoder("geo/msg/Path", text.encode(), "ros2")
+    body = struct.pack("<db7xdb7x", 1.0, 2, 3.0, 4)[:-7]
+    body += b"\0" * (-len(body) % 4) + struct.pack("<I", 1)
+    body += b"\0" * (-len(body) % 8) + struct.pack("<db", 5.0, 6)
+    body += b"\0" * (-len(body) % 4) + struct.pack("<II2s", 1, 2, b"n\0")
+    body += b"\0" * (-len(body) % 4) + struct.pack("<I", 0)
+    body += struct.pack("<I3s", 3, b"ab\0")
+    assert decode(cdr(body)) == {
+        "ends[0].x": 1.0,
+        "ends[0].y": 2,
+        "ends[1].x": 3.0,
+        "ends[1].y": 4,
+        "way": [{"x": 5.0, "y": 6}],
+        "names": ["n"],
+        "few": [],
+        "one.text": "ab",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("Thing again", "nested more than 32"),
+        ("Other x", "does not define 'Other'"),
+        ("float64", "is no field"),
+        ("int32 a\nint32 a", "two fields of the same name"),
+        ("float64[9999999999] x", "elements"),
+        ("float64[0] x", "elements"),
+        ("float64[64] a\nrow[64] b\n" + "=" * 80 + "\nMSG: p/row\nfloat64[64] x", "fields"),
+        ("import os; os.abort() x", "is no field"),
+        ("print() x", "is no field"),
+        ("wstring x", "does not define 'wstring'"),
+        ("a" * 2_000_000, "bytes"),
+        ("int32 x\n" + "=" * 80 + "\nint32 y", "which message"),
+    ],
+)
+def test_definitions_that_make_no_sense_are_refused(text, problem):
+    with pytest.raises(DefinitionError, match=problem):
+        decoder("p/Thing", text.encode(), "ros1")
+
+
+def test_forged_lengths_take_neither_memory_nor_time():
+    empty = schema_text("Nothing[] x", p__Nothing="")
+    for dialect, head in (("ros1", b""), ("ros2", b"\0\1\0\0")):
+        for kind in ("string", "float64", "uint8", "p/Nothing"):
+            text = empty if kind == "p/Nothing" else f"{kind}[] x"
+            decode = decoder("p/Thing", text.encode(), dialect)
+            with pytest.raises(BrokenMessage):
+                decode(head + struct.pack("<I", 2**32 - 1) + bytes(100))
+
+
+def test_a_mislabelled_or_broken_message_costs_only_itself(tmp_path):
+    log = ForeignLog(tmp_path / "odd.mcap")
+    numbers = ("p/msg/Pair", "ros2msg", b"float64 x\nfloat64 y")
+    good = cdr_numbers(1.0, 2.0)
+    log.add(log.channel("/mixed", "cdr", numbers), [good, b'{"x": 1}', b"", good[:-1], good])
+    log.add(log.channel("/json", "json"), [b'{"x": 1}', b"", b"[1]", b'{"x":', b"\xff", b"3"])
+    log.add(log.channel("/json_called_ros", "json", numbers), [b'{"x": 1}'])
+    log.add(log.channel("/deep", "json"), [b'{"x":' * 100_000])
+    log.add(log.channel("/nested", "json"), [b'{"x":' * 99 + b"1" + b"}" * 99])
+    log.add(log.channel("/no_schema", "cdr"), [good])
+    log.add(log.channel("/no_descriptor", "protobuf", ("p.X", "protobuf", b"\xff\xff")), [b""] * 2)
+    log.add(log.channel("/wrong_kind", "protobuf", numbers), [b""])
+    log.add(log.channel("/unknown", "smoke signals", numbers), [b"puff"] * 3)
+    log.add(log.channel("/flat", "flatbuffer", ("p.X", "flatbuffer", b"")), [b""])
+    log.add(log.channel("/idl", "cdr", ("p/msg/X", "ros2idl", b"module p {};")), [good])
+    log.add(log.channel("/undefined", "cdr", ("p/msg/X", "ros2msg", b"Y y")), [good])
+    log.add(log.channel("/never", "cdr", numbers), [])
+    found = frames_of(log.close())
+    assert found.frames["/mixed"]["x"].tolist() == [1.0, 1.0]
+    assert found.frames["/json"]["x"].tolist() == [1]
+    assert found.frames["/json_called_ros"]["x"].tolist() == [1]
+    assert found.frames["/never"].empty
+    counts = {}
+    for item in found.skipped:
+        counts[item.topic] = counts.get(item.topic, 0) + item.messages
+        assert item.reason
+    assert counts == {
+        "/mixed": 3,
+        "/json": 5,
+        "/deep": 1,
+        "/nested": 1,
+        "/no_schema": 1,
+        "/no_descriptor": 2,
+        "/wrong_kind": 1,
+        "/unknown": 3,
+        "/flat": 1,
+        "/idl": 1,
+        "/undefined": 1,
+    }
+
+
+def test_fields_that_a_protobuf_schema_does_not_declare_are_counted(tmp_path):
+    path = tmp_path / "protobuf.mcap"
+    with path.open("wb") as stream:
+        writer = ProtobufWriter(stream)
+        writer.write_message("/log", Log(message="known"), START)
+        fix = LocationFix(latitude=1.0)
+        fix.MergeFromString(b"\xa0\x06\x01")
+        writer.write_message("/fix", fix, START)
+        writer.finish()
+    found = frames_of(path)
+    assert [(item.topic, item.messages) for item in found.skipped] == [("/fix", 1)]
+
+
+def test_a_topic_of_two_channels_is_one_frame_in_the_order_of_time(tmp_path):
+    log = ForeignLog(tmp_path / "two.mcap")
+    schema = ("p/msg/X", "ros2msg", b"float64 x")
+    log.add(log.channel("/x", "cdr", schema), [cdr_numbers(0.0), cdr_numbers(1.0)], step=10**9)
+    late = log._writer.register_channel("/x", "cdr", 1, {"publisher": "other"})
+    log.add(late, [cdr_numbers(2.0), cdr_numbers(3.0)], step=10**8)
+    frame = frames_of(log.close()).frames["/x"]
+    assert frame["x"].tolist() == [0.0, 2.0, 3.0, 1.0]
+    assert frame.index.is_monotonic_increasing
+
+
+def test_a_topic_of_two_schemas_is_two_frames(tmp_path):
+    log = ForeignLog(tmp_path / "two.mcap")
+    log.add(log.channel("/x", "cdr", ("p/msg/A", "ros2msg", b"float64 x")), [cdr_numbers(1.0)])
+    log.add(log.channel("/x", "cdr", ("p/msg/A", "ros2msg", b"float64 z")), [cdr_numbers(2.0)])
+    log.add(log.channel("/x", "json"), [b'{"y": "text"}'])
+    frames = frames_of(log.close()).frames
+    assert list(frames) == ["/x (p/msg/A)", "/x (p/msg/A) 2", "/x (json)"]
+    assert frames["/x (p/msg/A) 2"]["z"].tolist() == [2.0]
+
+
+def test_names_made_up_message_by_message_do_not_fill_the_memory(tmp_path):
+    messages = [{f"name {row} {n}": n for n in range(100)} for row in range(100)]
+    found = frames_of(json_log(tmp_path / "many.mcap", "/many", messages))
+    columns = found.frames["/many"].shape[1]
+    assert columns == 2_000
+    assert sum(item.messages for item in found.skipped) == 100 * 100 - columns
+
+
+def test_a_log_of_trainlog_is_an_mcap_file_like_any(tmp_path):
+    trip = trip_of(rows=20)
+    write_log(trip, tmp_path / "trip.mcap")
+    found = frames_of(tmp_path / "trip.mcap", topics="/train/state")
+    frame = found.frames["/train/state"]
+    np.testing.assert_array_equal(frame["speed"], trip["/train/state"]["speed"])
+    assert found.skipped == ()
+
+
+def test_of_a_damaged_file_what_is_readable_comes(tmp_path):
+    path = json_log(tmp_path / "json.mcap", "/things", [{"x": row} for row in range(100_000)])
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.warns(DamageWarning) as caught:
+        found = frames_of(path)
+    rows = len(found.frames["/things"])
+    assert 0 < rows < 100_000
+    assert found.frames["/things"]["x"].tolist() == list(range(rows))
+    assert caught[0].message.account.messages == rows
+    assert not caught[0].message.account.whole
+
+
+def test_every_damage_of_a_small_file_is_told_or_harmless(tmp_path):
+    whole = json_log(tmp_path / "json.mcap", "/x", [{"x": row} for row in range(5)]).read_bytes()
+    path = tmp_path / "damaged.mcap"
+    for at in range(0, len(whole), 3):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DamageWarning)
+            try:
+                found = frames_of(path)
+            except LogError as error:
+                assert error.file == path  # noqa: PT017
+                continue
+        assert all(len(frame) <= 5 for frame in found.frames.values())
+
+
+def test_no_mcap_file_and_no_such_topic(tmp_path):
+    (tmp_path / "no.mcap").write_bytes(b"speed;position")
+    with pytest.raises(LogError, match="is not an MCAP file"):
+        frames_of(tmp_path / "no.mcap")
+    with pytest.raises(InputError):
+        frames_of(tmp_path / "missing.mcap")
+    path = json_log(tmp_path / "json.mcap", "/things", [{}])
+    with pytest.raises(LogError, match="topics are '/things'"):
+        frames_of(path, topics=["/thing"])
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the shared data is not here")
+def test_the_files_that_rosbag2_wrote():
+    expected = {
+        "rosbag2_py_test_resources_mcap_convert_a_rewriter_a_0.mcap": {
+            "a_empty": (100, 0),
+            "b_basictypes": (50, 13),
+        },
+        "rosbag2_py_test_resources_mcap_talker_talker.mcap": {
+            "/rosout": (10, 8),
+            "/parameter_events": (0, 0),
+            "/topic": (10, 1),
+        },
+        "rosbag2_tests_resources_mcap_cdr_test_cdr_test_0.mcap": {
+            "/test_topic": (3, 13),
+            "/array_topic": (4, 163),
+        },
+    }
+    for name, shapes in expected.items():
+        found = frames_of(SHARED / name)
+        assert {topic: frame.shape for topic, frame in found.frames.items()} == shapes
+        assert found.skipped == ()
+    talker = frames_of(SHARED / "rosbag2_py_test_resources_mcap_talker_talker.mcap").frames
+    assert talker["/topic"]["data"].tolist() == [f"Hello, world! {row}" for row in range(10)]
+    assert talker["/rosout"]["level"].tolist() == [20] * 10
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the shared data is not here")
+def test_the_files_that_rosbag2_wrote_read_as_the_official_decoder_reads_them():
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    compared = 0
+    for path in SHARED.glob("*.mcap"):
+        frames = frames_of(path).frames
+        rows = dict.fromkeys(frames, 0)
+        with path.open("rb") as stream:
+            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+            for _, channel, _, message in reader.iter_decoded_messages():
+                row = frames[channel.topic].iloc[rows[channel.topic]]
+                rows[channel.topic] += 1
+                for column, value in row.items():
+                    if "char" in column:
+                        continue  # unsigned in ROS 2, signed in that decoder
+                    there = message
+                    for part in column.replace("]", "").replace("[", ".").split("."):
+                        there = there[int(part)] if part.isdigit() else getattr(there, part)
+                    assert value == there, (path.name, column)
+                    compared += 1
+    assert compared > 1_000
+
+
+def test_json_numbers_beyond_every_type(tmp_path):
+    messages = [b'{"x": 1e999}', json.dumps({"x": 10**400}).encode(), b'{"x": NaN}']
+    frame = frames_of(json_log(tmp_path / "n.mcap", "/n", messages)).frames["/n"]
+    assert frame["x"].iloc[:2].tolist() == [np.inf, np.inf]
+    assert np.isnan(frame["x"].iloc[2])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+        lambda inner: (
+            st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3)
+        ),
+        max_leaves=12,
+    )
+)
+def test_any_json_is_read_or_counted(value):
+    with tempfile.TemporaryDirectory() as folder:
+        found = frames_of(json_log(Path(folder) / "any.mcap", "/any", [value, {"v": value}]))
+    broken = [item for item in found.skipped if not item.field and "object" in item.reason]
+    assert len(found.frames["/any"]) + sum(item.messages for item in broken) == 2
