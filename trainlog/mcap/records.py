@@ -7,6 +7,7 @@ leads out of the file, or a content that does not parse, is a `LogError` at a by
 from __future__ import annotations
 
 import struct
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -31,7 +32,14 @@ Index = dict[int, NDArray[np.uint64]]
 _LARGEST_CHUNK = 2**30
 """Larger chunks are not believed [bytes]; a forged length must not exhaust the memory."""
 
+_ALWAYS_ALLOWED = 2**24
+"""A chunk may have this length when decompressed, however short its file is [bytes]."""
+
+_MOST_EXPANDED = 4
+"""A longer chunk may have this many times its file's length."""
+
 _CHUNK_HEAD = struct.Struct("<QQQII")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 _R_co = TypeVar("_R_co", covariant=True)
 
@@ -57,6 +65,8 @@ class StoredChunk:
         Length of its content when decompressed, as the record says [bytes].
     checksum : int
         CRC-32 of its content when decompressed; 0 if the file does not have it.
+    limit : int
+        Largest size that is believed [bytes].
     """
 
     offset: int
@@ -64,6 +74,7 @@ class StoredChunk:
     data: memoryview
     size: int
     checksum: int
+    limit: int = _LARGEST_CHUNK
 
 
 def records(data: memoryview, start: int = 0) -> Iterator[tuple[int, int, memoryview]]:
@@ -136,7 +147,7 @@ def opened(chunk: StoredChunk, *, check: bool = False) -> bytes:
     LogError
         If it cannot be decompressed, has another length than declared, or fails the check.
     """
-    if chunk.size > _LARGEST_CHUNK:
+    if chunk.size > chunk.limit:
         raise damaged(chunk.offset, f"a chunk claims to hold {chunk.size:,} bytes")
     try:
         content = _decompressed(chunk)
@@ -157,7 +168,8 @@ def _decompressed(chunk: StoredChunk) -> bytes:
             raise ValueError("content size")
         return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.size)
     if chunk.compression == "lz4":
-        content: bytes = lz4.frame.decompress(chunk.data)
+        # One byte more than declared tells that there is more.
+        content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, chunk.size + 1)
         return content
     if chunk.compression == "":
         return bytes(chunk.data)
@@ -177,7 +189,7 @@ def stored_index(content: memoryview, offset: int) -> tuple[int, NDArray[np.uint
     raise damaged(offset, "the message index record cannot be read")
 
 
-def index_of(content: bytes | memoryview, offset: int) -> Index:
+def index_of(content: bytes, offset: int) -> Index:
     """The message index of a chunk, found by going through its records.
 
     Parameters
@@ -186,16 +198,47 @@ def index_of(content: bytes | memoryview, offset: int) -> Index:
         The chunk's content, decompressed.
     offset : int
         Where the chunk stands in the file, for errors.
+
+    Raises
+    ------
+    LogError
+        If the content is not one record after the other.
     """
-    found: dict[int, list[tuple[int, int]]] = {}
+    return gone_through(content, offset)[0]
+
+
+def gone_through(content: bytes, offset: int) -> tuple[Index, list[tuple[int, memoryview]]]:
+    """The message index of a chunk, and opcode and content of its schemas and channels.
+
+    Parameters and errors as `index_of`.
+    """
+    entries: dict[int, array[int]] = {}
+    declared = []
     try:
         for at, opcode, body in records(memoryview(content)):
             if opcode == Opcode.MESSAGE:
-                channel, _, time = struct.unpack_from("<HIQ", body)
-                found.setdefault(channel, []).append((time, at))
+                channel, _, time, _ = _MESSAGE_HEAD.unpack_from(body)
+                if channel not in entries:
+                    entries[channel] = array("Q")
+                entries[channel].extend((time, at))
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                declared.append((opcode, body))
     except (LogError, struct.error) as error:
         raise damaged(offset, "the records in a chunk cannot be told apart") from error
-    return {channel: np.array(pairs, dtype=np.uint64) for channel, pairs in found.items()}
+    index = {
+        channel: np.frombuffer(pairs, dtype=np.uint64).reshape(-1, 2)
+        for channel, pairs in entries.items()
+    }
+    return index, declared
+
+
+def largest_chunk(file_size: int) -> int:
+    """How long a chunk of a file may claim to be when decompressed [bytes].
+
+    A few bytes can claim, and even hold, a gigabyte; the memory must stay in proportion to the
+    file.
+    """
+    return min(_LARGEST_CHUNK, max(_ALWAYS_ALLOWED, _MOST_EXPANDED * file_size))
 
 
 def message_data(content: bytes, offset: int, channel: int) -> tuple[int, bytes] | None:

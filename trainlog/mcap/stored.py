@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 
 from isal import isal_zlib
 from mcap.opcode import Opcode
@@ -17,6 +18,7 @@ from trainlog.mcap.records import (
     Index,
     StoredChunk,
     index_of,
+    largest_chunk,
     opened,
     stored_chunk,
     stored_index,
@@ -111,7 +113,7 @@ def fetched(source: Source, place: ChunkPlace) -> StoredChunk:
         except LogError as error:
             raise MisplacedError(error.problem, place=error.place, remedy=error.remedy) from error
         if (chunk.compression, chunk.size) == (place.compression, place.size):
-            return chunk
+            return replace(chunk, limit=largest_chunk(source.size))
     raise MisplacedError(
         "the chunk is not where the summary says",
         place=f"byte {place.offset}",
