@@ -35,11 +35,8 @@ ODOMETER_STD = 0.1
 FIX_STD = 5.0
 """Standard deviation of a fix along the track [m] where the receiver gives none."""
 
-GEOMETRY_STD = 2.0
-"""Standard deviation of a good line's own geometry [m]."""
-
-MULTIPATH_TIME = 30.0
-"""Time over which the error of a fix stays the same [s]: fixes closer together say less each."""
+LONGEST_OUTAGE = 600.0
+"""Through longer gaps [s] nothing is estimated: the train may have been anywhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +67,13 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
     geometry = line.geometry if line is not None else None
     if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
         fixes = _fixes(trip)
-        matched = chainage_of(geometry, fixes, gated=profile.repair.off_line)
-        off = int(np.count_nonzero(matched.rejected))
-        findings = (Finding("off_line", off, (), "/gnss/fix"),) if off else ()
+        matched = chainage_of(
+            geometry, fixes, gated=profile.repair.off_line, slip_aware=profile.repair.slip
+        )
         told = {"line.misfit": f"{matched.misfit:.1f}"}
         usable = np.isfinite(matched.chainage).sum() > 1
-        return Estimate(_smoothed_fixes(fixes, matched) if usable else None, findings, told)
+        frame = _smoothed_fixes(fixes, matched) if usable else None
+        return Estimate(frame, _findings(matched), told)
     start = profile.trip.start_position
     if start is None or "/train/state" not in trip:
         return Estimate()
@@ -92,44 +90,79 @@ def _seconds(index: pd.DatetimeIndex) -> FloatArray:
 
 
 def _fixes(trip: Trip) -> Fixes:
-    """Fixes and satellite speeds of a trip on one clock."""
+    """Fixes, satellite speeds and wheel speeds of a trip on one clock, rows in its outages too."""
     frame = trip["/gnss/fix"]
     if "/gnss/motion" in trip:
         frame = frame.join(trip["/gnss/motion"], how="outer")
+    index = pd.DatetimeIndex(frame.index)
+    wheels = _wheels(trip, index)
+    if wheels is not None:
+        index = index.union(pd.DatetimeIndex(wheels.index))
+    index = _bridged(index)
+    frame = frame.reindex(index)
     absent = np.full(len(frame), np.nan)
     columns = {name: frame[name].to_numpy(np.float64) for name in frame.columns}
     accuracy = columns["horizontal_accuracy"]
     told = columns.get("speed_accuracy", absent)
     speed_std = np.maximum(np.where(told > 0.0, told, SPEED_STD), SMALLEST_SPEED_STD)
     speed = columns.get("speed", absent)
+    turning = None
+    if wheels is not None:
+        turning = np.asarray(wheels.reindex(index), dtype=np.float64)
     return Fixes(
-        index=pd.DatetimeIndex(frame.index),
-        seconds=_seconds(pd.DatetimeIndex(frame.index)),
+        index=index,
+        seconds=_seconds(index),
         latitude=columns["latitude"],
         longitude=columns["longitude"],
         std=np.where(accuracy > 0.0, accuracy, FIX_STD),
         speed=np.where(speed < STANDSTILL_STDS * speed_std, 0.0, speed),
         speed_std=speed_std,
+        wheel_speed=turning,
+        wheel_speed_std=None if turning is None else np.full(turning.size, ODOMETER_STD),
+    )
+
+
+def _wheels(trip: Trip, index: pd.DatetimeIndex) -> pd.Series[float] | None:
+    """Speed from the wheels from the first to the last fix, if the trip has one."""
+    if "/train/state" not in trip:
+        return None
+    speed = trip["/train/state"]["speed"].loc[index[0] : index[-1]]
+    return speed if speed.notna().any() else None
+
+
+def _bridged(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
+    """The times, and further ones in the gaps between them, a usual step apart."""
+    time = index.as_unit("ns").asi8
+    steps = np.diff(time)
+    usual = int(np.median(steps))
+    lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_OUTAGE * 1e9))
+    count = steps[lost] // usual
+    start, width = np.repeat(time[lost], count), np.repeat(steps[lost] / count, count)
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    extra = start + (within * width).astype(np.int64)
+    return pd.DatetimeIndex(np.union1d(time, extra), tz="UTC", name=index.name)
+
+
+def _findings(matched: Matched) -> tuple[Finding, ...]:
+    """What was set aside, by rule."""
+    counts = (
+        ("off_line", matched.rejected, "/gnss/fix"),
+        ("slip", matched.slipping, "/train/state.speed"),
+    )
+    return tuple(
+        Finding(rule, int(np.count_nonzero(flags)), (), column)
+        for rule, flags, column in counts
+        if flags.any()
     )
 
 
 def _smoothed_fixes(fixes: Fixes, matched: Matched) -> pd.DataFrame:
-    """Smoothed motion from chainage and speed, over the span in which fixes were matched."""
+    """Smoothed motion over the span in which fixes were matched."""
     known = np.flatnonzero(np.isfinite(matched.chainage))
     span = slice(int(known[0]), int(known[-1]) + 1)
-    step = float(np.median(np.diff(fixes.seconds[known])))
-    # White noise of this size says as much, taken together, as errors that last.
-    inflation = np.sqrt(max(1.0, 2.0 * MULTIPATH_TIME / step))
-    motion = smooth_motion(
-        fixes.seconds[span],
-        fixes.speed[span],
-        fixes.speed_std[span],
-        matched.chainage[span],
-        np.hypot(fixes.std[span], GEOMETRY_STD) * inflation,
-    )
     # Where the line itself is misplaced no number of fixes helps.
-    std = np.hypot(motion.position_std, matched.misfit)
-    return _frame(fixes.index[span], replace(motion, position_std=std), 0.0)
+    std = np.hypot(matched.motion.position_std, matched.misfit)
+    return _frame(fixes.index, replace(matched.motion, position_std=std), 0.0).iloc[span]
 
 
 def _frame(index: pd.DatetimeIndex, motion: SmoothedMotion, start: float) -> pd.DataFrame:

@@ -265,6 +265,7 @@ class Repair(_Strict):
     inconsistent: bool = True
     gaps: bool = True
     off_line: bool = True
+    slip: bool = True
 
     @property
     def switched_off(self) -> tuple[str, ...]:

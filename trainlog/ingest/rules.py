@@ -52,8 +52,9 @@ RULES = (
     Rule("inconsistent", "keep", checks.refuse_inconsistent),
     Rule("gaps", "keep", clock.count_gaps),
     Rule("off_line", "keep"),
+    Rule("slip", "keep"),
 )
-"""Every rule by the order of its application; `off_line` is applied where chainage is estimated."""
+"""Every rule by the order of its application; the last two where chainage is estimated."""
 
 
 def refuse_switched_off(findings: tuple[Finding, ...], repair: Repair) -> None:

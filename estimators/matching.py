@@ -1,0 +1,144 @@
+"""Which way a train took among the places its fixes may mean: the best chain of candidates.
+
+Viterbi's algorithm over the candidates of each fix, with the fixes that fit no chain left out.
+
+References
+----------
+Newson, P., Krumm, J. (2009), Hidden Markov map matching through noise and sparseness, ACM GIS:
+the distance along the road against that between the fixes, where no speed was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+REWARD = 2.5
+"""What a fix in the chain is worth, in units of log-likelihood: 2.2 standard deviations."""
+
+LOOK_BACK = 100
+"""Fixes that may be left out between two of the chain."""
+
+FASTEST = 100.0
+"""No train gains more chainage than this [m/s]."""
+
+TURN_SHARE, IDLE_SPEED = 0.3, 2.0
+"""Without a speed the distance driven is that between the fixes with a standard deviation of this
+share of it, and of this [m/s] for a train that went and came or hardly moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Fixes that may be in the chain, and their candidates.
+
+    Attributes
+    ----------
+    seconds : (n,) array [s]
+    east, north : (n,) arrays [m]
+    std : (n,) array [m]
+    driven : (n,) array [m]
+        Distance driven since the first; NaN throughout where no speed is known.
+    driven_variance : (n,) array [m²]
+        Of `driven`, growing.
+    first : (n + 1,) int array
+        Number of the first candidate of each fix.
+    chainage, distance : (m,) arrays [m]
+        Of the candidates, and how far from the fix.
+    """
+
+    seconds: FloatArray
+    east: FloatArray
+    north: FloatArray
+    std: FloatArray
+    driven: FloatArray
+    driven_variance: FloatArray
+    first: IntArray
+    chainage: FloatArray
+    distance: FloatArray
+
+
+def best_chain(nodes: Nodes, way: float) -> tuple[float, IntArray]:
+    """The chain of candidates that fits best, and what it is worth.
+
+    Each fix in the chain is worth `REWARD`, less half its squared distance from the line and half
+    the squared difference between chainage gained and distance driven, both over their variances.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    way : float
+        1.0 where chainage grows in the direction of travel, -1.0 where it falls.
+
+    Returns
+    -------
+    worth : float
+    chosen : (n,) int array
+        Number of the candidate of each fix, -1 for fixes left out.
+    """
+    n = nodes
+    worth, before = _viterbi(
+        n.seconds, n.east, n.north, n.std, n.driven, n.driven_variance,
+        n.first, n.chainage, n.distance, way,
+    )  # fmt: skip
+    chosen = np.full(n.seconds.size, -1, dtype=np.int64)
+    if not worth.size:
+        return 0.0, chosen
+    at = int(np.argmax(worth))
+    best = float(worth[at])
+    owner = np.repeat(np.arange(n.seconds.size), np.diff(n.first))
+    while at >= 0:
+        chosen[owner[at]] = at
+        at = int(before[at])
+    return best, chosen
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _viterbi(
+    seconds: FloatArray,
+    east: FloatArray,
+    north: FloatArray,
+    std: FloatArray,
+    driven: FloatArray,
+    driven_variance: FloatArray,
+    first: IntArray,
+    chainage: FloatArray,
+    distance: FloatArray,
+    way: float,
+) -> tuple[FloatArray, IntArray]:
+    worth = np.zeros(chainage.size)
+    before = np.full(chainage.size, -1, dtype=np.int64)
+    for i in range(seconds.size):
+        for c in range(first[i], first[i + 1]):
+            own = REWARD - 0.5 * (distance[c] / std[i]) ** 2
+            best = 0.0
+            seen = 0
+            for j in range(i - 1, -1, -1):
+                if first[j + 1] == first[j]:
+                    continue
+                seen += 1
+                if seen > LOOK_BACK:
+                    break
+                elapsed = seconds[i] - seconds[j]
+                variance = std[i] ** 2 + std[j] ** 2
+                if np.isnan(driven[i]):
+                    step = np.hypot(east[i] - east[j], north[i] - north[j])
+                    variance += (TURN_SHARE * step) ** 2 + (IDLE_SPEED * elapsed) ** 2
+                else:
+                    step = driven[i] - driven[j]
+                    variance += driven_variance[i] - driven_variance[j]
+                for d in range(first[j], first[j + 1]):
+                    gained = way * (chainage[c] - chainage[d])
+                    if gained > FASTEST * elapsed + 4.0 * np.sqrt(variance):
+                        continue
+                    value = worth[d] - 0.5 * (gained - step) ** 2 / variance
+                    if value > best:
+                        best = value
+                        before[c] = d
+            worth[c] = own + best
+    return worth, before
