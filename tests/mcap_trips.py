@@ -16,13 +16,15 @@ PROVENANCE = ({"step": "simulate", "seed": 7, "inputs": {"line.json": "ab" * 32}
 ATTACHMENTS = {"line.json": b'{"format": "trainlog/line"}', "notes": bytes(range(256))}
 
 
-def trip_of(rows: int = 60, axles: int = 4, topics: list[str] | None = None) -> Trip:
-    """A trip with every topic (or those named), 10 Hz, all values different, some absent."""
+def trip_of(
+    rows: int = 60, axles: int = 4, topics: list[str] | None = None, step: int = 10**8
+) -> Trip:
+    """A trip with every topic (or those named), `step` ns a row, all values different or absent."""
     frames = {}
     for number, topic in enumerate(TOPICS.values()):
         if topics is not None and topic.name not in topics:
             continue
-        time = START + np.arange(rows) * 10**8 + number
+        time = START + np.arange(rows) * step + number
         frames[topic.name] = frame_of(topic, time, values_of(topic, rows, axles, seed=number))
     return Trip(frames, dict(METADATA), PROVENANCE, dict(ATTACHMENTS))
 

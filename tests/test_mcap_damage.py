@@ -30,8 +30,9 @@ FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 
 @pytest.fixture(scope="module")
 def trip() -> Trip:
-    # 30 s: three chunks.
-    return trip_of(rows=300, topics=[TRAIN_STATE.name, TRAIN_AXLES.name, EVENTS.name])
+    # Three minutes: three chunks.
+    topics = [TRAIN_STATE.name, TRAIN_AXLES.name, EVENTS.name]
+    return trip_of(rows=300, topics=topics, step=6 * 10**8)
 
 
 @pytest.fixture(scope="module")

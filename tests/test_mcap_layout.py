@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -11,13 +12,19 @@ from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainlog.mcap.layout import LOG_TIME, MESSAGE, Value, gather, layout, scatter, varint
-from trainlog.mcap.samples import fix_codec, sample_codec
-from trainlog.mcap.schemas import WireField, descriptor_set
+from trainlog.mcap.chunks import plan_of
+from trainlog.mcap.layout import MESSAGE, Value, gather, layout, scatter, varint
+from trainlog.mcap.schemas import descriptor_set
+from trainlog.mcap.streams import stream_of
 from trainlog.topics import GNSS_FIX, TOPICS, Topic
 from trainlog.trip import frame_of
 
 FORM = layout(3, [b"\x09", Value("a", "<f8"), b"\x12\x10", Value("b", "<f8", 2)])
+
+
+def record_of(topic: Topic, frame: pd.DataFrame) -> bytes:
+    """The only record of a frame of one row."""
+    return bytes(plan_of([stream_of(topic, frame, 1)]).chunk(0).data)
 
 
 def test_the_template_has_the_constants_in_place() -> None:
@@ -83,9 +90,9 @@ def test_varints(number: int) -> None:
 @pytest.mark.parametrize("time", [0, 1, 10**9 - 1, 10**9, 1_700_000_000 * 10**9 + 5, 2**63 - 1])
 def test_padded_time_stamps_are_read_by_protobuf(time: int) -> None:
     data = {"latitude": [47.4], "longitude": [9.4], "horizontal_accuracy": [3.0]}
-    rows = fix_codec(1).encode(frame_of(GNSS_FIX, np.array([time]), data))
-    fix = LocationFix.FromString(rows.tobytes()[MESSAGE.size :])
-    assert fix.timestamp.ToNanoseconds() == time == int(rows[LOG_TIME][0])
+    record = record_of(GNSS_FIX, frame_of(GNSS_FIX, np.array([time]), data))
+    fix = LocationFix.FromString(record[MESSAGE.size :])
+    assert fix.timestamp.ToNanoseconds() == time == MESSAGE.unpack_from(record)[4]
     assert (fix.latitude, fix.longitude) == (47.4, 9.4)
     assert np.isnan(fix.altitude)
     assert fix.position_covariance_type == LocationFix.DIAGONAL_KNOWN
@@ -109,7 +116,5 @@ def test_bytes_are_those_that_protobuf_writes(topic: Topic) -> None:
     }
     row = {key: np.reshape(each, (1, -1) if np.ndim(each) else 1) for key, each in values.items()}
     frame = frame_of(topic, np.array([5]), row)
-    fields = [WireField(f.name, n, f.per_axle) for n, f in enumerate(topic.fields, start=1)]
-    codec = sample_codec(1, fields, {f.name: axles for f in topic.fields if f.per_axle})
-    data = codec.encode(frame).tobytes()[MESSAGE.size :]
+    data = record_of(topic, frame)[MESSAGE.size :]
     assert data == message(**values).SerializeToString(deterministic=True)

@@ -29,12 +29,19 @@ _REMEDIES = {
 
 
 @contextmanager
-def atomic_write(path: str | Path) -> Iterator[Path]:
+def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
     """Write a file whole or not at all.
 
     Yields a temporary path beside the target, with the target's suffix. When the block succeeds
     the temporary file takes the target's place; when it fails, also by interruption, the temporary
     file is removed and an older target stays as it was.
+
+    Parameters
+    ----------
+    path : path
+    sync : bool
+        Whether to wait until the disk has the file before it takes its place, so that it is whole
+        after a power cut too. Without, it is whole whatever becomes of this program.
 
     Raises
     ------
@@ -51,7 +58,8 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         _refuse_writing(path, error)
     try:
         yield temporary
-        _flush_to_disk(temporary)
+        if sync:
+            _flush_to_disk(temporary)
         temporary.replace(target)
     except OSError as error:
         temporary.unlink(missing_ok=True)

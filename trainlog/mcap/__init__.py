@@ -9,7 +9,7 @@ from trainlog.mcap.describe import (
 )
 from trainlog.mcap.foreign import ForeignFrames, Skipped, frames_of
 from trainlog.mcap.reader import read_log
-from trainlog.mcap.writer import write_log
+from trainlog.mcap.writer import LogWriter, write_log
 
 __all__ = [
     "Account",
@@ -17,6 +17,7 @@ __all__ = [
     "DamageWarning",
     "ForeignFrames",
     "LogDescription",
+    "LogWriter",
     "Loss",
     "Skipped",
     "TopicDescription",

@@ -15,7 +15,7 @@ _HIGHEST_LEVEL = 5
 
 
 def encode_events(channel: int, frame: pd.DataFrame) -> list[bytes]:
-    """The message records of an event frame's rows.
+    """The message records of an event frame's rows, their sequence numbers zero.
 
     Raises
     ------
@@ -25,14 +25,12 @@ def encode_events(channel: int, frame: pd.DataFrame) -> list[bytes]:
     times = pd.DatetimeIndex(frame.index).as_unit("ns").asi8.tolist()
     records = []
     texts = zip(_texts(frame, "message"), _texts(frame, "name"), strict=True)
-    for row, (time, level, (message, name)) in enumerate(
-        zip(times, _levels(frame), texts, strict=True)
-    ):
+    for time, level, (message, name) in zip(times, _levels(frame), texts, strict=True):
         log = Log(level=level, message=message, name=name)
         log.timestamp.seconds, log.timestamp.nanos = divmod(time, 10**9)
         data = log.SerializeToString(deterministic=True)
         length = MESSAGE.size - RECORD_HEAD + len(data)
-        head = MESSAGE.pack(Opcode.MESSAGE, length, channel, row & 0xFFFFFFFF, time, time)
+        head = MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time, time)
         records.append(head + data)
     return records
 

@@ -69,6 +69,10 @@ class Layout:
         """Length of one record, head included [bytes]."""
         return len(self.template)
 
+    def place(self, name: str) -> int:
+        """Where a value begins in a record [bytes]."""
+        return int(self.record.fields[name][1])  # type: ignore[index]
+
     def rows(self, count: int) -> NDArray[np.void]:
         """`count` records with the constant bytes in place."""
         blank = np.full(count, np.void(self.template), dtype=f"V{self.size}")

@@ -1,11 +1,11 @@
 """Messages of numbers: ``trainlog.*`` and ``foxglove.LocationFix``, as arrays.
 
-A codec knows one channel: it turns a frame into message records and records into columns.
+A codec knows one channel: it turns columns into message records and records into columns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -14,7 +14,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.layout import LOG_TIME, PUBLISH_TIME, SEQUENCE, Layout, Value, layout, varint
+from trainlog.mcap.fill import FixedRecords
+from trainlog.mcap.layout import Layout, Value, layout, varint
 from trainlog.mcap.schemas import WireField
 
 Columns = dict[str, Any]
@@ -32,8 +33,12 @@ class Codec(Protocol):
     def layout(self) -> Layout:
         """Where the bytes of a message are."""
 
-    def encode(self, frame: pd.DataFrame) -> NDArray[np.void]:
-        """The message records of the frame's rows."""
+    @property
+    def names(self) -> list[str]:
+        """The columns that a frame of the channel has in full."""
+
+    def encode(self, time: NDArray[np.int64], table: NDArray[np.float64]) -> FixedRecords:
+        """The message records of a table: one row a column of `names`, one column a message."""
 
     def columns(self, rows: NDArray[np.void]) -> Columns | None:
         """The columns that message records hold; None if they do not fit after all."""
@@ -55,15 +60,23 @@ class SampleCodec:
     fields: tuple[WireField, ...]
     axles: dict[str, int]
 
-    def encode(self, frame: pd.DataFrame) -> NDArray[np.void]:
-        """The message records of the frame's rows."""
-        rows = _stamped(self.layout, frame)
+    @property
+    def names(self) -> list[str]:
+        """The columns that a frame of the channel has in full."""
+        return [name for name, _ in self._places()]
+
+    def encode(self, time: NDArray[np.int64], table: NDArray[np.float64]) -> FixedRecords:
+        """The message records of a table: one row a column of `names`, one column a message."""
+        places = [place for _, place in self._places()]
+        return _records(self.layout, table, places, np.empty((len(time), 0), np.uint8), [])
+
+    def _places(self) -> Iterator[tuple[str, int]]:
+        """Each column and where its value stands in a record."""
         for field in self.fields:
             if not field.repeated:
-                rows[field.name] = _doubles(frame, field.name)
+                yield field.name, self.layout.place(field.name)
             for axle in range(self.axles.get(field.name, 0)):
-                rows[field.name][:, axle] = _doubles(frame, f"{field.name}_{axle + 1}")
-        return rows
+                yield f"{field.name}_{axle + 1}", self.layout.place(field.name) + 8 * axle
 
     def columns(self, rows: NDArray[np.void]) -> Columns:
         """The columns that message records hold."""
@@ -95,22 +108,27 @@ class FixCodec:
 
     layout: Layout
 
-    def encode(self, frame: pd.DataFrame) -> NDArray[np.void]:
-        """The message records of the frame's rows."""
-        rows = _stamped(self.layout, frame)
-        for name in ("latitude", "longitude", "altitude"):
-            rows[name] = _doubles(frame, name)
-        horizontal = _doubles(frame, "horizontal_accuracy")
-        vertical = _doubles(frame, "vertical_accuracy")
+    @property
+    def names(self) -> list[str]:
+        """The columns that a frame of the channel has in full."""
+        return ["latitude", "longitude", "altitude", "horizontal_accuracy", "vertical_accuracy"]
+
+    def encode(self, time: NDArray[np.int64], table: NDArray[np.float64]) -> FixedRecords:
+        """The message records of a table: one row a column of `names`, one column a message."""
         with np.errstate(over="ignore", under="ignore"):
-            rows["east"] = rows["north"] = horizontal**2
-            rows["up"] = vertical**2
-        known = ~(np.isnan(horizontal) & np.isnan(vertical))
-        rows["covariance_type"] = np.where(known, _DIAGONAL_KNOWN, _UNKNOWN)
-        seconds, nanoseconds = np.divmod(rows[LOG_TIME], np.uint64(10**9))
-        rows["seconds"] = _padded_varint(seconds)
-        rows["nanoseconds"] = _padded_varint(nanoseconds)
-        return rows
+            horizontal, vertical = table[3:] ** 2
+        words = np.stack([*table[:3], horizontal, horizontal, vertical])
+        places = [self.layout.place(name) for name in _FIX_WORDS]
+        kind = np.where(np.all(np.isnan(table[3:]), axis=0), _UNKNOWN, _DIAGONAL_KNOWN)
+        seconds, nanoseconds = np.divmod(time.astype(np.uint64), np.uint64(10**9))
+        octets = np.concatenate(
+            [kind.astype(np.uint8)[:, None], _padded_varint(seconds), _padded_varint(nanoseconds)],
+            axis=1,
+        )
+        stamps = (self.layout.place("seconds"), self.layout.place("nanoseconds"))
+        octet_places = [self.layout.place("covariance_type")]
+        octet_places += [stamp + byte for stamp in stamps for byte in range(5)]
+        return _records(self.layout, words, places, octets, octet_places)
 
     def columns(self, rows: NDArray[np.void]) -> Columns | None:
         """The columns that message records hold; None if the covariance type is a longer varint."""
@@ -120,6 +138,9 @@ class FixCodec:
         found = {name: rows[name] for name in ("latitude", "longitude", "altitude")}
         return found | accuracies(kind, rows["east"], rows["north"], rows["up"])
 
+
+_FIX_WORDS = ("latitude", "longitude", "altitude", "east", "north", "up")
+"""The doubles of a position, in the order in which `FixCodec.encode` gives them."""
 
 _UNKNOWN, _DIAGONAL_KNOWN, _KNOWN = 0, 2, 3
 """Values of LocationFix.PositionCovarianceType."""
@@ -155,34 +176,49 @@ def fix_codec(channel: int) -> FixCodec:
     return FixCodec(layout(channel, body))
 
 
-def _stamped(form: Layout, frame: pd.DataFrame) -> NDArray[np.void]:
-    """Records for the frame's rows with their times and sequence numbers."""
-    rows = form.rows(len(frame))
-    time = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
-    rows[LOG_TIME] = rows[PUBLISH_TIME] = time
-    rows[SEQUENCE] = np.arange(len(frame), dtype=np.uint64).astype(np.uint32)
-    return rows
-
-
-def _doubles(frame: pd.DataFrame, column: str) -> NDArray[np.float64]:
-    """A column as doubles: NaN where it is absent, and one bit pattern for every NaN.
+def table_of(frame: pd.DataFrame, names: Sequence[str]) -> NDArray[np.float64]:
+    """The frame's columns `names` as the rows of a table; NaN where a column is absent.
 
     Raises
     ------
     LogError
-        If the column holds something that is not a number.
+        If a column holds something that is not a number.
     """
-    if column not in frame:
-        return np.full(len(frame), np.nan)
+    if list(frame.columns) == list(names) and bool((frame.dtypes == np.float64).all()):
+        # The frame's own memory, as pandas keeps columns of one kind.
+        return np.ascontiguousarray(frame.to_numpy().T)
+    table = np.full((len(names), len(frame)), np.nan)
+    for row, name in zip(table, names, strict=True):
+        if name in frame:
+            row[:] = _doubles(frame, name)
+    return table
+
+
+def _doubles(frame: pd.DataFrame, column: str) -> NDArray[np.float64]:
     try:
-        values = frame[column].to_numpy(dtype=np.float64, na_value=np.nan)
+        return frame[column].to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError) as error:
         raise LogError(
             f"column {column} holds something that is not a number",
             place=frame.attrs.get("topic"),
             remedy="give numbers in SI units, NaN where there is none",
         ) from error
-    return np.where(np.isnan(values), np.nan, values)
+
+
+def _records(
+    form: Layout,
+    words: NDArray[np.float64],
+    places: list[int],
+    octets: NDArray[np.uint8],
+    octet_places: list[int],
+) -> FixedRecords:
+    return FixedRecords(
+        np.frombuffer(form.template, dtype=np.uint8),
+        words,
+        np.array(places, dtype=np.int64),
+        octets,
+        np.array(octet_places, dtype=np.int64),
+    )
 
 
 def accuracies(

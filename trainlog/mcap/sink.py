@@ -35,8 +35,11 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-COMPRESSION_LEVEL = 3
-"""Of zstd: a tenth smaller than level 1, for a quarter of the speed."""
+COMPRESSION = zstandard.ZstdCompressionParameters.from_level(
+    3, source_size=2**20, hash_log=18, write_content_size=True
+)
+"""Level 3 of zstd: a tenth smaller than level 1, for a quarter of the speed. Its longer table of
+matches is worth a hundredth of the size and costs nothing."""
 
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 """Opcode, length, first and last log time, size, checksum, length of the compression's name."""
@@ -98,7 +101,7 @@ class _Compressor(threading.local):
     """One compressor a thread: its tables are a megabyte, and are set up once."""
 
     def __init__(self) -> None:
-        self.zstd = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
+        self.zstd = zstandard.ZstdCompressor(compression_params=COMPRESSION)
 
 
 _compressor = _Compressor()

@@ -10,47 +10,63 @@ from trainlog.errors import LogError
 from trainlog.mcap.channels import channel_of, schema_of
 from trainlog.mcap.chunks import Stream
 from trainlog.mcap.events import encode_events
-from trainlog.mcap.samples import fix_codec, sample_codec
+from trainlog.mcap.fill import ListedRecords, Records
+from trainlog.mcap.samples import Codec, fix_codec, sample_codec, table_of
 from trainlog.mcap.schemas import WireField
 from trainlog.topics import EVENTS, TOPICS, Topic, column_field
 from trainlog.trip import Trip
 
 
-def streams_of(trip: Trip) -> list[Stream]:
-    """The streams of a trip's topics, in the order of the table.
+def topics_of(trip: Trip) -> list[Topic]:
+    """The topics that a trip has frames of, in the order of the table.
 
     Raises
     ------
     LogError
-        If a frame does not fit the table of topics, or its times run backwards.
+        If the table does not have one of them.
     """
     for name in trip.topics:
-        if name not in TOPICS:
-            raise LogError(f"there is no topic {name}", remedy=f"topics are {', '.join(TOPICS)}")
-    present = [topic for topic in TOPICS.values() if topic.name in trip.topics]
-    return [
-        _stream(topic, trip.topics[topic.name], number)
-        for number, topic in enumerate(present, start=1)
-    ]
+        known_topic(name)
+    return [topic for topic in TOPICS.values() if topic.name in trip.topics]
 
 
-def _stream(topic: Topic, frame: pd.DataFrame, number: int) -> Stream:
-    """The stream of one frame; channel and schema are both called `number`."""
+def known_topic(name: str) -> Topic:
+    """The topic called `name`; LogError if the table does not have it."""
+    try:
+        return TOPICS[name]
+    except KeyError:
+        raise LogError(
+            f"there is no topic {name}", remedy=f"topics are {', '.join(TOPICS)}"
+        ) from None
+
+
+def stream_of(topic: Topic, frame: pd.DataFrame, number: int) -> Stream:
+    """The stream of one frame; channel and schema are both called `number`.
+
+    Raises
+    ------
+    LogError
+        If the frame does not fit the table of topics, or its times run backwards.
+    """
     time = _time(topic, frame)
     axles = _axles(topic, frame)
-    records: NDArray[np.void] | list[bytes]
+    records: Records
     if topic is EVENTS:
-        records = encode_events(number, frame)
-    elif topic.foxglove:
-        records = fix_codec(number).encode(frame)
+        records = ListedRecords(encode_events(number, frame))
     else:
-        fields = [
-            WireField(field.name, at, field.per_axle)
-            for at, field in enumerate(topic.fields, start=1)
-        ]
-        records = sample_codec(number, fields, axles).encode(frame)
-    schema = schema_of(topic, number)
-    return Stream(channel_of(topic, number, schema.id, axles), schema, time, records)
+        codec = codec_for(topic, number, axles)
+        records = codec.encode(time, table_of(frame, codec.names))
+    return Stream(channel_of(topic, number, number, axles), schema_of(topic, number), time, records)
+
+
+def codec_for(topic: Topic, channel: int, axles: dict[str, int]) -> Codec:
+    """How the messages of a topic's channel are laid out; not for events."""
+    if topic.foxglove:
+        return fix_codec(channel)
+    fields = [
+        WireField(field.name, at, field.per_axle) for at, field in enumerate(topic.fields, start=1)
+    ]
+    return sample_codec(channel, fields, axles)
 
 
 def _time(topic: Topic, frame: pd.DataFrame) -> NDArray[np.int64]:

@@ -2,27 +2,42 @@
 
 from __future__ import annotations
 
-import json
+import os
+import sys
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
-
-from mcap.records import Attachment, Metadata
+from types import TracebackType
+from typing import BinaryIO
 
 from trainlog.errors import LogError
 from trainlog.formats.files import atomic_write
-from trainlog.mcap.chunks import Stream, chunks
+from trainlog.mcap.chunks import Plan, Stream, plan_of
 from trainlog.mcap.errors import in_file
-from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
-from trainlog.mcap.sink import Sink, packed
-from trainlog.mcap.streams import streams_of
-from trainlog.topics import SCHEMA_VERSION
+from trainlog.mcap.facts import attachment_of, metadata_records
+from trainlog.mcap.sink import PackedChunk, Sink, packed
+from trainlog.mcap.streams import stream_of, topics_of
 from trainlog.trip import Trip
 
 
-def write_log(trip: Trip, path: str | Path) -> None:
+def write_log(
+    trip: Trip, path: str | Path, *, threads: int | None = None, sync: bool = False
+) -> None:
     """Write a trip as an MCAP file, whole or not at all.
 
     The same trip gives the same bytes. Absent columns and NaN are written as NaN, which reads as
     absent.
+
+    Parameters
+    ----------
+    trip : Trip
+    path : path
+    threads : int, optional
+        That lay out and compress. Default: one a processor, at most four.
+    sync : bool
+        Whether to wait until the disk has it: the file then outlasts a power cut, not only the end
+        of this program.
 
     Raises
     ------
@@ -32,73 +47,152 @@ def write_log(trip: Trip, path: str | Path) -> None:
     InputError
         If `path` cannot be written.
     """
-    with in_file(path):
-        streams = streams_of(trip)
-        described = _metadata(trip)
-    with atomic_write(path) as temporary, temporary.open("wb") as stream:
-        _write(streams, described, trip.attachments, Sink(stream))
+    with LogWriter(path, threads=threads, sync=sync) as log:
+        log.add(trip)
 
 
-def _write(
-    streams: list[Stream], described: list[Metadata], attachments: dict[str, bytes], sink: Sink
-) -> None:
-    """The whole file. What explains it comes first, so that a cut file still has it."""
-    for stream in streams:
+class LogWriter:
+    """A log written piece by piece, for trips larger than the memory; whole or not at all.
+
+        with LogWriter("long.mcap") as log:
+            for piece in pieces:
+                log.add(piece)
+
+    The pieces follow each other in time. Metadata, provenance and attachments are those of the
+    first. When the block ends the file takes its place; when it fails there is no file, and an
+    older one stays as it was. The bytes are those that `write_log` gives for the whole trip, if
+    all its topics are in the first piece and no two pieces share an instant.
+
+    Parameters
+    ----------
+    path : path
+    threads, sync
+        As for `write_log`.
+    """
+
+    def __init__(self, path: str | Path, *, threads: int | None = None, sync: bool = False) -> None:
+        self._path = path
+        self._threads = min(4, os.cpu_count() or 1) if threads is None else max(1, threads)
+        self._resources = ExitStack()
+        self._place = atomic_write(path, sync=sync)
+        self._sink: Sink | None = None
+        self._pending: dict[str, Stream] = {}
+        self._end = 0
+
+    def __enter__(self) -> LogWriter:
+        with ExitStack() as opening:
+            temporary = opening.enter_context(self._place)
+            self._file = opening.enter_context(temporary.open("wb"))
+            self._pool = opening.enter_context(ThreadPoolExecutor(self._threads))
+            self._resources = opening.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+        except BaseException:
+            self._resources.__exit__(*sys.exc_info())
+            raise
+        self._resources.__exit__(kind, error, trace)
+
+    def add(self, piece: Trip) -> None:
+        """Write the next piece.
+
+        Raises
+        ------
+        LogError
+            If it cannot be written, see `write_log`; if it begins before the piece before it ends,
+            or has another number of axles.
+        InputError
+            If the file cannot be written.
+        """
+        with in_file(self._path):
+            streams = self._checked(piece)
+            if self._sink is None:
+                self._sink = _opened(self._file, streams, piece)
+        for name, stream in streams.items():
+            self._sink.declare(stream.schema)
+            self._sink.declare(stream.channel)
+            held = self._pending.get(name)
+            self._pending[name] = stream if held is None else held.then(stream)
+        self._end = max([self._end, *_ends(streams)])
+        plan = plan_of(list(self._pending.values()))
+        last = max(0, len(plan) - 1)
+        self._write(plan, last)
+        if last:
+            self._pending = dict(zip(self._pending, plan.behind(last), strict=True))
+
+    def _checked(self, piece: Trip) -> dict[str, Stream]:
+        """The piece's streams, with the channels that their topics have in the file."""
+        streams: dict[str, Stream] = {}
+        for topic in topics_of(piece):
+            held = self._pending.get(topic.name)
+            number = len(self._pending.keys() | streams.keys()) + 1
+            stream = stream_of(topic, piece.topics[topic.name], held.channel.id if held else number)
+            if held and held.channel != stream.channel:
+                raise LogError(
+                    f"{topic.name} has another number of axles than in the piece before",
+                    remedy="give every piece the same columns",
+                )
+            streams[topic.name] = stream
+        starts = [int(stream.time[0]) for stream in streams.values() if len(stream.time)]
+        if starts and min(starts) < self._end:
+            raise LogError(
+                "a piece begins before the one before it ends",
+                remedy="add the pieces in the order of time",
+            )
+        return streams
+
+    def _write(self, plan: Plan, chunks: int) -> None:
+        """Write the first chunks of a plan, in order, however many threads make them."""
+        if self._sink is None:
+            return
+        if self._threads == 1 or chunks < 2:
+            for number in range(chunks):
+                self._sink.put_chunk(packed(plan.chunk(number)))
+            return
+        waiting: deque[Future[PackedChunk]] = deque()
+        for number in range(chunks):
+            waiting.append(self._pool.submit(_made, plan, number))
+            if len(waiting) > 2 * self._threads:
+                self._sink.put_chunk(waiting.popleft().result())
+        for future in waiting:
+            self._sink.put_chunk(future.result())
+
+    def _finish(self) -> None:
+        if self._sink is None:
+            self.add(Trip({}))
+        plan = plan_of(list(self._pending.values()))
+        self._write(plan, len(plan))
+        if self._sink is not None:
+            self._sink.finish()
+
+
+def _made(plan: Plan, number: int) -> PackedChunk:
+    return packed(plan.chunk(number))
+
+
+def _opened(file: BinaryIO, streams: dict[str, Stream], trip: Trip) -> Sink:
+    """The file begun: what explains it comes first, so that a cut file still has it."""
+    described = metadata_records(trip)
+    sink = Sink(file)
+    for stream in streams.values():
         sink.declare(stream.schema)
-    for stream in streams:
+    for stream in streams.values():
         sink.declare(stream.channel)
-    for record in described:
-        sink.put_metadata(record.name, record.metadata)
-    start = min((int(stream.time[0]) for stream in streams if len(stream.time)), default=0)
-    for name, content in sorted(attachments.items()):
+    for name, values in described.items():
+        sink.put_metadata(name, values)
+    start = min((int(each.time[0]) for each in streams.values() if len(each.time)), default=0)
+    for name, content in sorted(trip.attachments.items()):
         sink.put_attachment(attachment_of(name, content, start))
-    for chunk in chunks(streams):
-        sink.put_chunk(packed(chunk))
-    sink.finish()
+    return sink
 
 
-def attachment_of(name: str, content: bytes, time: int) -> Attachment:
-    """The attachment record of a file carried along since `time` [ns]."""
-    media = "application/json" if name.endswith(".json") else "application/octet-stream"
-    return Attachment(create_time=0, log_time=time, name=name, media_type=media, data=content)
-
-
-def _metadata(trip: Trip) -> list[Metadata]:
-    """The metadata records of a trip."""
-    described = {
-        FORMAT_RECORD: {"schema_version": str(SCHEMA_VERSION)},
-        TRIP_RECORD: dict(sorted(trip.metadata.items())),
-        PROVENANCE_RECORD: {
-            f"{number:04d}": _json(step, number)
-            for number, step in enumerate(trip.provenance, start=1)
-        },
-    }
-    for values in described.values():
-        for key, value in values.items():
-            _check_text(key, value)
-    for name in trip.attachments:
-        _check_text(name, name)
-    return [Metadata(name=name, metadata=values) for name, values in described.items()]
-
-
-def _json(step: object, number: int) -> str:
-    try:
-        return json.dumps(step, ensure_ascii=False, allow_nan=False, sort_keys=True)
-    except (TypeError, ValueError) as error:
-        raise LogError(
-            f"step {number} of the provenance is not JSON: {error}",
-            remedy="use text, finite numbers, lists and dictionaries with text keys",
-        ) from error
-
-
-def _check_text(key: object, value: object) -> None:
-    if not isinstance(key, str) or not isinstance(value, str):
-        raise LogError(
-            f"metadata {key!r} is {value!r}, not text", remedy="turn it into text with str()"
-        )
-    try:
-        f"{key}{value}".encode()
-    except UnicodeEncodeError as error:
-        raise LogError(
-            f"metadata {key!r} cannot be written as UTF-8", remedy="remove the broken characters"
-        ) from error
+def _ends(streams: dict[str, Stream]) -> list[int]:
+    return [int(stream.time[-1]) for stream in streams.values() if len(stream.time)]
