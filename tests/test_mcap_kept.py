@@ -1,7 +1,7 @@
 """Files of every version of the table of topics stay readable, with the values they were given.
 
-``data/log_version_1.mcap`` is `kept_trip` as written when version 1 was current. It is never
-written again; a later version gets a file of its own.
+Each file in `FILES` is `kept_trip` as written when its version, or its form, was current. None is
+ever written again; a later version, and another form of the same, gets a file of its own.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import SeekingReader
 from mcap_trips import assert_same
@@ -19,7 +20,21 @@ from trainlog.mcap import describe, read_log, write_log
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip, frame_of
 
-KEPT = Path(__file__).parent / "data" / "log_version_1.mcap"
+DATA = Path(__file__).parent / "data"
+
+FILES = {
+    # Chunks of ten seconds, the row as sequence number.
+    "log_version_1.mcap": "1",
+    # Chunks of a minute, sequence numbers that count by chunk.
+    "log_version_1_minutes.mcap": "1",
+}
+"""Kept files and their versions of the table of topics."""
+
+
+@pytest.fixture(params=FILES)
+def kept(request: pytest.FixtureRequest) -> Path:
+    return DATA / str(request.param)
+
 
 # What version 1 held, in full: the table of topics may grow, these columns may not go.
 COLUMNS = {
@@ -81,8 +96,8 @@ def kept_trip() -> Trip:
     return Trip(frames, METADATA, PROVENANCE, ATTACHMENTS)
 
 
-def test_the_kept_file_opens_with_its_values() -> None:
-    trip = read_log(KEPT)
+def test_the_kept_file_opens_with_its_values(kept: Path) -> None:
+    trip = read_log(kept)
     assert trip.metadata == METADATA
     assert trip.provenance == PROVENANCE
     assert trip.attachments == ATTACHMENTS
@@ -97,17 +112,17 @@ def test_the_kept_file_opens_with_its_values() -> None:
                 np.testing.assert_array_equal(frame[column], column_of(name, column))
 
 
-def test_the_kept_file_is_described() -> None:
-    described = describe(KEPT)
-    assert described.schema_version == "1"
+def test_the_kept_file_is_described(kept: Path) -> None:
+    described = describe(kept)
+    assert described.schema_version == FILES[kept.name]
     assert described.problem is None
     assert described.count == ROWS * len(COLUMNS)
     assert described.position_span == (0.0, 5 / 8)
 
 
-def test_fields_keep_their_numbers() -> None:
+def test_fields_keep_their_numbers(kept: Path) -> None:
     """A field that moves in the table would be misread by programs with an older descriptor."""
-    summary = SeekingReader(BytesIO(KEPT.read_bytes())).get_summary()
+    summary = SeekingReader(BytesIO(kept.read_bytes())).get_summary()
     assert summary is not None
     for channel in summary.channels.values():
         topic = TOPICS[channel.topic]
@@ -119,6 +134,6 @@ def test_fields_keep_their_numbers() -> None:
             assert channel.metadata[f"unit.{field.name}"] == topic.field(field.name).unit
 
 
-def test_todays_writer_says_the_same(tmp_path: Path) -> None:
+def test_todays_writer_says_the_same(kept: Path, tmp_path: Path) -> None:
     write_log(kept_trip(), tmp_path / "today.mcap")
-    assert_same(read_log(KEPT), read_log(tmp_path / "today.mcap"))
+    assert_same(read_log(kept), read_log(tmp_path / "today.mcap"))

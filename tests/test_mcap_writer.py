@@ -1,0 +1,190 @@
+"""Logs written piece by piece and by several threads, and disks that do not take them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import SeekingReader
+from mcap_trips import START, assert_same, trip_of
+
+from trainlog.errors import InputError, LogError
+from trainlog.mcap import LogWriter, read_log, write_log
+from trainlog.topics import EVENTS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.trip import Trip, frame_of
+
+
+@cache
+def long_trip() -> Trip:
+    """Three megabytes in five minutes: chunks cut by size and by time."""
+    rows = np.arange(6000)
+    dense = frame_of(
+        TRAIN_CONTROLS,
+        START + np.concatenate([rows[:3000] * 10**7, 10**11 + rows[3000:] * 3 * 10**7]),
+        {name.name: np.random.default_rng(n).normal(size=6000) for n, name in enumerate(FIELDS)},
+    )
+    axles = frame_of(TRAIN_AXLES, START + rows * 5 * 10**7, {"wheel_speed": np.ones((6000, 25))})
+    return trip_of(rows=40, step=7 * 10**9).with_topic(dense).with_topic(axles)
+
+
+FIELDS = TRAIN_CONTROLS.fields
+
+
+def pieces(trip: Trip, cuts: list[pd.Timestamp]) -> Iterator[Trip]:
+    """The trip cut at times; each piece with all topics."""
+    edges = [pd.Timestamp(0, tz="UTC"), *cuts, pd.Timestamp.max.tz_localize("UTC")]
+    for start, end in pairwise(edges):
+        frames = {
+            name: frame[(frame.index >= start) & (frame.index < end)]
+            for name, frame in trip.topics.items()
+        }
+        yield Trip(frames, trip.metadata, trip.provenance, trip.attachments)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("whole") / "trip.mcap"
+    write_log(long_trip(), path, threads=1)
+    return path
+
+
+@pytest.mark.parametrize("threads", [2, 5, None])
+def test_any_number_of_threads_gives_the_same_bytes(
+    threads: int | None, whole: Path, tmp_path: Path
+) -> None:
+    write_log(long_trip(), tmp_path / "trip.mcap", threads=threads, sync=True)
+    assert (tmp_path / "trip.mcap").read_bytes() == whole.read_bytes()
+
+
+def write_pieces(path: Path, *pieces: Trip) -> None:
+    with LogWriter(path, threads=1) as log:
+        for piece in pieces:
+            log.add(piece)
+
+
+@settings(max_examples=15)
+@given(st.lists(st.integers(-(10**9), 301 * 10**9), max_size=6))
+def test_any_pieces_give_the_same_bytes(
+    whole: Path, tmp_path_factory: pytest.TempPathFactory, cuts: list[int]
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "pieces.mcap"
+    times = [pd.Timestamp(START + cut, tz="UTC") for cut in sorted(cuts)]
+    write_pieces(path, *pieces(long_trip(), times))
+    assert path.read_bytes() == whole.read_bytes()
+
+
+def test_chunks_are_full_but_neither_too_long_nor_too_large(whole: Path) -> None:
+    summary = SeekingReader(BytesIO(whole.read_bytes())).get_summary()
+    assert summary is not None
+    chunks = summary.chunk_indexes
+    assert len(chunks) >= 5
+    for index, following in pairwise(chunks):
+        assert index.message_end_time - index.message_start_time < 60 * 10**9
+        assert index.message_end_time <= following.message_start_time
+        assert index.uncompressed_size <= 2**20
+        full = index.uncompressed_size > 2**20 - 1000
+        assert full or following.message_start_time - index.message_start_time >= 60 * 10**9
+
+
+def test_a_topic_may_come_late(tmp_path: Path) -> None:
+    trip = trip_of(rows=50)
+    first, second = pieces(trip, [pd.Timestamp(START + 2 * 10**9, tz="UTC")])
+    late = Trip({name: frame for name, frame in first.topics.items() if name != EVENTS.name})
+    with LogWriter(tmp_path / "trip.mcap") as log:
+        log.add(late)
+        log.add(second)
+    found = read_log(tmp_path / "trip.mcap")
+    assert len(found[EVENTS.name]) == len(second[EVENTS.name])
+    assert len(found[TRAIN_STATE.name]) == 50
+
+
+def test_pieces_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None:
+    first, second = pieces(trip_of(rows=50), [pd.Timestamp(START + 2 * 10**9, tz="UTC")])
+    other = Trip({TRAIN_AXLES.name: second[TRAIN_AXLES.name].iloc[:, :0]})
+    with pytest.raises(LogError, match="begins before") as caught:
+        write_pieces(tmp_path / "trip.mcap", second, first)
+    assert caught.value.file == tmp_path / "trip.mcap"
+    with pytest.raises(LogError, match="number of axles"):
+        write_pieces(tmp_path / "trip.mcap", first, other)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_block_that_fails_leaves_the_older_file(tmp_path: Path) -> None:
+    older = trip_of(rows=3)
+    write_log(older, tmp_path / "trip.mcap")
+    with pytest.raises(ZeroDivisionError), LogWriter(tmp_path / "trip.mcap") as log:
+        log.add(trip_of(rows=1 // len(list(tmp_path.glob("*.txt")))))
+    assert [path.name for path in tmp_path.iterdir()] == ["trip.mcap"]
+    assert_same(read_log(tmp_path / "trip.mcap"), older)
+
+
+def test_without_a_piece_there_is_an_empty_log(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "trip.mcap"):
+        pass
+    assert read_log(tmp_path / "trip.mcap").topics == {}
+
+
+# A limit on the size of files is to a program what a full disk is: a write that fails half way.
+LIMITED = """
+import resource, sys
+import numpy as np
+from trainlog.mcap import write_log
+from trainlog.errors import InputError
+from trainlog.topics import TRAIN_STATE
+from trainlog.trip import Trip, frame_of
+frame = frame_of(TRAIN_STATE, np.arange(60_000), {"speed": np.random.default_rng(1).random(60_000)})
+resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
+for threads in (1, 2):
+    try:
+        write_log(Trip({TRAIN_STATE.name: frame}), sys.argv[1], threads=threads)
+    except InputError as error:
+        print(error)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
+def test_a_full_disk_is_told_and_damages_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "trip.mcap"
+    write_log(trip_of(rows=3), path)
+    before = path.read_bytes()
+    run = subprocess.run(
+        [sys.executable, "-c", LIMITED, path], capture_output=True, text=True, check=True
+    )
+    said = "cannot be written: file too large; write to a file system that holds files of this size"
+    assert run.stdout == f"{path}: {said}\n" * 2
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["trip.mcap"]
+
+
+def test_folders_that_cannot_be_written_to(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="its folder does not exist"):
+        write_log(trip_of(rows=3), tmp_path / "gone" / "trip.mcap")
+    if os.path.isdir("/sys/kernel"):  # noqa: PTH112 - a folder that nobody may write to
+        with pytest.raises(InputError, match="choose a folder you may write to"):
+            write_log(trip_of(rows=3), "/sys/kernel/trip.mcap")
+
+
+def test_a_folder_that_vanishes_meanwhile(tmp_path: Path) -> None:
+    folder = tmp_path / "stick"
+    folder.mkdir()
+    with pytest.raises(InputError, match="create its folder first"), LogWriter(folder / "a") as log:
+        log.add(without(folder, trip_of(rows=3)))
+
+
+def without(folder: Path, trip: Trip) -> Trip:
+    """The trip, and meanwhile somebody takes the folder away."""
+    for path in folder.iterdir():
+        path.unlink()
+    folder.rmdir()
+    return trip
