@@ -121,6 +121,8 @@ class Plan:
 
     def behind(self, number: int) -> list[Stream]:
         """The messages of the streams from chunk `number` on."""
+        if not self.cuts:
+            return list(self.streams)
         return [
             stream.behind(int(cut[number]))
             for stream, cut in zip(self.streams, self.cuts, strict=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -76,6 +77,8 @@ class LogWriter:
         self._resources = ExitStack()
         self._place = atomic_write(path, sync=sync)
         self._sink: Sink | None = None
+        self._described: dict[str, dict[str, str]] | None = None
+        self._attachments: dict[str, bytes] = {}
         self._pending: dict[str, Stream] = {}
         self._end = 0
 
@@ -95,7 +98,9 @@ class LogWriter:
     ) -> None:
         try:
             if kind is None:
-                self._finish()
+                if self._described is None:
+                    self.add(Trip({}))
+                self._write(last=True)
         except BaseException:
             self._resources.__exit__(*sys.exc_info())
             raise
@@ -113,20 +118,15 @@ class LogWriter:
             If the file cannot be written.
         """
         with in_file(self._path):
+            if self._described is None:
+                self._described = metadata_records(piece)
+                self._attachments = piece.attachments
             streams = self._checked(piece)
-            if self._sink is None:
-                self._sink = _opened(self._file, streams, piece)
         for name, stream in streams.items():
-            self._sink.declare(stream.schema)
-            self._sink.declare(stream.channel)
             held = self._pending.get(name)
             self._pending[name] = stream if held is None else held.then(stream)
-        self._end = max([self._end, *_ends(streams)])
-        plan = plan_of(list(self._pending.values()))
-        last = max(0, len(plan) - 1)
-        self._write(plan, last)
-        if last:
-            self._pending = dict(zip(self._pending, plan.behind(last), strict=True))
+        self._end = max([self._end, *(int(s.time[-1]) for s in streams.values() if len(s.time))])
+        self._write(last=False)
 
     def _checked(self, piece: Trip) -> dict[str, Stream]:
         """The piece's streams, with the channels that their topics have in the file."""
@@ -149,50 +149,52 @@ class LogWriter:
             )
         return streams
 
-    def _write(self, plan: Plan, chunks: int) -> None:
-        """Write the first chunks of a plan, in order, however many threads make them."""
+    def _write(self, *, last: bool) -> None:
+        """Write the chunks that are full; if these are the last messages, all."""
+        plan = plan_of(list(self._pending.values()))
+        if self._sink is None and (len(plan) or last):
+            self._sink = self._opened(self._file)
         if self._sink is None:
             return
+        for stream in self._pending.values():
+            self._sink.declare(stream.schema)
+            self._sink.declare(stream.channel)
+        full = len(plan) if last else max(0, len(plan) - 1)
+        for chunk in self._packed(plan, full):
+            self._sink.put_chunk(chunk)
+        if full:
+            self._pending = dict(zip(self._pending, plan.behind(full), strict=True))
+        if last:
+            self._sink.finish()
+
+    def _packed(self, plan: Plan, chunks: int) -> Iterator[PackedChunk]:
+        """The first chunks of a plan, in order, however many threads make them."""
         if self._threads == 1 or chunks < 2:
-            for number in range(chunks):
-                self._sink.put_chunk(packed(plan.chunk(number)))
+            yield from (packed(plan.chunk(number)) for number in range(chunks))
             return
         waiting: deque[Future[PackedChunk]] = deque()
         for number in range(chunks):
             waiting.append(self._pool.submit(_made, plan, number))
             if len(waiting) > 2 * self._threads:
-                self._sink.put_chunk(waiting.popleft().result())
-        for future in waiting:
-            self._sink.put_chunk(future.result())
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
 
-    def _finish(self) -> None:
-        if self._sink is None:
-            self.add(Trip({}))
-        plan = plan_of(list(self._pending.values()))
-        self._write(plan, len(plan))
-        if self._sink is not None:
-            self._sink.finish()
+    def _opened(self, file: BinaryIO) -> Sink:
+        """The file begun: what explains it comes first, so that a cut file still has it."""
+        sink = Sink(file)
+        streams = self._pending.values()
+        for stream in streams:
+            sink.declare(stream.schema)
+        for stream in streams:
+            sink.declare(stream.channel)
+        for name, values in (self._described or {}).items():
+            sink.put_metadata(name, values)
+        start = min((int(each.time[0]) for each in streams if len(each.time)), default=0)
+        for name, content in sorted(self._attachments.items()):
+            sink.put_attachment(attachment_of(name, content, start))
+        return sink
 
 
 def _made(plan: Plan, number: int) -> PackedChunk:
     return packed(plan.chunk(number))
-
-
-def _opened(file: BinaryIO, streams: dict[str, Stream], trip: Trip) -> Sink:
-    """The file begun: what explains it comes first, so that a cut file still has it."""
-    described = metadata_records(trip)
-    sink = Sink(file)
-    for stream in streams.values():
-        sink.declare(stream.schema)
-    for stream in streams.values():
-        sink.declare(stream.channel)
-    for name, values in described.items():
-        sink.put_metadata(name, values)
-    start = min((int(each.time[0]) for each in streams.values() if len(each.time)), default=0)
-    for name, content in sorted(trip.attachments.items()):
-        sink.put_attachment(attachment_of(name, content, start))
-    return sink
-
-
-def _ends(streams: dict[str, Stream]) -> list[int]:
-    return [int(stream.time[-1]) for stream in streams.values() if len(stream.time)]
