@@ -8,6 +8,7 @@ import json
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -71,6 +72,56 @@ def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def atomic_folder(path: str | Path, marker: str) -> Iterator[Path]:
+    """Write a folder of files whole or not at all.
+
+    Yields a new folder beside the target. When the block succeeds it takes the target's place;
+    when it fails it is removed and an older target stays as it was.
+
+    Parameters
+    ----------
+    path : path
+    marker : str
+        File that makes a folder one of this kind: only such a folder, or none, is replaced.
+
+    Raises
+    ------
+    InputError
+        If something else is at the target, or the folder cannot be written.
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not (target / marker).is_file():
+        raise InputError(
+            f"exists and is not a folder with {marker} that could be replaced",
+            file=path,
+            remedy="choose another name",
+        )
+    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
+    older = temporary.with_name(f"{temporary.name}.old")
+    try:
+        temporary.mkdir()
+    except OSError as error:
+        _refuse_writing(path, error)
+    try:
+        yield temporary
+        for file in temporary.rglob("*"):
+            if file.is_file():
+                _flush_to_disk(file)
+        if target.exists():
+            target.rename(older)
+        temporary.rename(target)
+    except OSError as error:
+        if error.errno in _REMEDIES and str(error.filename or temporary).startswith(str(temporary)):
+            _refuse_writing(path, error)
+        raise
+    finally:
+        if older.exists() and not target.exists():
+            older.rename(target)
+        shutil.rmtree(older, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

@@ -1,0 +1,354 @@
+"""Trips as folders of Parquet files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.dataset
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.mcap_trips import START, assert_same, trip_of, trips
+from trainlog.errors import InputError, LogError
+from trainlog.formats import parquet_topics
+from trainlog.formats.parquet import parquet_writer, read_parquet, stream_parquet, write_parquet
+from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
+from trainlog.trip import Trip, frame_of
+
+STATE = frame_of(TRAIN_STATE, START + np.arange(3), {"speed": [1.0, 2.0, 3.0]})
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def write_pieces(pieces: Iterator[Trip], folder: Path) -> None:
+    with parquet_writer(folder) as writer:
+        for piece in pieces:
+            writer.add(piece)
+
+
+def interrupted() -> Iterator[Trip]:
+    yield trip_of(rows=3)
+    raise KeyboardInterrupt
+
+
+def together(pieces: Iterator[Trip]) -> Trip:
+    every = list(pieces)
+    frames = {}
+    for name in every[0].topics:
+        frames[name] = pd.concat([piece[name] for piece in every])
+        frames[name].attrs = every[0][name].attrs
+    return replace(every[0], topics=frames)
+
+
+# ---------------------------------------------------------------------------------- round trips
+
+
+@settings(deadline=None)
+@given(trips())
+def test_any_trip_comes_back_to_the_last_bit(
+    tmp_path_factory: pytest.TempPathFactory, trip: Trip
+) -> None:
+    folder = tmp_path_factory.mktemp("parquet") / "trip.parquet"
+    write_parquet(trip, folder)
+    assert_same(trip, read_parquet(folder))
+
+
+def test_values_at_the_edges_of_the_doubles_come_back(tmp_path: Path) -> None:
+    values = [-0.0, 5e-324, -5e-324, np.inf, -np.inf, np.nan, 1.7976931348623157e308, 0.1]
+    frame = frame_of(TRAIN_STATE, START + np.arange(len(values)), {"speed": values})
+    write_parquet(Trip({TRAIN_STATE.name: frame}), tmp_path / "trip.parquet")
+    back = read_parquet(tmp_path / "trip.parquet")[TRAIN_STATE.name]["speed"].to_numpy()
+    known = ~np.isnan(values)
+    assert back[known].tobytes() == np.array(values)[known].tobytes()
+    assert np.isnan(back[~known]).all()
+
+
+@pytest.mark.parametrize("rows", [0, 1, 100])
+def test_every_topic_comes_back(rows: int, tmp_path: Path) -> None:
+    trip = trip_of(rows=rows)
+    write_parquet(trip, tmp_path / "trip.parquet")
+    assert_same(trip, read_parquet(tmp_path / "trip.parquet"))
+
+
+def test_a_column_of_words_keeps_its_kind(tmp_path: Path) -> None:
+    for kind in ("str", "object"):
+        words = pd.Series(["a", "b"], dtype=kind).array
+        frame = frame_of(EVENTS, [START, START + 1], {"level": [1, 2]}).assign(message=words)
+        trip = Trip({EVENTS.name: frame})
+        write_parquet(trip, tmp_path / "trip.parquet")
+        assert_same(trip, read_parquet(tmp_path / "trip.parquet"))
+
+
+def test_frames_of_other_programs_come_back(tmp_path: Path) -> None:
+    index = pd.DatetimeIndex([1, 2], tz="UTC", name="time").as_unit("ns")
+    frame = pd.DataFrame(
+        {
+            "pose.x": np.array([1, 2], dtype=np.float32),
+            "count": np.array([1, 2], dtype=np.uint16),
+            "on": [True, False],
+            "frame_id": ["map", "odom"],
+            "raw": [b"\x00\xff", b""],
+        },
+        index=index,
+    )
+    trip = Trip({"/robot/pose": frame, "/robot_pose": frame, "/ROBOT/pose": frame})
+    write_parquet(trip, tmp_path / "other.parquet")
+    back = read_parquet(tmp_path / "other.parquet")
+    assert list(back.topics) == list(trip.topics)
+    for name in trip.topics:
+        pd.testing.assert_frame_equal(back[name], frame)
+
+
+def test_same_trip_same_bytes_whatever_the_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parquet_topics, "ROWS", 16)
+    trip = trip_of(rows=100)
+    write_parquet(trip, tmp_path / "whole.parquet")
+    parts = (
+        {name: frame.iloc[first : first + 7] for name, frame in trip.topics.items()}
+        for first in range(0, 100, 7)
+    )
+    write_pieces((replace(trip, topics=part) for part in parts), tmp_path / "pieces.parquet")
+    assert contents(tmp_path / "whole.parquet") == contents(tmp_path / "pieces.parquet")
+    state = pq.ParquetFile(tmp_path / "pieces.parquet" / "train_state.parquet")
+    assert state.metadata.num_row_groups == 7
+    assert_same(trip, read_parquet(tmp_path / "pieces.parquet"))
+
+
+# ------------------------------------------------------------------------------------ selection
+
+
+def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
+    trip = trip_of(rows=5)
+    write_parquet(trip, tmp_path / "trip.parquet")
+    for other in (tmp_path / "trip.parquet").glob("gnss*.parquet"):
+        other.write_bytes(b"")  # what is not asked for is not opened
+    back = read_parquet(tmp_path / "trip.parquet", [EVENTS.name, TRAIN_STATE.name, "/unheard"])
+    assert list(back.topics) == [TRAIN_STATE.name, EVENTS.name]
+    some = read_parquet(
+        tmp_path / "trip.parquet",
+        {TRAIN_STATE.name: ["speed", "unheard"], TRAIN_AXLES.name: None},
+    )
+    pd.testing.assert_frame_equal(some[TRAIN_STATE.name], trip[TRAIN_STATE.name][["speed"]])
+    assert some[TRAIN_STATE.name].attrs["units"] == {"speed": "m/s"}
+    assert len(some[TRAIN_AXLES.name].columns) == 8
+
+
+# ----------------------------------------------------------------------------------- in pieces
+
+
+@settings(deadline=None, max_examples=50)
+@given(trips(), st.integers(1, 40))
+def test_pieces_make_the_whole_in_the_order_of_time(
+    tmp_path_factory: pytest.TempPathFactory, trip: Trip, rows: int
+) -> None:
+    folder = tmp_path_factory.mktemp("parquet") / "trip.parquet"
+    write_parquet(trip, folder)
+    assert_same(trip, together(stream_parquet(folder, rows=rows)))
+    reached = -1
+    for piece in stream_parquet(folder, rows=rows):
+        times = [at for frame in piece.topics.values() for at in frame.index.asi8]
+        assert all(at > reached for at in times)
+        reached = max(times, default=reached)
+
+
+def test_pieces_are_of_the_size_asked_for(tmp_path: Path) -> None:
+    trip = trip_of(rows=1000)
+    write_parquet(trip, tmp_path / "trip.parquet")
+    sizes = [
+        sum(map(len, piece.topics.values()))
+        for piece in stream_parquet(tmp_path / "trip.parquet", rows=1300)
+    ]
+    assert sum(sizes) == 1000 * len(TOPICS)
+    assert max(sizes) <= 2 * 1300
+
+
+# -------------------------------------------------------------------------------- other programs
+
+
+def test_pandas_opens_a_topic_with_its_times_and_units(tmp_path: Path) -> None:
+    trip = trip_of(rows=20)
+    write_parquet(trip, tmp_path / "trip.parquet")
+    frame = pd.read_parquet(tmp_path / "trip.parquet" / "train_state.parquet")
+    pd.testing.assert_frame_equal(frame, trip[TRAIN_STATE.name])
+    assert frame.attrs["units"]["speed"] == "m/s"
+
+
+def test_the_columns_tell_unit_and_meaning_and_what_is_unknown_is_null(tmp_path: Path) -> None:
+    write_parquet(trip_of(rows=20), tmp_path / "trip.parquet")
+    file = tmp_path / "trip.parquet" / "train_state.parquet"
+    field = pq.read_schema(file).field("speed")
+    assert field.metadata[b"unit"] == b"m/s"
+    assert b"speed over ground" in field.metadata[b"meaning"]
+    table = pyarrow.dataset.dataset(file).to_table(filter=pyarrow.dataset.field("speed") > 0.0)
+    assert 0 < len(table) < 20
+    assert str(table.schema.field("time").type) == "timestamp[ns, tz=UTC]"
+
+
+def test_doubles_are_split_by_bytes(tmp_path: Path) -> None:
+    write_parquet(trip_of(rows=20), tmp_path / "trip.parquet")
+    file = pq.ParquetFile(tmp_path / "trip.parquet" / "train_state.parquet")
+    for number in range(3):
+        column = file.metadata.row_group(0).column(number)
+        assert "BYTE_STREAM_SPLIT" in column.encodings
+        assert column.compression == "ZSTD"
+
+
+# ------------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("trip", "said"),
+    [
+        (Trip({TRAIN_STATE.name: STATE.reset_index(drop=True)}), "not indexed by time"),
+        (Trip({TRAIN_STATE.name: STATE.iloc[::-1]}), "runs backwards"),
+        (Trip({TRAIN_STATE.name: STATE.assign(speed=[1.0, "two", 3.0])}), "cannot hold"),
+        (Trip({TRAIN_STATE.name: pd.concat([STATE, STATE], axis=1)}), "cannot hold"),
+        (Trip({}, provenance=({"step": float("nan")},)), "cannot be written"),
+        (Trip({}, {"trip": "\ud800"}), "cannot be written"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_and_leaves_no_folder(
+    trip: Trip, said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(LogError, match=said) as caught:
+        write_parquet(trip, tmp_path / "trip.parquet")
+    assert caught.value.file == tmp_path / "trip.parquet"
+    assert caught.value.remedy
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pieces_whose_columns_change_are_refused(tmp_path: Path) -> None:
+    pieces = [Trip({TRAIN_STATE.name: STATE}), Trip({TRAIN_STATE.name: STATE[["speed"]]})]
+    with pytest.raises(LogError, match="/train/state changes its columns"):
+        write_pieces(iter(pieces), tmp_path / "trip.parquet")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_such_a_folder_is_replaced(tmp_path: Path) -> None:
+    folder = tmp_path / "trip.parquet"
+    write_parquet(trip_of(rows=5), folder)
+    write_parquet(trip_of(rows=7), folder)
+    assert_same(read_parquet(folder), trip_of(rows=7))
+    assert list(tmp_path.iterdir()) == [folder]
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "dog.jpg").write_bytes(b"dog")
+    (tmp_path / "file").write_bytes(b"")
+    for other in ("photos", "file"):
+        with pytest.raises(InputError, match=r"is not a folder with trip\.json") as caught:
+            write_parquet(trip_of(rows=5), tmp_path / other)
+        assert caught.value.file == tmp_path / other
+    assert (tmp_path / "photos" / "dog.jpg").read_bytes() == b"dog"
+
+
+def test_a_failed_write_leaves_the_older_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "trip.parquet"
+    write_parquet(trip_of(rows=5), folder)
+    before = contents(folder)
+    with pytest.raises(LogError):
+        write_parquet(Trip({TRAIN_STATE.name: STATE.reset_index(drop=True)}), folder)
+    with pytest.raises(KeyboardInterrupt):
+        write_pieces(interrupted(), folder)
+    assert contents(folder) == before
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="its folder does not exist"):
+        write_parquet(trip_of(rows=1), tmp_path / "nowhere" / "trip.parquet")
+
+
+def test_folders_that_hold_no_trip_are_named(tmp_path: Path) -> None:
+    for name, said in (("nothing", "does not exist"), ("file", "not a folder"), ("", "no trip")):
+        (tmp_path / "file").write_bytes(b"")
+        with pytest.raises(InputError, match=said) as caught:
+            read_parquet(tmp_path / name)
+        assert caught.value.remedy
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    write_parquet(trip_of(rows=50), tmp_path / "trip.parquet")
+    return tmp_path / "trip.parquet"
+
+
+def test_damaged_files_are_named(written: Path) -> None:
+    state = written / "train_state.parquet"
+    whole = state.read_bytes()
+    for name, damaged in {
+        "cut": whole[:-9],
+        "empty": b"",
+        "of other rows": (written / "events.parquet").read_bytes()[:100] + whole[100:],
+    }.items():
+        state.write_bytes(damaged)
+        with pytest.raises(LogError, match="is damaged") as caught:
+            read_parquet(written)
+        assert caught.value.file == state, name
+        assert caught.value.remedy
+    state.unlink()
+    with pytest.raises(LogError, match=r"train_state.*missing"):
+        list(stream_parquet(written))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_a_flipped_bit_is_found_or_harmless(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    folder = tmp_path_factory.mktemp("parquet") / "trip.parquet"
+    trip = trip_of(rows=50, topics=[TRAIN_STATE.name, EVENTS.name])
+    write_parquet(trip, folder)
+    file = folder / data.draw(st.sampled_from(["train_state.parquet", "events.parquet"]))
+    content = bytearray(file.read_bytes())
+    content[data.draw(st.integers(0, len(content) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    file.write_bytes(content)
+    try:
+        back = read_parquet(folder)
+    except LogError as error:
+        told = error.file
+    else:
+        told = file
+        assert_same(trip, back)
+    assert told == file
+
+
+def test_a_damaged_attachment_is_named(written: Path) -> None:
+    (written / "attachments" / "0001-line.json").write_bytes(b"{}")
+    with pytest.raises(LogError, match=r"0001-line.json: is damaged"):
+        read_parquet(written)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"format": "trainlog/line"}, InputError, "format 'trainlog/line'"),
+        ({"version": 2}, InputError, "newer"),
+        ({"schema_version": 99}, InputError, "schema_version"),
+        ({"topics": [{"topic": "/a"}]}, InputError, "missing"),
+        ({"topics": [{"topic": "/a", "file": "../../x", "footer": ""}]}, LogError, "outside"),
+        ({"topics": [{"topic": "/a", "file": "trip.json", "footer": ""}]}, LogError, "damaged"),
+    ],
+)
+def test_an_index_that_does_not_fit_is_refused(
+    change: dict[str, object], error: type[Exception], said: str, written: Path
+) -> None:
+    index = json.loads((written / "trip.json").read_text())
+    (written / "trip.json").write_text(json.dumps(index | change))
+    with pytest.raises(error, match=said) as caught:
+        read_parquet(written)
+    assert isinstance(caught.value, InputError | LogError)
+    assert caught.value.file is not None
