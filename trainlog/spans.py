@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -77,9 +78,6 @@ def position_limits(start: float | None = None, end: float | None = None) -> tup
 def spans_within(time: ArrayLike, position: ArrayLike, start: float, end: float) -> Spans:
     """When a position was within limits, on a line between neighbouring samples.
 
-    The samples of a long recording can be given piece by piece: begin each piece with the last
-    known sample of the one before, and put the spans together with `merged_spans`.
-
     Parameters
     ----------
     time : (n,) int array [ns since 1970 UTC]
@@ -120,6 +118,33 @@ def spans_within(time: ArrayLike, position: ArrayLike, start: float, end: float)
         )
     )
     return merged_spans(np.concatenate((instants, spans[spans[:, 0] <= spans[:, 1]])))
+
+
+def spans_of_pieces(
+    pieces: Iterable[tuple[NDArray[np.int64], NDArray[np.float64]]], start: float, end: float
+) -> Spans:
+    """When a position was within limits, from a recording in pieces; see `spans_within`.
+
+    Parameters
+    ----------
+    pieces : iterable of (time, position)
+        In the order of time.
+    start, end : float [m]
+
+    Returns
+    -------
+    (k, 2) int array
+        As `spans_within` finds them in the whole.
+    """
+    found = [np.empty((0, 2), dtype=np.int64)]
+    before_time, before_position = np.empty(0, dtype=np.int64), np.empty(0)
+    for time, position in pieces:
+        known = np.isfinite(position)
+        times = np.concatenate((before_time, time[known]))
+        positions = np.concatenate((before_position, position[known]))
+        found.append(spans_within(times, positions, start, end))
+        before_time, before_position = times[-1:], positions[-1:]
+    return merged_spans(np.concatenate(found))
 
 
 def merged_spans(spans: Spans) -> Spans:

@@ -28,6 +28,9 @@ LINE_ATTACHMENT = "line.json"
 TRAIN_ATTACHMENT = "train.json"
 """Attachment that holds the train, in trainlog's train format."""
 
+NO_POSITION = f"it needs a position in {' or '.join(POSITION_TOPICS)}; slice it by time"
+"""What to do about a trip that cannot be sliced by position."""
+
 
 @dataclass(frozen=True)
 class Trip:
@@ -117,8 +120,7 @@ class Trip:
             If an end is no time, or the start is after the end.
         """
         spans = np.array([time_limits(start, end)], dtype=np.int64)
-        told = [None if each is None else utc(each).isoformat() for each in (start, end)]
-        return self._cut(spans).with_step("slice", software=_SOFTWARE, time=told)
+        return self.cut(spans).with_slice(time=(start, end))
 
     def within(self, start: float | None = None, end: float | None = None) -> Trip:
         """The part of the trip in which the train was between two positions.
@@ -145,18 +147,33 @@ class Trip:
         state = self._located()
         time = pd.DatetimeIndex(state.index).as_unit("ns").asi8
         position = state["position"].to_numpy(dtype=np.float64)
-        cut = self._cut(spans_within(time, position, *limits))
-        told = [None if each is None else float(each) for each in (start, end)]
-        return cut.with_step("slice", software=_SOFTWARE, position=told)
+        spans = spans_within(time, position, *limits)
+        return self.cut(spans).with_slice(position=(start, end))
 
-    def _cut(self, spans: Spans) -> Trip:
-        """The rows of all topics in the spans of time."""
+    def cut(self, spans: Spans) -> Trip:
+        """The rows of all topics in the spans of time; the provenance stays as it is."""
         cut = {}
         for name, frame in self.topics.items():
             kept = frame[in_spans(pd.DatetimeIndex(frame.index).as_unit("ns").asi8, spans)]
             kept.attrs = frame.attrs
             cut[name] = kept
         return replace(self, topics=cut)
+
+    def with_slice(
+        self,
+        *,
+        time: tuple[Any, Any] | None = None,
+        position: tuple[float | None, float | None] | None = None,
+    ) -> Trip:
+        """The trip with the provenance that `between` or `within` these limits adds."""
+        trip = self
+        if time is not None:
+            told = [None if each is None else utc(each).isoformat() for each in time]
+            trip = trip.with_step("slice", software=_SOFTWARE, time=told)
+        if position is not None:
+            ends = [None if each is None else float(each) for each in position]
+            trip = trip.with_step("slice", software=_SOFTWARE, position=ends)
+        return trip
 
     def _located(self) -> pd.DataFrame:
         """The frame that knows where the train was."""
@@ -166,7 +183,7 @@ class Trip:
                 return frame
         raise LogError(
             f"trip '{self.name}' does not know where the train was",
-            remedy=f"it needs a position in {' or '.join(POSITION_TOPICS)}; slice it by time",
+            remedy=NO_POSITION,
         )
 
     def _filled(self) -> list[pd.DataFrame]:
