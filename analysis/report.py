@@ -26,7 +26,7 @@ from trainlog.trip import Trip
 from trainlog.units import KMH
 
 
-def _table(title: str, *columns: str, **options: Any) -> Table:
+def new_table(title: str, *columns: str, **options: Any) -> Table:
     """An empty table in the house's form."""
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options)
     for column in columns:
@@ -41,7 +41,7 @@ LISTED = 8
 def savings_table(pairs: Sequence[Saving]) -> Group:
     """What following the trajectory saved, pair by pair and together."""
     title = "Tractive energy at the wheel rims, and running time"
-    table = _table(title, "trip", "driver", "trajectory", "saved", "", "saved from the line")
+    table = new_table(title, "trip", "driver", "trajectory", "saved", "", "saved from the line")
     for pair in pairs:
         share = pair.traction / pair.driver.traction
         table.add_row(
@@ -66,7 +66,7 @@ def total_saved(pairs: Sequence[Saving]) -> tuple[float, float]:
 def fit_table(fits: Fits) -> Group:
     """Running resistance of each trip and of all together, with what it rests on."""
     title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
-    table = _table(title, "trip", "r0", "r1", "r2", "mass", "power", "at 80 km/h", "windows")
+    table = new_table(title, "trip", "r0", "r1", "r2", "mass", "power", "at 80 km/h", "windows")
     at = 80.0 / KMH
     for fit in fits.trips:
         table.add_row(
@@ -102,7 +102,7 @@ def map_table(track: TrackConditionMap) -> Group:
     """What a track-condition map knows, layer by layer, with its lowest spots."""
     title = f"Track condition of {track.line}, {track.bin_length:.0f} m bins"
     lowest = "lowest maximum adhesion (95 % band)"
-    table = _table(title, "rail", "trips", "slip events", "observed", lowest)
+    table = new_table(title, "rail", "trips", "slip events", "observed", lowest)
     for layer in summary(track):
         spots = [
             f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
@@ -124,7 +124,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     certificate = trajectory.certificate
     audit = certificate["audit"]
     title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
-    facts = _table(title, "", "", show_header=False)
+    facts = new_table(title, "", "", show_header=False)
     reserve = f"{certificate['reserve']:.1%} over {max(certificate['least_time']):.1f} s"
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
     bound = f"at least {_kwh(certificate['lower_bound'])}"
@@ -145,7 +145,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         judge = certificate["referee"]
         words = f"{_kwh(judge['energy'])}, ours {judge['difference']:+.4%} ({judge['status']})"
         facts.add_row(f"second opinion by {judge['name']}", words)
-    table = _table("", "configuration", "mass", "arrival", "top speed", "energy")
+    table = new_table("", "configuration", "mass", "arrival", "top speed", "energy")
     order = np.argsort(-np.asarray(certificate["wheel_energy"]))
     for row in order[:LISTED]:
         configuration = trajectory.configurations[row]
@@ -172,7 +172,7 @@ def results_table(folder: Path) -> Group:
     """
     trips = [read_log(log) for log in sorted((folder / "trips").glob("*.mcap"))]
     truths = [truth for truth in map(truth_of, trips) if truth is not None]
-    table = _table(f"Results in {folder}", "", "result", "in")
+    table = new_table(f"Results in {folder}", "", "result", "in")
     rows = [
         _recorded(folder, trips),
         _fitted(folder / "parameters.json", truths),

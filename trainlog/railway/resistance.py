@@ -13,6 +13,11 @@ CURVE_COEFFICIENT = 0.6
 """k_C [m]: curve resistance is weight times k_C over the radius (paper 004, eq. 6, corrected)."""
 
 
+TUNNEL_COEFFICIENT = 1.3e-7
+"""k_T [1/m]: tunnel resistance is weight times k_T times the tunnel's length (paper 004, eq. 6,
+corrected), where no coefficient of the train itself is known."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunningResistance:
     """Davis formula ``R(v) = r0 + r1 v + r2 v²`` [N] on straight, level, open track.
@@ -50,3 +55,14 @@ def curve_force_per_weight(curvature: ArrayLike) -> NDArray[np.float64]:
     curvature : array [1/m]
     """
     return np.asarray(CURVE_COEFFICIENT * np.abs(np.asarray(curvature, dtype=np.float64)))
+
+
+def tunnel_force_per_weight(length: ArrayLike) -> NDArray[np.float64]:
+    """Resistance of a tunnel over weight, ``k_T L_T``; paper 004, eq. (6) as corrected.
+
+    Parameters
+    ----------
+    length : array [m]
+        Of the tunnel.
+    """
+    return np.asarray(TUNNEL_COEFFICIENT * np.asarray(length, dtype=np.float64))

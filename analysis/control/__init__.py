@@ -1,0 +1,1 @@
+"""Controllers: they decide the efforts of a train from what is measured and what was learnt."""

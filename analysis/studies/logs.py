@@ -1,0 +1,109 @@
+"""The runs of `analysis.studies.rls_sliding_mode` as trips."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.studies import rls_sliding_mode as study
+from analysis.studies.rls_sliding_mode import Run
+from trainlog import __version__
+from trainlog.formats.files import sha256
+from trainlog.formats.line import line_to_bytes
+from trainlog.topics import (
+    ENVIRONMENT,
+    ESTIMATED_RESISTANCE,
+    REFERENCE,
+    TRAIN_CONTROLS,
+    TRAIN_STATE,
+    TRUTH,
+)
+from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
+
+START = 1_735_689_600 * 10**9
+"""When the runs begin [ns]: 2025-01-01, so that the same run gives the same bytes."""
+
+
+def trip_of(run: Run, seed: int) -> Trip:
+    """The log of one run.
+
+    In ``/estimates/running_resistance`` ``r0`` is the estimate of a0 + f2, the slope included, as
+    eq. (24) has it; the scalar variant knows only the sum, which stands in ``resistance``.
+    """
+    time = START + np.round(run.time * 1e9).astype(np.int64)
+    slopes = study.line(run.shift)
+    estimates = {"resistance": run.estimate}
+    if run.variant.parameters == 3:
+        estimates |= dict(zip(("r0", "r1", "r2"), run.theta.T, strict=True))
+    else:
+        estimates["resistance_std"] = run.theta_std[:, 0]
+    traction, braking = np.maximum(run.effort, 0.0), np.maximum(-run.effort, 0.0)
+    running = run.resistance - run.slope_force
+    targets = [study.target(now) for now in run.time]
+    needed = study.MASS * np.array([each.acceleration for each in targets]) + run.resistance
+    frames = (
+        frame_of(TRAIN_STATE, time, {"position": run.position, "speed": run.measured_speed}),
+        frame_of(
+            TRAIN_CONTROLS,
+            time,
+            {
+                "tractive_effort_demand": traction,
+                "braking_effort_demand": braking,
+                "tractive_effort": traction,
+                "dynamic_braking_effort": braking,
+                "pneumatic_braking_effort": np.zeros_like(braking),
+            },
+        ),
+        frame_of(
+            ENVIRONMENT,
+            time,
+            {
+                "gradient": slopes.gradient(run.position),
+                "speed_limit": slopes.speed_limit(run.position),
+            },
+        ),
+        frame_of(ESTIMATED_RESISTANCE, time, estimates | {"mass": np.full(time.size, study.MASS)}),
+        frame_of(
+            REFERENCE,
+            time,
+            {
+                "speed": run.target_speed,
+                "tractive_effort": np.maximum(needed, 0.0),
+                "braking_effort": np.maximum(-needed, 0.0),
+            },
+        ),
+        frame_of(
+            TRUTH,
+            time,
+            {"position": run.position, "speed": run.speed, "running_resistance": running},
+        ),
+    )
+    track = line_to_bytes(slopes)
+    metadata = {
+        "trip": name_of(run),
+        "train": study.consist().name,
+        "line": slopes.name,
+        "direction": "forward",
+        "clock": "UTC, simulated",
+        "start": "2025-01-01T00:00:00+00:00",
+        "software": f"trainlog {__version__}",
+        "seed": str(seed),
+        "study": "paper 004, section 5",
+    }
+    trip = Trip({frame.attrs["topic"]: frame for frame in frames}, metadata, (), {
+        LINE_ATTACHMENT: track
+    })  # fmt: skip
+    return trip.with_step(
+        "study rls-sliding-mode",
+        software=f"trainlog {__version__}",
+        seed=seed,
+        variant=run.variant.name,
+        speed_noise=run.noise,
+        slope_shift=run.shift,
+        inputs={LINE_ATTACHMENT: sha256(track)},
+    )
+
+
+def name_of(run: Run) -> str:
+    """Name of a run: its variant and whether its speed is measured."""
+    name = run.variant.name.replace(" ", "-")
+    return f"{name}-measured" if run.noise else name

@@ -1,0 +1,329 @@
+"""A consist on a line: every vehicle a particle, joined by nonlinear couplers; paper 004.
+
+The single-particle model is a consist of one vehicle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway import Brake, Line
+from trainlog.railway.consist import Consist
+from trainlog.railway.resistance import tunnel_force_per_weight
+from trainlog.simulation import particles
+from trainlog.simulation.particles import WORKS
+
+FloatArray = NDArray[np.float64]
+
+LEVEL_TRACK = np.array([[0.0, 0.0, 0.0, 0.0, 0.0]])
+"""Table of a track without gradients, curves and tunnels."""
+
+FINEST = 1.0
+"""Largest product of the integration step and a coupler's natural angular frequency, and half the
+product of the step and its damping rate: beyond, the motion is not resolved."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """Slow swing of the running resistance: each coefficient times ``1 + amplitude sin(w t)``.
+
+    Attributes
+    ----------
+    amplitudes : tuple of three float
+        Of r0, r1, r2, relative.
+    angular_frequency : float [rad/s]
+    """
+
+    amplitudes: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular_frequency: float = 0.0
+
+
+@dataclass(eq=False)
+class ConsistState:
+    """Where a consist is; `ConsistPlant.advance` changes it in place.
+
+    Attributes
+    ----------
+    time : float [s]
+    values : (2 n + 5,) array
+        Positions of the vehicles' middles [m], their speeds [m/s], and the works [J].
+    braking_effort : (n,) array [N]
+    delay : (d, n) array [N]
+        Braking efforts asked for within the dead time; `cursor` is the oldest.
+    places : (n,) array
+        Piece of the track under each vehicle.
+    largest_stretch : (n - 1,) array [m]
+        Of each coupler since the beginning, to either side.
+    """
+
+    time: float
+    values: FloatArray
+    braking_effort: FloatArray
+    delay: FloatArray
+    cursor: int
+    places: NDArray[np.int64]
+    largest_stretch: FloatArray
+
+    @property
+    def _count(self) -> int:
+        return self.braking_effort.size
+
+    @property
+    def positions(self) -> FloatArray:
+        """Of the vehicles' middles [m], front first."""
+        return self.values[: self._count].copy()
+
+    @property
+    def speeds(self) -> FloatArray:
+        """Of the vehicles [m/s], front first."""
+        return self.values[self._count : 2 * self._count].copy()
+
+    @property
+    def works(self) -> dict[str, float]:
+        """Work of each kind of force since the beginning [J]; see `particles.WORKS`."""
+        return dict(zip(WORKS, self.values[2 * self._count :].tolist(), strict=True))
+
+
+class ConsistPlant:
+    """A consist, ready to run.
+
+    Parameters
+    ----------
+    consist : Consist
+    line : Line, optional
+        As travelled; without it the track is straight and level.
+    brake : Brake
+        Dead time and lag of every vehicle's brake; paper 004, eq. (1).
+    variation : Variation
+        Of the running resistance.
+    step : float [s]
+        Of the integration.
+
+    Raises
+    ------
+    InputError
+        If the step is too coarse for the couplers or for the brake.
+    """
+
+    def __init__(
+        self,
+        consist: Consist,
+        line: Line | None = None,
+        *,
+        brake: Brake | None = None,
+        variation: Variation | None = None,
+        step: float = 0.01,
+    ) -> None:
+        self.consist = consist
+        self.brake = brake or Brake()
+        self.variation = variation or Variation()
+        self.step = step
+        self._line = line
+        self._track = LEVEL_TRACK if line is None else track_table(line)
+        self._vehicles = np.array(
+            [
+                [
+                    each.mass,
+                    each.inertia,
+                    each.resistance.r0,
+                    each.resistance.r1,
+                    each.resistance.r2,
+                    each.max_tractive_effort,
+                    each.max_traction_power,
+                    each.max_braking_effort,
+                ]
+                for each in consist.vehicles
+            ]
+        )
+        apart = np.diff(consist.middles)
+        self._couplers = np.array(
+            [
+                [each.stiffness, each.nonlinearity, each.damping, each.slack, distance]
+                for each, distance in zip(consist.couplers, apart, strict=True)
+            ]
+        ).reshape(-1, 5)
+        self._check_step()
+
+    def at(self, position: float = 0.0, speed: float = 0.0) -> ConsistState:
+        """The state of a consist whose front is at `position` [m], rolling at `speed` [m/s].
+
+        Couplers are at rest, brakes are off. The rear may stand before the line's beginning, where
+        the track goes on as it begins.
+
+        Raises
+        ------
+        InputError
+            If the front is not on the line, or the speed is negative.
+        """
+        end = np.inf if self._line is None else self._line.length
+        if not (0.0 <= position <= end and speed >= 0.0 and np.isfinite(position + speed)):
+            raise InputError(
+                f"consist '{self.consist.name}' cannot start at km {position / 1e3:.3f} with"
+                f" {speed} m/s",
+                remedy=f"the line ends at km {end / 1e3:.3f}; speed must not be negative",
+            )
+        n = len(self.consist.vehicles)
+        values = np.zeros(2 * n + len(WORKS))
+        values[:n] = position - self.consist.middles
+        values[n : 2 * n] = speed
+        delayed = round(self.brake.dead_time / self.step)
+        return ConsistState(
+            0.0,
+            values,
+            np.zeros(n),
+            np.zeros((delayed, n)),
+            0,
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n - 1),
+        )
+
+    def advance(
+        self,
+        state: ConsistState,
+        tractive_efforts: ArrayLike,
+        braking_efforts: ArrayLike,
+        steps: int,
+    ) -> None:
+        """Let `steps` integration steps pass under constant demands.
+
+        Parameters
+        ----------
+        state : ConsistState
+            Changed in place.
+        tractive_efforts, braking_efforts : (n,) array or float [N]
+            Of each vehicle, or of the whole consist: then shared in proportion to what each vehicle
+            can do. Tractive efforts are bounded by the vehicle's power.
+
+        Raises
+        ------
+        InputError
+            If an effort is negative or more than a vehicle has, if a softening coupler is
+            stretched beyond its validity, or the motion is not finite.
+        """
+        pull = self._shared(tractive_efforts, particles.PULL, "tractive")
+        demand = self._shared(braking_efforts, particles.BRAKE, "braking")
+        state.cursor = particles.advance(
+            state.values, state.time, pull, demand, state.braking_effort, state.delay,
+            state.cursor, self.brake.lag, self.step, steps, self._vehicles, self._couplers,
+            self._track, state.places, np.array(self.variation.amplitudes),
+            self.variation.angular_frequency, state.largest_stretch,
+        )  # fmt: skip
+        state.time += steps * self.step
+        self._check_motion(state)
+
+    def coupler_forces(self, state: ConsistState) -> FloatArray:
+        """Force in each coupler [N], positive when pulled apart; (n - 1,) array."""
+        stretch = -np.diff(state.positions) - self._couplers[:, particles.APART]
+        rate = -np.diff(state.speeds)
+        springs = [
+            float(coupler.force(each))
+            for coupler, each in zip(self.consist.couplers, stretch, strict=True)
+        ]
+        dampers = np.where(
+            np.abs(stretch) > self._couplers[:, particles.SLACK],
+            self._couplers[:, particles.DAMPING] * rate,
+            0.0,
+        )
+        return np.array(springs) + dampers
+
+    def energy(self, state: ConsistState) -> float:
+        """Kinetic energy of the vehicles and energy stored in the couplers [J]."""
+        stretch = -np.diff(state.positions) - self._couplers[:, particles.APART]
+        stored = sum(
+            float(coupler.energy(each))
+            for coupler, each in zip(self.consist.couplers, stretch, strict=True)
+        )
+        return stored + 0.5 * float(self._vehicles[:, particles.INERTIA] @ state.speeds**2)
+
+    def momentum(self, state: ConsistState) -> float:
+        """Of all vehicles with their rotating parts [kg m/s]."""
+        return float(self._vehicles[:, particles.INERTIA] @ state.speeds)
+
+    def _shared(self, efforts: ArrayLike, column: int, what: str) -> FloatArray:
+        most = self._vehicles[:, column]
+        each = np.asarray(efforts, dtype=np.float64)
+        if each.ndim == 0:
+            total = most.sum()
+            each = most * (each / total) if total > 0.0 else np.full(most.shape, each)
+        if each.shape != most.shape:
+            raise InputError(
+                f"consist '{self.consist.name}': {each.size} {what} efforts for"
+                f" {most.size} vehicles"
+            )
+        if not np.all((each >= 0.0) & (each <= most * (1.0 + 1e-12))):
+            row = int(np.argmin((each >= 0.0) & (each <= most * (1.0 + 1e-12))))
+            raise InputError(
+                f"vehicle {row + 1} of consist '{self.consist.name}' cannot give a {what} effort of"
+                f" {each[row] / 1e3:.1f} kN",
+                remedy=f"it has 0 to {most[row] / 1e3:.1f} kN",
+            )
+        return np.ascontiguousarray(each)
+
+    def _check_step(self) -> None:
+        if not (self.step > 0.0 and np.isfinite(self.step)):
+            raise InputError(f"a time step of {self.step} s makes no sense")
+        inertia = self._vehicles[:, particles.INERTIA]
+        reduced = 1.0 / (1.0 / inertia[:-1] + 1.0 / inertia[1:])
+        # A vehicle between two couplers swings up to twice as fast as a pair of them.
+        frequency = 2.0 * np.sqrt(self._couplers[:, particles.STIFFNESS] / reduced)
+        rate = 2.0 * self._couplers[:, particles.DAMPING] / reduced
+        fastest = max(frequency.max(initial=0.0), 0.5 * rate.max(initial=0.0))
+        if self.step * fastest > FINEST:
+            raise InputError(
+                f"step of {1e3 * self.step:g} ms is too coarse for the couplers of consist"
+                f" '{self.consist.name}'",
+                remedy=f"use at most {1e3 * FINEST / fastest:.1f} ms",
+            )
+        strongest = float((self._vehicles[:, particles.BRAKE] / inertia).max())
+        if self.step * strongest > 2.0 * particles.AT_REST:
+            raise InputError(
+                f"step of {1e3 * self.step:g} ms is too coarse for brakes of {strongest:.1f} m/s²",
+                remedy=f"use at most {2e3 * particles.AT_REST / strongest:.1f} ms",
+            )
+
+    def _check_motion(self, state: ConsistState) -> None:
+        if not np.all(np.isfinite(state.values)):
+            raise InputError(
+                f"the motion of consist '{self.consist.name}' is not finite after"
+                f" {state.time:.1f} s",
+                remedy="use a smaller step",
+            )
+        for number, coupler in enumerate(self.consist.couplers):
+            stretch = float(state.largest_stretch[number])
+            if stretch >= coupler.largest_stretch:
+                raise InputError(
+                    f"coupler {number + 1} of consist '{self.consist.name}' was stretched by"
+                    f" {1e3 * stretch:.0f} mm; its softening spring is valid to"
+                    f" {1e3 * coupler.largest_stretch:.0f} mm",
+                    remedy="give it a smaller |epsilon| or more stiffness, or lower the efforts",
+                )
+
+
+def track_table(line: Line) -> FloatArray:
+    """Track of a line: one row a piece between two breakpoints.
+
+    Returns
+    -------
+    (n, 5) array
+        Start [m], sine of the gradient, curvature at the start [1/m], its change [1/m²], and the
+        tunnel's resistance over weight.
+    """
+    start = line.breakpoints
+    start = start[start < line.length]
+    width = np.diff(np.append(start, line.length))
+    inside = start + 1e-6 * width
+    nearly = start + (1.0 - 1e-6) * width
+    slope = line.gradient(start)
+    bend = line.curvature(inside)
+    change = (line.curvature(nearly) - bend) / (nearly - inside)
+    tunnel = np.zeros(start.size)
+    for each in line.tunnels:
+        here = (start >= each.position) & (start < each.position + each.length)
+        tunnel[here] = tunnel_force_per_weight(each.length)
+    return np.ascontiguousarray(
+        np.column_stack([start, slope / np.hypot(1.0, slope), bend, change, tunnel])
+    )
