@@ -142,10 +142,17 @@ class ConsistPlant:
         apart = np.diff(consist.middles)
         self._couplers = np.array(
             [
-                [each.stiffness, each.nonlinearity, each.damping, each.slack, distance]
+                [
+                    each.stiffness,
+                    each.nonlinearity,
+                    each.damping,
+                    each.slack,
+                    distance,
+                    each.largest_stretch,
+                ]
                 for each, distance in zip(consist.couplers, apart, strict=True)
             ]
-        ).reshape(-1, 5)
+        ).reshape(-1, 6)
         self._check_step()
 
     def at(self, position: float = 0.0, speed: float = 0.0) -> ConsistState:
@@ -224,7 +231,7 @@ class ConsistPlant:
             for coupler, each in zip(self.consist.couplers, stretch, strict=True)
         ]
         dampers = np.where(
-            np.abs(stretch) > self._couplers[:, particles.SLACK],
+            np.abs(stretch) >= self._couplers[:, particles.SLACK],
             self._couplers[:, particles.DAMPING] * rate,
             0.0,
         )
@@ -286,12 +293,6 @@ class ConsistPlant:
             )
 
     def _check_motion(self, state: ConsistState) -> None:
-        if not np.all(np.isfinite(state.values)):
-            raise InputError(
-                f"the motion of consist '{self.consist.name}' is not finite after"
-                f" {state.time:.1f} s",
-                remedy="use a smaller step",
-            )
         for number, coupler in enumerate(self.consist.couplers):
             stretch = float(state.largest_stretch[number])
             if stretch >= coupler.largest_stretch:
@@ -301,6 +302,12 @@ class ConsistPlant:
                     f" {1e3 * coupler.largest_stretch:.0f} mm",
                     remedy="give it a smaller |epsilon| or more stiffness, or lower the efforts",
                 )
+        if not np.all(np.isfinite(state.values)):
+            raise InputError(
+                f"the motion of consist '{self.consist.name}' is not finite after"
+                f" {state.time:.1f} s",
+                remedy="use a smaller step",
+            )
 
 
 def track_table(line: Line) -> FloatArray:

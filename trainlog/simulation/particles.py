@@ -33,8 +33,9 @@ WORKS = ("traction", "braking", "running_resistance", "track", "damping")
 MASS, INERTIA, R0, R1, R2, PULL, POWER, BRAKE = range(8)
 """Columns of the table of vehicles."""
 
-STIFFNESS, NONLINEARITY, DAMPING, SLACK, APART = range(5)
-"""Columns of the table of couplers; APART is the distance of the middles at rest [m]."""
+STIFFNESS, NONLINEARITY, DAMPING, SLACK, APART, LARGEST = range(6)
+"""Columns of the table of couplers; APART is the distance of the middles at rest [m], LARGEST the
+stretch up to which the spring is valid."""
 
 START, SINE, CURVATURE, BEND, TUNNEL = range(5)
 """Columns of the table of the track: piece from START [m] on; TUNNEL is resistance over weight."""
@@ -107,7 +108,8 @@ def derivative(
         if stretch < 0.0:
             beyond = -beyond
         rate = y[n + i] - y[n + i + 1]
-        damper = couplers[i, DAMPING] * rate if beyond != 0.0 else 0.0
+        grips = couplers[i, SLACK] == 0.0 or beyond != 0.0
+        damper = couplers[i, DAMPING] * rate if grips else 0.0
         force = couplers[i, STIFFNESS] * (1.0 + couplers[i, NONLINEARITY] * beyond * beyond)
         force = force * beyond + damper
         out[n + i] -= force
@@ -153,7 +155,7 @@ def advance(
         Amplitude, relative to its mean, with which each coefficient of the running resistance
         swings with `angular_frequency` [rad/s] of time.
     stretch : (n - 1,) array [m]
-        Largest stretch of each coupler so far.
+        Largest stretch of each coupler so far; beyond what is valid the motion ends.
 
     Returns
     -------
@@ -203,6 +205,8 @@ def advance(
             y[i] += step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
         for i in range(n - 1):
             stretch[i] = max(stretch[i], abs(y[i] - y[i + 1] - couplers[i, APART]))
+            if stretch[i] >= couplers[i, LARGEST]:
+                return cursor
         time += step
     return cursor
 

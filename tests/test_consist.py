@@ -1,0 +1,280 @@
+"""A consist of coupled vehicles obeys the laws it is made of; paper 004, eqs. (1)-(10)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_world import level_line, steps
+
+from trainlog.errors import InputError
+from trainlog.railway import Brake, CurvatureProfile, RunningResistance, Tunnel
+from trainlog.railway.consist import Consist, Coupler, Vehicle
+from trainlog.simulation.consist import ConsistPlant, ConsistState, Variation
+from trainlog.units import GRAVITY
+
+FRICTIONLESS = RunningResistance(0.0, 0.0, 0.0)
+WAGON = Vehicle(
+    "wagon",
+    mass=43_750.0,
+    length=25.0,
+    resistance=RunningResistance(261.0, 4.9, 0.084),
+    rotating_mass=2_000.0,
+    max_tractive_effort=31_250.0,
+    max_braking_effort=40_000.0,
+)
+COUPLER = Coupler(stiffness=10e6, nonlinearity=200.0, damping=200e3)
+
+
+def train(count: int = 8, coupler: Coupler = COUPLER, **changes: object) -> Consist:
+    wagon = replace(WAGON, **changes)  # type: ignore[arg-type]
+    return Consist("train", (wagon,) * count, (coupler,) * (count - 1))
+
+
+def residual(plant: ConsistPlant, state: ConsistState, before: float) -> float:
+    """Energy that is unaccounted for, over all work done."""
+    works = state.works
+    gained = works["traction"] - sum(value for name, value in works.items() if name != "traction")
+    return abs(plant.energy(state) - before - gained) / sum(abs(v) for v in works.values())
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    count=st.integers(1, 10),
+    nonlinearity=st.sampled_from([-20.0, 0.0, 200.0]),
+    slack=st.sampled_from([0.0, 0.02]),
+    demands=st.lists(
+        st.tuples(st.floats(0.0, 1.0), st.booleans(), st.integers(1, 40)), min_size=3, max_size=12
+    ),
+)
+def test_energy_is_accounted_for(
+    count: int, nonlinearity: float, slack: float, demands: list[tuple[float, bool, int]]
+) -> None:
+    coupler = replace(COUPLER, nonlinearity=nonlinearity, slack=slack)
+    hilly = replace(
+        level_line(20_000.0), gradients=steps((0.0, 0.01), (400.0, -0.015), (900.0, 0.02))
+    )
+    plant = ConsistPlant(train(count, coupler), hilly, step=0.002)
+    state = plant.at(300.0, 12.0)
+    before = plant.energy(state)
+    for share, pulls, seconds in demands:
+        effort = share * 40_000.0 * count
+        plant.advance(
+            state,
+            min(effort, 31_250.0 * count) if pulls else 0.0,
+            0.0 if pulls else effort,
+            500 * seconds,
+        )
+    assert residual(plant, state, before) <= 1e-9
+
+
+def test_momentum_is_kept_without_outer_forces() -> None:
+    plant = ConsistPlant(train(8, resistance=FRICTIONLESS), step=0.002)
+    state = plant.at(0.0, 20.0)
+    state.values[8:16] += np.array([0.5, -0.3, 0.2, 0.0, -0.4, 0.3, 0.1, -0.2])
+    before = plant.momentum(state)
+    plant.advance(state, 0.0, 0.0, 50_000)
+    assert plant.momentum(state) == pytest.approx(before, rel=1e-12)
+    # The damping has brought the vehicles to a common speed.
+    assert np.ptp(state.speeds) < 1e-6
+
+
+def test_a_train_settles_at_the_speed_of_equilibrium() -> None:
+    consist = train(4)
+    plant = ConsistPlant(consist)
+    effort = 20_000.0
+    resistance = consist.resistance
+    expected = (
+        -resistance.r1 + np.sqrt(resistance.r1**2 + 4 * resistance.r2 * (effort - resistance.r0))
+    ) / (2.0 * resistance.r2)
+    state = plant.at(0.0, 0.999 * expected)
+    plant.advance(state, effort, 0.0, 2_000_000)
+    assert state.speeds == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("r0", "r1", "r2"), [(4_000.0, 30.0, 8.0), (4_000.0, 600.0, 8.0), (4_000.0, 400.0, 10.0)]
+)
+def test_coasting_down_follows_the_closed_form(r0: float, r1: float, r2: float) -> None:
+    """All three signs of the discriminant r1² - 4 r0 r2."""
+    vehicle = replace(WAGON, mass=350e3, resistance=RunningResistance(r0, r1, r2))
+    plant = ConsistPlant(Consist("one", (vehicle,)))
+    state = plant.at(0.0, 40.0)
+    plant.advance(state, 0.0, 0.0, 20_000)
+    time, inertia = 200.0, vehicle.inertia
+    discriminant = r1**2 - 4.0 * r0 * r2
+    if discriminant < 0.0:
+        root = np.sqrt(-discriminant)
+        angle = np.arctan((2.0 * r2 * 40.0 + r1) / root) - root * time / (2.0 * inertia)
+        expected = (root * np.tan(angle) - r1) / (2.0 * r2)
+    elif discriminant > 0.0:
+        root = np.sqrt(discriminant)
+        ratio = (2.0 * r2 * 40.0 + r1 - root) / (2.0 * r2 * 40.0 + r1 + root)
+        ratio *= np.exp(-root * time / inertia)
+        expected = ((1.0 + ratio) / (1.0 - ratio) * root - r1) / (2.0 * r2)
+    else:
+        expected = (
+            1.0 / (1.0 / (2.0 * r2 * 40.0 + r1) + time / (2.0 * inertia)) - r1
+        ) / (2.0 * r2)  # fmt: skip
+    assert 5.0 < expected < 39.0
+    assert state.speeds[0] == pytest.approx(expected, rel=1e-10)
+
+
+def test_integration_is_of_fourth_order() -> None:
+    def speeds(step: float) -> np.ndarray:
+        plant = ConsistPlant(train(5), brake=Brake(0.0, 0.0), step=step)
+        state = plant.at(0.0, 10.0)
+        plant.advance(state, [0.0, 31_250.0, 0.0, 0.0, 0.0], 0.0, round(2.0 / step))
+        return state.speeds
+
+    exact = speeds(0.00025)
+    errors = [np.abs(speeds(step) - exact).max() for step in (0.008, 0.004, 0.002)]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert np.all(orders > 3.7), (errors, orders)
+
+
+def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
+    slope = 0.02
+    climbing = replace(level_line(5_000.0), gradients=steps((0.0, slope)))
+    consist = train(6, resistance=FRICTIONLESS, rotating_mass=0.0, max_tractive_effort=1e6)
+    plant = ConsistPlant(consist, climbing, step=0.002)
+    weight = GRAVITY * WAGON.mass * slope / np.hypot(1.0, slope)
+    state = plant.at(1_000.0, 10.0)
+    plant.advance(state, [6.0 * weight, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0, 60_000)
+    assert plant.coupler_forces(state) == pytest.approx(weight * np.arange(5, 0, -1), rel=1e-6)
+    assert state.speeds == pytest.approx(10.0, abs=1e-3)
+
+
+def test_the_track_acts_under_each_vehicle() -> None:
+    """Only the vehicles that have passed the edge climb."""
+    edge = replace(level_line(5_000.0), gradients=steps((0.0, 0.0), (1_000.0, 0.02)))
+    plant = ConsistPlant(train(8, resistance=FRICTIONLESS), edge, step=0.001)
+    state = plant.at(1_100.0, 10.0)  # four of eight middles are beyond km 1.0
+    before = plant.momentum(state)
+    plant.advance(state, 0.0, 0.0, 10)
+    pull = (before - plant.momentum(state)) / 0.01
+    assert pull == pytest.approx(4 * GRAVITY * WAGON.mass * 0.02 / np.hypot(1.0, 0.02), rel=1e-9)
+
+
+def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
+    length, radius = 800.0, 400.0
+    bent = replace(
+        level_line(5_000.0),
+        curvatures=CurvatureProfile(
+            np.array([0.0]), np.array([1.0 / radius]), np.array([1.0 / radius])
+        ),
+        tunnels=(Tunnel(1_000.0, length, 40.0),),
+    )
+    plant = ConsistPlant(train(1, resistance=FRICTIONLESS), bent, step=0.001)
+    for position, expected in ((500.0, 0.6 / radius), (1_200.0, 0.6 / radius + 1.3e-7 * length)):
+        state = plant.at(position, 10.0)
+        before = plant.momentum(state)
+        plant.advance(state, 0.0, 0.0, 10)
+        force = (before - plant.momentum(state)) / 0.01
+        assert force == pytest.approx(GRAVITY * WAGON.mass * expected, rel=1e-9)
+
+
+def test_the_brake_answers_after_its_dead_time_with_its_lag() -> None:
+    plant = ConsistPlant(train(1), brake=Brake(0.6, 0.4), step=0.01)
+    state = plant.at(0.0, 30.0)
+    efforts = []
+    for _ in range(300):
+        plant.advance(state, 0.0, 40_000.0, 1)
+        efforts.append(float(state.braking_effort[0]))
+    time = 0.01 * np.arange(1, 301)
+    expected = 40_000.0 * (1.0 - np.exp(-np.maximum(time - 0.6, 0.0) / 0.4))
+    np.testing.assert_allclose(efforts, expected, atol=1e-6)
+
+
+def test_a_braked_train_stands_on_a_slope_and_rolls_without_brake() -> None:
+    steep = replace(level_line(5_000.0), gradients=steps((0.0, 0.03)))
+    plant = ConsistPlant(train(4), steep)
+    state = plant.at(2_000.0, 5.0)
+    plant.advance(state, 0.0, 160_000.0, 3_000)
+    rest = state.positions
+    assert np.all(state.speeds == 0.0)
+    plant.advance(state, 0.0, 160_000.0, 6_000)
+    np.testing.assert_array_equal(state.positions, rest)
+    plant.advance(state, 0.0, 0.0, 3_000)
+    assert np.all(state.speeds < -3.0)
+
+
+def test_the_resistance_swings_as_told() -> None:
+    vehicle = replace(WAGON, resistance=RunningResistance(10_000.0, 0.0, 0.0))
+    plant = ConsistPlant(
+        Consist("one", (vehicle,)), variation=Variation((0.5, 0.0, 0.0), 0.1), step=0.01
+    )
+    state = plant.at(0.0, 40.0)
+    plant.advance(state, 0.0, 0.0, 3_000)
+    lost = 10_000.0 * (30.0 + 0.5 * (1.0 - np.cos(3.0)) / 0.1) / vehicle.inertia
+    assert state.speeds[0] == pytest.approx(40.0 - lost, rel=1e-10)
+
+
+def test_slack_runs_in_and_out() -> None:
+    """With slack the rear follows later and harder."""
+    tight, loose = (
+        ConsistPlant(train(10, replace(COUPLER, slack=slack)), step=0.002) for slack in (0.0, 0.03)
+    )
+    largest = []
+    for plant in (tight, loose):
+        state, peak = plant.at(0.0, 0.0), 0.0
+        for _ in range(2_000):
+            plant.advance(state, [31_250.0] + [0.0] * 9, 0.0, 5)
+            peak = max(peak, float(plant.coupler_forces(state).max()))
+        largest.append(peak)
+    assert largest[1] > 1.1 * largest[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: replace(WAGON, mass=-1.0), "mass -1.0 is not positive"),
+        (lambda: Coupler(0.0), "stiffness 0.0 N/m is not positive"),
+        (lambda: replace(COUPLER, slack=-0.1), "slack -0.1 is negative"),
+        (lambda: Consist("x", (WAGON, WAGON)), "2 vehicles need 1 couplers, given are 0"),
+        (lambda: Consist("x", ()), "at least one vehicle"),
+        (lambda: ConsistPlant(train(), step=0.1), "too coarse for the couplers.*at most"),
+        (lambda: ConsistPlant(train(1), step=0.0), "makes no sense"),
+        (lambda: ConsistPlant(train()).at(-1.0), "cannot start at km -0.001"),
+        (
+            lambda: replace(level_line(1_000.0), tunnels=(Tunnel(900.0, 200.0, 40.0),)),
+            "tunnel at km 0.900 leaves the line",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(make: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make()  # type: ignore[operator]
+
+
+def test_efforts_that_a_vehicle_does_not_have_are_refused() -> None:
+    plant = ConsistPlant(train(2))
+    state = plant.at()
+    with pytest.raises(InputError, match=r"vehicle 2 .* tractive effort of 99\.0 kN.*31\.2 kN"):
+        plant.advance(state, [0.0, 99e3], 0.0, 1)
+    with pytest.raises(InputError, match="3 braking efforts for 2 vehicles"):
+        plant.advance(state, 0.0, [1.0, 1.0, 1.0], 1)
+
+
+def test_a_softening_coupler_is_refused_beyond_its_validity() -> None:
+    soft = replace(COUPLER, stiffness=1e6, nonlinearity=-200.0)
+    assert soft.largest_stretch == pytest.approx(1.0 / np.sqrt(600.0))
+    plant = ConsistPlant(train(3, soft, max_tractive_effort=200e3), step=0.002)
+    state = plant.at()
+    with pytest.raises(InputError, match=r"coupler 1 .* valid to 41 mm"):
+        plant.advance(state, [200e3, 0.0, 0.0], 0.0, 10_000)
+
+
+def test_springs_store_what_their_force_does() -> None:
+    stretch = np.linspace(-0.05, 0.05, 20_001)
+    for coupler in (COUPLER, replace(COUPLER, nonlinearity=-20.0, slack=0.01)):
+        work = np.concatenate(
+            ([0.0], np.cumsum(0.5 * np.diff(stretch) * (
+                coupler.force(stretch)[1:] + coupler.force(stretch)[:-1]
+            )))
+        )  # fmt: skip
+        gained = coupler.energy(stretch) - coupler.energy(stretch[0])
+        np.testing.assert_allclose(work, gained, atol=1e-3)

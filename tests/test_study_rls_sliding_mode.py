@@ -1,0 +1,118 @@
+"""The study of paper 004 reaches what the paper published."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.control.sliding_mode import SlidingModeController, Target
+from analysis.studies import rls_sliding_mode as study
+from analysis.studies.logs import trip_of
+from trainlog.errors import InputError
+from trainlog.mcap import read_log, write_log
+
+BY_NAME = {variant.name: variant for variant in study.VARIANTS}
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, study.Run]:
+    return {name: study.run(variant) for name, variant in BY_NAME.items()}
+
+
+def test_the_profile_has_the_speed_the_distance_and_the_time_of_the_paper() -> None:
+    time = np.linspace(0.0, 1_200.0, 120_001)
+    speeds = np.array([study.target(now).speed for now in time])
+    positions = np.array([study.target(now).position for now in time])
+    assert speeds.max() == 83.0
+    assert positions[-1] == 74_700.0
+    travelled = np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(time))
+    assert travelled == pytest.approx(74_700.0, rel=1e-9)
+
+
+def test_the_scalar_estimator_reaches_the_published_figures(runs: dict[str, study.Run]) -> None:
+    position, speed, stop = runs["scalar"].figures
+    assert 0.78 <= position <= 0.84
+    assert 0.215 <= speed <= 0.23
+    assert stop <= 0.005
+
+
+def test_the_spatial_reset_stays_close_wherever_the_edges_fall() -> None:
+    runs = [study.run(BY_NAME["spatial reset"], shift=float(s)) for s in study.edge_shifts(3)]
+    position, speed, _ = study.worst(runs)
+    assert position <= 0.20
+    assert speed <= 0.067
+
+
+def test_the_time_reset_misses_by_more_than_a_metre(runs: dict[str, study.Run]) -> None:
+    assert runs["time reset"].figures[0] > 1.0
+
+
+def test_the_effort_stays_within_the_saturation(runs: dict[str, study.Run]) -> None:
+    for run in runs.values():
+        assert np.abs(run.effort).max() < study.EFFORT_LIMIT
+
+
+def test_the_scalar_estimate_converges_to_the_true_resistance(runs: dict[str, study.Run]) -> None:
+    """Within 30 s of each change, as the paper says."""
+    run = runs["scalar"]
+    changes = np.flatnonzero(np.abs(np.diff(run.slope_force)) > 1e3)
+    calm = np.ones(run.time.size, dtype=bool)
+    for change in (0, *changes):
+        calm[change : change + 301] = False
+    calm[run.speed < 0.05] = False  # at standstill nothing resists
+    assert np.abs(run.estimate - run.resistance)[calm].max() < 100.0
+
+
+def test_with_measured_speed_keeping_a1_and_a2_is_what_helps() -> None:
+    full, part = (
+        study.run(BY_NAME[name], noise=study.SPEED_NOISE)
+        for name in ("spatial reset", "partial reset")
+    )
+    assert part.figures[0] < 0.3 * full.figures[0]
+
+
+def test_a_run_becomes_a_log(runs: dict[str, study.Run], tmp_path: Path) -> None:
+    run = runs["spatial reset"]
+    trip = trip_of(run, seed=1)
+    write_log(trip, tmp_path / "run.mcap")
+    again = read_log(tmp_path / "run.mcap")
+    np.testing.assert_array_equal(again["/truth"]["position"], run.position)
+    np.testing.assert_array_equal(again["/estimates/running_resistance"]["r1"], run.theta[:, 1])
+    work = np.sum(
+        again["/train/controls"]["tractive_effort"].to_numpy()[:-1] * np.diff(run.position)
+    )
+    assert work > 1e9
+    assert again.provenance[-1]["variant"] == "spatial reset"
+
+
+def test_on_the_sliding_surface_the_error_decays_as_designed() -> None:
+    """With exact knowledge s stays 0, and a position error decays with lambda."""
+    controller = SlidingModeController(100e3, switching_effort=0.0)
+    position, speed = 10.0, 20.0 - 0.5 * 10.0  # s = 0: the speed error is -lambda times the error
+    step = 1e-3
+    for k in range(4_000):
+        goal = Target(20.0 * k * step, 20.0, 0.0)
+        effort = controller.effort(position, speed, goal, resistance=5e3)
+        speed += step * (effort - 5e3) / 100e3
+        position += step * speed
+    assert position - 20.0 * 4.0 == pytest.approx(10.0 * np.exp(-2.0), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("mass", 0.0), ("convergence", -1.0), ("boundary_layer", 0.0), ("switching_effort", -1.0)],
+)
+def test_a_controller_that_cannot_be_is_refused(field: str, value: float) -> None:
+    with pytest.raises(InputError, match=field):
+        SlidingModeController(**({"mass": 1e5} | {field: value}))
+
+
+def test_switching_draws_back_to_the_surface_within_the_effort_limit() -> None:
+    controller = SlidingModeController(100e3)
+    goal = Target(0.0, 0.0, 0.0)
+    assert controller.effort(100.0, 10.0, goal, 0.0) == -250e3
+    assert controller.effort(-100.0, -10.0, goal, 0.0) == 250e3
+    within = controller.effort(2.0, 0.0, goal, 0.0)
+    assert within == pytest.approx(-180e3 * 0.5 * 2.0 / 5.0)
