@@ -207,7 +207,7 @@ def consist() -> Consist:
     train = Vehicle(
         "train",
         mass=MASS,
-        length=200.0,
+        length=1.0,  # a point, as the paper has it: slopes begin at once
         resistance=RESISTANCE,
         max_tractive_effort=EFFORT_LIMIT,
         max_braking_effort=EFFORT_LIMIT,

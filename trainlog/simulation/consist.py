@@ -16,10 +16,11 @@ from trainlog.railway.consist import Consist
 from trainlog.railway.resistance import tunnel_force_per_weight
 from trainlog.simulation import particles
 from trainlog.simulation.particles import WORKS
+from trainlog.simulation.track import pieces
 
 FloatArray = NDArray[np.float64]
 
-LEVEL_TRACK = np.array([[0.0, 0.0, 0.0, 0.0, 0.0]])
+LEVEL_TRACK = np.zeros((1, 6))
 """Table of a track without gradients, curves and tunnels."""
 
 FINEST = 1.0
@@ -54,8 +55,8 @@ class ConsistState:
     braking_effort : (n,) array [N]
     delay : (d, n) array [N]
         Braking efforts asked for within the dead time; `cursor` is the oldest.
-    places : (n,) array
-        Piece of the track under each vehicle.
+    places : (n, 3) array
+        Piece of the track under the front, the rear and the middle of each vehicle.
     largest_stretch : (n - 1,) array [m]
         Of each coupler since the beginning, to either side.
     """
@@ -135,6 +136,7 @@ class ConsistPlant:
                     each.max_tractive_effort,
                     each.max_traction_power,
                     each.max_braking_effort,
+                    each.length,
                 ]
                 for each in consist.vehicles
             ]
@@ -184,7 +186,7 @@ class ConsistPlant:
             np.zeros(n),
             np.zeros((delayed, n)),
             0,
-            np.zeros(n, dtype=np.int64),
+            np.zeros((n, 3), dtype=np.int64),
             np.zeros(n - 1),
         )
 
@@ -230,11 +232,10 @@ class ConsistPlant:
             float(coupler.force(each))
             for coupler, each in zip(self.consist.couplers, stretch, strict=True)
         ]
-        dampers = np.where(
-            np.abs(stretch) >= self._couplers[:, particles.SLACK],
-            self._couplers[:, particles.DAMPING] * rate,
-            0.0,
-        )
+        slack = self._couplers[:, particles.SLACK]
+        beyond = np.maximum(np.abs(stretch) - slack, 0.0)
+        hold = np.where(slack > 0.0, np.minimum(beyond / particles.TAKE_UP, 1.0), 1.0)
+        dampers = hold * self._couplers[:, particles.DAMPING] * rate
         return np.array(springs) + dampers
 
     def energy(self, state: ConsistState) -> float:
@@ -315,22 +316,14 @@ def track_table(line: Line) -> FloatArray:
 
     Returns
     -------
-    (n, 5) array
-        Start [m], sine of the gradient, curvature at the start [1/m], its change [1/m²], and the
-        tunnel's resistance over weight.
+    (n, 6) array
+        Start [m], height there [m], sine of the gradient, curvature at the start [1/m], its change
+        [1/m²], and the tunnel's resistance over weight.
     """
-    start = line.breakpoints
-    start = start[start < line.length]
-    width = np.diff(np.append(start, line.length))
-    inside = start + 1e-6 * width
-    nearly = start + (1.0 - 1e-6) * width
-    slope = line.gradient(start)
-    bend = line.curvature(inside)
-    change = (line.curvature(nearly) - bend) / (nearly - inside)
+    start, width, sine, curvature, bend = pieces(line)
+    height = np.concatenate(([0.0], np.cumsum(sine * width)[:-1]))
     tunnel = np.zeros(start.size)
     for each in line.tunnels:
         here = (start >= each.position) & (start < each.position + each.length)
         tunnel[here] = tunnel_force_per_weight(each.length)
-    return np.ascontiguousarray(
-        np.column_stack([start, slope / np.hypot(1.0, slope), bend, change, tunnel])
-    )
+    return np.ascontiguousarray(np.column_stack([start, height, sine, curvature, bend, tunnel]))

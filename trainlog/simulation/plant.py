@@ -16,6 +16,7 @@ from trainlog.railway import Line, RunningResistance, StepProfile, Train
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.simulation import dynamics
 from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, Parameters
+from trainlog.simulation.track import pieces
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -333,20 +334,9 @@ def track_table(line: Line, train: Train) -> FloatArray:
         Start [m], sine of the gradient, curvature at the start [1/m], its change [1/m²], and the
         tunnel's quadratic resistance [N/(m/s)²].
     """
-    start = line.breakpoints
-    start = start[start < line.length]
-    width = np.diff(np.append(start, line.length))
-    inside = start + 1e-6 * width
-    nearly = start + (1.0 - 1e-6) * width
-    slope = line.gradient(start)
-    bend = line.curvature(inside)
-    change = (line.curvature(nearly) - bend) / (nearly - inside)
-    section = line.tunnel_cross_section(start)
-    return np.ascontiguousarray(
-        np.column_stack(
-            [start, slope / np.hypot(1.0, slope), bend, change, train.tunnel_coefficient(section)]
-        )
-    )
+    start, _, sine, curvature, bend = pieces(line)
+    tunnel = train.tunnel_coefficient(line.tunnel_cross_section(start))
+    return np.ascontiguousarray(np.column_stack([start, sine, curvature, bend, tunnel]))
 
 
 def rail_table(maximum_adhesion: StepProfile) -> FloatArray:
