@@ -236,7 +236,7 @@ class ConsistPlant:
         beyond = np.maximum(np.abs(stretch) - slack, 0.0)
         hold = np.where(slack > 0.0, np.minimum(beyond / particles.TAKE_UP, 1.0), 1.0)
         dampers = hold * self._couplers[:, particles.DAMPING] * rate
-        return np.array(springs) + dampers
+        return np.asarray(np.array(springs) + dampers)
 
     def energy(self, state: ConsistState) -> float:
         """Kinetic energy of the vehicles and energy stored in the couplers [J]."""
