@@ -240,7 +240,7 @@ def expanded(found):
     return joined
 
 
-@settings(max_examples=150)
+@settings(max_examples=100, deadline=None)
 @given(ros_fields(), st.integers(0, 3))
 def test_ros2_messages_come_back_as_the_official_writer_got_them(drawn, padding):
     lines, values = drawn
