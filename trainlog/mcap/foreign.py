@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
+from trainlog.mcap.account import Account
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file, shown
 from trainlog.mcap.foreign_columns import Columns
@@ -66,6 +67,8 @@ class ForeignFrames:
         ``encoding``. A topic with several schemas has one frame each, ``"/topic (schema)"``.
     publish_times : dict of str to DatetimeIndex
         When each row of a frame was published, as the file says.
+    account : Account
+        What of the file is readable, and what is lost.
     skipped : tuple of Skipped
         What is not in the frames: channels and messages that cannot be decoded, and fields that do
         not become columns.
@@ -73,6 +76,7 @@ class ForeignFrames:
 
     frames: dict[str, pd.DataFrame]
     publish_times: dict[str, pd.DatetimeIndex]
+    account: Account
     skipped: tuple[Skipped, ...] = ()
 
 
@@ -107,7 +111,7 @@ def frames_of(path: str | Path, topics: Iterable[str] | None = None) -> ForeignF
         if topics is None:
             check_data_section(source, contents)
     report_losses(path, contents)
-    return found
+    return replace(found, account=contents.account)
 
 
 def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:
@@ -194,7 +198,7 @@ def _frames(source: Source, contents: Contents, channels: list[Channel]) -> Fore
     for name, table in _named(by_channel.values()):
         frames[name], published[name] = table.frame()
         skipped += table.skipped(name)
-    return ForeignFrames(frames, published, tuple(skipped))
+    return ForeignFrames(frames, published, contents.account, tuple(skipped))
 
 
 def _tables(contents: Contents, channels: list[Channel]) -> tuple[dict[int, _Table], list[Skipped]]:

@@ -1,0 +1,363 @@
+"""Format ``mcap``: MCAP files of other programs (ROS bags, Foxglove), mapped to our topics.
+
+Messages whose schema says what they are need no profile. A profile names any other field as
+``"/topic:path.to.field[0]"``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from mcap.writer import MCAP0_MAGIC
+
+from trainlog.errors import InputError
+from trainlog.ingest.foreign_presets import preset_of, table_of, without_fix
+from trainlog.ingest.mapping import recording_of
+from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions, suggestion
+from trainlog.ingest.recording import (
+    NO_TIME,
+    Finding,
+    FloatArray,
+    IntArray,
+    Recording,
+    Table,
+    field_of,
+)
+from trainlog.ingest.textfile import Cells
+from trainlog.ingest.timestamps import read_time
+from trainlog.mcap import ForeignFrames, describe, frames_of
+from trainlog.topics import EVENTS, GNSS_FIX
+
+LOG_TIME, PUBLISH_TIME, STAMP = "log_time", "publish_time", "stamp"
+"""What [time] of a profile can name besides a path."""
+
+_STAMPS = ("header.stamp", "timestamp", "stamp")
+"""Where messages keep their own time."""
+
+_SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsecs", "nsec", "nanos")
+
+_MOST_NAMED = 12
+
+
+def is_mcap(head: bytes) -> bool:
+    """Whether a file begins as MCAP does."""
+    return head.startswith(MCAP0_MAGIC)
+
+
+def read_foreign(path: Path, profile: Profile | None) -> Recording:
+    """Read an MCAP file of another program.
+
+    Topics of ours that the profile's [columns] do not name come from messages whose schema is
+    known (`trainlog.ingest.foreign_presets`). Rows are counted from 1 in each topic of the file.
+
+    Raises
+    ------
+    InputError
+        If the file is a log of trainlog, nothing in it can be mapped, or it does not fit the
+        profile.
+    LogError
+        If it is no MCAP file.
+    """
+    described = describe(path)
+    if described.schema_version is not None:
+        raise InputError(
+            "is a log of trainlog, and a trip as it is",
+            file=path,
+            remedy="give it to the other commands; it need not be brought in",
+        )
+    options = profile or Profile(format=PROFILE_FORMAT, version=1, name="none")
+    presets = {topic.name for topic in described.topics if preset_of(topic.message)}
+    named = {_topic(name) for column in options.columns.values() for name in column.names}
+    held = {topic.name for topic in described.topics}
+    found = frames_of(path, topics=(presets | named | {_plain(name) for name in named}) & held)
+    reader = _Reader(path, options, found, sorted(held))
+    reader.read_columns()
+    reader.read_presets()
+    return reader.recording()
+
+
+def _topic(source: str) -> str:
+    """The topic of ``"/topic:path"``."""
+    return source.rpartition(":")[0]
+
+
+def _plain(name: str) -> str:
+    """The topic of ``"/topic (schema)"``, as a topic with several schemas is called."""
+    return name.partition(" (")[0]
+
+
+class _Reader:
+    """Tables and findings while the topics of a file are mapped."""
+
+    def __init__(
+        self, path: Path, profile: Profile, found: ForeignFrames, held: list[str]
+    ) -> None:
+        self.path = path
+        self.profile = profile
+        self.found = found
+        self.held = held
+        self.tables: list[Table] = []
+        self.findings: list[Finding] = []
+        self.constants: dict[str, float | str] = {}
+        self.sources: dict[str, list[str]] = {}
+        self.rows_read = 0
+
+    def read_columns(self) -> None:
+        """Map what the profile names."""
+        by_source: dict[str, dict[str, Column]] = {}
+        fixed = {}
+        for name, column in self.profile.columns.items():
+            if column.value is not None:
+                fixed[name] = column
+                continue
+            topics = {_topic(source) for source in column.names}
+            if len(topics) > 1:
+                raise InputError(
+                    f'columns."{name}" names fields of several topics',
+                    file=self.path,
+                    remedy="take all axles of a field from one topic",
+                )
+            topic = topics.pop()
+            if topic not in self.found.frames:
+                if column.optional:
+                    continue
+                raise self._no_topic(column.names[0], topic)
+            by_source.setdefault(topic, {})[name] = column
+        for topic, columns in by_source.items():
+            self._read_source(topic, columns | fixed)
+            fixed = {}
+
+    def read_presets(self) -> None:
+        """Map what is known by its schema, for the topics of ours that nothing is said of."""
+        taken = {field_of(name)[0].name for name in self.profile.columns}
+        offers: dict[str, list[str]] = {}
+        for name, frame in self.found.frames.items():
+            preset = preset_of(frame.attrs["schema"])
+            if preset is not None and preset[0] not in taken and len(frame):
+                offers.setdefault(preset[0], []).append(name)
+        for ours, names in offers.items():
+            if len(names) > 1 and ours != EVENTS.name:
+                raise InputError(
+                    f"{ours} can come from {' or '.join(names)}",
+                    file=self.path,
+                    remedy=f"say under [columns] of a profile which fields make {ours}",
+                )
+            for name in names:
+                self._read_preset(ours, name)
+
+    def recording(self) -> Recording:
+        """What was mapped; InputError if that is nothing."""
+        self._count_skipped()
+        if not self.tables:
+            listed = ", ".join(self.held[:_MOST_NAMED]) or "none at all"
+            raise InputError(
+                f"holds nothing that can be mapped by itself; its topics: {listed}",
+                file=self.path,
+                remedy="give a profile that says which field is what; docs/foreign.md has an example",
+            )
+        used = {_plain(name) for names in self.sources.values() for name in names}
+        metadata = {"clock": f"{self._time_name()} of the MCAP file"}
+        metadata |= {f"source.{ours}": ", ".join(names) for ours, names in self.sources.items()}
+        unmapped = [topic for topic in self.held if topic not in used]
+        if unmapped:
+            metadata["unmapped"] = ", ".join(unmapped)
+        if not self.found.account.whole:
+            metadata["damage"] = "; ".join(self.found.account.lines())
+        return Recording(
+            tuple(_joined(self.tables)),
+            self.rows_read,
+            tuple(self.findings),
+            self.constants,
+            metadata,
+        )
+
+    def _read_source(self, topic: str, columns: dict[str, Column]) -> None:
+        """Map the fields of one topic of the file."""
+        frame = self.found.frames[topic]
+        values: dict[str, Any] = {}
+        for name, column in columns.items():
+            for source in column.names:
+                path = source.rpartition(":")[2]
+                series = _values(frame, path)
+                if series is not None:
+                    values[source] = series
+                elif not column.optional:
+                    raise InputError(
+                        f"topic {topic} has no field '{path}' (columns.\"{name}\")",
+                        file=self.path,
+                        remedy=suggestion(path, [str(each) for each in frame.columns], "fields"),
+                    )
+        if not len(frame):
+            self._note(columns, topic, 0)
+            return
+        time = self._time(topic)
+        table = pa.table(
+            {name: pa.Array.from_pandas(series) for name, series in values.items()}
+            | {LOG_TIME: pa.array(time, mask=time == NO_TIME)}
+        )
+        profile = self.profile.model_copy(
+            update={
+                "columns": columns,
+                "time": TimeOptions(column=LOG_TIME, format="epoch", unit="ns"),
+            }
+        )
+        rows = np.arange(1, len(frame) + 1, dtype=np.int64)
+        made = recording_of(Cells(table, rows, rows.size), profile, self.path)
+        self.tables += made.tables
+        self.findings += made.findings
+        self.constants |= made.constants
+        self._note(columns, topic, len(frame))
+
+    def _read_preset(self, ours: str, name: str) -> None:
+        frame = self.found.frames[name]
+        _, read = preset_of(frame.attrs["schema"]) or ("", None)
+        assert read is not None
+        table = table_of(self._time(name), frame, read)
+        if ours == GNSS_FIX.name:
+            lost = without_fix(frame)
+            self.findings += table.found("no_fix", lost)
+            for signal in table.signals:
+                table = table.without(signal, lost)
+        self.tables.append(table)
+        self.sources.setdefault(ours, []).append(name)
+        self.rows_read += len(frame)
+
+    def _note(self, columns: dict[str, Column], topic: str, rows: int) -> None:
+        self.rows_read += rows
+        for name, column in columns.items():
+            names = self.sources.setdefault(field_of(name)[0].name, [])
+            if column.value is None and topic not in names:
+                names.append(topic)
+
+    def _count_skipped(self) -> None:
+        """Messages that cannot be decoded are rows that cannot be split into cells."""
+        counts: Counter[str] = Counter()
+        for item in self.found.skipped:
+            if not item.field:
+                counts[f"{item.topic}: {item.reason}"] += item.messages
+        for note, count in counts.items():
+            if count:
+                self.findings.append(Finding("truncated_rows", count, (), note=note))
+                self.rows_read += count
+
+    def _time_name(self) -> str:
+        return self.profile.time.names[0] if self.profile.time else LOG_TIME
+
+    def _time(self, topic: str) -> IntArray:
+        """Time of each row of a frame [ns] UTC, as the profile wants it."""
+        frame, name = self.found.frames[topic], self._time_name()
+        if name == LOG_TIME:
+            return _plausible(pd.DatetimeIndex(frame.index).asi8)
+        if name == PUBLISH_TIME:
+            return _plausible(self.found.publish_times[topic].asi8)
+        for path in _STAMPS if name == STAMP else (name,):
+            time = _stamp(frame, path)
+            if time is not None:
+                return time
+            if path in frame:
+                assert self.profile.time is not None
+                table = pa.table({name: pa.Array.from_pandas(frame[path])})
+                return read_time(table, self.profile.time, ".", self.path)
+        raise InputError(
+            f"topic {topic} has no time '{name}'",
+            file=self.path,
+            remedy=f'set column = "{LOG_TIME}" under [time] of the profile, or a field it has',
+        )
+
+    def _no_topic(self, source: str, topic: str) -> InputError:
+        if not topic:
+            return InputError(
+                f"'{source}' does not say which topic it is of",
+                file=self.path,
+                remedy='write "/topic:path.to.field"',
+            )
+        for item in self.found.skipped:
+            if item.topic == topic and not item.field:
+                return InputError(
+                    f"topic {topic} cannot be decoded: {item.reason}",
+                    file=self.path,
+                    remedy="record it in protobuf, JSON, ROS 1 or ROS 2 (CDR)",
+                )
+        names = [*self.found.frames, *self.held]
+        several = [name for name in self.found.frames if _plain(name) == topic]
+        return InputError(
+            f"no topic '{topic}'" if not several else f"topic {topic} has several schemas",
+            file=self.path,
+            remedy=suggestion(topic, dict.fromkeys(several or names), "topics"),
+        )
+
+
+def _values(frame: pd.DataFrame, path: str) -> Any:
+    """The column at `path`; of a vector its magnitude; None if there is neither."""
+    if path in frame:
+        return frame[path]
+    axes = [f"{path}.{axis}" for axis in "xyz" if f"{path}.{axis}" in frame]
+    if len(axes) < 2 or not all(pd.api.types.is_numeric_dtype(frame[axis]) for axis in axes):
+        return None
+    parts = [frame[axis].to_numpy(dtype=np.float64, na_value=np.nan) for axis in axes]
+    return pd.Series(np.sqrt(np.sum(np.square(parts), axis=0)))
+
+
+def _stamp(frame: pd.DataFrame, path: str) -> IntArray | None:
+    """Time from seconds and nanoseconds at `path`; None if there are none."""
+    for seconds in _SECONDS:
+        for nanoseconds in _NANOSECONDS:
+            names = f"{path}.{seconds}", f"{path}.{nanoseconds}"
+            if not all(name in frame for name in names):
+                continue
+            whole, rest = (
+                frame[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in names
+            )
+            usable = (np.abs(whole) < 2**33) & (rest >= 0.0) & (rest < 1e9)
+            counted = [np.where(usable, part, 0.0).astype(np.int64) for part in (whole, rest)]
+            return _plausible(np.where(usable, counted[0] * 10**9 + counted[1], NO_TIME))
+    return None
+
+
+def _plausible(time: Any) -> IntArray:
+    """Time [ns]; a clock that was never set counts as none."""
+    from trainlog.ingest.timestamps import EARLIEST, LATEST
+
+    return np.where((time >= EARLIEST) & (time < LATEST), time, NO_TIME)
+
+
+def _joined(tables: list[Table]) -> list[Table]:
+    """The tables, those that share a topic of ours merged in the order of time."""
+    joined: list[Table] = []
+    for table in tables:
+        merged = table
+        for other in list(joined):
+            if _topics(other) & _topics(merged):
+                joined.remove(other)
+                merged = _merged(other, merged)
+        joined.append(merged)
+    return joined
+
+
+def _topics(table: Table) -> set[str]:
+    return {field_of(name)[0].name for name in [*table.signals, *table.texts]}
+
+
+def _merged(first: Table, second: Table) -> Table:
+    """The rows of both; what only one of them tells is absent in the rows of the other."""
+    time = np.concatenate((first.time, second.time))
+    order = np.argsort(time, kind="stable")
+    signals: dict[str, FloatArray] = {}
+    texts = {}
+    for name in dict.fromkeys([*first.signals, *second.signals]):
+        parts = [table.signals.get(name, np.full(len(table), np.nan)) for table in (first, second)]
+        signals[name] = np.concatenate(parts)[order]
+    for name in dict.fromkeys([*first.texts, *second.texts]):
+        words = [
+            table.texts.get(name, np.full(len(table), "", dtype=np.object_))
+            for table in (first, second)
+        ]
+        texts[name] = np.concatenate(words)[order]
+    rows = np.concatenate((first.rows, second.rows))[order]
+    return replace(first, time=time[order], rows=rows, signals=signals, texts=texts)
