@@ -7,7 +7,6 @@ Messages whose schema says what they are need no profile. A profile names any ot
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,15 @@ import pyarrow as pa
 from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import InputError
-from trainlog.ingest.foreign_presets import preset_of, table_of, without_fix
-from trainlog.ingest.mapping import recording_of
+from trainlog.ingest.foreign_presets import preset_of, table_of
+from trainlog.ingest.mapping import in_si, recording_of
 from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions, suggestion
 from trainlog.ingest.recording import (
     NO_TIME,
     Finding,
     FloatArray,
     IntArray,
+    Raw,
     Recording,
     Table,
     field_of,
@@ -32,7 +32,7 @@ from trainlog.ingest.recording import (
 from trainlog.ingest.textfile import Cells
 from trainlog.ingest.timestamps import read_time
 from trainlog.mcap import ForeignFrames, describe, frames_of
-from trainlog.topics import EVENTS, GNSS_FIX
+from trainlog.topics import EVENTS
 
 LOG_TIME, PUBLISH_TIME, STAMP = "log_time", "publish_time", "stamp"
 """What [time] of a profile can name besides a path."""
@@ -74,9 +74,12 @@ def read_foreign(path: Path, profile: Profile | None) -> Recording:
     options = profile or Profile(format=PROFILE_FORMAT, version=1, name="none")
     presets = {topic.name for topic in described.topics if preset_of(topic.message)}
     named = {_topic(name) for column in options.columns.values() for name in column.names}
-    held = {topic.name for topic in described.topics}
-    found = frames_of(path, topics=(presets | named | {_plain(name) for name in named}) & held)
-    reader = _Reader(path, options, found, sorted(held))
+    held = Counter[str]()
+    for topic in described.topics:
+        held[topic.name] += topic.count
+    wanted = presets | named | {_plain(name) for name in named}
+    found = frames_of(path, topics=wanted & held.keys())
+    reader = _Reader(path, options, found, dict(held))
     reader.read_columns()
     reader.read_presets()
     return reader.recording()
@@ -96,7 +99,7 @@ class _Reader:
     """Tables and findings while the topics of a file are mapped."""
 
     def __init__(
-        self, path: Path, profile: Profile, found: ForeignFrames, held: list[str]
+        self, path: Path, profile: Profile, found: ForeignFrames, held: dict[str, int]
     ) -> None:
         self.path = path
         self.profile = profile
@@ -104,6 +107,7 @@ class _Reader:
         self.held = held
         self.tables: list[Table] = []
         self.findings: list[Finding] = []
+        self.raw: list[Raw] = []
         self.constants: dict[str, float | str] = {}
         self.sources: dict[str, list[str]] = {}
         self.rows_read = 0
@@ -111,10 +115,12 @@ class _Reader:
     def read_columns(self) -> None:
         """Map what the profile names."""
         by_source: dict[str, dict[str, Column]] = {}
-        fixed = {}
         for name, column in self.profile.columns.items():
+            if isinstance(column.value, str):
+                self.constants[name] = column.value
+                continue
             if column.value is not None:
-                fixed[name] = column
+                self.constants[name] = float(in_si(name, column, np.asarray(column.value)))
                 continue
             topics = {_topic(source) for source in column.names}
             if len(topics) > 1:
@@ -130,8 +136,7 @@ class _Reader:
                 raise self._no_topic(column.names[0], topic)
             by_source.setdefault(topic, {})[name] = column
         for topic, columns in by_source.items():
-            self._read_source(topic, columns | fixed)
-            fixed = {}
+            self._read_source(topic, columns)
 
     def read_presets(self) -> None:
         """Map what is known by its schema, for the topics of ours that nothing is said of."""
@@ -155,18 +160,15 @@ class _Reader:
         """What was mapped; InputError if that is nothing."""
         self._count_skipped()
         if not self.tables:
-            listed = ", ".join(self.held[:_MOST_NAMED]) or "none at all"
+            listed = ", ".join(list(self.held)[:_MOST_NAMED]) or "none at all"
             raise InputError(
                 f"holds nothing that can be mapped by itself; its topics: {listed}",
                 file=self.path,
-                remedy="give a profile that says which field is what; docs/foreign.md has an example",
+                remedy="give a profile that says which field is what, as in docs/foreign.md",
             )
         used = {_plain(name) for names in self.sources.values() for name in names}
         metadata = {"clock": f"{self._time_name()} of the MCAP file"}
         metadata |= {f"source.{ours}": ", ".join(names) for ours, names in self.sources.items()}
-        unmapped = [topic for topic in self.held if topic not in used]
-        if unmapped:
-            metadata["unmapped"] = ", ".join(unmapped)
         if not self.found.account.whole:
             metadata["damage"] = "; ".join(self.found.account.lines())
         return Recording(
@@ -175,6 +177,10 @@ class _Reader:
             tuple(self.findings),
             self.constants,
             metadata,
+            not_used={
+                topic: count for topic, count in self.held.items() if topic not in used and count
+            },
+            raw=tuple(self.raw),
         )
 
     def _read_source(self, topic: str, columns: dict[str, Column]) -> None:
@@ -193,8 +199,8 @@ class _Reader:
                         file=self.path,
                         remedy=suggestion(path, [str(each) for each in frame.columns], "fields"),
                     )
-        if not len(frame):
-            self._note(columns, topic, 0)
+        self._note(columns, topic, len(frame))
+        if not len(frame) or not values:
             return
         time = self._time(topic)
         table = pa.table(
@@ -211,19 +217,13 @@ class _Reader:
         made = recording_of(Cells(table, rows, rows.size), profile, self.path)
         self.tables += made.tables
         self.findings += made.findings
-        self.constants |= made.constants
-        self._note(columns, topic, len(frame))
+        self.raw += made.raw
 
     def _read_preset(self, ours: str, name: str) -> None:
         frame = self.found.frames[name]
         _, read = preset_of(frame.attrs["schema"]) or ("", None)
         assert read is not None
         table = table_of(self._time(name), frame, read)
-        if ours == GNSS_FIX.name:
-            lost = without_fix(frame)
-            self.findings += table.found("no_fix", lost)
-            for signal in table.signals:
-                table = table.without(signal, lost)
         self.tables.append(table)
         self.sources.setdefault(ours, []).append(name)
         self.rows_read += len(frame)
@@ -232,19 +232,21 @@ class _Reader:
         self.rows_read += rows
         for name, column in columns.items():
             names = self.sources.setdefault(field_of(name)[0].name, [])
-            if column.value is None and topic not in names:
+            if topic not in names:
                 names.append(topic)
 
     def _count_skipped(self) -> None:
-        """Messages that cannot be decoded are rows that cannot be split into cells."""
-        counts: Counter[str] = Counter()
-        for item in self.found.skipped:
-            if not item.field:
-                counts[f"{item.topic}: {item.reason}"] += item.messages
-        for note, count in counts.items():
-            if count:
-                self.findings.append(Finding("truncated_rows", count, (), note=note))
-                self.rows_read += count
+        """Count messages that cannot be decoded as rows that cannot be split into cells."""
+        broken = [
+            item
+            for item in self.found.skipped
+            if not item.field and item.topic in self.found.frames and item.messages
+        ]
+        count = sum(item.messages for item in broken)
+        if count:
+            note = "; ".join(str(item) for item in broken[:_MOST_NAMED])
+            self.findings.append(Finding("truncated_rows", count, note=note))
+            self.rows_read += count
 
     def _time_name(self) -> str:
         return self.profile.time.names[0] if self.profile.time else LOG_TIME
@@ -360,4 +362,4 @@ def _merged(first: Table, second: Table) -> Table:
         ]
         texts[name] = np.concatenate(words)[order]
     rows = np.concatenate((first.rows, second.rows))[order]
-    return replace(first, time=time[order], rows=rows, signals=signals, texts=texts)
+    return Table(time[order], rows, signals, texts)

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.recording import BoolArray, FloatArray, Table
 from trainlog.topics import EVENTS, GNSS_FIX, IMU
 
@@ -53,7 +54,12 @@ def _fix(frame: pd.DataFrame) -> Reading:
         "latitude": _number(frame, "latitude"),
         "longitude": _number(frame, "longitude"),
         "altitude": _number(frame, "altitude"),
-        "horizontal_accuracy": _deviation((east + north) / 2.0, known),
+        # A receiver that says that it has no position has the accuracy that means so.
+        "horizontal_accuracy": np.where(
+            _number(frame, "status.status") <= _NO_FIX,
+            NO_ACCURACY,
+            _deviation((east + north) / 2.0, known),
+        ),
         "vertical_accuracy": _deviation(up, known),
     }
     return {f"{GNSS_FIX.name}.{name}": values for name, values in signals.items()}, {}
@@ -97,11 +103,6 @@ def _words(frame: pd.DataFrame, path: str) -> NDArray[np.object_]:
     if column is None:
         return np.full(len(frame), "", dtype=np.object_)
     return np.array(["" if pd.isna(text) else str(text) for text in column], dtype=np.object_)
-
-
-def without_fix(frame: pd.DataFrame) -> BoolArray:
-    """Rows of a position whose receiver says that it has none."""
-    return np.asarray(_number(frame, "status.status") <= _NO_FIX)
 
 
 PRESETS: dict[str, tuple[str, Preset]] = {

@@ -91,7 +91,7 @@ def recording_of(
         if isinstance(column.value, str):
             constants[name] = column.value
         elif column.value is not None:
-            constants[name] = float(_in_si(name, column, np.asarray(column.value)))
+            constants[name] = float(in_si(name, column, np.asarray(column.value)))
         elif name in WORDS:
             texts[name] = _words(cells.table, column)
         else:
@@ -146,7 +146,7 @@ def _field(
         raw, absent, garbled = numbers(cells.table[source], profile.file.decimal)
         _refuse_garbled(source, cells, raw, garbled, profile, file)
         target = f"{name}_{axle}" if column.columns else name
-        values[target] = _in_si(name, column, raw)
+        values[target] = in_si(name, column, raw)
         empty = np.append(empty, cells.rows[absent])
         unreadable = np.append(unreadable, cells.rows[garbled])
         if garbled.any():
@@ -228,7 +228,7 @@ def _words(table: pa.Table, column: Column) -> NDArray[np.object_]:
     return np.asarray(pc.utf8_trim_whitespace(text).to_pylist(), dtype=np.object_)
 
 
-def _in_si(name: str, column: Column, raw: FloatArray | NDArray[np.float64]) -> FloatArray:
+def in_si(name: str, column: Column, raw: FloatArray | NDArray[np.float64]) -> FloatArray:
     """``sign * part(raw * scale + offset)`` in the column's unit, converted to SI."""
     scaled = raw
     if column.scale != 1.0:

@@ -16,6 +16,7 @@ from typing import Literal
 
 from trainlog.errors import InputError
 from trainlog.ingest.delimited import is_delimited, read_delimited
+from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
 from trainlog.ingest.mtk import is_mtk, read_mtk
 from trainlog.ingest.parquet import is_parquet, read_parquet
@@ -63,6 +64,7 @@ BUILT_IN = (
     Format("mtk", read_mtk, is_mtk, "own"),
     Format("ublox", read_ublox, is_ublox, "own"),
     Format("gpx", read_gpx, is_gpx, "own"),
+    Format("mcap", read_foreign, is_mcap),
     Format("parquet", read_parquet, is_parquet),
     # Last: any text may be a CSV.
     Format("csv", read_delimited, is_delimited),

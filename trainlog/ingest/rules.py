@@ -138,6 +138,6 @@ def _refuse(finding: Finding) -> None:
     where = f", column {finding.column}" if finding.column else ""
     raise InputError(
         f"{finding.count} times '{finding.rule}', which the profile does not let be repaired",
-        place=f"row {finding.rows[0]}{where}",
+        place=f"row {finding.rows[0]}{where}" if finding.rows else None,
         remedy=f"correct the file, or set {finding.rule} = true under [repair]",
     )
