@@ -7,6 +7,7 @@ Messages whose schema says what they are need no profile. A profile names any ot
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -228,9 +229,9 @@ class _Reader:
         self.sources.setdefault(ours, []).append(name)
         self.rows_read += len(frame)
 
-    def _note(self, columns: dict[str, Column], topic: str, rows: int) -> None:
+    def _note(self, columns: Iterable[str], topic: str, rows: int) -> None:
         self.rows_read += rows
-        for name, column in columns.items():
+        for name in columns:
             names = self.sources.setdefault(field_of(name)[0].name, [])
             if topic not in names:
                 names.append(topic)

@@ -230,7 +230,9 @@ def _topics(source: Source, contents: Contents) -> tuple[TopicDescription, ...]:
             contents.drop(place, error.problem)
             continue
         for number, entries in index.items():
-            times[number].append(entries[:, 0])
+            # Messages of a channel that is not declared are among the losses.
+            if number in times:
+                times[number].append(entries[:, 0])
     return tuple(
         _topic(contents, channel, np.sort(np.concatenate(times[number] or [np.empty(0, "<u8")])))
         for number, channel in contents.channels.items()
