@@ -22,7 +22,7 @@ from mcap_trips import START, assert_same, trip_of
 from rerun.chunk import McapReader
 
 from trainlog.errors import LogError
-from trainlog.mcap import describe, read_log, write_log
+from trainlog.mcap import describe, filling, read_log, tables, write_log
 from trainlog.mcap.schemas import descriptor_set
 from trainlog.topics import (
     EVENTS,
@@ -356,21 +356,22 @@ def test_foreign_location_fixes(tmp_path: Path) -> None:
 def test_slow_and_fast_path_agree(
     trip: Trip, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import trainlog.mcap.reader as reader
-
-    monkeypatch.setattr(reader, "gather", lambda *_: None)
+    """The compiled loop, numpy, and the official decoder."""
+    for fewest in (1, 10**9):
+        monkeypatch.setattr(tables, "COMPILED_FROM", fewest)
+        assert_same(trip, read_log(log))
+    monkeypatch.setattr(tables.Table, "fill", lambda *_: False)
+    monkeypatch.setattr(filling, "gather", lambda *_: None)
     assert_same(trip, read_log(log))
 
 
 def test_the_fast_path_is_taken_for_our_own_files(
     trip: Trip, log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import trainlog.mcap.reader as reader
-
     def never(*_: Any) -> Any:
         raise AssertionError("decoded one by one")
 
-    monkeypatch.setattr(reader, "message_data", never)
+    monkeypatch.setattr(tables, "message_data", never)
     numbers = [name for name in trip.topics if name != EVENTS.name]
     assert list(read_log(log, topics=numbers).topics) == numbers
 

@@ -20,11 +20,14 @@ from trainlog.mcap.errors import in_file
 from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
 from trainlog.mcap.places import Contents
 from trainlog.mcap.reader import attachments_of, metadata_of, trip_of
+from trainlog.mcap.selection import selection_of
 from trainlog.mcap.source import Source
 from trainlog.mcap.stored import MisplacedError, index_in
 from trainlog.mcap.walk import contents_by_walk
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip
+
+_POSITION = selection_of({TRAIN_STATE.name: ["position"]}, None, None)
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
@@ -195,7 +198,7 @@ def describe(path: str | Path) -> LogDescription:
 def _trip(source: Source, contents: Contents) -> tuple[Trip | None, str | None]:
     """The trip with its train state only, or the problem that reading the file meets."""
     try:
-        return trip_of(source, contents, {TRAIN_STATE.name}), None
+        return trip_of(source, contents, _POSITION, threads=1), None
     except MisplacedError:
         raise
     except LogError as error:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,29 @@ class Layout:
     def size(self) -> int:
         """Length of one record, head included [bytes]."""
         return len(self.template)
+
+    @cached_property
+    def masks(self) -> NDArray[np.uint64]:
+        """Place, mask and value of words of eight bytes that cover the constants; (k, 3)."""
+        mask, value = bytearray(self.size), bytearray(self.size)
+        for offset, kind, number in self.constants:
+            width = np.dtype(kind).itemsize
+            mask[offset : offset + width] = b"\xff" * width
+            value[offset : offset + width] = number.to_bytes(width, "little")
+        words, covered = [], 0
+        for at in range(self.size):
+            if mask[at] and at >= covered:
+                start = min(at, self.size - 8)
+                covered = start + 8
+                part = slice(start, covered)
+                words.append(
+                    (
+                        start,
+                        int.from_bytes(mask[part], "little"),
+                        int.from_bytes(value[part], "little"),
+                    )
+                )
+        return np.array(words, dtype=np.uint64)
 
     def place(self, name: str) -> int:
         """Where a value begins in a record [bytes]."""

@@ -7,6 +7,7 @@ leads out of the file, or a content that does not parse, is a `LogError` at a by
 from __future__ import annotations
 
 import struct
+import threading
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -160,13 +161,23 @@ def opened(chunk: StoredChunk, *, check: bool = False) -> bytes:
     return content
 
 
+class _Decompressor(threading.local):
+    """One decompressor a thread: setting one up takes as long as a small chunk."""
+
+    def __init__(self) -> None:
+        self.zstd = zstandard.ZstdDecompressor()
+
+
+_decompressor = _Decompressor()
+
+
 def _decompressed(chunk: StoredChunk) -> bytes:
     if chunk.compression == "zstd":
         declared = zstandard.get_frame_parameters(chunk.data).content_size
         unknown = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
         if declared not in (chunk.size, *unknown):
             raise ValueError("content size")
-        return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.size)
+        return _decompressor.zstd.decompress(chunk.data, max_output_size=chunk.size)
     if chunk.compression == "lz4":
         # One byte more than declared tells that there is more.
         content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, chunk.size + 1)
