@@ -25,7 +25,8 @@ from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.reader import check_data_section, report_losses
 from trainlog.mcap.records import Index, index_of, opened
 from trainlog.mcap.source import Source
-from trainlog.mcap.stored import fetched
+from trainlog.mcap.stored import MisplacedError, fetched
+from trainlog.mcap.walk import contents_by_walk
 
 _MOST_NAMED = 8
 """Topics that an error names."""
@@ -107,9 +108,13 @@ def frames_of(path: str | Path, topics: Iterable[str] | None = None) -> ForeignF
     """
     with Source(path) as source, in_file(path):
         contents = contents_of(source)
-        found = _frames(source, contents, _wanted(contents, topics))
-        if topics is None:
-            check_data_section(source, contents)
+        try:
+            found = _frames(source, contents, _wanted(contents, topics))
+            if topics is None:
+                check_data_section(source, contents)
+        except MisplacedError:
+            contents = contents_by_walk(source)
+            found = _frames(source, contents, _wanted(contents, topics))
     report_losses(path, contents)
     return replace(found, account=contents.account)
 
