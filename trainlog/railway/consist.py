@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,7 +168,4 @@ class Consist:
     @property
     def resistance(self) -> RunningResistance:
         """Of all vehicles together."""
-        each = [vehicle.resistance for vehicle in self.vehicles]
-        return RunningResistance(
-            sum(one.r0 for one in each), sum(one.r1 for one in each), sum(one.r2 for one in each)
-        )
+        return reduce(add, (vehicle.resistance for vehicle in self.vehicles))

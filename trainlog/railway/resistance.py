@@ -42,6 +42,10 @@ class RunningResistance:
         v = np.asarray(speed, dtype=np.float64)
         return np.asarray(self.r0 + (self.r1 + self.r2 * v) * v)
 
+    def __add__(self, other: RunningResistance) -> RunningResistance:
+        """Both together."""
+        return RunningResistance(self.r0 + other.r0, self.r1 + other.r1, self.r2 + other.r2)
+
     def scaled(self, factor: float) -> RunningResistance:
         """All three coefficients times `factor`."""
         return RunningResistance(self.r0 * factor, self.r1 * factor, self.r2 * factor)

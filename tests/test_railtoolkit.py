@@ -1,0 +1,215 @@
+"""Rolling stock and running paths of railtoolkit, and the running times of TrainRuns.jl."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.railtoolkit import read_rolling_stock, read_running_paths
+from trainlog.railway.formation import EffortCurve, Formation, RollingVehicle
+from trainlog.simulation.running_time import shortest_run
+from trainlog.units import GRAVITY
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+SHARED = pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
+
+CASES = [
+    (train, path)
+    for train in ("local", "freight", "longdistance")
+    for path in ("const", "slope", "speed")
+]
+
+EFFORT = EffortCurve(np.array([0.0, 10.0, 30.0]), np.array([100e3, 80e3, 20e3]))
+UNIT = RollingVehicle(
+    "unit", "multiple unit", 40.0, 60e3, adhesive_mass=40e3, inertia_factor=1.1,
+    basic_resistance=0.003, rolling_resistance=0.0015, air_resistance=0.004, effort=EFFORT,
+)  # fmt: skip
+
+
+def published(train: str, path: str) -> float:
+    text = (DATA / "trainruns" / "snapshots" / f"{train}_{path}.csv").read_text()
+    return float(text.split()[1])
+
+
+@SHARED
+@pytest.mark.parametrize(("train", "path"), CASES)
+def test_running_times_of_trainruns(train: str, path: str) -> None:
+    _, formations = read_rolling_stock(DATA / "trainruns" / "trains" / f"{train}.yaml")
+    lines = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")
+    line, formation = lines[path], next(iter(formations.values()))
+    expected = published(train, path)
+    # With the step of 20 m that TrainRuns takes.
+    assert shortest_run(line, formation, step=20.0).running_time == pytest.approx(
+        expected, rel=2e-3
+    )
+    # Its steps begin with their acceleration and so gain a little: the limit lies higher.
+    assert 0.0 < shortest_run(line, formation, step=0.5).running_time / expected - 1.0 < 6e-3
+
+
+@SHARED
+@pytest.mark.parametrize(
+    "file", sorted((DATA / "railtoolkit_schema" / "test").glob("*/invalid/*.yaml")), ids=str
+)
+def test_every_invalid_case_is_refused_with_what_is_wrong(file: Path) -> None:
+    read = read_rolling_stock if "rolling-stock" in file.parts else read_running_paths
+    expected = {
+        "length": "'length' is missing",
+        "mass": "'mass' is missing",
+        "formation_empty": "trains[0].formation",
+        "formation_missing": "'formation' is missing",
+        "train_id": "'id' is missing",
+        "train_name": "'name' is missing",
+        "vehicle_id": "'id' is missing",
+        "vehicle_name": "'name' is missing",
+        "vehicle_type": "vehicles[0].vehicle_type",
+        "minimal": "neither trains nor vehicles",
+        "not_unique_CS": "two sections begin at 0 m",
+        "missing_sections": "'characteristic_sections' is missing",
+        "not_null_speed": "greater than 0",
+        "missing_id": "'id' is missing",
+        "not_unique_path": "path '1' comes twice",
+        "no_two_items_section": "at least 2 items",
+        "incomplete_section": "neither speed nor resistance",
+    }[file.stem]
+    with pytest.raises(InputError) as refusal:
+        read(file)
+    assert expected in str(refusal.value)
+    assert file.name in str(refusal.value)
+
+
+@SHARED
+def test_every_valid_case_is_read() -> None:
+    folder = DATA / "railtoolkit_schema"
+    for file in sorted((folder / "test" / "rolling-stock" / "valid").glob("*.yaml")):
+        read_rolling_stock(file)
+    for file in sorted((folder / "test" / "running-path" / "valid").glob("*.yaml")):
+        assert read_running_paths(file)
+    vehicles, formations = read_rolling_stock(folder / "rolling-stock.example.yaml")
+    assert formations["RB50-1"].mass(0.0) == 2 * 68e3
+    assert vehicles["BR642"].deceleration == 0.4253
+    line = read_running_paths(folder / "running-path.example.yaml")["example"]
+    assert line.speed_limit(0.0) == pytest.approx(160 / 3.6)
+    assert line.gradient(2_500.0) == pytest.approx(2e-3)
+
+
+@SHARED
+def test_all_vehicles_of_the_rolling_stock_are_read() -> None:
+    files = sorted((DATA / "rolling_stock").glob("*/*.yaml"))
+    vehicles = [next(iter(read_rolling_stock(file)[0].values())) for file in files]
+    assert len(vehicles) == 8
+    assert sum(vehicle.powered for vehicle in vehicles) == 3
+    for vehicle in vehicles:
+        assert 1.0 < vehicle.inertia_factor < 1.2
+        specific = vehicle.resistance(0.0)(100.0 / 3.6) / (GRAVITY * vehicle.mass)
+        assert 1e-3 < specific < 20e-3
+
+
+def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
+    speed = np.linspace(0.0, 50.0, 11)
+    wagon = RollingVehicle(
+        "wagon", "freight", 19.0, 25e3, 59e3, basic_resistance=0.0014, air_resistance=0.0039
+    )
+    strahl = GRAVITY * 84e3 * (1.4 + 3.9 * (3.6 * speed / 100.0) ** 2) / 1e3
+    assert wagon.resistance(59e3)(speed) == pytest.approx(strahl)
+    coach = RollingVehicle(
+        "coach", "passenger", 26.8, 50e3, 20e3, basic_resistance=0.002,
+        rolling_resistance=0.000715, air_resistance=0.00364,
+    )  # fmt: skip
+    sauthoff = 2.0 + 0.715 * 3.6 * speed / 100.0 + 3.64 * ((3.6 * speed + 15.0) / 100.0) ** 2
+    assert coach.resistance(0.0)(speed) == pytest.approx(GRAVITY * 50e3 * sauthoff / 1e3)
+    air = 4.0 * ((3.6 * speed + 15.0) / 100.0) ** 2
+    expected = GRAVITY * (3.0 * 40e3 + 1.5 * 20e3 + air * 60e3) / 1e3
+    assert UNIT.resistance(0.0)(speed) == pytest.approx(expected)
+
+
+def test_a_formation_adds_its_vehicles_up() -> None:
+    wagon = RollingVehicle("wagon", "freight", 19.0, 25e3, 59e3, max_speed=27.0)
+    formation = Formation("train", (UNIT, wagon, wagon))
+    assert formation.length == 78.0
+    assert formation.mass(0.0) == 110e3
+    assert formation.mass(0.5) == 169e3
+    assert formation.max_speed == 27.0
+    assert formation.inertia(0.0) == pytest.approx(60e3 * 1.1 + 50e3 * 1.06)
+    assert formation.tractive_effort(20.0) == pytest.approx(50e3)
+    assert formation.deceleration == 0.375
+    with pytest.raises(InputError, match="no vehicle has tractive effort"):
+        Formation("wagons", (wagon,))
+
+
+def path_file(folder: Path, sections: str) -> Path:
+    file = folder / "path.yaml"
+    file.write_text(
+        "schema: https://railtoolkit.org/schema/running-path.json\nschema_version: '2024.07'\n"
+        f"paths:\n  - id: here\n    characteristic_sections:\n{sections}"
+    )
+    return file
+
+
+def test_a_section_keeps_what_it_does_not_say(tmp_path: Path) -> None:
+    file = path_file(
+        tmp_path,
+        "      - {position: 100, speed: 90, resistance: 5}\n"
+        "      - {position: 600, speed: 60}\n"
+        "      - {position: 900, resistance: -3}\n"
+        "      - {position: 1100, speed: 90}\n",
+    )
+    line = read_running_paths(file)["here"]
+    assert line.length == 1_000.0
+    assert line.speed_limits.values == pytest.approx(np.array([25.0, 60 / 3.6, 60 / 3.6]))
+    assert line.gradients.values == pytest.approx(np.array([0.005, 0.005, -0.003]))
+
+
+def test_a_hill_that_is_too_steep_is_explained(tmp_path: Path) -> None:
+    file = path_file(
+        tmp_path,
+        "      - {position: 0, speed: 90, resistance: 0}\n"
+        "      - {position: 500, speed: 90, resistance: 180}\n"
+        "      - {position: 2000, speed: 90}\n",
+    )
+    line = read_running_paths(file)["here"]
+    with pytest.raises(InfeasibleError, match=r"'one' comes to a stand at km [01]\.\d+"):
+        shortest_run(line, Formation("one", (UNIT,)))
+    with pytest.raises(InputError, match="a share of 1"):
+        shortest_run(line, Formation("one", (UNIT,)), loaded=1.5)
+    with pytest.raises(InputError, match="step of 0"):
+        shortest_run(line, Formation("one", (UNIT,)), step=0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: [1", "is not YAML.*line 1|is not YAML"),
+        ("", "is not a running path of railtoolkit"),
+        ("schema: x", "is not a running path"),
+        (
+            "schema: https://railtoolkit.org/schema/running-path.json\nschema_version: '1999.01'",
+            "version '1999.01' is not known",
+        ),
+        ("\x00\x01", "is not YAML"),
+        ("[" * 3_000, "is not YAML"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "odd.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_running_paths(file)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "efforts", "words"),
+    [
+        ([], [], "needs pairs"),
+        ([1.0, 2.0], [1.0, 1.0], "do not grow from 0"),
+        ([0.0, 2.0, 2.0], [1.0, 1.0, 1.0], "do not grow from 0"),
+        ([0.0, 2.0], [1.0, -1.0], "negative"),
+    ],
+)
+def test_effort_curves_that_cannot_be_are_refused(
+    speeds: list[float], efforts: list[float], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        EffortCurve(np.array(speeds), np.array(efforts))

@@ -1,0 +1,247 @@
+"""Rolling stock and running paths of railtoolkit (schemas 2022.05 and 2024.07), in YAML.
+
+https://railtoolkit.org/schema: rolling stock in tonnes, km/h and per mille, running paths as
+sections with their permitted speed and resistance.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes
+from trainlog.formats.schema import built, checked
+from trainlog.railway import Line, Station, StepProfile
+from trainlog.railway.formation import EffortCurve, Formation, RollingVehicle
+from trainlog.units import KMH, PER_MILLE
+
+TONNE = 1e3
+
+SCHEMA = "https://railtoolkit.org/schema/"
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Part(BaseModel):
+    """Keys that are not known are passed over: the schema lets writers add their own."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class _Vehicle(_Part):
+    name: str
+    id: str
+    vehicle_type: Literal["traction unit", "freight", "passenger", "multiple unit"]
+    length: Positive
+    mass: Positive
+    load_limit: Positive | None = None
+    mass_traction: Positive | None = None
+    speed_limit: Positive | None = None
+    rotation_mass: Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
+    base_resistance: Positive | None = None
+    rolling_resistance: Positive | None = None
+    air_resistance: Positive | None = None
+    a_braking: Finite | None = None
+    tractive_effort: (
+        Annotated[list[tuple[Annotated[Finite, Field(ge=0.0)], Annotated[Finite, Field(ge=0.0)]]],
+                  Field(min_length=3)] | None
+    ) = None  # fmt: skip
+
+
+class _Train(_Part):
+    name: str
+    id: str
+    formation: Annotated[list[str], Field(min_length=1)]
+
+
+class _RollingStock(_Part):
+    trains: Annotated[list[_Train], Field(min_length=1)] | None = None
+    vehicles: Annotated[list[_Vehicle], Field(min_length=1)] | None = None
+
+
+def _row(value: Any) -> Any:
+    """A section of the schema of 2022.05, ``[m, km/h, per mille]``, as one of 2024.07."""
+    if isinstance(value, list):
+        if len(value) != 3:
+            raise ValueError("needs position, speed and resistance")
+        return dict(zip(("position", "speed", "resistance"), value, strict=True))
+    return value
+
+
+class _Section(_Part):
+    position: Finite
+    speed: Positive | None = None
+    resistance: Finite | None = None
+
+
+class _Path(_Part):
+    id: str
+    name: str | None = None
+    description: str | None = None
+    characteristic_sections: Annotated[
+        list[Annotated[_Section, BeforeValidator(_row)]], Field(min_length=2)
+    ]
+
+
+class _Paths(_Part):
+    paths: Annotated[list[_Path], Field(min_length=1)]
+
+
+def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dict[str, Formation]]:
+    """Vehicles and formations by their id.
+
+    Raises
+    ------
+    InputError
+        If the file is not rolling stock of railtoolkit; names the place and what is wrong.
+    """
+    content = _content(path, "rolling-stock.json")
+    stock = checked(_RollingStock, content, path)
+    if stock.trains is None and stock.vehicles is None:
+        raise InputError("holds neither trains nor vehicles", file=path, remedy="add 'vehicles'")
+    vehicles: dict[str, RollingVehicle] = {}
+    for number, each in enumerate(stock.vehicles or ()):
+        if each.id in vehicles:
+            raise InputError(
+                f"vehicle '{each.id}' comes twice", file=path, place=f"vehicles[{number}]",
+                remedy="remove one of them",
+            )  # fmt: skip
+        vehicles[each.id] = built(lambda each=each: _vehicle(each), path)  # type: ignore[misc]
+    formations: dict[str, Formation] = {}
+    for number, train in enumerate(stock.trains or ()):
+        missing = [name for name in train.formation if name not in vehicles]
+        if missing and stock.vehicles is not None:
+            raise InputError(
+                f"vehicle '{missing[0]}' of train '{train.id}' is not in the file",
+                file=path,
+                place=f"trains[{number}].formation",
+                remedy=f"vehicles: {', '.join(vehicles)}",
+            )
+        if not missing:
+            parts = tuple(vehicles[name] for name in train.formation)
+            formations[train.id] = built(
+                lambda train=train, parts=parts: Formation(train.name, parts, SCHEMA),  # type: ignore[misc]
+                path,
+            )
+    return vehicles, formations
+
+
+def read_running_paths(path: str | Path) -> dict[str, Line]:
+    """Running paths as lines, by their id; the resistance of a section is its gradient.
+
+    A line begins where its path does, and ends at the last section.
+
+    Raises
+    ------
+    InputError
+        If the file is not a running path of railtoolkit; names the place and what is wrong.
+    """
+    content = _content(path, "running-path.json")
+    lines: dict[str, Line] = {}
+    for number, each in enumerate(checked(_Paths, content, path).paths):
+        place = f"paths[{number}]"
+        if each.id in lines:
+            raise InputError(
+                f"path '{each.id}' comes twice", file=path, place=place, remedy="remove one of them"
+            )
+        lines[each.id] = built(lambda each=each, place=place: _line(each, place), path)  # type: ignore[misc]
+    return lines
+
+
+def _content(path: str | Path, schema: str) -> Any:
+    try:
+        content = yaml.safe_load(read_bytes(path))
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        raise InputError(
+            f"is not YAML: {getattr(error, 'problem', None) or 'cannot be read'}",
+            file=path,
+            place=f"line {mark.line + 1}, column {mark.column + 1}" if mark else None,
+            remedy="correct it there",
+        ) from error
+    except (RecursionError, UnicodeDecodeError, ValueError) as error:
+        raise InputError("is not YAML", file=path, remedy="expected a railtoolkit file") from error
+    found = content.get("schema") if isinstance(content, dict) else None
+    if found != SCHEMA + schema:
+        raise InputError(
+            f"is not a {schema.removesuffix('.json').replace('-', ' ')} of railtoolkit",
+            file=path,
+            place="schema",
+            remedy=f"expected {SCHEMA}{schema}",
+        )
+    if content.get("schema_version") not in ("2022.05", "2024.07"):
+        raise InputError(
+            f"schema version {content.get('schema_version')!r} is not known",
+            file=path,
+            place="schema_version",
+            remedy="expected 2022.05 or 2024.07",
+        )
+    return content
+
+
+def _vehicle(each: _Vehicle) -> RollingVehicle:
+    powered = each.vehicle_type in ("traction unit", "multiple unit")
+    adhesive = each.mass_traction if each.mass_traction is not None else each.mass
+    curve = None
+    if each.tractive_effort is not None:
+        pairs = np.array(each.tractive_effort)
+        curve = EffortCurve(pairs[:, 0] / KMH, pairs[:, 1].copy())
+    return RollingVehicle(
+        name=each.name,
+        kind=each.vehicle_type,
+        length=each.length,
+        mass=each.mass * TONNE,
+        load=(each.load_limit or 0.0) * TONNE,
+        adhesive_mass=adhesive * TONNE if powered else 0.0,
+        inertia_factor=each.rotation_mass or (1.09 if powered else 1.06),
+        basic_resistance=(each.base_resistance or 0.0) / PER_MILLE,
+        rolling_resistance=(each.rolling_resistance or 0.0) / PER_MILLE,
+        air_resistance=(each.air_resistance or 0.0) / PER_MILLE,
+        max_speed=np.inf if each.speed_limit is None else each.speed_limit / KMH,
+        effort=curve,
+        deceleration=None if each.a_braking is None else -each.a_braking,
+    )
+
+
+def _line(path: _Path, place: str) -> Line:
+    sections = path.characteristic_sections
+    where = f"{place}.characteristic_sections"
+    repeated = [
+        at for at, count in Counter(each.position for each in sections).items() if count > 1
+    ]
+    if repeated:
+        raise InputError(
+            f"two sections begin at {repeated[0]:g} m", place=where, remedy="remove one of them"
+        )
+    for number, each in enumerate(sections):
+        if each.speed is None and each.resistance is None:
+            raise InputError(
+                "a section has neither speed nor resistance",
+                place=f"{where}[{number}]",
+                remedy="add one of them",
+            )
+    ordered = sorted(sections, key=lambda each: each.position)
+    if ordered[0].speed is None:
+        raise InputError("the first section has no speed", place=where, remedy="add it")
+    start, end = ordered[0].position, ordered[-1].position
+    positions = np.array([each.position - start for each in ordered[:-1]])
+    # What a section does not say stays as it was before.
+    speeds, resistances = [ordered[0].speed], [ordered[0].resistance or 0.0]
+    for each in ordered[1:-1]:
+        speeds.append(speeds[-1] if each.speed is None else each.speed)
+        resistances.append(resistances[-1] if each.resistance is None else each.resistance)
+    return Line(
+        name=path.name or path.description or path.id,
+        length=end - start,
+        stations=(Station("start", 0.0), Station("end", end - start)),
+        speed_limits=StepProfile(positions, np.array(speeds) / KMH),
+        gradients=StepProfile(positions.copy(), np.array(resistances) / PER_MILLE),
+        source=f"railtoolkit running path {path.id}",
+    )
