@@ -156,3 +156,120 @@ def mtk(seed: int, *, before: int = 3000, scaled: bool = False) -> Recorded:
         rows[place] = ",".join(cells)
     text = "\n".join([MTK_HEADER, *rows]) + "\n"
     return Recorded(text, truth, {"before_first_fix": before, "spikes": wild.size})
+
+
+# ------------------------------------------------------------------ NMEA
+
+
+def checked(body: str) -> str:
+    """An NMEA sentence with its checksum."""
+    total = 0
+    for character in body.encode("ascii"):
+        total ^= character
+    return f"${body}*{total:02X}"
+
+
+def _degrees(value: float, width: int) -> str:
+    whole = int(abs(value))
+    return f"{whole:0{width}d}{60.0 * (abs(value) - whole):09.6f}"
+
+
+def nmea_lines(
+    run: Drive, kinds: tuple[str, ...] = ("RMC", "GGA", "GST", "VTG", "GSV")
+) -> list[str]:
+    """The sentences of each fix, one fix after the other."""
+    lines = []
+    for i, stamp in enumerate(pd.DatetimeIndex(run.time)):
+        of_day = stamp.strftime("%H%M%S.") + f"{stamp.microsecond // 10_000:02d}"
+        place = f"{_degrees(run.latitude[i], 2)},N,{_degrees(run.longitude[i], 3)},E"
+        knots = run.speed[i] * 3600.0 / 1852.0
+        sentences = {
+            "RMC": f"GNRMC,{of_day},A,{place},{knots:.6f},90.0,{stamp:%d%m%y},,,A",
+            "GGA": (
+                f"GNGGA,{of_day},{place},1,{run.satellites[i]:02d},{run.hdop[i]:.1f},"
+                f"{run.altitude[i]:.1f},M,47.9,M,,"
+            ),
+            "GNS": (
+                f"GNGNS,{of_day},{place},AN,{run.satellites[i]:02d},{run.hdop[i]:.1f},"
+                f"{run.altitude[i]:.1f},47.9,,"
+            ),
+            "GST": f"GNGST,{of_day},5.0,,,,3.0,4.0,6.0",
+            "VTG": f"GNVTG,90.0,T,,M,{knots:.6f},N,{3.6 * run.speed[i]:.6f},K,A",
+            "ZDA": f"GNZDA,{of_day},{stamp:%d,%m,%Y},00,00",
+            "GSV": "GPGSV,1,1,01,07,79,048,42",
+        }
+        lines += [checked(sentences[kind]) for kind in kinds]
+    return lines
+
+
+# ------------------------------------------------------------------ hex lines
+
+
+def ubx(kind: bytes, payload: bytes) -> bytes:
+    """A UBX message with its checksum."""
+    body = kind + len(payload).to_bytes(2, "little") + payload
+    first = second = 0
+    for octet in body:
+        first = (first + octet) & 0xFF
+        second = (second + first) & 0xFF
+    return b"\xb5\x62" + body + bytes((first, second))
+
+
+ACKNOWLEDGED = ubx(b"\x05\x01", b"\x06\x8a")
+
+
+def nav_pvt(run: Drive, i: int, *, valid: bool = True, fixed: bool = True) -> bytes:
+    """UBX-NAV-PVT of a fix, its time rounded to seconds and the rest in `nano`."""
+    import struct
+
+    stamp = pd.Timestamp(run.time[i]).round("s")
+    nano = int(run.time[i] - stamp.value)
+    payload = struct.pack(
+        "<IHBBBBBBIiBBBBiiiiIIiiiiiIIHHIiHH",
+        0, stamp.year, stamp.month, stamp.day, stamp.hour, stamp.minute, stamp.second,
+        7 if valid else 0, 30, nano, 3 if fixed else 0, 1 if fixed else 0, 0,
+        int(run.satellites[i]), round(1e7 * run.longitude[i]), round(1e7 * run.latitude[i]),
+        round(1e3 * run.altitude[i]) + 47_900, round(1e3 * run.altitude[i]), 2_000, 3_000,
+        0, 0, 0, round(1e3 * run.speed[i]), 0, 100, 0, 130, 0, 0, 0, 0, 0,
+    )  # fmt: skip
+    return ubx(b"\x01\x07", payload)
+
+
+def since_start(nanoseconds: int) -> str:
+    """``HH:MM:SS.ffffff``."""
+    seconds, micro = divmod(nanoseconds // 1_000, 1_000_000)
+    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}.{micro:06d}"
+
+
+@dataclass
+class HexLines:
+    """A file of hex lines, and what its samples were."""
+
+    text: str
+    fixes: Drive
+    utc: np.ndarray
+    """True time of the samples of the IMU [ns]."""
+    words: np.ndarray
+    """(n, 6) their words."""
+
+
+def hexlines(seed: int, seconds: int = 30, rate: int = 100, drift: float = 20e-6) -> HexLines:
+    """IMU at `rate`, fixes at 1 Hz from the fifth second on, lines out of order by up to 0.4 s."""
+    rng = np.random.default_rng(seed)
+    fixes = drive(seconds, 1.0, seed)
+    count = seconds * rate
+    utc = START + (np.arange(count) * (SECOND // rate)).astype(np.int64)
+    words = rng.integers(-3000, 3000, (count, 6)).astype("<i2")
+    logger = 43_000_000_000 + ((utc - START) * (1.0 + drift)).astype(np.int64)
+    lines = [
+        (stamp + rng.uniform(0.0, 2e8), f"{since_start(int(stamp))},I,{row.tobytes().hex()}")
+        for stamp, row in zip(logger, words, strict=True)
+    ]
+    for i in range(len(fixes)):
+        stamp = 43_000_000_000 + int((fixes.time[i] - START) * (1.0 + drift)) + 1_000
+        message = nav_pvt(fixes, i, valid=i >= 5, fixed=i >= 5)
+        lines.append((stamp + 4e8, f"{since_start(stamp)},U,{message.hex()}"))
+        lines.append((stamp + 4e8, f"{since_start(stamp)},U,{ACKNOWLEDGED.hex()}"))
+    lines.sort(key=lambda line: line[0])
+    text = "\n".join(line for _, line in lines) + "\n"
+    return HexLines(text, fixes.take(np.arange(5, seconds)), utc, words)

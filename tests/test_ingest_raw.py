@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,7 +31,7 @@ from trainlog.mcap import read_log, write_log
 from trainlog.trip import Trip
 
 FILES = settings(
-    max_examples=40,
+    max_examples=20,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
@@ -45,19 +46,21 @@ def assert_restored(trip: Trip, raw: pd.DataFrame) -> None:
         By row of the file; ``time`` (NaT: none that can be read) and one column a field.
     """
     entries = repairs_of(trip)
-    by_row = dict(iter(entries.groupby("row", sort=False)))
+    by_row: dict[int, list[Any]] = {}
+    for entry in entries.itertuples():
+        by_row.setdefault(entry.row, []).append(entry)
     first_raw: dict[tuple[int, str], float] = {}
     for row, column, value in zip(
         entries["row"], entries["column"], entries["raw_value"], strict=True
     ):
         first_raw.setdefault((row, column), value)
-    for row, told in raw.iterrows():
-        now, dropped = told["time"], False
-        for entry in by_row.get(row, pd.DataFrame()).itertuples():
+    for row, told in raw.to_dict("index").items():
+        now, dropped = told.pop("time"), False
+        for entry in by_row.get(row, ()):
             if entry.column == "" and entry.rule != "truncated_rows":
                 assert entry.raw_time == now or (pd.isna(entry.raw_time) and pd.isna(now))
                 now, dropped = entry.new_time, pd.isna(entry.new_time)
-        for column, value in told.drop("time").items():
+        for column, value in told.items():
             if (row, column) in first_raw:
                 found = first_raw[row, column]
             elif dropped:

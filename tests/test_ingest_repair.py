@@ -203,7 +203,10 @@ def test_wheels_that_spin_are_no_spikes(tmp_path: Path) -> None:
     assert report_of(trip).findings == ()
 
 
-@pytest.mark.parametrize("rule", [rule for rule in RULES if rule.off == "refuse"])
+OF_TABLES = [rule for rule in RULES if rule.off == "refuse" and rule.name != "damaged_messages"]
+
+
+@pytest.mark.parametrize("rule", OF_TABLES)
 def test_rules_that_are_off_refuse_what_they_would_repair(
     tmp_path: Path, rule: object, request: pytest.FixtureRequest
 ) -> None:

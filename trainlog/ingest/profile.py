@@ -250,6 +250,7 @@ class Repair(_Strict):
     """Which rules apply ([repair]); each can be switched off. See `trainlog.ingest.rules`."""
 
     truncated_rows: bool = True
+    damaged_messages: bool = True
     not_a_number: bool = True
     empty: bool = True
     before_first_fix: bool = True
@@ -290,7 +291,7 @@ class Profile(_Strict):
     @pydantic.model_validator(mode="after")
     def _columns_fit(self) -> Self:
         for name, column in self.columns.items():
-            _check_column(name, column)
+            _check_column(name, column, needs_unit=self.file.format not in WITH_UNITS)
         return self
 
 
@@ -400,7 +401,7 @@ def _known_field(name: str) -> Item:
     return fields[column]
 
 
-def _check_column(name: str, column: Column) -> None:
+def _check_column(name: str, column: Column, *, needs_unit: bool) -> None:
     item = _known_field(name)
     given = [column.column is not None, bool(column.columns), column.value is not None]
     if sum(given) != 1:
@@ -412,12 +413,17 @@ def _check_column(name: str, column: Column) -> None:
         raise ValueError(f'columns."{name}" needs a {"text" if name in WORDS else "number"}')
     if item.unit:
         unit = column.unit if column.unit is not None or item.unit != "1" else "1"
+        if unit is None and not needs_unit and column.value is None:
+            return
         if unit is None:
             raise ValueError(f"columns.\"{name}\" needs a unit; for example unit = '{item.unit}'")
         _check_unit(f'columns."{name}"', unit, item.unit)
     elif column.unit:
         raise ValueError(f'columns."{name}" has no unit')
 
+
+WITH_UNITS = ("mdf",)
+"""Formats whose files tell the units of their columns."""
 
 WORDS = ("/events.message", "/events.name")
 """Fields that hold text."""

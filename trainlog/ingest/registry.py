@@ -15,10 +15,14 @@ from pathlib import Path
 from typing import Literal
 
 from trainlog.errors import InputError
+from trainlog.ingest.aalto import is_aalto, read_aalto
 from trainlog.ingest.delimited import is_delimited, read_delimited
 from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
+from trainlog.ingest.hexlines import is_hexlines, read_hexlines
+from trainlog.ingest.mdf import is_mdf, read_mdf
 from trainlog.ingest.mtk import is_mtk, read_mtk
+from trainlog.ingest.nmea import is_nmea, read_nmea
 from trainlog.ingest.parquet import is_parquet, read_parquet
 from trainlog.ingest.profile import Profile, suggestion
 from trainlog.ingest.recording import Recording
@@ -61,11 +65,15 @@ class Format:
 
 
 BUILT_IN = (
+    Format("aalto", read_aalto, is_aalto, "own"),
     Format("mtk", read_mtk, is_mtk, "own"),
     Format("ublox", read_ublox, is_ublox, "own"),
     Format("gpx", read_gpx, is_gpx, "own"),
     Format("mcap", read_foreign, is_mcap),
+    Format("nmea", read_nmea, is_nmea, "own"),
+    Format("hexlines", read_hexlines, is_hexlines, "own"),
     Format("parquet", read_parquet, is_parquet),
+    Format("mdf", read_mdf, is_mdf),
     # Last: any text may be a CSV.
     Format("csv", read_delimited, is_delimited),
 )

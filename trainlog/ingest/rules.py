@@ -37,6 +37,7 @@ class Rule:
 
 RULES = (
     Rule("truncated_rows", "refuse"),
+    Rule("damaged_messages", "refuse"),
     Rule("not_a_number", "refuse"),
     Rule("empty", "refuse"),
     Rule("before_first_fix", "keep", clock.drop_before_first_fix),

@@ -1,0 +1,263 @@
+"""Logs of receivers' messages: NMEA sentences, and hex lines with UBX, NMEA and an IMU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from ingest_logs import plain_profile
+from recorder_files import (
+    checked,
+    drive,
+    hexlines,
+    nav_pvt,
+    nmea_lines,
+    since_start,
+    ubx,
+)
+
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, repairs_of, report_of
+from trainlog.trip import Trip
+
+ETH = Path(__file__).parents[2] / "shared" / "data" / "eth_localization"
+
+
+def read(tmp_path: Path, lines: list[str], **options: object) -> Trip:
+    path = tmp_path / "run.log"
+    path.write_text("\n".join(lines) + "\n", "ascii")
+    return ingest(path, **options)
+
+
+def assert_fixes(trip: Trip, run: object) -> None:
+    fix, motion = trip["/gnss/fix"], trip["/gnss/motion"]
+    np.testing.assert_array_equal(fix.index.as_unit("ns").asi8, run.time)
+    np.testing.assert_allclose(fix["latitude"], run.latitude, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(fix["longitude"], run.longitude, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(motion["speed"], run.speed, rtol=0, atol=1e-6)
+
+
+# ------------------------------------------------------------------ NMEA
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        ("RMC", "GGA", "GST", "VTG", "GSV"),
+        ("GGA", "RMC"),
+        ("GNS", "VTG", "ZDA"),
+        ("ZDA", "GGA", "VTG"),
+    ],
+)
+def test_sentences_become_fixes(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+    run = drive(100, 5.0)
+    trip = read(tmp_path, nmea_lines(run, kinds))
+    assert trip.provenance[0]["format"] == "nmea"
+    assert_fixes(trip, run)
+    fix, report = trip["/gnss/fix"], report_of(trip)
+    np.testing.assert_allclose(fix["altitude"], run.altitude)
+    np.testing.assert_array_equal(trip["/gnss/motion"]["satellites"], run.satellites)
+    if "GST" in kinds:
+        np.testing.assert_allclose(fix["horizontal_accuracy"], np.sqrt(12.5))
+        np.testing.assert_allclose(fix["vertical_accuracy"], 6.0)
+    else:
+        np.testing.assert_allclose(fix["horizontal_accuracy"], 3.0 * run.hdop)
+        assert trip.metadata["horizontal_accuracy"] == "3 m times HDOP"
+    assert report.counts == {}
+    assert report.not_used == ({"NMEA GPGSV": 100} if "GSV" in kinds else {})
+
+
+@pytest.mark.parametrize("kinds", [("RMC", "GGA"), ("GGA", "RMC"), ("GGA", "VTG")])
+def test_midnight_is_noticed(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+    run = drive(200, 5.0)
+    late = pd.Timestamp("2024-05-01T23:59:40Z").value - run.time[0]
+    run = type(run)(run.time + late, *(getattr(run, n) for n in list(vars(run))[1:]))
+    lines = nmea_lines(run, kinds)
+    if "RMC" not in kinds:
+        lines.insert(0, checked("GNZDA,235939.80,01,05,2024,00,00"))
+    trip = read(tmp_path, lines)
+    assert_fixes(trip, run)
+    assert trip.end.isoformat() == "2024-05-02T00:00:19.800000+00:00"
+
+
+def test_damaged_sentences_are_counted_and_kept(tmp_path: Path) -> None:
+    run = drive(60, 1.0)
+    lines = nmea_lines(run, ("RMC", "GGA"))
+    bad = {10: lines[10].replace(",N,", ",S,"), 21: lines[21][:-3], 40: lines[40][:17]}
+    for place, line in bad.items():
+        lines[place] = line
+    lines.insert(30, "logger: flushed")
+    trip = read(tmp_path, lines)
+    report = report_of(trip)
+    assert report.counts == {"damaged_messages": 3}
+    assert report.not_used == {"lines without a sentence": 1}
+    entries = repairs_of(trip)
+    assert list(entries["row"]) == [11, 22, 42]
+    assert list(entries["raw_text"]) == list(bad.values())
+    assert len(trip["/gnss/fix"]) == 60, "the other sentence of the second tells the position"
+    assert trip["/gnss/motion"]["speed"].isna().sum() == 2
+
+
+def test_damaged_sentences_are_refused_if_the_rule_is_off(tmp_path: Path) -> None:
+    lines = nmea_lines(drive(60, 1.0), ("RMC", "GGA"))
+    lines[10] = lines[10].replace(",N,", ",S,")
+    off = plain_profile(repair={"damaged_messages": False})
+    with pytest.raises(InputError, match=r"row 11: 1 times 'damaged_messages', which the profile"):
+        read(tmp_path, lines, profile=off)
+
+
+@pytest.mark.parametrize("prefix", ["12.345 ", "2024-05-01T06:00:00.1Z,", "[06:00:00.10] "])
+def test_a_loggers_own_time_may_stand_before(tmp_path: Path, prefix: str) -> None:
+    run = drive(60, 1.0)
+    dated = "-" in prefix
+    lines = nmea_lines(run, ("GGA", "VTG") if dated else ("RMC", "GGA"))
+    trip = read(tmp_path, [prefix + line for line in lines])
+    assert_fixes(trip, run)
+
+
+def test_no_fix_and_void_sentences_say_nothing(tmp_path: Path) -> None:
+    run = drive(60, 1.0)
+    void = [checked(f"GNRMC,0559{i:02d}.00,V,,,,,,,010524,,,N") for i in range(30)] + [
+        checked(f"GNGGA,0559{i:02d}.00,,,,,0,00,99.99,,,,,,") for i in range(30, 40)
+    ]
+    trip = read(tmp_path, void + nmea_lines(run, ("RMC", "GGA")))
+    assert report_of(trip).counts == {"before_first_fix": 40}
+    assert_fixes(trip, run)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (nmea_lines(drive(20, 1.0), ("GGA", "VTG")), "row 1: tells the time of day, but no date"),
+        ([checked("GPGSV,1,1,01,07,79,048,42")] * 9, "holds no RMC, GGA or GNS sentence"),
+        ([line[:-1] + "G" for line in nmea_lines(drive(9, 1.0))], "45 of 45 messages are damaged"),
+    ],
+)
+def test_logs_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, lines)
+
+
+def test_a_missing_parser_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pynmeagps", None)
+    with pytest.raises(InputError, match=r'pip install "trainlog.recorders.'):
+        read(tmp_path, nmea_lines(drive(9, 1.0)))
+
+
+# ------------------------------------------------------------------ hex lines
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hex_lines_come_back(tmp_path: Path, seed: int) -> None:
+    """The IMU's times count since the start, by a clock that drifts: 0.4 ms are left of it."""
+    made = hexlines(seed)
+    trip = read(tmp_path, made.text.splitlines())
+    report = report_of(trip)
+    assert trip.provenance[0]["format"] == "hexlines"
+    assert set(report.counts) == {"time_backwards", "before_first_fix"}
+    assert report.count("before_first_fix") == 5
+    assert report.not_used == {"UBX ACK-ACK": 30}
+    assert_fixes(trip, made.fixes)
+    imu = trip["/imu"]
+    assert len(imu) == len(made.words)
+    late = imu.index.as_unit("ns").asi8 - made.utc
+    # 20 ppm over half a minute are 0.6 ms, of which the offset of a minute bears half.
+    assert np.abs(late).max() < 400_000
+    for i, column in enumerate(("angular_rate_x", "angular_rate_y", "angular_rate_z")):
+        np.testing.assert_allclose(imu[column], made.words[:, i] * np.radians(0.00437), rtol=1e-12)
+    for i, column in enumerate(("specific_force_x", "specific_force_y", "specific_force_z")):
+        expected = made.words[:, 3 + i] * 0.061e-3 * 9.80665
+        np.testing.assert_allclose(imu[column], expected, rtol=1e-12)
+
+
+def test_damaged_hex_lines_are_counted_and_kept(tmp_path: Path) -> None:
+    made = hexlines(7)
+    lines = made.text.splitlines()
+    samples = [i for i, line in enumerate(lines) if ",I," in line]
+    fixes = [i for i, line in enumerate(lines) if ",U,b5620107" in line]
+    lines[samples[50]] = lines[samples[50]][:-3]
+    lines[samples[90]] = lines[samples[90]][:-1] + "x"
+    lines[fixes[9]] = lines[fixes[9]][:-2] + "00"
+    lines[samples[200]] = lines[samples[200]].replace(",I,", ",Q,")
+    lines[samples[300]] = lines[samples[300]][:15]
+    lines.append("00:01:13.5")
+    trip = read(tmp_path, lines)
+    report = report_of(trip)
+    assert report.count("damaged_messages") == 4
+    assert report.count("truncated_rows") == 2
+    kept = repairs_of(trip)
+    kept = kept[kept["rule"].isin(["damaged_messages", "truncated_rows"])]
+    told = dict(zip(kept["row"], kept["raw_text"], strict=True))
+    for row, text in told.items():
+        assert lines[row - 1].endswith(text)
+    assert set(told) == {
+        1 + place for place in (*(samples[i] for i in (50, 90, 200, 300)), fixes[9], len(lines) - 1)
+    }
+    assert len(trip["/imu"]) == len(made.words) - 4
+    assert len(trip["/gnss/fix"]) == len(made.fixes) - 1
+
+
+def test_hex_lines_with_nmea_alone(tmp_path: Path) -> None:
+    made = hexlines(3)
+    run = drive(30, 1.0, 3)
+    lines = [line for line in made.text.splitlines() if ",I," in line]
+    for i in range(30):
+        stamp = since_start(43_000_000_000 + i * 1_000_000_000 + 100_000)
+        lines += [
+            f"{stamp},N,{(s + chr(13) + chr(10)).encode().hex()}"
+            for s in nmea_lines(run.take(np.array([i])), ("RMC", "GGA"))
+        ]
+    trip = read(tmp_path, lines)
+    assert_fixes(trip, run)
+    late = trip["/imu"].index.as_unit("ns").asi8 - made.utc
+    assert np.abs(late).max() < 1_000_000
+
+
+def test_hex_lines_without_a_time_are_refused(tmp_path: Path) -> None:
+    lines = [line for line in hexlines(1).text.splitlines() if ",I," in line]
+    with pytest.raises(InputError, match=r"no message tells the time.*NAV-PVT"):
+        read(tmp_path, lines)
+    run = drive(9, 1.0)
+    void = [f"{since_start(10**9 * i)},U,{nav_pvt(run, i, valid=False).hex()}" for i in range(9)]
+    with pytest.raises(InputError, match="no message tells the time"):
+        read(tmp_path, lines + void)
+
+
+def test_a_logger_that_was_restarted_is_refused(tmp_path: Path) -> None:
+    run = drive(300, 1.0)
+    lines = [f"{since_start(10**9 * (i % 150 + 5))},U,{nav_pvt(run, i).hex()}" for i in range(300)]
+    with pytest.raises(InputError, match=r"clock was restarted: .* split the file"):
+        read(tmp_path, lines)
+
+
+def test_a_known_message() -> None:
+    """The generator's checksum is u-blox's."""
+    assert ubx(b"\x05\x01", b"\x06\x8a").hex() == "b56205010200068a98c1"
+
+
+@pytest.mark.skipif(not ETH.is_dir(), reason="the samples of ETH are not beside the checkout")
+@pytest.mark.parametrize(
+    ("name", "fixes", "start", "not_used"),
+    [
+        ("20221019_1217_R90121_Modena_SN1", 2, "2022-10-19T09:53:30.999931089", 0),
+        ("20221020_1252_R90120_Formigine_SN1", 1, "2022-10-20T10:50:27.000338302", 5),
+        ("20221020_1252_R90120_Formigine_SN2", 1, "2022-10-20T10:50:25.999560255", 5),
+    ],
+)
+def test_the_published_samples(name: str, fixes: int, start: str, not_used: int) -> None:
+    """A train at a standstill: one g upwards, no rotation but the sensor's bias."""
+    trip = ingest(ETH / f"{name}_sample.csv")
+    report, imu = report_of(trip), trip["/imu"]
+    assert report.rows_kept + sum(report.not_used.values()) == 2000
+    assert sum(report.not_used.values()) == not_used
+    assert report.counts == {}
+    assert len(trip["/gnss/fix"]) == fixes
+    assert trip["/gnss/fix"].index[0] == pd.Timestamp(start, tz="UTC")
+    force = imu[[f"specific_force_{axis}" for axis in "xyz"]].mean()
+    assert np.linalg.norm(force) == pytest.approx(9.81, rel=0.03)
+    assert np.abs(imu[[f"angular_rate_{axis}" for axis in "xyz"]].mean()).max() < 0.05
+    assert trip["/gnss/motion"]["speed"].max() < 0.05
+    step = np.diff(imu.index.as_unit("ns").asi8) / 1e9
+    assert 1.0 / np.median(step) == pytest.approx(1700.0, rel=0.1)

@@ -1,0 +1,322 @@
+"""Format ``mdf``: measurement files of ASAM MDF, read by asammdf (extra ``recorders``).
+
+A profile says which channel is what, as it does for the columns of a CSV; a channel of a name that
+several groups have is written ``"2:Speed"``, with the number of its group. A column without a unit
+takes the channel's own. Groups with clocks of their own become tables of their own, but for those
+that hold fields of the same topic: these share a table with the instants of all.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from trainlog.errors import InputError
+from trainlog.ingest.mapping import recording_of
+from trainlog.ingest.messages import extra
+from trainlog.ingest.profile import WORDS, Column, Profile, suggestion
+from trainlog.ingest.recording import IntArray, Recording, field_of
+from trainlog.ingest.textfile import Cells
+from trainlog.ingest.timestamps import EARLIEST, LATEST
+from trainlog.units import factor
+
+UNITS = {
+    "°C": "degC",
+    "C": "degC",
+    "°": "deg",
+    "°/s": "deg/s",
+    "g": "standard_gravity",
+    "m/s2": "m/s^2",
+    "m/s²": "m/s^2",
+    "kmh": "km/h",
+    "km/std": "km/h",
+}
+"""How measurement files spell units that `trainlog.units` spells otherwise."""
+
+Place = tuple[int, int]
+"""Number of a group, and of a channel in it."""
+
+
+def is_mdf(head: bytes) -> bool:
+    """Whether a file begins as MDF does; also if it was not finished."""
+    return head.startswith((b"MDF     ", b"UnFinMF "))
+
+
+def read_mdf(path: Path, profile: Profile | None) -> Recording:
+    """Read the channels that `profile` maps.
+
+    Raises
+    ------
+    InputError
+        If there is no profile, asammdf is not installed or cannot read the file, a channel is
+        missing, or its unit cannot be read.
+    """
+    if profile is None or not profile.columns:
+        raise InputError(
+            "is a measurement file whose channels may mean anything",
+            file=path,
+            remedy="give a profile that says which channel is what; docs/ingest.md has an example",
+        )
+    with _open(path) as mdf:
+        start = _start(mdf, profile, path)
+        places = _places(mdf, profile, path)
+        others = sum(len(group.channels) - 1 for group in mdf.groups)
+        found = [_recording(mdf, profile, part, start, path) for part in _parts(profile, places)]
+    tables = tuple(table for item in found for table in item.tables)
+    mapped = {place for channels in places.values() for place in channels}
+    others -= len(mapped)
+    constants: dict[str, float | str] = {}
+    for item in found:
+        constants |= item.constants
+    return Recording(
+        tables,
+        sum(item.rows_read for item in found),
+        tuple(finding for item in found for finding in item.findings),
+        constants,
+        {"clock": "MDF"},
+        {"channels that the profile does not map": others} if others > 0 else {},
+        raw=tuple(raw for item in found for raw in item.raw),
+    )
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[Any]:
+    """The file as asammdf gives it."""
+    library = extra("asammdf")
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise InputError(
+            (error.strerror or str(error)).lower(), file=path, remedy="check the path"
+        ) from error
+    with stream:
+        mdf = _asked(path, lambda: library.MDF(stream))
+        try:
+            yield mdf
+        finally:
+            mdf.close()
+
+
+def _asked(path: Path, call: Callable[[], Any]) -> Any:
+    """What asammdf answers; one error for whatever it raises on a damaged file.
+
+    It complains in the log, and where nobody can hear when the half-opened file is let go: neither
+    is passed on.
+    """
+    log = logging.getLogger("asammdf")
+    level, hook = log.level, sys.unraisablehook
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        try:
+            return call()
+        except Exception as error:  # noqa: BLE001 - asammdf raises whatever a byte leads it to
+            sys.unraisablehook = lambda _: None
+            problem = f"{type(error).__name__}: {error}".splitlines()[0][:120]
+        gc.collect()
+    finally:
+        log.setLevel(level)
+        sys.unraisablehook = hook
+    raise InputError(
+        f"is no measurement file that can be read ({problem})",
+        file=path,
+        remedy="copy the file again; was the recorder stopped while writing?",
+    )
+
+
+def _start(mdf: Any, profile: Profile, path: Path) -> int:
+    """Instant of the file's time 0 [ns]."""
+    told = profile.time.start if profile.time is not None else None
+    start = pd.Timestamp(mdf.header.start_time if told is None else told)
+    start = start.tz_localize("UTC") if start.tzinfo is None else start
+    if not EARLIEST <= start.value < LATEST:
+        raise InputError(
+            f"says that it was started at {start}",
+            file=path,
+            remedy="give the start: [time] column = 'time', format = 'elapsed', start = ...",
+        )
+    return int(start.value)
+
+
+def _places(mdf: Any, profile: Profile, path: Path) -> dict[str, list[Place]]:
+    """Where the channels of each field are."""
+    found: dict[str, list[Place]] = {}
+    for name, column in profile.columns.items():
+        if column.value is not None:
+            continue
+        places = [_place(mdf, channel, column.optional, path) for channel in column.names]
+        if None not in places:
+            found[name] = [place for place in places if place is not None]
+    if not found:
+        raise InputError("holds none of the channels", file=path, remedy="check [columns]")
+    return found
+
+
+def _place(mdf: Any, channel: str, optional: bool, path: Path) -> Place | None:
+    number, mark, plain = channel.partition(":")
+    known = mdf.channels_db
+    if mark and number.isdigit() and channel not in known:
+        among = [place for place in known.get(plain, ()) if place[0] == int(number)]
+    else:
+        among = list(known.get(channel, ()))
+    if len(among) == 1:
+        return int(among[0][0]), int(among[0][1])
+    if among:
+        shown = " or ".join(f"'{group}:{plain or channel}'" for group, _ in among)
+        raise InputError(
+            f"channel '{channel}' is in {len(among)} groups", file=path, remedy=f"write {shown}"
+        )
+    if optional:
+        return None
+    raise InputError(
+        f"no channel '{channel}'", file=path, remedy=suggestion(channel, known, "channels")
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Fields that share a table, and where their channels are."""
+
+    places: dict[str, list[Place]]
+
+
+def _parts(profile: Profile, places: dict[str, list[Place]]) -> list[_Part]:
+    """Fields by table: those of a group together, and those of a topic."""
+    parts: list[tuple[set[str], dict[str, list[Place]]]] = []
+    for name, channels in places.items():
+        keys = {field_of(name)[0].name, *(f"group {group}" for group, _ in channels)}
+        mine = {name: channels}
+        apart = []
+        for known, fields in parts:
+            if known & keys:
+                keys |= known
+                mine = fields | mine
+            else:
+                apart.append((known, fields))
+        parts = [*apart, (keys, mine)]
+    return [
+        _Part({name: fields[name] for name in profile.columns if name in fields})
+        for _, fields in parts
+    ]
+
+
+def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) -> Recording:
+    """What the channels of one table say."""
+    signals: dict[str, Any] = {}
+    columns: dict[str, Column] = {
+        name: column for name, column in profile.columns.items() if column.value is not None
+    }
+    for name, places in part.places.items():
+        column = profile.columns[name]
+        read = _selected(mdf, places, name in WORDS, path)
+        channels = tuple(f"{group}:{index}" for group, index in places)
+        signals |= dict(zip(channels, read, strict=True))
+        columns[name] = _with_unit(name, column, read[0], channels, path)
+    groups = sorted({group for places in part.places.values() for group, _ in places})
+    clocks = {
+        group: start + np.round(_master(signals, group) * 1e9).astype(np.int64) for group in groups
+    }
+    time, rows = _instants(clocks)
+    table = pa.table(
+        {
+            key: _cells(signal, rows[int(key.split(":")[0])], time.size, path)
+            for key, signal in signals.items()
+        }
+    )
+    cells = Cells(table, np.arange(1, time.size + 1, dtype=np.int64), time.size)
+    mapped = profile.model_copy(update={"columns": columns, "time": None})
+    found = recording_of(cells, mapped, path, time)
+    # A channel says nothing between its own instants: that is no empty cell.
+    findings = (
+        found.findings
+        if len(groups) == 1
+        else tuple(finding for finding in found.findings if finding.rule != "empty")
+    )
+    return replace(found, findings=findings)
+
+
+def _selected(mdf: Any, places: list[Place], words: bool, path: Path) -> list[Any]:
+    """The channels at some places; the numbers of a code, unless it is words that are wanted."""
+    wanted = [(None, group, index) for group, index in places]
+    return list(_asked(path, lambda: mdf.select(wanted, ignore_value2text_conversions=not words)))
+
+
+def _master(signals: dict[str, Any], group: int) -> Any:
+    """Time of a group's samples since the start [s]."""
+    key = next(key for key in signals if key.startswith(f"{group}:"))
+    return np.asarray(signals[key].timestamps, dtype=np.float64)
+
+
+def _instants(clocks: dict[int, IntArray]) -> tuple[IntArray, dict[int, IntArray]]:
+    """The instants of a table [ns], and at which of them the samples of each group stand."""
+    if len(clocks) == 1:
+        ((group, time),) = clocks.items()
+        return time, {group: np.arange(time.size, dtype=np.int64)}
+    if all(np.all(np.diff(time) > 0) for time in clocks.values()):
+        union = np.unique(np.concatenate(list(clocks.values())))
+        return union, {group: np.searchsorted(union, time) for group, time in clocks.items()}
+    # A clock that stands or runs back: every sample is kept, the rules of repair do the rest.
+    every = np.concatenate(list(clocks.values()))
+    order = np.argsort(every, kind="stable")
+    place = np.empty(every.size, dtype=np.int64)
+    place[order] = np.arange(every.size)
+    edges = np.cumsum([0, *(time.size for time in clocks.values())])
+    return every[order], {
+        group: place[a:b] for group, a, b in zip(clocks, edges[:-1], edges[1:], strict=True)
+    }
+
+
+def _cells(signal: Any, rows: IntArray, count: int, path: Path) -> pa.Array:
+    """The samples of a channel, put at their instants."""
+    samples = np.asarray(signal.samples)
+    if samples.ndim != 1 or samples.dtype.fields is not None:
+        raise InputError(
+            f"channel '{signal.name}' holds {samples.ndim}-dimensional samples",
+            file=path,
+            remedy="map a channel with one value a sample",
+        )
+    absent = np.ones(count, dtype=np.bool_)
+    absent[rows] = False
+    if signal.invalidation_bits is not None:
+        absent[rows] = np.asarray(signal.invalidation_bits, dtype=np.bool_)
+    if samples.dtype.kind in "SUO":
+        text = np.full(count, "", dtype=object)
+        text[rows] = [
+            word.decode(signal.encoding or "utf-8", "replace") if isinstance(word, bytes) else word
+            for word in samples
+        ]
+        return pa.array(text, pa.string(), mask=absent)
+    values = np.zeros(count, dtype=np.float64)
+    values[rows] = samples
+    return pa.array(values, pa.float64(), mask=absent)
+
+
+def _with_unit(
+    name: str, column: Column, signal: Any, channels: tuple[str, ...], path: Path
+) -> Column:
+    """The column by the places of its channels, in the channel's own unit if it names none."""
+    unit = column.unit
+    item = field_of(name)[2]
+    if unit is None and item.unit not in ("", "1"):
+        told = str(signal.unit or "").strip()
+        unit = UNITS.get(told, told)
+        try:
+            factor(unit or "1", item.unit)
+        except InputError as error:
+            raise InputError(
+                f"channel '{signal.name}' has the unit '{told}', which is no {item.unit}",
+                file=path,
+                place=f"field {name}",
+                remedy="give its unit in the profile",
+            ) from error
+    places = {"columns": channels} if column.columns else {"column": channels[0]}
+    return column.model_copy(update={"unit": unit, "optional": False, **places})
