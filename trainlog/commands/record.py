@@ -9,13 +9,15 @@ from typing import Annotated, Literal
 
 import typer
 
-from trainlog.commands.options import LineOption, Seed, TrainOption
+from trainlog.commands.options import LineOption, Logs, Seed, TrainOption
 from trainlog.errors import InputError
 from trainlog.formats.files import made_folder
 from trainlog.terminal import (
     about,
     console,
+    destination,
     line_and_train,
+    logs_in,
     pairs,
     progress_bar,
     working,
@@ -24,6 +26,8 @@ from trainlog.terminal import (
 from trainlog.trip import Trip
 
 app = typer.Typer()
+line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
+app.add_typer(line_app, name="line", rich_help_panel="Record")
 
 
 @app.command(rich_help_panel="Record")
@@ -170,3 +174,40 @@ def import_(
     made_folder(output)
     for file in files:
         wrote(convert(file, output))
+
+
+@line_app.command("build")
+def line_build(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Line file (JSON).")],
+    name: Annotated[str | None, typer.Option(help="Name of the line; default: the file's.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+) -> None:
+    """Build a line from the satellite fixes of trips along it, in either direction.
+
+    Writes the centre line with its curvature, how well it is known and what it rests on. Speed
+    limits, gradients and stations are not known from fixes; the line's source says so.
+
+    Example: trainlog line build results/recorded -o results/line.json
+    """
+    from analysis.centre_line import geometry_of, line_of
+    from analysis.pictures.line import draw_survey
+    from trainlog.formats.line import write_line
+    from trainlog.mcap import read_log
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    topics = ("/gnss/fix", "/gnss/motion", "/train/state")
+    with progress_bar() as progress:
+        trips = [
+            read_log(log, topics) for log in progress.track(logs_in(logs), description="reading")
+        ]
+    with working("fitting"):
+        survey = geometry_of(trips)
+    write_line(line_of(survey, name or output.stem), output)
+    draw_survey(survey, trips, shown)
+    for told in survey.lines():
+        console.print(told, highlight=False)
+    wrote(output, shown)

@@ -180,6 +180,13 @@ def chainage_of(
     return Matched(kept, rejected, slipping, misfit, motion)
 
 
+def distance_driven(fixes: Fixes) -> FloatArray:
+    """Distance driven since the first row [m] by the measured speeds; NaN without any."""
+    ratio = _wheel_ratio(fixes)
+    slipping = _slipping(fixes, fixes.speed, fixes.speed_std, ratio)
+    return _driven(fixes, slipping, ratio)[0]
+
+
 def _smooth(
     fixes: Fixes, slipping: BoolArray, chainage: FloatArray, white: FloatArray, lasting: FloatArray
 ) -> SmoothedMotion:
@@ -320,7 +327,9 @@ def _chain(
             " round",
         )
     inside = np.count_nonzero(chain >= 0)
-    if gated and inside < 0.5 * np.count_nonzero(counts):
+    against = backwards[(chain < 0) & (backwards >= 0)]
+    returns = against.size > 0.25 * inside and np.ptp(places.chainage[against]) > BACKWARDS
+    if gated and (returns or inside < 0.5 * np.count_nonzero(counts)):
         raise InputError(
             f"only {inside / np.count_nonzero(counts):.0%} of the fixes near the line follow it"
             " in one direction",

@@ -66,7 +66,7 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
     """
     geometry = line.geometry if line is not None else None
     if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
-        fixes = _fixes(trip)
+        fixes = fixes_of(trip)
         matched = chainage_of(
             geometry, fixes, gated=profile.repair.off_line, slip_aware=profile.repair.slip
         )
@@ -89,8 +89,14 @@ def _seconds(index: pd.DatetimeIndex) -> FloatArray:
     return np.asarray((index.asi8 - index.asi8[0]) / 1e9)
 
 
-def _fixes(trip: Trip) -> Fixes:
-    """Fixes, satellite speeds and wheel speeds of a trip on one clock, rows in its outages too."""
+def fixes_of(trip: Trip) -> Fixes:
+    """Fixes, satellite speeds and wheel speeds of a trip on one clock, rows in its outages too.
+
+    Parameters
+    ----------
+    trip : Trip
+        With ``/gnss/fix``.
+    """
     frame = trip["/gnss/fix"]
     if "/gnss/motion" in trip:
         frame = frame.join(trip["/gnss/motion"], how="outer")

@@ -1,0 +1,182 @@
+"""A line from the fixes of trips: where it lies, how it bends, what it rests on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from satellite_trips import Receiver, curve_of, drive, errors, winding
+
+from analysis.centre_line import Survey, geometry_of, line_of
+from estimators.centre_line import CURVATURE_CHANGE, fitted_curve
+from trainlog.cli import run
+from trainlog.errors import InputError
+from trainlog.formats.line import read_line
+from trainlog.ingest import profile_of
+from trainlog.ingest.estimates import estimated_state
+from trainlog.mcap import write_log
+from trainlog.railway import Geometry
+from trainlog.railway.projection import beside, nearest_on, track_of
+from trainlog.trip import Trip
+
+PLAIN = profile_of({"format": "trainlog/recorder-profile", "version": 1, "name": "plain"})
+
+
+def trips(count: int, track: Geometry | None = None, **options: object) -> list[Trip]:
+    """Trips both ways, once and five times a second, with outages at different places."""
+    found = []
+    for seed in range(count):
+        begin = 100.0 + 47.0 * seed
+        receiver = Receiver(
+            rate=(1.0, 5.0)[seed % 2],
+            outages=((begin, begin + 40.0),),
+            bursts=((320.0, 335.0, 30.0 - 20.0j),),
+            **options,
+        )
+        found.append(drive(track or winding(), receiver, seed, reverse=seed % 3 == 1)[0])
+    return found
+
+
+def across(survey: Survey, track: Geometry) -> np.ndarray:
+    """Distance between the survey and the true track where trips support it [m]."""
+    true = track_of(track)
+    points = true.plane(survey.latitude, survey.longitude)
+    return beside(true, points, nearest_on(true, points)[0])[1]
+
+
+@pytest.fixture(scope="module")
+def survey() -> Survey:
+    return geometry_of(trips(4))
+
+
+def test_points_on_an_arc_give_its_curvature() -> None:
+    angle = np.linspace(0.0, 2.0, 400)
+    points = 500.0 * np.exp(1j * angle)
+    curve, weight = fitted_curve(500.0 * angle, points, np.full(400, 0.01))
+    at = np.linspace(50.0, 950.0, 100)
+    np.testing.assert_allclose(np.abs(curve.at(at)), 500.0, atol=0.01)
+    np.testing.assert_allclose(curve.curvature(at), -1.0 / 500.0, rtol=0.02)
+    assert weight.min() > 0.9
+
+
+def test_the_deviations_of_a_curve_are_its_errors() -> None:
+    """Curves whose curvature wanders as the fit expects, seen with noise of 3 m."""
+    generator = np.random.default_rng(1)
+    fine = np.arange(0.0, 3_000.0, 1.0)
+    seen = slice(None, None, 20)
+    at = np.arange(500, 2_500, 100)
+    place, bend = [], []
+    for _ in range(40):
+        curvature = np.cumsum(np.sqrt(CURVATURE_CHANGE) * generator.standard_normal(fine.size))
+        curvature -= curvature.mean()
+        beside = np.cumsum(np.cumsum(curvature))
+        noise = generator.standard_normal((2, fine.size)) * 3.0
+        points = (fine + noise[0] + 1j * (beside + noise[1]))[seen]
+        curve, _ = fitted_curve(fine[seen], points, np.full(points.size, 3.0))
+        place.append((curve.at(at).imag - beside[at]) / curve.std(at))
+        second = curve.spline(at, 2).imag
+        bend.append((second - curvature[at]) / curve.curvature_std(at))
+    assert 0.85 < np.std(place) < 1.15
+    assert 0.85 < np.std(bend) < 1.15
+
+
+def test_a_line_lies_where_its_trips_ran(survey: Survey) -> None:
+    error = across(survey, winding())
+    assert np.sqrt(np.mean(error**2)) < 1.2
+    assert np.mean(np.abs(error) < 1.96 * survey.std) > 0.9
+    assert abs(survey.length - 12_000.0) < 10.0
+    assert survey.unsupported == ()
+    assert survey.support.max() == 4
+    assert survey.rejected > 15
+    middle = (survey.position > 100.0) & (survey.position < survey.length - 100.0)
+    true = -np.clip(3.0 * np.sin(survey.position / 450.0), -1.0, 1.0) / 400.0
+    backwards = survey.latitude[0] > survey.latitude[-1]
+    if backwards:
+        true = -true[::-1]
+    assert np.sqrt(np.mean((survey.curvature - true)[middle] ** 2)) < 0.3e-3
+
+
+def test_more_trips_make_a_better_line(survey: Survey) -> None:
+    one = geometry_of(trips(1))
+    assert np.std(across(survey, winding())) < 0.8 * np.std(across(one, winding()))
+    assert np.median(survey.std) < np.median(one.std)
+
+
+def test_a_further_trip_finds_its_chainage_on_the_line_built(survey: Survey) -> None:
+    line = line_of(survey, "built")
+    backwards = survey.latitude[0] > survey.latitude[-1]
+    trip, truth = drive(winding(), Receiver(), 9, reverse=backwards)
+    frame = estimated_state(trip, line, PLAIN).frame
+    assert frame is not None
+    error, _ = errors(frame, truth, "position")
+    assert np.std(error) < 5.0
+    assert "gradients, stations, tunnels: not known" in line.source
+
+
+def test_stretches_without_fixes_are_told() -> None:
+    """All trips are blind at the same place: a tunnel."""
+    found = []
+    for seed in range(3):
+        trip, truth = drive(winding(), Receiver(), seed)
+        at = np.interp(
+            trip["/gnss/fix"].index.as_unit("ns").asi8,
+            truth.index.as_unit("ns").asi8,
+            truth["position"],
+        )
+        seen = (at < 4_000.0) | (at > 5_000.0)
+        frames = {name: frame[seen] for name, frame in trip.topics.items()}
+        for name, frame in frames.items():
+            frame.attrs = trip[name].attrs
+        found.append(Trip(frames, trip.metadata))
+    survey = geometry_of(found)
+    ((begin, end),) = survey.unsupported
+    assert abs(begin - 4_100.0) < 60.0
+    assert abs(end - 4_900.0) < 60.0
+    inside = (survey.geometry.positions > begin) & (survey.geometry.positions < end)
+    assert not inside.any()
+    assert any("no fixes from km 4." in told for told in survey.lines())
+
+
+def test_trips_over_parts_of_a_line_are_put_together() -> None:
+    whole = [drive(winding(), Receiver(), seed)[0] for seed in range(2)]
+    parts = []
+    for trip, share in zip(whole, (slice(0, 0.7), slice(0.3, 1.0)), strict=True):
+        count = len(trip["/gnss/fix"])
+        rows = slice(int(share.start * count), int(share.stop * count))
+        frames = {name: frame.iloc[rows] for name, frame in trip.topics.items()}
+        for name, frame in frames.items():
+            frame.attrs = trip[name].attrs
+        parts.append(Trip(frames, trip.metadata))
+    survey = geometry_of(parts)
+    assert abs(survey.length - 12_000.0) < 30.0
+    assert len(survey.used) == 2
+
+
+def test_a_trip_elsewhere_is_told_and_not_used() -> None:
+    away, _ = drive(curve_of(np.zeros(1_000), heading=2.0), Receiver(), 7)
+    survey = geometry_of([*trips(2), away])
+    assert [name for name, _ in survey.refused] == ["trip-07"]
+    assert "from the line" in survey.refused[0][1]
+    assert len(survey.used) == 2
+
+
+def test_trips_without_fixes_make_no_line() -> None:
+    trip = trips(1)[0]
+    with pytest.raises(InputError, match="none of the trips has satellite fixes"):
+        geometry_of([Trip({"/gnss/motion": trip["/gnss/motion"]}, trip.metadata)])
+
+
+def test_the_command_writes_line_and_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for trip in trips(2):
+        write_log(trip, tmp_path / f"{trip.name}.mcap")
+    assert run(["line", "build", str(tmp_path), "-o", str(tmp_path / "valley.json")]) == 0
+    line = read_line(tmp_path / "valley.json")
+    assert line.name == "valley"
+    assert line.geometry is not None
+    assert line.curvatures is not None
+    assert line.geometry.quality.startswith("fitted to the satellite fixes of 2 trips")
+    assert (tmp_path / "valley.png").stat().st_size > 10_000
+    assert "from 2 trips" in capsys.readouterr().out

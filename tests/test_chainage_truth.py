@@ -1,0 +1,183 @@
+"""Chainage against known truth: outages, reflections, wheels, lines that come near themselves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from satellite_trips import Receiver, curve_of, drive, errors, hairpin, spiral, winding
+
+from trainlog.errors import InputError
+from trainlog.ingest import Profile, profile_of
+from trainlog.ingest.estimates import Estimate, estimated_state
+from trainlog.railway import Geometry, Line, Station, StepProfile
+from trainlog.railway.projection import nearest_on, track_of
+from trainlog.trip import Trip
+
+PLAIN = {"format": "trainlog/recorder-profile", "version": 1, "name": "plain"}
+
+
+def line_on(geometry: Geometry) -> Line:
+    length = float(geometry.positions[-1])
+    return Line(
+        "made up",
+        length,
+        (Station("A", 0.0), Station("B", length)),
+        StepProfile(np.zeros(1), np.array([40.0])),
+        StepProfile(np.zeros(1), np.zeros(1)),
+        geometry=geometry,
+    )
+
+
+def estimated(trip: Trip, geometry: Geometry, profile: Profile | None = None) -> Estimate:
+    return estimated_state(trip, line_on(geometry), profile or profile_of(PLAIN))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+OUTAGES = ((120.0, 180.0), (400.0, 460.0))
+BURSTS = ((280.0, 305.0, 30.0 + 10.0j), (330.0, 350.0, -15.0 + 30.0j))
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize(
+    ("receiver", "bound"),
+    [
+        (Receiver(outages=OUTAGES, bursts=BURSTS), 5.0),
+        (Receiver(rate=5.0, outages=OUTAGES, bursts=BURSTS), 5.0),
+        (Receiver(outages=OUTAGES, bursts=BURSTS, lasting=True), 5.5),
+        (Receiver(outages=OUTAGES, bursts=BURSTS, wheels=True), 2.0),
+    ],
+)
+def test_chainage_holds_through_outages_and_reflections(
+    receiver: Receiver, bound: float, reverse: bool
+) -> None:
+    found, stds, speeds = [], [], []
+    for seed in (1, 2, 3):
+        trip, truth = drive(winding(), receiver, seed, reverse=reverse)
+        geometry = winding()
+        way = geometry.reversed(12_000.0) if reverse else geometry
+        frame = estimated(trip, way).frame
+        assert frame is not None
+        assert np.all(np.diff(frame["position"]) >= 0.0)
+        error, std = errors(frame, truth, "position")
+        found.append(error)
+        stds.append(std)
+        speeds.append(errors(frame, truth, "speed"))
+    error, std = np.concatenate(found), np.concatenate(stds)
+    assert rms(error) < bound
+    assert np.mean(np.abs(error) <= 1.96 * std) >= 0.90
+    fast, fast_std = (np.concatenate(part) for part in zip(*speeds, strict=True))
+    assert np.mean(np.abs(fast) <= 1.96 * fast_std) >= 0.90
+
+
+@pytest.mark.parametrize("track", [hairpin(), spiral()], ids=["hairpin", "spiral"])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_line_that_comes_near_itself_is_followed_in_its_order(
+    track: Geometry, reverse: bool
+) -> None:
+    """The nearest place would jump by kilometres."""
+    length = float(track.positions[-1])
+    way = track.reversed(length) if reverse else track
+    receiver = Receiver(noise=6.0, outages=((70.0, 110.0), (200.0, 230.0)))
+    trip, truth = drive(track, receiver, 2, reverse=reverse)
+    plane = track_of(way)
+    fix = trip["/gnss/fix"]
+    points = plane.plane(fix["latitude"].to_numpy(), fix["longitude"].to_numpy())
+    nearest = nearest_on(plane, points)[0]
+    at = np.interp(fix.index.as_unit("ns").asi8, truth.index.as_unit("ns").asi8, truth["position"])
+    assert np.abs(nearest - at).max() > 500.0
+    for given in (trip, Trip({"/gnss/fix": fix}, trip.metadata)):
+        frame = estimated(given, way).frame
+        assert frame is not None
+        error, std = errors(frame, truth, "position")
+        assert np.abs(error).max() < 60.0
+        assert np.mean(np.abs(error) <= 1.96 * std) >= 0.90
+
+
+def test_reflections_are_counted_and_may_be_kept() -> None:
+    receiver = Receiver(bursts=((280.0, 305.0, 40.0 + 30.0j),))
+    trip, truth = drive(winding(), receiver)
+    careful = estimated(trip, winding())
+    (finding,) = careful.findings
+    assert (finding.rule, finding.column) == ("off_line", "/gnss/fix")
+    assert 23 <= finding.count <= 30
+    trusting = estimated(trip, winding(), profile_of({**PLAIN, "repair": {"off_line": False}}))
+    assert trusting.findings == ()
+    assert careful.frame is not None
+    assert trusting.frame is not None
+    assert rms(errors(careful.frame, truth, "position")[0]) < 2.0
+    assert rms(errors(trusting.frame, truth, "position")[0]) > 2.0
+
+
+def test_slipping_wheels_do_not_carry_the_train_away() -> None:
+    receiver = Receiver(outages=((120.0, 180.0),), wheels=True)
+    trip, truth = drive(winding(), receiver)
+    state = trip["/train/state"].copy()
+    speed = state["speed"].to_numpy(copy=True)
+    for begin in (900, 1_450):  # the second within the outage
+        speed[begin : begin + 30] += np.interp(np.arange(30), [0, 5, 24, 29], [0, 6.0, 6.0, 0])
+    state["speed"] = speed
+    slipped = Trip({**trip.topics, "/train/state": state}, trip.metadata)
+    careful = estimated(slipped, winding())
+    assert "slip" in {finding.rule for finding in careful.findings}
+    assert careful.frame is not None
+    assert rms(errors(careful.frame, truth, "position")[0]) < 2.0
+    trusting = estimated(slipped, winding(), profile_of({**PLAIN, "repair": {"slip": False}}))
+    assert trusting.frame is not None
+    assert rms(errors(trusting.frame, truth, "position")[0]) > 2.0
+
+
+def test_outages_get_rows_whose_band_is_widest_in_their_middle() -> None:
+    trip, _ = drive(winding(), Receiver(outages=((120.0, 180.0),)))
+    frame = estimated(trip, winding()).frame
+    assert frame is not None
+    steps = np.diff(frame.index.as_unit("ns").asi8) / 1e9
+    assert steps.max() < 1.1
+    std = frame["position_std"].to_numpy()
+    assert abs(np.argmax(std) - 150) < 10
+    assert std[150] > 5.0 * np.median(std)
+
+
+def test_a_log_that_runs_there_and_back_is_refused() -> None:
+    there, _ = drive(winding(), Receiver(), 1)
+    back, _ = drive(winding(), Receiver(), 2, reverse=True)
+    topics = {}
+    for name in ("/gnss/fix", "/gnss/motion"):
+        later = back[name].copy()
+        later.index = later.index + (there.end - later.index[0]) + np.timedelta64(60, "s")
+        joined = np.concatenate([there[name].index.asi8, later.index.asi8])
+        frame = there[name].reindex(there[name].index.append(later.index))
+        frame.iloc[len(there[name]) :] = later.to_numpy()
+        frame.attrs = there[name].attrs
+        assert np.all(np.diff(joined) > 0)
+        topics[name] = frame
+    with pytest.raises(InputError, match=r"against the direction|runs both ways"):
+        estimated(Trip(topics, there.metadata), winding())
+
+
+def test_a_branch_is_not_the_line() -> None:
+    """Four of twelve kilometres together, then apart: the trip followed the other branch."""
+    s = np.arange(0.0, 12_000.0, 5.0)
+    main = curve_of(np.zeros(s.size))
+    bend = np.where((s > 4_000.0) & (s < 5_000.0), 1.0 / 800.0, 0.0)
+    trip, _ = drive(curve_of(bend), Receiver())
+    with pytest.raises(InputError, match="give the line that was driven"):
+        estimated(trip, main)
+
+
+def test_a_line_that_lies_right_is_rarely_called_misplaced() -> None:
+    """Errors of 3 m that last make few independent samples: their mean is no misfit."""
+    misfits = []
+    for seed in range(12):
+        trip, _ = drive(winding(), Receiver(lasting=True), seed)
+        misfits.append(float(estimated(trip, winding()).metadata["line.misfit"]))
+    assert np.median(misfits) < 0.5
+    assert np.mean(np.array(misfits) > 2.0) < 0.2
+    moved = winding()
+    moved = replace(moved, latitudes=moved.latitudes + np.degrees(40.0 / 6_371_000.0))
+    trip, _ = drive(winding(), Receiver(lasting=True), 1)
+    assert 15.0 < float(estimated(trip, moved).metadata["line.misfit"]) < 45.0
