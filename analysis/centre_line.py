@@ -322,6 +322,9 @@ def _matched(one: _Pass, geometry: Geometry) -> _Pass:
         matched = chainage_of(travelled, one.fixes)
     except InputError as error:
         return replace(one, matched=None, reason=error.problem)
+    if matched.misfit > NEAR:
+        reason = f"its fixes lie {matched.misfit:.0f} m from the line that the others make"
+        return replace(one, matched=None, reason=reason)
     # Fixes of a train that stands at the line's end scatter beyond it; the line ends where it is.
     kept = np.isfinite(matched.chainage)
     reached = matched.motion.position[kept]

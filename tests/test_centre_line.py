@@ -157,7 +157,7 @@ def test_a_trip_elsewhere_is_told_and_not_used() -> None:
     away, _ = drive(curve_of(np.zeros(1_000), heading=2.0), Receiver(), 7)
     survey = geometry_of([*trips(2), away])
     assert [name for name, _ in survey.refused] == ["trip-07"]
-    assert "from the line" in survey.refused[0][1]
+    assert "m from the line that the others make" in survey.refused[0][1]
     assert len(survey.used) == 2
 
 
