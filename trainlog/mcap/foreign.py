@@ -159,14 +159,14 @@ class _Table:
         except BrokenMessage as error:
             self.broken[str(error)] += 1
         else:
-            self.columns.add(len(self.time), message)
+            self.columns.add(message)
             self.time.append(time)
             self.published.append(published)
 
     def frame(self) -> tuple[pd.DataFrame, pd.DatetimeIndex]:
         """The frame in the order of log time, and the publish times of its rows."""
         time = np.array(self.time, dtype=np.int64)
-        frame = pd.DataFrame(self.columns.frame(len(time)), index=_index(time))
+        frame = pd.DataFrame(self.columns.frame(), index=_index(time))
         published = np.array(self.published, dtype=np.int64)
         if np.any(np.diff(time) < 0):
             order = np.argsort(time, kind="stable")

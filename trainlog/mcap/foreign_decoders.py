@@ -11,7 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as ProtobufMessage
 from google.protobuf.unknown_fields import UnknownFieldSet
@@ -107,14 +107,14 @@ def _protobuf(schema: Schema) -> Decode:
         raise UndecodableError(f"schema {shown(schema.name)} is no descriptor of it") from error
     if parse is None:
         raise UndecodableError(f"schema {shown(schema.name)} is no descriptor of it")
-    fields: dict[str, list[_Getter]] = {}
+    readers: dict[str, _Reader] = {}
 
     def decode(data: bytes) -> Message:
         try:
             message = parse(data)
         except (DecodeError, RecursionError):
             raise BrokenMessage(f"it is no {schema.name[:60]}") from None
-        found = _object(message, fields, 0)
+        found = _object(message, readers, 0)
         if len(UnknownFieldSet(message)):
             found["(unknown)"] = _UNDECLARED
         return found
@@ -122,48 +122,66 @@ def _protobuf(schema: Schema) -> Decode:
     return partial(_bounded, decode)
 
 
-_Getter = tuple[str, bool, Callable[[Any, int], Any]]
-"""Name of a field, whether it may be absent, and what turns its value into a plain one."""
+class _Reader:
+    """What turns protobuf messages of one kind into plain values."""
+
+    def __init__(self, descriptor: Any, readers: dict[str, _Reader]) -> None:
+        self.readers = readers
+        self.scalars = [field.name for field in descriptor.fields if _is_scalar(field)]
+        self.others = [
+            (field.name, field.has_presence, _plain(field, readers))
+            for field in descriptor.fields
+            if not _is_scalar(field)
+        ]
+
+    def read(self, message: ProtobufMessage, depth: int) -> Message:
+        found: Message = {name: getattr(message, name) for name in self.scalars}
+        for name, told, plain in self.others:
+            if not told or message.HasField(name):
+                found[name] = plain(getattr(message, name), depth)
+        return found
 
 
-def _object(message: ProtobufMessage, fields: dict[str, list[_Getter]], depth: int) -> Message:
+def _object(message: ProtobufMessage, readers: dict[str, _Reader], depth: int) -> Message:
     descriptor: Any = message.DESCRIPTOR
-    getters = fields.get(descriptor.full_name)
-    if getters is None:
-        getters = fields[descriptor.full_name] = _getters(descriptor, fields)
-    return {
-        name: plain(getattr(message, name), depth)
-        for name, told, plain in getters
-        if not told or message.HasField(name)
-    }
+    reader = readers.get(descriptor.full_name)
+    if reader is None:
+        reader = readers[descriptor.full_name] = _Reader(descriptor, readers)
+    return reader.read(message, depth)
 
 
-def _getters(descriptor: Descriptor, fields: dict[str, list[_Getter]]) -> list[_Getter]:
-    return [
-        (str(field.name), bool(field.has_presence), _plain(field, fields))
-        for field in descriptor.fields
-    ]
+def _is_scalar(field: Any) -> bool:
+    """Whether a field always has one number or text."""
+    composite = field.message_type is not None or field.type == FieldDescriptor.TYPE_BYTES
+    return not (composite or field.has_presence or _is_repeated(field))
 
 
-def _plain(field: FieldDescriptor, fields: dict[str, list[_Getter]]) -> Callable[[Any, int], Any]:
+def _is_repeated(field: Any) -> bool:
+    # Before version 6 the package has no `is_repeated`, after it the label is given up.
+    if hasattr(field, "is_repeated"):
+        return bool(field.is_repeated)
+    return bool(field.label == _REPEATED)
+
+
+def _plain(field: Any, readers: dict[str, _Reader]) -> Callable[[Any, int], Any]:
+    """What turns the value of a field that is not scalar into plain values."""
     nested = field.message_type
     if nested is not None and nested.GetOptions().map_entry:
         return _map
 
     def single(value: Any, depth: int) -> Any:
         if nested is not None:
-            return TOO_DEEP if depth >= DEEPEST else _object(value, fields, depth + 1)
+            return TOO_DEEP if depth >= DEEPEST else _object(value, readers, depth + 1)
         return BYTES if isinstance(value, bytes) else value
 
     def several(values: Any, depth: int) -> Any:
         if len(values) > MOST_ELEMENTS:
             return LONG_ARRAY
+        if nested is None and field.type != FieldDescriptor.TYPE_BYTES:
+            return list(values)
         return [single(value, depth) for value in values]
 
-    # Before version 6 the package has no `is_repeated`, after it the label is given up.
-    told: Any = field
-    repeated = told.is_repeated if hasattr(field, "is_repeated") else told.label == _REPEATED
-    return several if repeated else single
+    return several if _is_repeated(field) else single
 
 
 def _map(values: Any, depth: int) -> Unexpanded | None:  # noqa: ARG001
