@@ -31,6 +31,11 @@ from trainlog.mcap.walk import contents_by_walk
 _MOST_NAMED = 8
 """Topics that an error names."""
 
+_LAST = pd.Timestamp.max
+"""The last time that an index can hold."""
+
+_LATEST = _LAST.value
+
 
 @dataclass(frozen=True)
 class Skipped:
@@ -151,8 +156,8 @@ class _Table:
             _, length, _, _, time, published = MESSAGE.unpack_from(content, offset)
             if length < MESSAGE.size - RECORD_HEAD:
                 raise BrokenMessage("its record is too short")
-            if max(time, published) > pd.Timestamp.max.value:
-                raise BrokenMessage(f"its time is after {pd.Timestamp.max.year}")
+            if time > _LATEST or published > _LATEST:
+                raise BrokenMessage(f"its time is after {_LAST.year}")
             message = self.decode(content[offset + MESSAGE.size : offset + RECORD_HEAD + length])
         except struct.error:
             self.broken["its record is too short"] += 1
