@@ -189,7 +189,13 @@ class _Table:
 
 
 def _frames(source: Source, contents: Contents, channels: list[Channel]) -> ForeignFrames:
-    """The frames of the channels; chunks that turn out damaged are dropped from the contents."""
+    """The frames of the channels; chunks that turn out damaged are dropped from the contents.
+
+    Raises
+    ------
+    MisplacedError
+        If the summary by which the contents were found turns out to be wrong.
+    """
     by_channel, skipped = _tables(contents, channels)
     for place in list(contents.chunks):
         if place.counts.keys().isdisjoint(by_channel):
@@ -197,8 +203,12 @@ def _frames(source: Source, contents: Contents, channels: list[Channel]) -> Fore
         try:
             content, index = _opened(source, place)
         except LogError as error:
+            if contents.indexed and isinstance(error, MisplacedError):
+                raise
             contents.drop(place, error.problem)
             continue
+        if contents.indexed and place.counts != {each: len(at) for each, at in index.items()}:
+            raise MisplacedError("the summary counts other messages", place=f"byte {place.offset}")
         for channel, entries in index.items():
             if channel in by_channel:
                 table = by_channel[channel]
