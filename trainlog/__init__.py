@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 from trainlog.version import __version__
 
 if TYPE_CHECKING:
-    from trainlog.mcap import describe
+    from trainlog.mcap import describe, record
     from trainlog.mcap import read_log as read
     from trainlog.mcap import write_log as write
 
-__all__ = ["__version__", "describe", "read", "write"]
+__all__ = ["__version__", "describe", "read", "record", "write"]
 
-_LAZY = {"read": "read_log", "write": "write_log", "describe": "describe"}
+_LAZY = {"read": "read_log", "write": "write_log", "describe": "describe", "record": "record"}
 
 
 def __getattr__(name: str) -> Any:

@@ -253,11 +253,16 @@ def _flush_to_disk(path: Path) -> None:
 
 
 def _refuse_writing(path: str | Path, error: OSError) -> NoReturn:
+    raise writing_error(path, error) from error
+
+
+def writing_error(path: str | Path, error: OSError) -> InputError:
+    """The error that says why a file cannot be written, and what to do about it."""
     reason = (error.strerror or str(error)).lower()
     if not Path(path).absolute().parent.is_dir():
         reason = "its folder does not exist"
     remedy = _REMEDIES.get(error.errno or 0, "choose another place")
-    raise InputError(f"cannot be written: {reason}", file=path, remedy=remedy) from error
+    return InputError(f"cannot be written: {reason}", file=path, remedy=remedy)
 
 
 def refuse_reading(path: str | Path, error: OSError) -> NoReturn:

@@ -9,6 +9,7 @@ from trainlog.mcap.describe import (
 )
 from trainlog.mcap.foreign import ForeignFrames, Skipped, frames_of
 from trainlog.mcap.reader import read_log
+from trainlog.mcap.recorder import OverloadWarning, Recording, RecordingAccount, record
 from trainlog.mcap.writer import LogWriter, write_log
 
 __all__ = [
@@ -19,10 +20,14 @@ __all__ = [
     "LogDescription",
     "LogWriter",
     "Loss",
+    "OverloadWarning",
+    "Recording",
+    "RecordingAccount",
     "Skipped",
     "TopicDescription",
     "describe",
     "frames_of",
     "read_log",
+    "record",
     "write_log",
 ]

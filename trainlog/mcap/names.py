@@ -6,5 +6,9 @@ FORMAT_RECORD = "trainlog.format"
 TRIP_RECORD = "trainlog"
 """Metadata record that holds the trip's metadata."""
 
+RECORDING_RECORD = "trainlog.recording"
+"""Metadata record of a live recording: ``flush`` is the period [s] after which what it was given is
+in the file, so the most that a crash costs. A second one, at the end, says how it ended."""
+
 PROVENANCE_RECORD = "trainlog.provenance"
 """Metadata record that holds one JSON object a processing step, under ``0001``, ``0002`` ..."""

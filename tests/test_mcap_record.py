@@ -1,0 +1,367 @@
+"""Live recording: nothing is lost silently, whatever is given and wherever it is written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time as clock
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from mcap.reader import make_reader
+from mcap_trips import ATTACHMENTS, METADATA, START, assert_same, trip_of
+
+import trainlog
+from trainlog.errors import InputError, LogError
+from trainlog.mcap import OverloadWarning, Recording, read_log, recorder
+from trainlog.mcap.sink import PackedChunk, RawChunk
+from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
+from trainlog.trip import Trip
+
+STATE, AXLES = TRAIN_STATE.name, TRAIN_AXLES.name
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Wait for the recorder's thread."""
+    for _ in range(1000):
+        if true():
+            return
+        clock.sleep(0.01)
+    raise AssertionError("waited for ten seconds")
+
+
+def values_at(frame: pd.DataFrame, rows: int | slice) -> dict[str, Any]:
+    """Arguments of `write`: by field, those of axles together."""
+    topic = TOPICS[frame.attrs["topic"]]
+    return {
+        field.name: frame.filter(regex=f"^{field.name}_[0-9]+$").to_numpy()[rows]
+        if field.per_axle
+        else frame[field.name].to_numpy()[rows]
+        for field in topic.fields
+    }
+
+
+def play(trip: Trip, log: Recording, block: int | None = None) -> None:
+    """Record a trip sample by sample, or in blocks."""
+    for name, frame in trip.topics.items():
+        times = frame.index.as_unit("ns").asi8
+        for row in range(0, len(frame), block or 1):
+            if name == EVENTS.name:
+                log.event(*frame.iloc[row].tolist(), time=int(times[row]))
+            elif block is None:
+                log.write(name, int(times[row]), **values_at(frame, row))
+            else:
+                rows = slice(row, row + block)
+                log.write(name, times[rows], **values_at(frame, rows))
+
+
+@pytest.mark.parametrize("block", [None, 7])
+def test_what_is_recorded_reads_back(block: int | None, tmp_path: Path) -> None:
+    topics = [name for name in TOPICS if block is None or name != EVENTS.name]
+    trip = trip_of(rows=60, topics=topics)
+    with trainlog.record(
+        tmp_path / "log.mcap", metadata=METADATA, attachments=ATTACHMENTS, flush=0.01
+    ) as log:
+        play(trip, log, block)
+    found = read_log(tmp_path / "log.mcap")
+    (step,) = found.provenance
+    assert step["step"] == "record"
+    expected = {name: frame for name, frame in trip.topics.items() if len(frame)}
+    read = {name: frame for name, frame in found.topics.items() if len(frame)}
+    assert_same(
+        Trip(read, found.metadata, (), found.attachments),
+        Trip(expected, trip.metadata, (), trip.attachments),
+    )
+    account = log.account()
+    assert account.written == dict.fromkeys(expected, 60)
+    assert account.waiting == account.dropped == {}
+
+
+def test_the_file_is_whole_and_numbers_the_samples_as_they_came(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    order = rng.permutation(3000)
+    with trainlog.record(tmp_path / "log.mcap", flush=0.02) as log:
+        for number, late in enumerate(order.tolist()):
+            log.write(STATE, START + late, speed=float(number))
+            if number % 700 == 0:
+                until(lambda so_far=number + 1: log.account().written.get(STATE) == so_far)
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        messages = [m for _, c, m in reader.iter_messages(log_time_order=False) if c.topic == STATE]
+        summary = reader.get_summary()
+    assert {m.sequence: m.log_time - START for m in messages} == dict(enumerate(order.tolist()))
+    assert summary is not None
+    assert len(summary.chunk_indexes) > 3
+    frame = read_log(tmp_path / "log.mcap")[STATE]
+    assert frame.index.equals(pd.to_datetime(START + np.arange(3000), utc=True))
+    assert frame["speed"].tolist() == np.argsort(order).tolist()
+
+
+def test_times_of_every_kind(tmp_path: Path) -> None:
+    at = pd.Timestamp(START, tz="Europe/Zurich")
+    index = pd.DatetimeIndex([at, at])
+    with trainlog.record(tmp_path / "log.mcap") as log:
+        log.write(STATE, START, speed=1)
+        log.write(STATE, np.int64(START), speed=np.float32(1))
+        log.write(STATE, at, speed=np.array(1.0))
+        log.write(STATE, pd.Timestamp(START), speed=1.0)
+        log.write(STATE, at.to_pydatetime(), speed=True)
+        log.write(STATE, np.datetime64(START, "ns"), speed=1.0)
+        log.write(STATE, index, speed=[1.0, 1.0])
+        log.write(STATE, index.tz_convert(None).to_numpy().astype("M8[us]"), speed=[1, 1])
+        log.write(STATE, np.empty(0, dtype=np.int64), speed=[])
+        log.write(STATE, START + 1, speed=None, position=2.0)
+    frame = read_log(tmp_path / "log.mcap")[STATE]
+    assert frame.index.equals(pd.to_datetime([START] * 10 + [START + 1], utc=True))
+    np.testing.assert_array_equal(frame["speed"], [1.0] * 10 + [np.nan])
+    np.testing.assert_array_equal(frame["position"], [np.nan] * 10 + [2.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "values", "said"),
+    [
+        (("/train/mood", START), {"speed": 1.0}, "no topic /train/mood"),
+        ((STATE, START), {"mood": 1.0}, "no field mood"),
+        ((STATE, START), {}, "has no values"),
+        ((STATE, START), {"speed": "fast"}, "not a number"),
+        ((STATE, START), {"speed": [1.0, 2.0]}, r"shape \(2,\), where the time asks for \(\)"),
+        ((STATE, [START, START]), {"speed": 1.0}, r"shape \(\), where the time asks for \(2,\)"),
+        ((STATE, -1), {"speed": 1.0}, "no time"),
+        ((STATE, 1.7e18), {"speed": 1.0}, "no time"),
+        ((STATE, 2**63), {"speed": 1.0}, "no time"),
+        ((STATE, pd.NaT), {"speed": 1.0}, "no time"),
+        ((STATE, "noon"), {"speed": 1.0}, "no time"),
+        ((STATE, [[START]]), {"speed": 1.0}, "no time"),
+        ((AXLES, START), {"wheel_speed": [1.0, 2.0]}, r"asks for \(3,\)"),
+        ((AXLES, START), {"wheel_speed": 1.0}, "asks for"),
+        ((AXLES, START), {"wheel_speed": [1, 2, 3, 4], "wheel_effort": [1, 2]}, "asks for"),
+        (("/reference", START), {"wheel_speed": [1.0]}, "no field wheel_speed"),
+        ((EVENTS.name, START), {"level": 2, "message": "x"}, r"record them with event\(\)"),
+    ],
+)
+def test_what_does_not_fit_is_refused_at_once(
+    arguments: tuple[Any, ...], values: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with trainlog.record(tmp_path / "log.mcap") as log:
+        log.write(STATE, START, speed=1.0)
+        log.write(AXLES, START, wheel_speed=[1.0, 2.0, 3.0], wheel_effort=(4.0, 5.0, 6.0))
+        with pytest.raises(LogError, match=said) as caught:
+            log.write(*arguments, **values)
+        log.write(STATE, START + 1, speed=2.0)
+    assert caught.value.file == tmp_path / "log.mcap"
+    assert caught.value.remedy
+    found = read_log(tmp_path / "log.mcap")
+    assert found[STATE]["speed"].tolist() == [1.0, 2.0]
+    assert found[AXLES].to_numpy().tolist() == [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]
+
+
+@pytest.mark.parametrize(
+    ("level", "message", "time", "said"),
+    [
+        (9, "x", START, "9 is not a level"),
+        (1, "\ud800", START, "UTF-8"),
+        (1, 5, START, "ordinary text"),
+        (1, "x", [START], "one time"),
+        (1, "x", -5, "no time"),
+    ],
+)
+def test_events_that_do_not_fit(
+    level: int, message: Any, time: Any, said: str, tmp_path: Path
+) -> None:
+    with trainlog.record(tmp_path / "log.mcap") as log, pytest.raises(LogError, match=said):
+        log.event(level, message, time=time)
+    assert len(read_log(tmp_path / "log.mcap")[EVENTS.name]) == 0
+
+
+def test_an_event_happens_now_unless_told_otherwise(tmp_path: Path) -> None:
+    before = clock.time_ns()
+    with trainlog.record(tmp_path / "log.mcap") as log:
+        log.event(2, "departure", "driver")
+    events = read_log(tmp_path / "log.mcap")[EVENTS.name]
+    assert before <= events.index[0].value <= clock.time_ns()
+    assert events.iloc[0].tolist() == [2, "departure", "driver"]
+
+
+@pytest.fixture
+def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """A disk that takes no chunk before the gate is opened."""
+    opened = threading.Event()
+    compress = recorder.packed
+
+    def held(raw: RawChunk) -> PackedChunk:
+        if threading.current_thread().name == "trainlog.record":
+            assert opened.wait(30)
+        return compress(raw)
+
+    monkeypatch.setattr(recorder, "packed", held)
+    return opened
+
+
+def test_overload_is_counted_and_told(gate: threading.Event, tmp_path: Path) -> None:
+    row = 8 * 3
+    log = trainlog.record(tmp_path / "log.mcap", flush=0.01, queue=100 * row)
+    log.write(STATE, START, speed=0.0)
+    until(lambda: log._waiting == 0)
+    # The thread holds the first sample; a hundred more fit into the queue.
+    for number in range(1, 151):
+        log.write(STATE, START + number, speed=float(number))
+    log.write(STATE, START + np.arange(151, 161), speed=np.arange(151.0, 161.0))
+    log.event(2, "nobody hears this", time=START + 160)
+    account = log.account()
+    assert account.dropped == {STATE: 60, EVENTS.name: 1}
+    assert account.waiting == {STATE: 101}
+    gate.set()
+    until(lambda: log.account().written.get(STATE) == 101)
+    log.write(STATE, START + 161, speed=161.0)
+    with pytest.warns(OverloadWarning, match="1 of /events, 60 of /train/state"):
+        log.close()
+    assert log.account().written == {STATE: 102, EVENTS.name: 2}
+    found = read_log(tmp_path / "log.mcap")
+    assert found[STATE]["speed"].tolist() == [*range(101), 161]
+    told = found[EVENTS.name]
+    assert told["level"].tolist() == [3, 3]
+    span = "from 2023-11-14T22:13:20.000000101 to 2023-11-14T22:13:20.000000160"
+    assert told["message"].tolist() == [
+        f"60 samples of /train/state dropped: the queue was full {span}",
+        "1 samples of /events dropped: the queue was full from "
+        "2023-11-14T22:13:20.000000160 to 2023-11-14T22:13:20.000000160",
+    ]
+    assert told.index[0].value == START + 101
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        numbers = [
+            message.sequence
+            for _, channel, message in reader.iter_messages()
+            if channel.topic == STATE
+        ]
+        records = [record.metadata for record in reader.iter_metadata()]
+    # The numbers tell exactly which are missing.
+    assert numbers == [*range(101), 161]
+    closed = {"closed": "whole", f"dropped.{STATE}": "60", f"dropped.{EVENTS.name}": "1"}
+    assert closed in records
+
+
+def test_many_threads_may_write(tmp_path: Path) -> None:
+    def work(number: int) -> None:
+        for row in range(500):
+            log.write(STATE, START + row, speed=float(number))
+            log.event(1, f"{number}", time=START + row)
+
+    with trainlog.record(tmp_path / "log.mcap", flush=0.01) as log:
+        threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    found = read_log(tmp_path / "log.mcap")
+    assert found[STATE]["speed"].value_counts().to_dict() == dict.fromkeys(range(4), 500)
+    assert found[EVENTS.name]["message"].value_counts().to_dict() == dict.fromkeys("0123", 500)
+
+
+def test_a_file_that_exists_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "log.mcap").write_text("precious")
+    with pytest.raises(InputError, match="exists already"):
+        trainlog.record(tmp_path / "log.mcap")
+    assert (tmp_path / "log.mcap").read_text() == "precious"
+    with pytest.raises(InputError, match="its folder does not exist"):
+        trainlog.record(tmp_path / "gone" / "log.mcap")
+    for options in ({"flush": 0.0}, {"flush": float("nan")}, {"queue": 0}):
+        with pytest.raises(InputError, match=r"is (0|nan)"):
+            trainlog.record(tmp_path / "new.mcap", **options)
+    with pytest.raises(LogError, match="not text"):
+        trainlog.record(tmp_path / "new.mcap", metadata={"load": 5})  # type: ignore[dict-item]
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
+def test_an_exception_closes_the_file_properly(tmp_path: Path) -> None:
+    with (
+        pytest.raises(ZeroDivisionError),
+        trainlog.record(tmp_path / "log.mcap", flush=60.0, sync=True) as log,
+    ):
+        log.write(STATE, START, speed=1.0 / len(list(tmp_path.glob("*.txt"))))
+    with pytest.raises(LogError, match="is closed"):
+        log.write(STATE, START, speed=1.0)
+    log.close()
+    assert read_log(tmp_path / "log.mcap").name == "unnamed"
+
+
+def test_the_file_is_readable_while_it_is_recorded(tmp_path: Path) -> None:
+    with trainlog.record(tmp_path / "log.mcap", flush=0.01) as log:
+        log.write(STATE, START, speed=1.0)
+        until(lambda: log.account().written.get(STATE) == 1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            assert read_log(tmp_path / "log.mcap")[STATE]["speed"].tolist() == [1.0]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="open files cannot be removed there")
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_file_taken_away_is_told(replaced: bool, tmp_path: Path) -> None:
+    log = trainlog.record(tmp_path / "log.mcap", flush=0.01)
+    (tmp_path / "log.mcap").unlink()
+    if replaced:
+        (tmp_path / "log.mcap").write_text("another")
+    until(lambda: log._failure is not None)
+    with pytest.raises(InputError, match="cannot be written"):
+        log.write(STATE, START, speed=1.0)
+    with pytest.raises(InputError, match="cannot be written"):
+        log.event(1, "x")
+    with pytest.raises(InputError, match="cannot be written"):
+        log.close()
+    if replaced:
+        assert (tmp_path / "log.mcap").read_text() == "another"
+
+
+# A limit on the size of files is to a program what a full disk is: a write that fails half way.
+LIMITED = """
+import resource, sys
+import numpy as np
+import trainlog
+from trainlog.errors import InputError
+random = np.random.default_rng(1)
+log = trainlog.record(sys.argv[1], flush=0.05)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+try:
+    for number in range(100_000):
+        log.write("/train/state", number * 50 + np.arange(50), speed=random.random(50))
+except InputError as error:
+    print(error)
+try:
+    log.close()
+except InputError as error:
+    print(error)
+account = log.account()
+print(account.written["/train/state"], account.waiting["/train/state"] > 0)
+"""
+
+
+def written_before_the_disk_was_full(program: str, path: Path, size: int) -> int:
+    run = subprocess.run(
+        [sys.executable, "-c", program, path, str(size)], capture_output=True, text=True, check=True
+    )
+    told, again, account = run.stdout.splitlines()
+    assert told == again
+    assert told.startswith(f"{path}: cannot be written: file too large")
+    written, lost = account.split()
+    assert lost == "True"
+    return int(written)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
+@pytest.mark.parametrize("size", [800_000, 1_500_001])
+def test_a_full_disk_is_told_and_what_was_written_stays(size: int, tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    written = written_before_the_disk_was_full(LIMITED, path, size)
+    assert path.stat().st_size <= size
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the missing summary, if there was no room for it
+        state = read_log(path)[STATE]
+    assert len(state) == written > 0
+    np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(written))
