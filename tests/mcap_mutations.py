@@ -217,7 +217,7 @@ def _forge_inner_length(random: Random, data: bytes) -> bytes:
 
 
 def _forge_chunk(random: Random, data: bytes) -> bytes:
-    """A chunk record whose lengths agree with each other, and swallow what follows or stop short."""
+    """A chunk record whose lengths agree, and swallow what follows or stop short."""
     record = _pick(random, data, CHUNK)
     if record is None:
         return _forge_record_length(random, data)

@@ -14,13 +14,19 @@ from typing import TYPE_CHECKING, Any
 from trainlog.version import __version__
 
 if TYPE_CHECKING:
-    from trainlog.mcap import describe, record
+    from trainlog.mcap import describe, record, recover
     from trainlog.mcap import read_log as read
     from trainlog.mcap import write_log as write
 
-__all__ = ["__version__", "describe", "read", "record", "write"]
+__all__ = ["__version__", "describe", "read", "record", "recover", "write"]
 
-_LAZY = {"read": "read_log", "write": "write_log", "describe": "describe", "record": "record"}
+_LAZY = {
+    "read": "read_log",
+    "write": "write_log",
+    "describe": "describe",
+    "record": "record",
+    "recover": "recover",
+}
 
 
 def __getattr__(name: str) -> Any:

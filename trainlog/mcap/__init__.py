@@ -10,6 +10,7 @@ from trainlog.mcap.describe import (
 from trainlog.mcap.foreign import ForeignFrames, Skipped, frames_of
 from trainlog.mcap.reader import read_log
 from trainlog.mcap.recorder import OverloadWarning, Recording, RecordingAccount, record
+from trainlog.mcap.recover import account_of, recover
 from trainlog.mcap.writer import LogWriter, write_log
 
 __all__ = [
@@ -25,9 +26,11 @@ __all__ = [
     "RecordingAccount",
     "Skipped",
     "TopicDescription",
+    "account_of",
     "describe",
     "frames_of",
     "read_log",
     "record",
+    "recover",
     "write_log",
 ]

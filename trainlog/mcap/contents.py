@@ -22,7 +22,7 @@ from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.records import parsed, records
 from trainlog.mcap.source import Source
 from trainlog.mcap.stored import attachment_place, heads
-from trainlog.mcap.walk import contents_by_walk
+from trainlog.mcap.walk import check_is_mcap, contents_by_walk
 
 _FOOTER_LENGTH = 20
 _DATA_END_LENGTH = 4
@@ -38,9 +38,7 @@ def contents_of(source: Source) -> Contents:
     LogError
         If it is not an MCAP file at all.
     """
-    if source.read(0, len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        what = "is not an MCAP file" if source.size else "is empty"
-        raise LogError(what, place="byte 0", remedy="expected a log in the MCAP format")
+    check_is_mcap(source)
     return contents_by_index(source) or contents_by_walk(source)
 
 
@@ -59,6 +57,8 @@ def contents_by_index(source: Source) -> Contents | None:
 def _by_index(source: Source) -> Contents | None:
     footer_at = source.size - len(MCAP0_MAGIC) - _FOOTER_LENGTH - RECORD_HEAD
     closing = source.read(footer_at, source.size - footer_at) if footer_at > 0 else b""
+    if source.read(0, len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        return None
     if closing[:RECORD_HEAD] != struct.pack("<BQ", Opcode.FOOTER, _FOOTER_LENGTH):
         return None
     if closing[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:

@@ -12,3 +12,7 @@ in the file, so the most that a crash costs. A second one, at the end, says how 
 
 PROVENANCE_RECORD = "trainlog.provenance"
 """Metadata record that holds one JSON object a processing step, under ``0001``, ``0002`` ..."""
+
+RECOVERY_RECORD = "trainlog.recovery"
+"""Metadata record of a recovered file: one JSON object a recovery, under ``0001``, ``0002`` ...,
+with the account of what was lost."""

@@ -177,10 +177,15 @@ def _decompressed(chunk: StoredChunk) -> bytes:
         unknown = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
         if declared not in (chunk.size, *unknown):
             raise ValueError("content size")
-        return _decompressor.zstd.decompress(chunk.data, max_output_size=chunk.size)
+        return _decompressor.zstd.decompress(
+            chunk.data, max_output_size=chunk.size, allow_extra_data=False
+        )
     if chunk.compression == "lz4":
         # One byte more than declared tells that there is more.
-        content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, chunk.size + 1)
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        content: bytes = decompressor.decompress(chunk.data, chunk.size + 1)
+        if not decompressor.eof or decompressor.unused_data:
+            raise ValueError("length")
         return content
     if chunk.compression == "":
         return bytes(chunk.data)

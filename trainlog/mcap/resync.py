@@ -48,6 +48,9 @@ _FIRST_PRIVATE = 0x80
 _LONGEST = 2**40
 """Longer records are not looked for [bytes]; three bytes of their length are zero."""
 
+_WINDOW = 2**16
+"""Kept of the file where it is read in small pieces [bytes]."""
+
 _BLOCK = 2**20
 """Looked through at once [bytes]."""
 
@@ -65,7 +68,7 @@ _LEAST = np.array(
 """Shortest content by opcode [bytes]."""
 
 
-def told_length(source: Source, at: int, opcode: int, length: int) -> int | None:
+def told_length(source: Window, at: int, opcode: int, length: int) -> int | None:
     """How long the content of the record at `at` is by its own fields; None if they do not fit.
 
     Of messages and private records, which have no such fields, the least that they may have.
@@ -93,7 +96,7 @@ def told_length(source: Source, at: int, opcode: int, length: int) -> int | None
     return told
 
 
-def believed(source: Source, at: int) -> bool:
+def believed(source: Window, at: int) -> bool:
     """Whether a record stands at `at`, by its own evidence or by what follows it."""
     head = _head(source, at)
     if head is None:
@@ -111,7 +114,7 @@ def believed(source: Source, at: int) -> bool:
     return follows(source, end)
 
 
-def follows(source: Source, at: int) -> bool:
+def follows(source: Window, at: int) -> bool:
     """Whether at `at` a record begins, by its head, or the file ends."""
     if at == source.size or _closes(source, at):
         return True
@@ -124,7 +127,7 @@ def follows(source: Source, at: int) -> bool:
     )
 
 
-def is_chunk(source: Source, at: int, length: int) -> bool:
+def is_chunk(source: Window, at: int, length: int) -> bool:
     """Whether the content of the record at `at` is that of a chunk, whatever its opcode says."""
     if told_length(source, at, Opcode.CHUNK, length) != length:
         return False
@@ -137,7 +140,7 @@ def is_chunk(source: Source, at: int, length: int) -> bool:
     return name == b"" and size == source.read(at + RECORD_HEAD + 32, 8) and any(size)
 
 
-def is_message_index(source: Source, at: int, length: int) -> bool:
+def is_message_index(source: Window, at: int, length: int) -> bool:
     """Whether the content of the record at `at` is that of a message index with entries."""
     return (
         length > 6
@@ -146,12 +149,12 @@ def is_message_index(source: Source, at: int, length: int) -> bool:
     )
 
 
-def _closes(source: Source, at: int) -> bool:
+def _closes(source: Window, at: int) -> bool:
     magic: bytes = MCAP0_MAGIC
     return source.read(at, len(magic)) == magic
 
 
-def _head(source: Source, at: int) -> tuple[int, int] | None:
+def _head(source: Window, at: int) -> tuple[int, int] | None:
     """Opcode and length of the record at `at`; None if it is none or leads out of the file."""
     head = source.read(at, RECORD_HEAD)
     if len(head) < RECORD_HEAD:
@@ -160,7 +163,7 @@ def _head(source: Source, at: int) -> tuple[int, int] | None:
     return (opcode, length) if opcode and length <= source.size - at - RECORD_HEAD else None
 
 
-def _consistent(source: Source, at: int, opcode: int, length: int) -> bool:
+def _consistent(source: Window, at: int, opcode: int, length: int) -> bool:
     if opcode == Opcode.CHUNK:
         return is_chunk(source, at, length)
     if opcode == Opcode.MESSAGE_INDEX:
@@ -169,11 +172,39 @@ def _consistent(source: Source, at: int, opcode: int, length: int) -> bool:
     return told is not None and (told == length or opcode == Opcode.MESSAGE)
 
 
+class Window:
+    """A file read in small pieces close to each other: a block of it is kept.
+
+    Attributes
+    ----------
+    file : Source
+    size : int
+        Length of the file [bytes].
+    """
+
+    def __init__(self, file: Source) -> None:
+        self.file = file
+        self.size = file.size
+        self._start = 0
+        self._kept = b""
+
+    def read(self, offset: int, length: int) -> bytes:
+        """The bytes from `offset`, as many as `length` or the end of the file allow."""
+        length = min(length, self.size - offset)
+        within = offset - self._start
+        if not 0 <= within <= len(self._kept) - length:
+            if length > _WINDOW:
+                return self.file.read(offset, length)
+            self._start, within = offset, 0
+            self._kept = self.file.read(offset, _WINDOW)
+        return self._kept[within : within + length]
+
+
 class Scanner:
     """Where in a file records may begin, block by block; each block is looked through once."""
 
     def __init__(self, source: Source) -> None:
-        self._source = source
+        self._source = Window(source)
         self._block = -1
         self._found: NDArray[np.int64] = np.empty(0, np.int64)
         self._opcodes: NDArray[np.uint8] = np.empty(0, np.uint8)

@@ -162,7 +162,8 @@ def index_in(source: Source, place: ChunkPlace) -> Index:
     if place.indexes:
         with suppress(LogError):
             return fetched_index(source, place, place.counts)
-    return index_of(opened(fetched(source, place), check=True), place.offset)
+    index = index_of(opened(fetched(source, place), check=True), place.offset)
+    return {channel: entries for channel, entries in index.items() if channel in place.counts}
 
 
 def attachment_place(source: Source, offset: int, length: int) -> AttachmentPlace:

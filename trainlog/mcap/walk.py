@@ -8,8 +8,9 @@ only what was touched is lost; every stretch that is passed over is a `Loss`.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import numpy as np
 from isal import isal_zlib
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -23,6 +24,7 @@ from mcap.records import (
     Statistics,
 )
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.mcap.account import Loss
@@ -32,6 +34,7 @@ from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.records import Index, opened, parsed, stored_index
 from trainlog.mcap.resync import (
     Scanner,
+    Window,
     follows,
     is_chunk,
     is_message_index,
@@ -53,7 +56,28 @@ _PATIENCE = 8
 """Once chunks of this many times the file's length have failed, what is inside of failing chunks
 is not looked for any more: a forger must not make the walk longer than the file allows."""
 
+_FIXED = (int(Opcode.FOOTER), int(Opcode.DATA_END))
+"""Records that have one length."""
+
+_SEARCHED = 2**22
+"""Where the beginning of a file is damaged, a chunk is looked for in so much of it [bytes]."""
+
+_CHUNKS = (int(Opcode.CHUNK),)
 _INSIDE = (int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX))
+
+
+def check_is_mcap(source: Source) -> None:
+    """Raise a LogError if the file neither begins nor ends as an MCAP file, nor holds a chunk."""
+    magic: bytes = MCAP0_MAGIC
+    if source.read(0, _MAGIC) == magic:
+        return
+    if source.read(max(0, source.size - _MAGIC), _MAGIC) == magic and source.size > 2 * _MAGIC:
+        return
+    searched = min(source.size, _SEARCHED)
+    if searched and Scanner(source).next(0, searched, _CHUNKS) < searched:
+        return
+    what = "is not an MCAP file" if source.size else "is empty"
+    raise LogError(what, place="byte 0", remedy="expected a log in the MCAP format")
 
 
 def contents_by_walk(source: Source) -> Contents:
@@ -62,7 +86,7 @@ def contents_by_walk(source: Source) -> Contents:
     Parameters
     ----------
     source : Source
-        Of a file that begins as an MCAP file does.
+        Of an MCAP file.
     """
     walk = _Walk(source)
     walk.go()
@@ -77,7 +101,13 @@ class _Section:
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
 
+    def add(self, other: _Section) -> None:
+        """Take over what only the other declares."""
+        self.schemas = other.schemas | self.schemas
+        self.channels = other.channels | self.channels
+
     def declare(self, opcode: int, content: memoryview, at: int) -> None:
+        """Add a schema or channel record; of several with the same number the first counts."""
         if opcode == Opcode.SCHEMA:
             schema = parsed(Schema, content, at)
             self.schemas.setdefault(schema.id, schema)
@@ -90,7 +120,7 @@ class _Walk:
     """One walk: where it is, what it found, what it passed over."""
 
     def __init__(self, source: Source) -> None:
-        self._source = source
+        self._source = Window(source)
         self._scanner = Scanner(source)
         self._found = Contents()
         self._losses: list[Loss] = []
@@ -102,13 +132,18 @@ class _Walk:
         self._closed = False
         self._seen: dict[tuple[int, int, int, int], int] = {}
         self._failed = 0
+        self._failures: list[tuple[int, int, int]] = []
+        self._indexed: set[int] = set()
+        self._chunked = False
         self._verified = _verified(source)
 
     # ------------------------------------------------------------------------------ the records
 
     def go(self) -> None:
         """Walk to the end of the file."""
-        at = _MAGIC
+        at = min(_MAGIC, self._source.size)
+        if self._source.read(0, _MAGIC) != MCAP0_MAGIC:
+            self._lose(0, at, "the file does not begin as an MCAP file does", 0)
         while at < self._source.size:
             try:
                 at = self._step(at)
@@ -123,9 +158,12 @@ class _Walk:
         if self._closed:
             return self._go_on(at)
         if source.read(at, _MAGIC) == MCAP0_MAGIC:
-            if self._footer is None:
+            if self._footer is not None:
+                self._closed = True
+            elif at + _MAGIC == source.size:
+                raise damaged(at, "the file ends without its closing records")
+            else:
                 self._join(at, at + _MAGIC)
-            self._closed = self._footer is not None
             return at + _MAGIC
         head = source.read(at, RECORD_HEAD)
         if len(head) < RECORD_HEAD:
@@ -145,12 +183,16 @@ class _Walk:
         """Raise a LogError if the record that seems to stand here is not to be believed."""
         source, start, end = self._source, at + RECORD_HEAD, at + RECORD_HEAD + length
         told = told_length(source, at, opcode, length)
-        if told is None:
+        if told is None or (told < length and opcode in _FIXED):
             raise damaged(at, f"the {_name(opcode)} record contradicts itself")
         if opcode != Opcode.CHUNK and is_chunk(source, at, length):
             raise damaged(at, f"a chunk has become a {_name(opcode)} record")
         if opcode > Opcode.DATA_END and is_message_index(source, at, length):
             raise damaged(at, f"a message index has become a {_name(opcode)} record")
+        if opcode == Opcode.FOOTER and source.read(end, _MAGIC) != MCAP0_MAGIC:
+            raise damaged(at, "a footer stands where the file does not end")
+        if opcode != Opcode.CHUNK and self._stops_short(start, end):
+            raise damaged(at, f"the {_name(opcode)} record stops short")
         if told == length:
             return
         # Nothing in the record vouches for its length.
@@ -159,6 +201,10 @@ class _Walk:
             not follows(source, end) and self._scanner.next(inside, end) < end
         ):
             raise damaged(at, f"the {_name(opcode)} record is longer than it can be")
+
+    def _stops_short(self, start: int, end: int) -> bool:
+        """Whether another record begins inside of one that nothing follows."""
+        return not follows(self._source, end) and self._scanner.next(start, end, _INSIDE) < end
 
     def _take(self, at: int, opcode: int, length: int) -> int:
         """Add one record to what was found; returns where the next begins."""
@@ -170,6 +216,7 @@ class _Walk:
         elif opcode == Opcode.ATTACHMENT:
             self._take_attachment(at, end)
         elif opcode == Opcode.MESSAGE_INDEX:
+            self._chunked = True
             self._lose(at, end, "a message index does not follow its chunk", 0)
         elif opcode == Opcode.HEADER and at != _MAGIC:
             self._join(at, end)
@@ -188,6 +235,8 @@ class _Walk:
         elif opcode == Opcode.CHUNK_INDEX:
             self._listed.append(parsed(ChunkIndex, content, at))
         elif opcode == Opcode.DATA_END:
+            if self._data_end is not None:
+                raise damaged(at, "the data section ends a second time")
             self._data_end = (at, parsed(DataEnd, content, at))
         elif opcode == Opcode.FOOTER:
             self._footer = (at, parsed(Footer, content, at))
@@ -210,10 +259,11 @@ class _Walk:
 
     def _take_chunk(self, at: int, end: int) -> int:
         """Add a chunk with the message indexes that follow it; returns what is behind them."""
-        place = chunk_place(self._source, at, end - at)
+        place = chunk_place(self._source.file, at, end - at)
+        self._chunked = True
         index, places, behind = self._indexes(end)
         try:
-            chunk = fetched(self._source, place)
+            chunk = fetched(self._source.file, place)
             content = opened(chunk, check=True)
             held = tally(content, index, at)
             for opcode, body in held.declared:
@@ -227,6 +277,7 @@ class _Walk:
             self._lose(at, behind, again, 0)
             return behind
         self._seen[known] = at
+        self._indexed.update(_key(*each) for each in held.index.items())
         if places and not held.listed and behind > self._verified:
             self._lose(end, behind, "message indexes do not fit their chunk", 0)
         self._sections[-1].chunks.append(
@@ -255,7 +306,8 @@ class _Walk:
                 return index, places, at
             content = memoryview(self._source.read(at + RECORD_HEAD, length))
             channel, entries = stored_index(content, at)
-            if channel in places:
+            start, end = at + RECORD_HEAD, at + RECORD_HEAD + length
+            if channel in places or (end > self._verified and self._stops_short(start, end)):
                 return index, places, at
             if len(entries):
                 index[channel], places[channel] = entries, at
@@ -272,12 +324,14 @@ class _Walk:
                 return inside
         messages = sum(len(entries) for entries in index.values()) if index else None
         self._lose(place.offset, behind, reason, messages)
+        for channel, entries in index.items():
+            self._failures.append((place.offset, len(entries), _key(channel, entries)))
         return behind
 
     def _take_attachment(self, at: int, end: int) -> None:
-        place = attachment_place(self._source, at, end - at)
+        place = attachment_place(self._source.file, at, end - at)
         expected = int.from_bytes(self._source.read(end - 4, 4), "little")
-        if expected and _checksum(self._source, at + RECORD_HEAD, end - 4) != expected:
+        if expected and _checksum(self._source.file, at + RECORD_HEAD, end - 4) != expected:
             self._lose(at, end, f"attachment {shown(place.name)} fails its checksum", 0)
         else:
             self._found.attachments.append(place)
@@ -294,10 +348,12 @@ class _Walk:
 
     def _join(self, at: int, end: int) -> None:
         """Another file begins here: the end of the one before, if it has one, closes nothing."""
-        start = at if self._data_end is None else self._data_end[0]
+        closing = self._data_end or self._footer
+        start = at if closing is None else closing[0]
         while self._losses and self._losses[-1].start >= start:
             self._losses.pop()
         self._lose(start, end, "one file ends here and another begins", 0)
+        self._sections[-1].add(self._summary)
         self._sections.append(_Section())
         self._found.statistics = self._data_end = self._footer = None
         self._closed = False
@@ -318,6 +374,7 @@ class _Walk:
     def contents(self) -> Contents:
         """What was found, each channel as it is declared, each message counted once."""
         found = self._found
+        self._settle_failures()
         self._check_end()
         trusted = self._check_summary()
         if self._data_end is not None:
@@ -327,9 +384,41 @@ class _Walk:
         found.losses = self._losses
         return found
 
+    def _settle_failures(self) -> None:
+        """Take back the messages of chunks that failed and came once more, unharmed."""
+        for offset, messages, key in self._failures:
+            if key not in self._indexed:
+                # Of what failed several times, the first stands for all.
+                self._indexed.add(key)
+            else:
+                for number, loss in enumerate(self._losses):
+                    if loss.start <= offset < loss.end and loss.messages is not None:
+                        self._losses[number] = replace(loss, messages=loss.messages - messages)
+        if self._chunked and (self._losses or not self._closed):
+            self._drop_astray()
+
+    def _drop_astray(self) -> None:
+        """Leave out messages outside of the chunks of a damaged file that keeps them in chunks.
+
+        They are pieces of broken chunks, and nothing vouches for them.
+        """
+        for section in self._sections:
+            kept = []
+            for chunk in section.chunks:
+                if chunk.loose and chunk.behind > self._verified:
+                    reason = "messages outside of the chunks that the file has"
+                    self._insert(Loss(chunk.offset, chunk.behind, reason))
+                else:
+                    kept.append(chunk)
+            section.chunks = kept
+        losses, self._losses = self._losses, []
+        for loss in losses:
+            self._lose(loss.start, loss.end, loss.reason, loss.messages)
+
     def _check_end(self) -> None:
         size = self._source.size
-        reached = bool(self._losses) and self._losses[-1].end == size
+        last = self._losses[-1] if self._losses else None
+        reached = last is not None and last.end == size and last.messages is None
         if not self._closed and not reached:
             self._lose(size, size, "the file ends without its closing records", None)
         elif self._closed and self._data_end is None and not self._losses:
@@ -338,7 +427,10 @@ class _Walk:
         if self._data_end is not None and self._data_end[1].data_section_crc:
             end = self._data_end[0]
             damage = any(loss.start <= end for loss in self._losses)
-            if not damage and _checksum(self._source, 0, end) != self._data_end[1].data_section_crc:
+            if (
+                not damage
+                and _checksum(self._source.file, 0, end) != self._data_end[1].data_section_crc
+            ):
                 reason = "a record outside of the chunks, or their order, fails the checksum"
                 self._insert(Loss(end, end, reason))
 
@@ -348,18 +440,18 @@ class _Walk:
             return False
         at, footer = self._footer
         start = self._data_end[0] + RECORD_HEAD + 4
+        if at < start:
+            return False
         inside = any(loss.end > start for loss in self._losses)
         expected = footer.summary_crc
-        if expected and _checksum(self._source, start, at + RECORD_HEAD + 16) != expected:
+        if expected and _checksum(self._source.file, start, at + RECORD_HEAD + 16) != expected:
             if not inside:
                 self._lose_summary("the summary fails its checksum")
             return False
         if self._losses or start == at or not expected:
             return not inside
-        places = {
-            (chunk.offset, chunk.length) for chunk in self._sections[-1].chunks if not chunk.loose
-        }
-        listed = {(each.chunk_start_offset, each.chunk_length) for each in self._listed}
+        places = {_told(chunk) for chunk in self._sections[-1].chunks if not chunk.loose}
+        listed = {_listed(each) for each in self._listed}
         statistics = self._found.statistics
         held = sum(chunk.messages for chunk in self._sections[-1].chunks)
         if footer.summary_start != start or (listed and listed != places):
@@ -375,7 +467,9 @@ class _Walk:
     def _lose_summary(self, reason: str) -> None:
         if self._footer is None or self._data_end is None:
             return
-        self._lose(self._data_end[0] + RECORD_HEAD + 4, self._footer[0], reason, 0)
+        start = self._data_end[0] + RECORD_HEAD + 4
+        mixed = any(chunk.behind > start for chunk in self._sections[-1].chunks)
+        self._insert(Loss(start, start if mixed else self._footer[0], reason, 0))
 
     def _insert(self, loss: Loss) -> None:
         self._losses.append(loss)
@@ -390,6 +484,13 @@ class _Walk:
                 found.schemas.setdefault(number, schema)
             for number, channel in each.channels.items():
                 found.channels.setdefault(number, channel)
+        lost = [
+            number
+            for number, channel in found.channels.items()
+            if channel.schema_id and channel.schema_id not in found.schemas
+        ]
+        for number in lost:
+            del found.channels[number]
         for section in sections:
             whole = section is sections[-1] and trusted
             other = set() if whole else self._misdeclared(section)
@@ -418,7 +519,8 @@ class _Walk:
                 if number not in found.channels or number in other
             }
             for number, count in unknown.items():
-                what = "declared otherwise elsewhere" if number in other else "not declared"
+                elsewhere = number in other and number in found.channels
+                what = "declared otherwise elsewhere" if elsewhere else "nowhere declared"
                 reason = f"{count:,} messages of channel {number}, which is {what}"
                 self._insert(Loss(chunk.offset, chunk.offset, reason, count))
             if unknown:
@@ -441,6 +543,34 @@ class _Walk:
         for number in open_:
             loss = self._losses[number]
             self._losses[number] = Loss(loss.start, loss.end, loss.reason, missing)
+
+
+_Told = tuple[int, int, str, int, int, int, int]
+"""What a chunk index says of a chunk: place, lengths, compression, times."""
+
+
+def _told(chunk: ChunkPlace) -> _Told:
+    return (
+        chunk.offset,
+        chunk.length,
+        chunk.compression,
+        chunk.stored,
+        chunk.size,
+        chunk.start,
+        chunk.end,
+    )
+
+
+def _listed(index: ChunkIndex) -> _Told:
+    return (
+        index.chunk_start_offset,
+        index.chunk_length,
+        index.compression,
+        index.compressed_size,
+        index.uncompressed_size,
+        index.message_start_time,
+        index.message_end_time,
+    )
 
 
 def _verified(source: Source) -> int:
@@ -467,6 +597,12 @@ def _checksum(source: Source, start: int, end: int) -> int:
     for at in range(start, end, _PIECE):
         checksum = isal_zlib.crc32(source.read(at, min(_PIECE, end - at)), checksum)
     return checksum
+
+
+def _key(channel: int, entries: NDArray[np.uint64]) -> int:
+    """What tells a channel's messages in a chunk from all others: a checksum of their index."""
+    listed = np.ascontiguousarray(entries, dtype="<u8")
+    return hash((channel, len(listed), isal_zlib.crc32(listed.tobytes())))
 
 
 def _name(opcode: int) -> str:

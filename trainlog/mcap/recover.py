@@ -1,0 +1,208 @@
+"""Verifying a log, and rebuilding a damaged one from everything of it that is readable."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+from isal import isal_zlib
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Header
+from mcap.writer import MCAP0_MAGIC
+
+from trainlog.errors import InputError, LogError
+from trainlog.formats.files import atomic_write
+from trainlog.mcap.account import Account
+from trainlog.mcap.errors import in_file
+from trainlog.mcap.layout import RECORD_HEAD
+from trainlog.mcap.names import RECOVERY_RECORD
+from trainlog.mcap.places import AttachmentPlace, ChunkPlace, Contents
+from trainlog.mcap.records import Index, opened, parsed
+from trainlog.mcap.sink import PackedChunk, RawChunk, Sink, packed
+from trainlog.mcap.source import Source
+from trainlog.mcap.stored import attachment_data, fetched, fetched_index
+from trainlog.mcap.tally import tally
+from trainlog.mcap.walk import check_is_mcap, contents_by_walk
+
+_LONGEST_HEADER = 4096
+"""Longer headers are not believed [bytes]."""
+
+
+def account_of(path: str | Path) -> Account:
+    """Read a whole MCAP file, verify every checksum, and tell what is readable and what is lost.
+
+    Raises
+    ------
+    LogError
+        If it is not an MCAP file at all.
+    InputError
+        If there is no such file.
+    """
+    with Source(path) as source, in_file(path):
+        check_is_mcap(source)
+        return contents_by_walk(source).account
+
+
+def recover(path: str | Path, output: str | Path) -> Account:
+    """Rebuild an MCAP file, whoever wrote it, with everything of it that is readable.
+
+    The result has every message of every complete chunk, all schemas, channels, attachments and
+    metadata that are readable, and a complete index. Intact chunks are copied as they are stored.
+    The account is kept in the metadata record ``trainlog.recovery``. A whole file gives a file
+    that holds the same.
+
+    Parameters
+    ----------
+    path : path
+        The damaged file; it is only read.
+    output : path
+        The file to write, whole or not at all; another file than `path`.
+
+    Returns
+    -------
+    Account
+        Of the damaged file.
+
+    Raises
+    ------
+    LogError
+        If it is not an MCAP file, or nothing of it is readable.
+    InputError
+        If there is no such file, or `output` cannot be written.
+    """
+    with Source(path) as source:
+        target = Path(output)
+        if target.exists() and target.samefile(path):
+            raise InputError(
+                "would be overwritten by what is recovered from it",
+                file=output,
+                remedy="name another file to write to",
+            )
+        with in_file(path):
+            check_is_mcap(source)
+            contents = contents_by_walk(source)
+            account = contents.account
+            _check_readable(contents, account)
+        with atomic_write(output) as temporary, temporary.open("wb") as stream:
+            sink = Sink(stream, profile=_profile(source))
+            with in_file(path):
+                _rebuild(source, contents, _recoveries(contents, path, source.size), sink)
+            sink.finish()
+    return account
+
+
+def _check_readable(contents: Contents, account: Account) -> None:
+    if account.whole or account.messages or contents.attachments or contents.metadata:
+        return
+    first = account.losses[0]
+    raise LogError(
+        f"is damaged and nothing of it is readable: {first.reason}",
+        place=f"byte {first.start}",
+        remedy="copy it again from where it was recorded",
+    )
+
+
+def _rebuild(source: Source, contents: Contents, told: dict[str, str], sink: Sink) -> None:
+    """Write everything that was found, in the order in which a log has it."""
+    for schema in contents.schemas.values():
+        sink.declare(schema)
+    for channel in contents.channels.values():
+        sink.declare(channel)
+    for record in contents.metadata:
+        if record.name != RECOVERY_RECORD:
+            sink.put_metadata(record.name, record.metadata)
+    sink.put_metadata(RECOVERY_RECORD, told)
+    for place in contents.attachments:
+        sink.put_attachment(_attachment(source, place))
+    for chunk in contents.chunks:
+        sink.put_chunk(_chunk(source, chunk))
+
+
+def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, str]:
+    """What the metadata record is to hold: earlier recoveries, and the present one behind them."""
+    told: dict[str, str] = {}
+    for record in contents.metadata:
+        if record.name == RECOVERY_RECORD:
+            told |= record.metadata
+    step = {
+        "software": "trainlog",
+        "file": Path(path).name,
+        "size": size,
+        "account": contents.account.details(),
+    }
+    number = 1
+    while f"{number:04d}" in told:
+        number += 1
+    text = json.dumps(step, ensure_ascii=True, sort_keys=True)
+    return told | {f"{number:04d}": text}
+
+
+def _attachment(source: Source, place: AttachmentPlace) -> Attachment:
+    return Attachment(
+        create_time=place.create_time,
+        data=attachment_data(source, place),
+        log_time=place.log_time,
+        media_type=place.media_type,
+        name=place.name,
+    )
+
+
+def _chunk(source: Source, place: ChunkPlace) -> PackedChunk:
+    """The chunk as it is stored, or made again without messages that no channel explains."""
+    chunk = fetched(source, place)
+    content = opened(chunk)
+    index = tally(content, _index(source, place), place.offset).index
+    kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
+    if place.loose or len(kept) < len(index):
+        return packed(_only(content, kept))
+    return PackedChunk(
+        compression=chunk.compression,
+        data=chunk.data,
+        size=chunk.size,
+        checksum=isal_zlib.crc32(content),
+        start=place.start,
+        end=place.end,
+        index=kept,
+    )
+
+
+def _index(source: Source, place: ChunkPlace) -> Index:
+    """The message index of a chunk as the file has it; empty if it has none."""
+    return fetched_index(source, place, place.counts) if place.indexes else {}
+
+
+def _only(content: bytes, index: Index) -> RawChunk:
+    """A chunk of nothing but the messages that the index lists, in the order they had."""
+    listed = [
+        (int(offset), int(time), channel)
+        for channel, entries in index.items()
+        for time, offset in entries.tolist()
+    ]
+    data = bytearray()
+    moved: dict[int, list[tuple[int, int]]] = {channel: [] for channel in index}
+    for offset, time, channel in sorted(listed):
+        (length,) = struct.unpack_from("<Q", content, offset + 1)
+        moved[channel].append((time, len(data)))
+        data += content[offset : offset + RECORD_HEAD + length]
+    return RawChunk(
+        data,
+        min((time for _, time, _ in listed), default=0),
+        max((time for _, time, _ in listed), default=0),
+        {channel: np.array(pairs, dtype=np.uint64) for channel, pairs in moved.items()},
+    )
+
+
+def _profile(source: Source) -> str:
+    """The profile that the file's header names; empty if the header is damaged."""
+    at = len(MCAP0_MAGIC)
+    head = source.read(at, RECORD_HEAD + _LONGEST_HEADER)
+    if len(head) < RECORD_HEAD or head[0] != Opcode.HEADER:
+        return ""
+    length = int.from_bytes(head[1:RECORD_HEAD], "little")
+    try:
+        header = parsed(Header, memoryview(head)[RECORD_HEAD : RECORD_HEAD + length], at)
+    except LogError:
+        return ""
+    return str(header.profile)
