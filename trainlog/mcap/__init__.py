@@ -11,6 +11,7 @@ from trainlog.mcap.foreign import ForeignFrames, Skipped, frames_of
 from trainlog.mcap.reader import read_log
 from trainlog.mcap.recorder import OverloadWarning, Recording, RecordingAccount, record
 from trainlog.mcap.recover import account_of, recover
+from trainlog.mcap.stream import stream_log
 from trainlog.mcap.writer import LogWriter, write_log
 
 __all__ = [
@@ -32,5 +33,6 @@ __all__ = [
     "read_log",
     "record",
     "recover",
+    "stream_log",
     "write_log",
 ]

@@ -10,6 +10,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.mcap.fill import Records, interleave
+from trainlog.mcap.positions import range_in
 from trainlog.mcap.sink import RawChunk
 
 PERIOD = 60 * 10**9
@@ -117,7 +118,12 @@ class Plan:
         }
         start = min(int(stream.time[rows.start]) for stream, rows, _ in parts)
         end = max(int(stream.time[rows.stop - 1]) for stream, rows, _ in parts)
-        return RawChunk(data.data, start, end, index)
+        ranges = {
+            stream.channel.topic: range_in(stream.channel.topic, data, offsets[rows])
+            for stream, rows, offsets in parts
+        }
+        positions = {topic: each for topic, each in ranges.items() if each is not None}
+        return RawChunk(data.data, start, end, index, positions)
 
     def behind(self, number: int) -> list[Stream]:
         """The messages of the streams from chunk `number` on."""

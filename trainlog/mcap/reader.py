@@ -18,6 +18,7 @@ from trainlog.mcap.account import Account, DamageWarning, Loss
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file, shown, unusable
 from trainlog.mcap.filling import frames_in, threads_of, topic_channels
+from trainlog.mcap.located import spans_in_log
 from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
 from trainlog.mcap.places import AttachmentPlace, Contents
 from trainlog.mcap.selection import Selection, Topics, chunks_within, selection_of
@@ -25,6 +26,7 @@ from trainlog.mcap.source import Source
 from trainlog.mcap.stored import MisplacedError, attachment_data
 from trainlog.mcap.tables import TopicChannel
 from trainlog.mcap.walk import contents_by_walk
+from trainlog.spans import Spans
 from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import Trip
 
@@ -111,14 +113,33 @@ def trip_of(source: Source, contents: Contents, selection: Selection, threads: i
         If something is not as the summary says by which `contents` was found.
     """
     trip = bare_trip(source, contents)
-    spans = np.array([selection.span], dtype=np.int64)
+    spans = spans_of(source, contents, selection, threads)
     chunks = chunks_within(contents.chunks, spans)
     trip = replace(trip, topics=frames_in(source, contents, chunks, selection.columns, threads))
-    if selection.time is not None:
-        trip = trip.between(*selection.time)
     if selection.whole:
         check_data_section(source, contents)
-    return trip
+        return trip
+    if selection.time is not None or selection.position is not None:
+        trip = trip.cut(spans)
+    return trip.with_slice(time=selection.time, position=selection.position)
+
+
+def spans_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Spans:
+    """The spans of time that are asked for.
+
+    Raises
+    ------
+    LogError
+        If a stretch of the line is asked for and the log does not know where the train was.
+    MisplacedError
+        As `trip_of`.
+    """
+    first, last = selection.span
+    if selection.position is None:
+        return np.array([[first, last]], dtype=np.int64)
+    spans = spans_in_log(source, contents, selection.stretch, threads)
+    spans = spans[(spans[:, 1] >= first) & (spans[:, 0] <= last)]
+    return np.clip(spans, first, last)
 
 
 def bare_trip(source: Source, contents: Contents) -> Trip:

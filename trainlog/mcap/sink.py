@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import threading
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
@@ -34,6 +34,9 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
+
+from trainlog.mcap.names import POSITIONS_RECORD
+from trainlog.mcap.positions import Entry, Range, encoded
 
 COMPRESSION = zstandard.ZstdCompressionParameters.from_level(
     3, source_size=2**20, hash_log=18, write_content_size=True
@@ -60,12 +63,15 @@ class RawChunk:
         Earliest and latest log time of its messages [ns].
     index : dict of int to (n, 2) uint64 array
         Log time and offset of each message by channel id, for the channels it holds.
+    positions : dict of str to (float, float)
+        Least and greatest position [m] by topic, for the topics that tell it.
     """
 
     data: bytes | bytearray | memoryview
     start: int
     end: int
     index: dict[int, NDArray[np.uint64]]
+    positions: dict[str, Range] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,8 @@ class PackedChunk:
         Earliest and latest log time of its messages [ns].
     index : dict of int to (n, 2) uint64 array
         Log time and offset of each message by channel id, for the channels it holds.
+    positions : dict of str to (float, float)
+        Least and greatest position [m] by topic, for the topics that tell it.
     """
 
     compression: str
@@ -95,6 +103,7 @@ class PackedChunk:
     start: int
     end: int
     index: dict[int, NDArray[np.uint64]]
+    positions: dict[str, Range] = field(default_factory=dict)
 
 
 class _Compressor(threading.local):
@@ -117,6 +126,7 @@ def packed(raw: RawChunk) -> PackedChunk:
         raw.start,
         raw.end,
         raw.index,
+        raw.positions,
     )
 
 
@@ -151,6 +161,7 @@ class Sink:
         self._chunks: list[ChunkIndex] = []
         self._counts: Counter[int] = Counter()
         self._span: tuple[int, int] | None = None
+        self._positions: dict[str, list[Entry]] = {}
         self._put(MCAP0_MAGIC + record_bytes(Header(profile=profile, library="trainlog")))
 
     def declare(self, record: Schema | Channel) -> None:
@@ -215,12 +226,17 @@ class Sink:
             )
         )
         self._counts.update({channel: len(entries) for channel, entries in chunk.index.items()})
+        for topic, (least, greatest) in chunk.positions.items():
+            self._positions.setdefault(topic, []).append((start, chunk.start, least, greatest))
         if chunk.index:
             first, last = self._span or (chunk.start, chunk.end)
             self._span = min(first, chunk.start), max(last, chunk.end)
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer. The stream stays open."""
+        if self._positions:
+            told = {topic: encoded(entries) for topic, entries in sorted(self._positions.items())}
+            self.put_metadata(POSITIONS_RECORD, told)
         end = record_bytes(DataEnd(data_section_crc=self._checksum))
         start = self.position + len(end)
         summary, offsets = bytearray(), bytearray()

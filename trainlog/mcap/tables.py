@@ -206,10 +206,12 @@ class Table:
                 else {name: values[order] for name, values in columns.items()}
             )
         index = pd.DatetimeIndex(stamps.view("M8[ns]"), tz="UTC", name="time")
-        if not isinstance(columns, np.ndarray):
-            return frame_of(self.topic, index, columns)
-        frame = pd.DataFrame(columns.T, index=index, columns=names, copy=False)
-        units = {name: column_field(self.topic, name).unit for name in names}
+        if isinstance(columns, np.ndarray):
+            frame = pd.DataFrame(columns.T, index=index, columns=names, copy=False)
+        else:
+            frame = frame_of(self.topic, index, columns)
+            frame = frame[self._wanted(frame.columns)]
+        units = {name: column_field(self.topic, name).unit for name in frame.columns}
         frame.attrs = {"topic": self.topic.name, "units": units}
         return frame
 
@@ -230,11 +232,10 @@ class Table:
             at = start + count
         time = np.concatenate([np.empty(0, np.uint64), *(each for each, _ in parts)])
         if self.topic is EVENTS:
-            texts = [columns for _, columns in parts]
+            texts = [columns for _, columns in parts] or [columns_of(EVENTS, [])]
             joined = {
-                name: np.concatenate([np.asarray(each[name]) for each in texts])
-                for name in (texts[0] if texts else ())
-                if self.wanted is None or name in self.wanted
+                name: pd.concat([pd.Series(each[name]) for each in texts], ignore_index=True).array
+                for name in texts[0]
             }
             return time, self.names, joined
         # A number of axles that no message has is not believed.

@@ -1,0 +1,355 @@
+"""A part of a log is what slicing the whole gives, and no more of the file is read than that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap_trips import START, assert_same, trip_of
+
+from trainlog.errors import InputError, LogError
+from trainlog.mcap import DamageWarning, chunks, read_log, stream_log, tables, write_log
+from trainlog.mcap.contents import contents_of
+from trainlog.mcap.source import Source
+from trainlog.topics import (
+    ENVIRONMENT,
+    ESTIMATED_STATE,
+    EVENTS,
+    GNSS_FIX,
+    TOPICS,
+    TRAIN_AXLES,
+    TRAIN_STATE,
+    columns,
+)
+from trainlog.trip import Trip, frame_of
+
+SECOND = 10**9
+
+
+@pytest.fixture(autouse=True)
+def _short_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many small chunks, as in a long log."""
+    monkeypatch.setattr(chunks.plan_of, "__defaults__", (2 * SECOND, 2**20))
+
+
+def shuttle(seed: int = 0, rows: int = 400) -> Trip:
+    """A trip that goes back and forth, with topics of other rates, gaps and unknown positions."""
+    random = np.random.default_rng(seed)
+    time = START + np.cumsum(random.integers(1, 2 * 10**8, rows))
+    position = 300.0 + np.cumsum(np.repeat(random.normal(0, 6, rows // 20 + 1), 20)[:rows])
+    position[random.integers(0, rows, rows // 10)] = np.nan
+    state = frame_of(TRAIN_STATE, time, {"position": position, "speed": random.normal(size=rows)})
+    other = np.sort(random.integers(time[0] - SECOND, time[-1] + SECOND, rows // 2))
+    axles = frame_of(TRAIN_AXLES, other, {"wheel_speed": random.normal(size=(rows // 2, 3))})
+    moments = np.sort(random.integers(time[0], time[-1], 9))
+    events = frame_of(EVENTS, moments, {"message": [f"event {n}" for n in range(9)]})
+    return Trip(
+        {TRAIN_STATE.name: state, TRAIN_AXLES.name: axles, EVENTS.name: events},
+        {"trip": "shuttle"},
+        ({"step": "made"},),
+        {"note.txt": b"kept"},
+    )
+
+
+class Reads:
+    """How many bytes of a file were read."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.bytes = 0
+        read = Source.read
+
+        def counted(source: Source, offset: int, length: int) -> bytes:
+            data = read(source, offset, length)
+            self.bytes += len(data)
+            return data
+
+        monkeypatch.setattr(Source, "read", counted)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """Logs of `shuttle`, written once."""
+    folder = tmp_path_factory.mktemp("logs")
+
+    def log(seed: int) -> Path:
+        path = folder / f"{seed}.mcap"
+        if not path.exists():
+            write_log(shuttle(seed), path)
+        return path
+
+    return log
+
+
+limits = st.one_of(st.none(), st.floats(-0.2, 1.2))
+
+
+def ordered(pair: tuple[float | None, float | None]) -> tuple[float | None, float | None]:
+    first, last = pair
+    return (last, first) if first is not None and last is not None and first > last else pair
+
+
+def in_time(trip: Trip, pair: tuple[float | None, float | None]) -> tuple[Any, Any]:
+    start, span = trip.start, trip.end - trip.start
+    first, last = (None if each is None else start + each * span for each in ordered(pair))
+    return first, last
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    seed=st.integers(0, 5),
+    pair=st.tuples(limits, limits),
+    chosen=st.sets(st.sampled_from([TRAIN_STATE.name, TRAIN_AXLES.name, EVENTS.name]), min_size=1),
+    threads=st.integers(1, 2),
+)
+def test_a_span_of_time_is_the_slice_of_the_whole(
+    seed: int,
+    pair: tuple[float | None, float | None],
+    chosen: set[str],
+    threads: int,
+    logs: Callable[[int], Path],
+) -> None:
+    whole = read_log(logs(seed))
+    span = in_time(whole, pair)
+    part = read_log(logs(seed), chosen, time=span, threads=threads)
+    expected = whole.between(*span)
+    kept = {name: frame for name, frame in expected.topics.items() if name in chosen}
+    assert_same(replace(expected, topics=kept), part)
+
+
+@settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(seed=st.integers(0, 5), pair=st.tuples(limits, limits), indexed=st.booleans())
+def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
+    seed: int,
+    pair: tuple[float | None, float | None],
+    indexed: bool,
+    logs: Callable[[int], Path],
+) -> None:
+    whole = read_log(logs(seed))
+    known = whole[TRAIN_STATE.name]["position"].dropna()
+    least, greatest = known.min(), known.max()
+    stretch = tuple(
+        None if each is None else least + each * (greatest - least) for each in ordered(pair)
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        if not indexed:
+            patch.setattr("trainlog.mcap.located.decoded", lambda _: {})
+        part = read_log(logs(seed), position=(stretch[0], stretch[1]))
+    assert_same(whole.within(*stretch), part)
+
+
+def test_a_stretch_within_a_span_of_time(logs: Callable[[int], Path]) -> None:
+    whole = read_log(logs(1))
+    span = in_time(whole, (0.2, 0.7))
+    part = read_log(logs(1), [TRAIN_AXLES.name], time=span, position=(280.0, None))
+    expected = whole.within(280.0, None).between(*span)
+    assert list(part.topics) == [TRAIN_AXLES.name]
+    pd.testing.assert_frame_equal(part[TRAIN_AXLES.name], expected[TRAIN_AXLES.name])
+    assert [step["step"] for step in part.provenance] == ["made", "slice", "slice"]
+
+
+def test_the_estimated_position_comes_first(tmp_path: Path) -> None:
+    time = START + np.arange(100) * SECOND
+    trip = Trip(
+        {
+            name: frame_of(TOPICS[name], time, {"position": values})
+            for name, values in (
+                (TRAIN_STATE.name, np.arange(100.0)),
+                (ESTIMATED_STATE.name, np.arange(100.0) + 1000.0),
+            )
+        }
+    )
+    write_log(trip, tmp_path / "trip.mcap")
+    part = read_log(tmp_path / "trip.mcap", position=(1010, 1020))
+    assert len(part[TRAIN_STATE.name]) == 11
+    assert_same(read_log(tmp_path / "trip.mcap").within(1010, 1020), part)
+    unknown = trip.with_topic(frame_of(ESTIMATED_STATE, time, {}))
+    write_log(unknown, tmp_path / "unknown.mcap")
+    assert_same(unknown.within(10, 20), read_log(tmp_path / "unknown.mcap", position=(10, 20)))
+
+
+def test_a_log_without_positions_says_so(tmp_path: Path) -> None:
+    write_log(trip_of(rows=30, topics=[GNSS_FIX.name]), tmp_path / "trip.mcap")
+    with pytest.raises(LogError, match="does not know where the train was") as caught:
+        read_log(tmp_path / "trip.mcap", position=(0, 1))
+    assert caught.value.file == tmp_path / "trip.mcap"
+
+
+def test_little_of_the_file_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = 60_000
+    time = START + np.arange(rows) * 10**7
+    random = np.random.default_rng(2)
+    state = frame_of(TRAIN_STATE, time, {"position": np.arange(rows) * 0.3})
+    axles = frame_of(TRAIN_AXLES, time, {"wheel_speed": random.normal(size=(rows, 4))})
+    path = tmp_path / "long.mcap"
+    write_log(Trip({TRAIN_STATE.name: state, TRAIN_AXLES.name: axles}), path)
+    size = path.stat().st_size
+    reads = Reads(monkeypatch)
+    start = pd.Timestamp(int(time[30_000]), tz="UTC")
+    part = read_log(path, time=(start, start + pd.Timedelta("6 s")))
+    assert len(part[TRAIN_AXLES.name]) == 601
+    by_time, reads.bytes = reads.bytes, 0
+    assert by_time < 0.06 * size
+    part = read_log(path, position=(9000.0, 9180.0))
+    assert len(part[TRAIN_AXLES.name]) == 601
+    assert reads.bytes < 0.1 * size
+
+
+def test_only_the_columns_asked_for(tmp_path: Path) -> None:
+    trip = trip_of(rows=50, axles=3)
+    path = tmp_path / "trip.mcap"
+    write_log(trip, path)
+    part = read_log(
+        path,
+        {
+            TRAIN_AXLES.name: ["wheel_effort_2", "wheel_speed_3", "wheel_speed_9"],
+            GNSS_FIX.name: {"vertical_accuracy"},
+            EVENTS.name: ["message"],
+            ENVIRONMENT.name: None,
+        },
+    )
+    expected = {
+        TRAIN_AXLES.name: ["wheel_speed_3", "wheel_effort_2"],
+        GNSS_FIX.name: ["vertical_accuracy"],
+        EVENTS.name: ["message"],
+        ENVIRONMENT.name: list(columns(ENVIRONMENT, 0)),
+    }
+    assert part.topics.keys() == expected.keys()
+    for name, kept in expected.items():
+        assert list(part[name].columns) == kept
+        pd.testing.assert_frame_equal(part[name], trip[name][kept], check_freq=False)
+        assert part[name].attrs["units"] == {
+            column: trip[name].attrs["units"][column] for column in kept
+        }
+
+
+@pytest.mark.parametrize(
+    ("asked", "error", "said"),
+    [
+        ({"topics": {TRAIN_AXLES.name: ["wheel_speed"]}}, LogError, "no column wheel_speed"),
+        ({"topics": {TRAIN_STATE.name: ["mood"]}}, LogError, "no column mood"),
+        ({"topics": {"/train/mood": None}}, LogError, "no topic /train/mood"),
+        ({"time": ("noon", None)}, InputError, "'noon' is not a time"),
+        ({"time": ("2025-01-02", "2025-01-01")}, InputError, "is after"),
+        ({"time": "2025-01-02"}, InputError, "not two limits"),
+        ({"position": (5.0, 1.0)}, InputError, "no stretch"),
+        ({"position": 5.0}, InputError, "not two limits"),
+    ],
+)
+def test_what_cannot_be_asked_for(
+    asked: dict[str, Any], error: type[Exception], said: str, logs: Callable[[int], Path]
+) -> None:
+    with pytest.raises(error, match=said):
+        read_log(logs(0), **asked)
+    with pytest.raises(error, match=said):
+        next(stream_log(logs(0), **asked))
+
+
+# ------------------------------------------------------------------------------------- streaming
+
+
+def together(pieces: list[Trip]) -> Trip:
+    """The pieces one after the other."""
+    first = pieces[0]
+    topics = {}
+    for name, frame in first.topics.items():
+        topics[name] = pd.concat([piece[name] for piece in pieces])
+        topics[name].attrs = frame.attrs
+    return replace(first, topics=topics)
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    seed=st.integers(0, 5),
+    rows=st.one_of(st.integers(1, 40), st.just(10**6)),
+    by_time=st.one_of(st.none(), st.tuples(limits, limits)),
+    by_position=st.booleans(),
+)
+def test_the_pieces_are_the_whole(
+    seed: int,
+    rows: int,
+    by_time: tuple[float | None, float | None] | None,
+    by_position: bool,
+    logs: Callable[[int], Path],
+) -> None:
+    path = logs(seed)
+    span = None if by_time is None else in_time(read_log(path), by_time)
+    stretch = (250.0, 340.0) if by_position else None
+    pieces = list(stream_log(path, time=span, position=stretch, rows=rows))
+    whole = read_log(path, time=span, position=stretch)
+    assert_same(whole, together(pieces))
+    end = 0
+    for piece in pieces:
+        assert sum(map(len, piece.topics.values())) <= rows
+        assert (piece.metadata, piece.attachments) == (whole.metadata, whole.attachments)
+        times = [frame.index.as_unit("ns").asi8 for frame in piece.topics.values() if len(frame)]
+        assert all(each[0] >= end for each in times)
+        end = max((int(each[-1]) for each in times), default=end)
+
+
+def test_many_messages_of_one_instant(tmp_path: Path) -> None:
+    time = np.full(50, START)
+    trip = Trip({TRAIN_STATE.name: frame_of(TRAIN_STATE, time, {"speed": np.arange(50.0)})})
+    write_log(trip, tmp_path / "trip.mcap")
+    pieces = list(stream_log(tmp_path / "trip.mcap", rows=20))
+    assert [len(piece[TRAIN_STATE.name]) for piece in pieces] == [20, 20, 10]
+    assert_same(trip, together(pieces))
+
+
+def test_rows_must_be_positive(logs: Callable[[int], Path]) -> None:
+    with pytest.raises(InputError, match="rows is 0"):
+        stream_log(logs(0), rows=0)
+
+
+def flipped(path: Path, number: int, folder: Path) -> tuple[Path, int]:
+    """The log with one chunk damaged, and how many messages that chunk holds."""
+    with Source(path) as source:
+        place = contents_of(source).chunks[number]
+    data = bytearray(path.read_bytes())
+    data[place.data + place.stored // 2] ^= 0x10
+    (folder / "flipped.mcap").write_bytes(data)
+    return folder / "flipped.mcap", place.messages
+
+
+def test_damage_is_told_behind_the_last_piece(logs: Callable[[int], Path], tmp_path: Path) -> None:
+    path, lost = flipped(logs(2), 5, tmp_path)
+    pieces = []
+    with pytest.warns(DamageWarning) as caught:
+        pieces += stream_log(path, rows=50)
+    account = caught[0].message.account  # type: ignore[union-attr]
+    assert account.messages_lost == lost
+    assert account.messages == sum(len(f) for piece in pieces for f in piece.topics.values())
+    with pytest.warns(DamageWarning):
+        whole = read_log(path)
+    assert_same(whole, together(pieces))
+
+
+def test_damage_outside_of_the_part_is_not_met(logs: Callable[[int], Path], tmp_path: Path) -> None:
+    path, _ = flipped(logs(2), 5, tmp_path)
+    whole = read_log(logs(2))
+    span = (whole.start, whole.start + pd.Timedelta("1 s"))
+    assert_same(whole.between(*span), read_log(path, time=span))
+
+
+@pytest.mark.parametrize("fewest", [1, 10**9])
+def test_every_way_of_reading_gives_the_same(
+    fewest: int, logs: Callable[[int], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "COMPILED_FROM", fewest)
+    for threads in (1, 2, 3):
+        assert_same(read_log(logs(3), threads=threads), read_log(logs(3)))
+        part = read_log(logs(3), {TRAIN_AXLES.name: ["wheel_speed_2"]}, threads=threads)
+        frame = shuttle(3)[TRAIN_AXLES.name][["wheel_speed_2"]]
+        pd.testing.assert_frame_equal(frame, part[TRAIN_AXLES.name], check_freq=False)
