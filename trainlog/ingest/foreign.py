@@ -285,7 +285,7 @@ class _Reader:
                 return InputError(
                     f"topic {topic} cannot be decoded: {item.reason}",
                     file=self.path,
-                    remedy="record it in protobuf, JSON, ROS 1 or ROS 2 (CDR)",
+                    remedy="record it in an encoding that docs/foreign.md lists",
                 )
         names = [*self.found.frames, *self.held]
         several = [name for name in self.found.frames if _plain(name) == topic]

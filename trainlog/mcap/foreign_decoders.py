@@ -1,4 +1,4 @@
-"""Which decoder a foreign channel needs: protobuf, JSON, ROS 1, ROS 2.
+"""Which decoder a foreign channel needs: protobuf, JSON, ROS 1, ROS 2, FlatBuffers.
 
 Whatever a decoder can raise on bytes that it was not made for becomes an `UndecodableError` (the
 channel) or a `BrokenMessage` (one message).
@@ -20,6 +20,8 @@ from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from trainlog.mcap.errors import shown
+from trainlog.mcap.flatbuffer_wire import SchemaError
+from trainlog.mcap.flatbuffer_wire import decoder as flatbuffer_decoder
 from trainlog.mcap.foreign_rows import (
     BYTES,
     DEEPEST,
@@ -63,6 +65,7 @@ def decoder_of(channel: Channel, schema: Schema | None) -> Decode:
         ("protobuf", "protobuf"): _protobuf,
         ("cdr", "ros2msg"): partial(_ros, "ros2"),
         ("ros1", "ros1msg"): partial(_ros, "ros1"),
+        ("flatbuffer", "flatbuffer"): _flatbuffer,
     }
     if encoding not in {known for known, _ in kinds}:
         raise UndecodableError(f"encoding {shown(encoding)} is not decoded")
@@ -97,6 +100,13 @@ def _ros(dialect: Dialect, schema: Schema) -> Decode:
     try:
         return ros_decoder(schema.name, schema.data, dialect)
     except DefinitionError as error:
+        raise UndecodableError(str(error)) from error
+
+
+def _flatbuffer(schema: Schema) -> Decode:
+    try:
+        return flatbuffer_decoder(schema.name, schema.data)
+    except SchemaError as error:
         raise UndecodableError(str(error)) from error
 
 

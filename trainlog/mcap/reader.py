@@ -224,7 +224,7 @@ def _check_version(
         raise LogError(
             f"holds no topic of trainlog, but {', '.join(held[:_MOST_NAMED]) or 'none at all'}"
             + (f" and {len(held) - _MOST_NAMED} more" if len(held) > _MOST_NAMED else ""),
-            remedy="bring recordings of other programs in as a table (CSV, Parquet)",
+            remedy="bring it in (trainlog ingest), or read its tables (trainlog.mcap.frames_of)",
         )
     version = metadata.get(FORMAT_RECORD, {}).get("schema_version", str(SCHEMA_VERSION))
     if not re.fullmatch(r"[0-9]{1,9}", version) or int(version) > SCHEMA_VERSION:
