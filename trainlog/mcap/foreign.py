@@ -89,9 +89,9 @@ class ForeignFrames:
 def frames_of(path: str | Path, topics: Iterable[str] | None = None) -> ForeignFrames:
     """Read the frames of any MCAP file, whoever wrote it.
 
-    Messages in protobuf, JSON, ROS 1, ROS 2 (CDR) and FlatBuffers are decoded. What cannot be decoded is named
-    and counted, the rest still comes. Of a damaged file everything readable comes, with a
-    `DamageWarning`.
+    Messages in protobuf, JSON, ROS 1, ROS 2 (CDR) and FlatBuffers are decoded. What cannot be
+    decoded is named and counted, the rest still comes. Of a damaged file everything readable comes,
+    with a `DamageWarning`.
 
     Parameters
     ----------
