@@ -12,7 +12,7 @@ from itertools import pairwise
 
 from isal import isal_zlib
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Metadata, Schema, Statistics
+from mcap.records import Channel, DataEnd, Footer, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
@@ -26,6 +26,7 @@ from trainlog.mcap.walk import check_is_mcap, contents_by_walk
 
 _FOOTER_LENGTH = 20
 _DATA_END_LENGTH = 4
+_CHUNK_INDEX = struct.Struct("<QQQQI")
 _INDEX_HEAD = RECORD_HEAD + 6
 """Bytes of a message index before its entries, of 16 bytes each."""
 
@@ -86,7 +87,7 @@ def _by_index(source: Source) -> Contents | None:
 def _collect(opcode: int, content: memoryview, at: int, found: Contents) -> None:
     """Add one record of the summary to what was found."""
     if opcode == Opcode.CHUNK_INDEX:
-        found.chunks.append(_chunk_place(parsed(ChunkIndex, content, at), at))
+        found.chunks.append(_chunk_place(content, at))
     elif opcode == Opcode.SCHEMA:
         schema = parsed(Schema, content, at)
         found.schemas.setdefault(schema.id, schema)
@@ -97,32 +98,41 @@ def _collect(opcode: int, content: memoryview, at: int, found: Contents) -> None
         found.statistics = parsed(Statistics, content, at)
 
 
-def _chunk_place(index: ChunkIndex, at: int) -> ChunkPlace:
-    """The place of a chunk by its index; the lengths of its message indexes give the counts."""
-    behind = index.chunk_start_offset + index.chunk_length
-    stop = behind + index.message_index_length
-    listed = sorted((offset, channel) for channel, offset in index.message_index_offsets.items())
+def _chunk_place(index: memoryview, at: int) -> ChunkPlace:
+    """The place of a chunk by its index; the lengths of its message indexes give the counts.
+
+    A long log has tens of thousands: the class of the mcap package takes ten times as long.
+    """
+    try:
+        start, end, offset, length, width = _CHUNK_INDEX.unpack_from(index)
+        listed = sorted(
+            (place, channel) for channel, place in struct.iter_unpack("<HQ", index[36 : 36 + width])
+        )
+        message_indexes, named = struct.unpack_from("<QI", index, 36 + width)
+        compression = str(index[48 + width : 48 + width + named], "utf-8")
+        stored, size = struct.unpack_from("<QQ", index, 48 + width + named)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise damaged(at, "the chunk index record cannot be read") from error
+    behind = offset + length
     counts = {}
-    for (offset, channel), (following, _) in pairwise([*listed, (stop, 0)]):
-        counts[channel], rest = divmod(following - offset - _INDEX_HEAD, 16)
+    for (place, channel), (following, _) in pairwise([*listed, (behind + message_indexes, 0)]):
+        counts[channel], rest = divmod(following - place - _INDEX_HEAD, 16)
         if rest or counts[channel] < 0:
             raise damaged(at, "the message indexes of a chunk are not of their lengths")
-    if listed and listed[0][0] != behind:
-        raise damaged(at, "the message indexes do not follow their chunk")
-    if index.compressed_size > index.chunk_length:
+    if (listed and listed[0][0] != behind) or len(counts) < len(listed) or stored > length:
         raise damaged(at, "a chunk index contradicts itself")
     return ChunkPlace(
-        offset=index.chunk_start_offset,
-        length=index.chunk_length,
-        compression=index.compression,
-        data=behind - index.compressed_size,
-        stored=index.compressed_size,
-        size=index.uncompressed_size,
-        start=index.message_start_time,
-        end=index.message_end_time,
-        indexes=dict(index.message_index_offsets),
-        behind=stop,
-        counts={channel: count for channel, count in counts.items() if count},
+        offset,
+        length,
+        compression,
+        behind - stored,
+        stored,
+        size,
+        start,
+        end,
+        {channel: place for place, channel in listed},
+        behind + message_indexes,
+        {channel: count for channel, count in counts.items() if count},
     )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,9 @@ from trainlog.mcap.source import Source
 from trainlog.mcap.stored import MisplacedError, fetched, fetched_index
 from trainlog.mcap.tables import Apart, Table, TopicChannel, table_of
 from trainlog.topics import TOPICS
+
+_ROUND = 2**16
+"""Lengths of chunks are rounded up to a multiple of this for what is kept between them [bytes]."""
 
 _AT_ONCE = 4
 """Chunks that a thread is given at a time."""
@@ -171,10 +175,10 @@ def _read(source: Source, outcome: _Outcome) -> _Outcome:
         return outcome
     try:
         with suppress(LogError):
-            _fill(content, _index(source, place, content, outcome.targets), outcome)
+            _fill(content, _offsets(source, place, content, outcome.targets), outcome)
             return outcome
         # An index that does not fit the chunk is made again from the chunk's records.
-        _fill(content, index_of(content, place.offset), outcome)
+        _fill(content, _starts(index_of(content, place.offset)), outcome)
     except LogError as error:
         if chunk.checksum and not isinstance(error, MisplacedError):
             # These are the bytes that were written.
@@ -183,29 +187,40 @@ def _read(source: Source, outcome: _Outcome) -> _Outcome:
     return outcome
 
 
-def _index(source: Source, place: ChunkPlace, content: bytes, targets: list[_Target]) -> Index:
+_Offsets = dict[int, NDArray[np.uint64]]
+"""Where in a chunk the messages begin, by channel id."""
+
+
+def _starts(index: Index) -> _Offsets:
+    return {channel: entries[:, 1] for channel, entries in index.items()}
+
+
+def _offsets(source: Source, place: ChunkPlace, content: bytes, targets: list[_Target]) -> _Offsets:
     """Where in the chunk the messages of the targets begin."""
     sole = targets[0].source
     if len(place.counts) == 1 and sole.codec is not None:
         size, count = sole.codec.layout.size, targets[0].count
         if size * count == len(content):
             # One message after the other; the layout is verified where they are read.
-            starts = np.arange(0, len(content), size, dtype=np.uint64)
-            return {sole.channel.id: np.stack([starts, starts], axis=1)}
+            return {sole.channel.id: _evenly(size, -(-len(content) // _ROUND))[:count]}
     if place.indexes:
-        index = fetched_index(source, place, [target.source.channel.id for target in targets])
-        # An index that leads to one message twice leaves out another.
-        if all(np.all(entries[1:, 1] > entries[:-1, 1]) for entries in index.values()):
-            return index
-    return index_of(content, place.offset)
+        return _starts(
+            fetched_index(source, place, [target.source.channel.id for target in targets])
+        )
+    return _starts(index_of(content, place.offset))
 
 
-def _fill(content: bytes, index: Index, outcome: _Outcome) -> None:
+@lru_cache(maxsize=16)
+def _evenly(size: int, length: int) -> NDArray[np.uint64]:
+    """Where messages of one size begin that follow each other; `length` counts by `_ROUND`."""
+    return np.arange(0, length * _ROUND, size, dtype=np.uint64)
+
+
+def _fill(content: bytes, index: _Offsets, outcome: _Outcome) -> None:
     """Take the messages of a chunk to their tables, or apart where they do not fit."""
     outcome.apart = []
     for target in outcome.targets:
-        entries = index.get(target.source.channel.id, np.empty((0, 2), dtype=np.uint64))
-        offsets = entries[:, 1]
+        offsets = index.get(target.source.channel.id, np.empty(0, dtype=np.uint64))
         if len(offsets) == target.count and target.table.fill(
             target.source, content, offsets, target.start
         ):

@@ -16,5 +16,6 @@ PROVENANCE_RECORD = "trainlog.provenance"
 RECOVERY_RECORD = "trainlog.recovery"
 """Metadata record of a recovered file: one JSON object a recovery, under ``0001``, ``0002`` ...,
 with the account of what was lost."""
+
 POSITIONS_RECORD = "trainlog.positions"
 """Metadata record that holds the positions in each chunk, see `trainlog.mcap.positions`."""

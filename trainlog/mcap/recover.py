@@ -17,7 +17,7 @@ from trainlog.formats.files import atomic_write
 from trainlog.mcap.account import Account
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.layout import RECORD_HEAD
-from trainlog.mcap.names import RECOVERY_RECORD
+from trainlog.mcap.names import POSITIONS_RECORD, RECOVERY_RECORD
 from trainlog.mcap.places import AttachmentPlace, ChunkPlace, Contents
 from trainlog.mcap.records import Index, opened, parsed
 from trainlog.mcap.sink import PackedChunk, RawChunk, Sink, packed
@@ -111,7 +111,8 @@ def _rebuild(source: Source, contents: Contents, told: dict[str, str], sink: Sin
     for channel in contents.channels.values():
         sink.declare(channel)
     for record in contents.metadata:
-        if record.name != RECOVERY_RECORD:
+        # Chunks have moved; where the train was in each is found without that record, too.
+        if record.name not in (RECOVERY_RECORD, POSITIONS_RECORD):
             sink.put_metadata(record.name, record.metadata)
     sink.put_metadata(RECOVERY_RECORD, told)
     for place in contents.attachments:
