@@ -164,7 +164,7 @@ class _Table:
         except BrokenMessage as error:
             self.broken[str(error)] += 1
         else:
-            self.columns.add(message)
+            self.columns.add(message, length)
             self.time.append(time)
             self.published.append(published)
 

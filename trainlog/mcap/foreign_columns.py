@@ -31,6 +31,9 @@ MOST_COLUMNS = 2_000
 _BATCH = 1_024
 """Messages that are turned into columns at once."""
 
+_BATCH_BYTES = 2**20
+"""Length of these messages; as objects they take many times that."""
+
 _PLAIN = {bool, int, float, str}
 
 _TOO_MANY = f"beyond the first {MOST_COLUMNS:,} columns of the topic"
@@ -96,12 +99,14 @@ class Columns:
         self._columns: dict[str, _Column] = {}
         self._lengths: dict[str, Counter[int]] = {}
         self._batch: list[Message] = []
+        self._waiting = 0
         self._count = 0
 
-    def add(self, message: Message) -> None:
-        """Add what a decoded message says as the next row."""
+    def add(self, message: Message, size: int) -> None:
+        """Add what a decoded message of `size` bytes says as the next row."""
         self._batch.append(message)
-        if len(self._batch) >= _BATCH:
+        self._waiting += size
+        if len(self._batch) >= _BATCH or self._waiting >= _BATCH_BYTES:
             self._flush()
 
     def frame(self) -> dict[str, Any]:
@@ -122,7 +127,7 @@ class Columns:
 
     def _flush(self) -> None:
         """Turn the messages that wait into columns."""
-        batch, self._batch = self._batch, []
+        batch, self._batch, self._waiting = self._batch, [], 0
         rows = range(self._count, self._count + len(batch))
         self._count = rows.stop
         if batch:

@@ -36,7 +36,7 @@ from trainlog.mcap.foreign_rows import (
 from trainlog.mcap.ros_definitions import DefinitionError, Dialect
 from trainlog.mcap.ros_wire import decoder as ros_decoder
 
-LARGEST = 2**26
+LARGEST = 2**25
 """Longer messages are not decoded [bytes]: as objects they would take many times their length."""
 
 _REPEATED = 3
