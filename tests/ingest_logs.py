@@ -142,13 +142,17 @@ class Ublox:
     """True time of each row [s]."""
     speed: np.ndarray
 
+    def _distance(self) -> np.ndarray:
+        """The integral of `speed` [m]."""
+        return 20.0 * self.true + 50.0 * (1.0 - np.cos(0.1 * self.true))
+
     def text(self, before: list[str] | None = None) -> str:
         stamps = pd.DatetimeIndex(START + self.seconds * SECOND, tz="UTC")
         rows = [
             f"{t.year},{t.month},{t.day},{t.hour},{t.minute},{t.second},9,"
-            f"{93_000_000 + 20 * i},{474_000_000 + 10 * i},"
+            f"{93_000_000 + round(1e7 * d / 75_300.0)},{474_000_000 + 10 * i},"
             f"500000,452100,2500,4000,{round(1e3 * v)},80,160,"
-            for i, (t, v) in enumerate(zip(stamps, self.speed, strict=True))
+            for i, (t, v, d) in enumerate(zip(stamps, self.speed, self._distance(), strict=True))
         ]
         return "\n".join([UBLOX_HEADER, *(before or []), *rows]) + "\n"
 

@@ -41,7 +41,7 @@ def drive(count: int, rate: float, seed: int = 0) -> Drive:
         START + np.round(seconds * SECOND).astype(np.int64),
         np.round(47.4 + 0.01 * np.sin(distance / 5e3), 7),
         np.round(9.3 + distance / 75_300.0, 7),
-        np.round(600.0 + 0.01 * distance, 1),
+        np.round(600.0 + 0.01 * distance, 3),
         np.round(speed, 2),
         np.round(rng.uniform(0.7, 2.5, count), 1),
         rng.integers(5, 14, count),
@@ -89,7 +89,7 @@ def gpx_text(
     told = stamps(run.time, offset)
     points = [
         f'<trkpt lat="{run.latitude[i]:.7f}" lon="{run.longitude[i]:.7f}">'
-        f"<ele>{run.altitude[i]:.1f}</ele><time>{told[i]}</time>"
+        f"<ele>{run.altitude[i]:.3f}</ele><time>{told[i]}</time>"
         + (f"<speed>{run.speed[i]:.2f}</speed>" if speed == "1.0" else "")
         + f"<sat>{run.satellites[i]}</sat><hdop>{run.hdop[i]:.1f}</hdop><vdop>1.5</vdop>"
         + (EXTENSIONS[speed].format(v=f"{run.speed[i]:.2f}") if speed != "1.0" else "")
@@ -146,7 +146,7 @@ def mtk(seed: int, *, before: int = 3000, scaled: bool = False) -> Recorded:
         lon, lat = (f"{round(1e7 * x)}" if scaled else f"{x:.7f}" for x in place)
         rows.append(
             f"{stamp.year},{stamp.month},{stamp.day},{stamp.hour},{stamp.minute},{stamp.second},"
-            f"{truth.satellites[i]},{lon},{lat},{truth.altitude[i]:.1f},{truth.speed[i]:.2f},"
+            f"{truth.satellites[i]},{lon},{lat},{truth.altitude[i]:.3f},{truth.speed[i]:.2f},"
             f"{round(100 * truth.hdop[i])}"
         )
     wild = before + rng.choice(np.arange(50, 1750, 20), rng.integers(1, 6), replace=False)
@@ -187,11 +187,11 @@ def nmea_lines(
             "RMC": f"GNRMC,{of_day},A,{place},{knots:.6f},90.0,{stamp:%d%m%y},,,A",
             "GGA": (
                 f"GNGGA,{of_day},{place},1,{run.satellites[i]:02d},{run.hdop[i]:.1f},"
-                f"{run.altitude[i]:.1f},M,47.9,M,,"
+                f"{run.altitude[i]:.3f},M,47.9,M,,"
             ),
             "GNS": (
                 f"GNGNS,{of_day},{place},AN,{run.satellites[i]:02d},{run.hdop[i]:.1f},"
-                f"{run.altitude[i]:.1f},47.9,,"
+                f"{run.altitude[i]:.3f},47.9,,"
             ),
             "GST": f"GNGST,{of_day},5.0,,,,3.0,4.0,6.0",
             "VTG": f"GNVTG,90.0,T,,M,{knots:.6f},N,{3.6 * run.speed[i]:.6f},K,A",

@@ -105,9 +105,9 @@ def test_clean_files_are_left_alone(tmp_path: Path) -> None:
 
 
 def test_a_clock_set_back_for_good_costs_the_shorter_part(tmp_path: Path) -> None:
-    """Ten rows an hour ahead, then the clock is corrected: the ten go."""
+    """Ten rows 67 minutes ahead, then the clock is corrected: the ten go."""
     rows = plain_rows(100)
-    ahead = [row.replace("T06:", "T07:") for row in rows[:10]]
+    ahead = [row.replace("T06:00", "T07:07") for row in rows[:10]]
     report = report_of(read(tmp_path, ahead + rows[10:]))
     assert report.counts == {"clock_jump": 10}
     assert report.findings[0].rows == (2, 3, 4, 5, 6)
@@ -164,7 +164,10 @@ def test_rows_of_one_whole_second_are_merged_when_they_complete_each_other(tmp_p
     rows = [
         part
         for i in range(30)
-        for part in (f"2024-05-01T06:00:{i:02d}Z,{10 + i},", f"2024-05-01T06:00:{i:02d}Z,,{20 * i}")
+        for part in (
+            f"2024-05-01T06:00:{i:02d}Z,{10 + i},",
+            f"2024-05-01T06:00:{i:02d}Z,,{(10 + 0.5 * i) * i}",
+        )
     ]
     report = report_of(read(tmp_path, rows, repair={"inconsistent": False}))
     assert report.counts == {"empty": 60, "same_time": 30}
@@ -363,7 +366,9 @@ def test_a_train_at_rest_repeats_itself_without_fault(tmp_path: Path) -> None:
 
 
 def test_whole_seconds_once_each_are_left_alone(tmp_path: Path) -> None:
-    rows = [f"2024-05-01T06:00:{i:02d}Z,{10 + 0.1 * i:.1f},{10 * i}" for i in range(60)]
+    rows = [
+        f"2024-05-01T06:00:{i:02d}Z,{10 + 0.1 * i:.1f},{(10 + 0.05 * i) * i:.2f}" for i in range(60)
+    ]
     doubled = [row for row in rows for _ in range(2)]
     trip = read(tmp_path, doubled)
     assert report_of(trip).counts == {"duplicates": 60}

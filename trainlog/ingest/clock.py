@@ -77,7 +77,7 @@ def drop_clock_jumps(table: Table, limits: Limits) -> Result:
     is far off if its time differs from both trusted rows around it by more than
     ``limits.sort_within`` and by more than five usual steps.
     """
-    stray = _outside_largest_group(table.time, limits.pause)
+    stray = outside_largest_group(table.time, limits.pause)
     group = np.flatnonzero(~stray)
     time = table.time[group]
     trusted = longest_nondecreasing(time)
@@ -99,7 +99,7 @@ def drop_clock_jumps(table: Table, limits: Limits) -> Result:
     return table.take(~stray), table.found("clock_jump", stray)
 
 
-def _outside_largest_group(time: IntArray, pause: float) -> BoolArray:
+def outside_largest_group(time: IntArray, pause: float) -> BoolArray:
     """Which times lie outside the largest group that no `pause` [s] parts."""
     order = np.sort(time)
     leaps = np.flatnonzero(np.diff(order) > pause * NANOSECONDS)

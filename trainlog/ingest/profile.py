@@ -255,6 +255,7 @@ class Repair(_Strict):
     empty: bool = True
     before_first_fix: bool = True
     time_unreadable: bool = True
+    clock_step: bool = True
     clock_jump: bool = True
     time_backwards: bool = True
     duplicates: bool = True
@@ -264,6 +265,8 @@ class Repair(_Strict):
     out_of_limits: bool = True
     spikes: bool = True
     inconsistent: bool = True
+    unit_suspected: bool = True
+    quantised: bool = True
     gaps: bool = True
     off_line: bool = True
     slip: bool = True

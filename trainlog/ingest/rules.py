@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from trainlog.errors import InputError
-from trainlog.ingest import checks, clock, values
+from trainlog.ingest import checks, clock, clock_steps, suspicions, values
 from trainlog.ingest.clock import Result
 from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.recording import Finding, Table
@@ -42,6 +42,7 @@ RULES = (
     Rule("empty", "refuse"),
     Rule("before_first_fix", "keep", clock.drop_before_first_fix),
     Rule("time_unreadable", "refuse", clock.drop_unreadable_time),
+    Rule("clock_step", "keep", clock_steps.undo_clock_steps),
     Rule("clock_jump", "refuse", clock.drop_clock_jumps),
     Rule("time_backwards", "refuse", clock.sort_time),
     Rule("duplicates", "refuse", clock.drop_duplicates),
@@ -51,6 +52,8 @@ RULES = (
     Rule("out_of_limits", "keep", values.blank_out_of_limits),
     Rule("spikes", "keep", values.blank_spikes),
     Rule("inconsistent", "keep", checks.refuse_inconsistent),
+    Rule("unit_suspected", "keep", suspicions.tell_units),
+    Rule("quantised", "keep", suspicions.tell_quantised),
     Rule("gaps", "keep", clock.count_gaps),
     Rule("off_line", "keep"),
     Rule("slip", "keep"),

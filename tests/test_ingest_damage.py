@@ -1,0 +1,279 @@
+"""A clean trip, damaged by a generator, comes back within the bound stated for the damage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ingest_logs import SECOND, Run, clean_run, plain_profile, ublox, write
+
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, repairs_of, report_of
+from trainlog.ingest.suspicions import quantum
+from trainlog.trip import Trip
+
+FILES = settings(
+    max_examples=25,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+WEEKS = 1024 * 7 * 86_400
+
+
+def read(tmp_path: Path, rows: list[str], **sections: object) -> Trip:
+    return ingest(write(tmp_path / "run.csv", rows), profile=plain_profile(**sections))
+
+
+def shifted(run: Run, rows: slice, seconds: float) -> list[str]:
+    """The rows of a run, some of them written by a clock that is off."""
+    time = run.time.copy()
+    time[rows] += int(seconds * SECOND)
+    return Run(time, run.speed, run.position).rows()
+
+
+# ------------------------------------------------------------------ clocks that were set
+
+
+@FILES
+@given(st.data())
+def test_a_clock_that_was_set_costs_nothing(tmp_path: Path, data: st.DataObject) -> None:
+    """Every row comes back at its instant, and is told as moved, whatever part was off."""
+    step = data.draw(st.sampled_from([0.1, 0.5, 1.0]))
+    run = clean_run(data.draw(st.integers(200, 300)), step, data.draw(st.floats(0.0, 3.0)))
+    where = data.draw(st.sampled_from(["begin", "end", "middle"]))
+    # Enough rows on the wrong side that leap seconds repeat themselves, but fewer than half.
+    count = data.draw(st.integers(60, 90))
+    rows = {
+        "begin": slice(0, count),
+        "end": slice(run.time.size - count, None),
+        "middle": slice(60, 60 + count),
+    }[where]
+    sizes = {
+        # Set back after the beginning; before the end; within, in either direction.
+        "begin": [3600, 900 * 23, -WEEKS],
+        "end": [-3600, -900 * 23, -WEEKS],
+        "middle": [3600, -3600, 900 * 23, -WEEKS],
+    }[where]
+    if where != "middle":
+        most = min(18, int(50 * step))
+        sizes += [leap * (1 if where == "begin" else -1) for leap in (2, 3, most) if leap <= most]
+    size = data.draw(st.sampled_from(sizes))
+    trip = read(tmp_path, shifted(run, rows, size))
+    report = report_of(trip)
+    assert report.counts == {"clock_step": count}
+    told = "-1024 weeks" if size == WEEKS else "+1024 weeks" if size == -WEEKS else f"{-size:+d} s"
+    assert report.findings[0].note == f"moved by {told}"
+    state = trip["/train/state"]
+    np.testing.assert_array_equal(state.index.as_unit("ns").asi8, run.time)
+    np.testing.assert_array_equal(state["speed"], run.speed)
+    entries = repairs_of(trip)
+    assert len(entries) == count
+    late = (entries["raw_time"] - entries["new_time"]) / pd.Timedelta(seconds=1)
+    np.testing.assert_allclose(late, size, rtol=1e-12)
+
+
+@FILES
+@given(st.data())
+def test_blocks_written_late_or_twice_are_no_steps(tmp_path: Path, data: st.DataObject) -> None:
+    """What looks like a leap second, but tells its times once, or twice with the same values."""
+    run = clean_run(200, 1.0, data.draw(st.floats(0.0, 3.0)))
+    rows = run.rows()
+    length = data.draw(st.integers(2, 5))
+    place = data.draw(st.integers(20, 150))
+    block, following = rows[place : place + length], rows[place + length : place + 2 * length]
+    if data.draw(st.booleans()):
+        damaged = [*rows[:place], *following, *block, *rows[place + 2 * length :]]
+        expected = {"time_backwards": length}
+    else:
+        damaged = [*rows[: place + length], *block, *rows[place + length :]]
+        expected = {"duplicates": length, "time_backwards": length}
+    trip = read(tmp_path, damaged)
+    counts = report_of(trip).counts
+    assert counts.keys() == expected.keys()
+    assert all(counts[rule] <= count for rule, count in expected.items())
+    np.testing.assert_array_equal(trip["/train/state"].index.as_unit("ns").asi8, run.time)
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+
+
+def test_an_hours_pause_is_a_gap_and_stays_one(tmp_path: Path) -> None:
+    run = clean_run(200, 1.0)
+    trip = read(tmp_path, shifted(run, slice(100, None), 3600))
+    assert report_of(trip).counts == {"gaps": 1}
+    assert trip.duration == pytest.approx(199 + 3600)
+
+
+def test_a_step_stays_if_the_rule_is_off(tmp_path: Path) -> None:
+    rows = shifted(clean_run(200, 1.0), slice(0, 40), 3600)
+    report = report_of(read(tmp_path, rows, repair={"clock_step": False}))
+    assert report.counts == {"clock_jump": 40}
+
+
+# ------------------------------------------------------------------ units and signs
+
+
+UNITS = {"m/s": 1.0, "km/h": 3.6, "mph": 2.236936, "knot": 1.943844}
+
+
+@FILES
+@given(st.data())
+def test_wrong_units_are_refused_or_told(tmp_path: Path, data: st.DataObject) -> None:
+    """Beyond a factor of 2 refused, beyond 1.15 told with the factor, within it nothing."""
+    written = data.draw(st.sampled_from(list(UNITS)))
+    taken = data.draw(st.sampled_from(list(UNITS)))
+    run = clean_run(120, 1.0, data.draw(st.floats(0.0, 3.0)))
+    rows = Run(run.time, np.round(run.speed * UNITS[written], 3), run.position).rows()
+    columns = {
+        "/train/state.speed": {"column": "v", "unit": taken},
+        "/train/state.position": {"column": "s", "unit": "m"},
+    }
+    path, profile = write(tmp_path / "run.csv", rows), plain_profile(columns=columns)
+    factor = UNITS[taken] / UNITS[written]
+    if not 0.5 <= factor <= 2.0:
+        with pytest.raises(InputError, match=r"check the units? of|values are impossible"):
+            ingest(path, profile=profile)
+        return
+    report = report_of(ingest(path, profile=profile))
+    if 1 / 1.15 < factor < 1.15:
+        assert report.findings == ()
+    else:
+        assert report.counts == {"unit_suspected": 1}
+        assert report.findings[0].column == "/train/state.position"
+
+
+def driven(count: int, seed: int) -> pd.DataFrame:
+    """A train that is driven and braked: effort, lever, and the speed that follows from them."""
+    rng = np.random.default_rng(seed)
+    lever = np.repeat(rng.choice([-0.6, 0.0, 0.5, 1.0], count // 30 + 1), 30)[:count]
+    effort = np.where(lever > 0.0, 150e3 * lever, 100e3 * lever)
+    speed = 20.0 + np.cumsum(effort / 200e3 - 0.02 - (effort / 200e3 - 0.02).mean())
+    return pd.DataFrame({"lever": lever, "F": effort / 1e3, "v": speed - speed.min() + 2.0})
+
+
+@FILES
+@given(st.integers(0, 10_000), st.sampled_from([1, -1]), st.sampled_from(["F", "lever"]))
+def test_wrong_signs_of_effort_and_lever_are_refused(
+    tmp_path: Path, seed: int, sign: int, column: str
+) -> None:
+    table = driven(600, seed)
+    run = clean_run(600, 1.0)
+    stamps = pd.DatetimeIndex(run.time, tz="UTC").strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    rows = [
+        f"{t},{v:.3f},{f:.2f},{n}"
+        for t, v, f, n in zip(stamps, table["v"], table["F"], table["lever"], strict=True)
+    ]
+    columns: dict[str, Any] = {"/train/state.speed": {"column": "v", "unit": "m/s"}}
+    if column == "F":
+        parts = ["positive", "negative"][::sign]
+        for name, part in zip(("tractive", "dynamic_braking"), parts, strict=True):
+            columns[f"/train/controls.{name}_effort"] = {"column": "F", "unit": "kN", "part": part}
+    else:
+        columns["/train/controls.lever"] = {"column": "lever", "unit": "1", "sign": sign}
+    path = write(tmp_path / "run.csv", rows, "t,v,F,lever")
+    profile = plain_profile(columns=columns)
+    if sign > 0:
+        assert report_of(ingest(path, profile=profile)).findings == ()
+    else:
+        with pytest.raises(InputError, match=r"slows down whenever /train/controls\..* check sign"):
+            ingest(path, profile=profile)
+
+
+@FILES
+@given(st.floats(0.0, 3.0), st.sampled_from([3.6, 2.237, 1.944, 1.0]))
+def test_a_satellite_speed_that_the_fixes_contradict(
+    tmp_path: Path, phase: float, factor: float
+) -> None:
+    ticks = np.arange(600)
+    log = ublox(ticks // 5, ticks / 5 + phase)
+    lines = log.text().splitlines()
+    for row in range(1, len(lines)):
+        words = lines[row].split(",")
+        words[13] = str(round(factor * int(words[13])))
+        lines[row] = ",".join(words)
+    path = tmp_path / "gnss.csv"
+    path.write_text("\n".join(lines) + "\n", "ascii")
+    if factor > 2.0:
+        with pytest.raises(InputError, match=r"motion\.speed is .* times the speed at which the"):
+            ingest(path)
+    else:
+        assert report_of(ingest(path)).count("unit_suspected") == (factor > 1.15)
+
+
+# ------------------------------------------------------------------ quantisation
+
+
+@FILES
+@given(st.floats(0.0, 3.0), st.sampled_from([0.5, 1.0, 1.0 / 3.6]))
+def test_quantised_columns_are_told_with_their_step(
+    tmp_path: Path, phase: float, step: float
+) -> None:
+    """The values stay as they are, and lie within half of the step that is told."""
+    run = clean_run(1200, 0.1, phase)
+    coarse = np.round(run.speed / step) * step
+    rows = Run(run.time, coarse, run.position).rows()
+    trip = read(tmp_path, rows)
+    (finding,) = report_of(trip).findings
+    assert (finding.rule, finding.column, finding.count) == (
+        "quantised",
+        "/train/state.speed",
+        1200,
+    )
+    told = float(finding.note.split()[2])
+    assert told == pytest.approx(step, rel=0.01)
+    assert np.abs(trip["/train/state"]["speed"] - run.speed).max() <= 0.5 * told + 0.002
+    assert len(repairs_of(trip)) == 0, "nothing was changed"
+
+
+@given(st.integers(0, 10_000))
+def test_fine_columns_are_not_called_quantised(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    smooth = 20.0 + 10.0 * np.sin(0.01 * np.arange(2000) + rng.uniform(0, 6))
+    assert quantum(np.round(smooth, 4)) is None
+    assert quantum(np.repeat(smooth, 10)) is None, "held, as a slower sensor's values are"
+    assert quantum(np.round(smooth + rng.normal(0.0, 1.0, 2000), 1)) is None
+    assert quantum(np.zeros(2000)) is None
+    assert quantum(np.arange(2000.0)) is None
+
+
+# ------------------------------------------------------------------ everything at once
+
+
+@FILES
+@given(st.data())
+def test_many_kinds_of_damage_at_once(tmp_path: Path, data: st.DataObject) -> None:
+    """What is left is true: right instants, right values; what is missing was lost and is told."""
+    run = clean_run(300, 0.5, data.draw(st.floats(0.0, 3.0)))
+    rows = shifted(run, slice(0, 90), data.draw(st.sampled_from([0, 3600, -WEEKS])))
+    rows = [[row] for row in rows]
+    lost: set[int] = set()
+    wild: set[int] = set()
+    for place in data.draw(st.sets(st.integers(24, 70), max_size=12)):
+        at, kind = 4 * place, data.draw(st.sampled_from(["twice", "swap", "wild", "lost"]))
+        stamp, speed, position = rows[at][0].split(",")
+        if kind == "twice":
+            rows[at] *= 2
+        elif kind == "swap":
+            rows[at], rows[at + 1] = rows[at + 1], rows[at]
+        elif kind == "wild":
+            rows[at] = [f"{stamp},{float(speed) + 60.0:.3f},{position}"]
+            wild.add(at)
+        else:
+            rows[at] = []
+            lost.add(at)
+    text = [row for group in rows for row in group]
+    text[-1] = text[-1][: data.draw(st.integers(1, 30))]
+    lost.add(299)
+    trip = read(tmp_path, text)
+    kept = np.array([i for i in range(300) if i not in lost])
+    state = trip["/train/state"]
+    np.testing.assert_array_equal(state.index.as_unit("ns").asi8, run.time[kept])
+    absent = np.isin(kept, list(wild))
+    np.testing.assert_array_equal(state["speed"].isna(), absent)
+    np.testing.assert_array_equal(state["speed"][~absent], run.speed[kept][~absent])
+    np.testing.assert_array_equal(state["position"], run.position[kept])
+    assert report_of(trip).count("truncated_rows") == 1
