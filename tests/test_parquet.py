@@ -101,6 +101,8 @@ def test_frames_of_other_programs_come_back(tmp_path: Path) -> None:
             "on": [True, False],
             "frame_id": ["map", "odom"],
             "raw": [b"\x00\xff", b""],
+            "sequence": pd.array([2**63 - 1, None], dtype="Int64"),
+            "valid": pd.array([True, None], dtype="boolean"),
         },
         index=index,
     )

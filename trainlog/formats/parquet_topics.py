@@ -129,7 +129,8 @@ class TopicReader:
     @property
     def schema(self) -> pa.Schema:
         """Of what is read."""
-        return pa.schema([self._schema.field(name) for name in (*self._columns, TIME)])
+        fields = [self._schema.field(name) for name in (*self._columns, TIME)]
+        return pa.schema(fields, self._schema.metadata)
 
     def read(self) -> pa.Table:
         """All rows."""
@@ -144,14 +145,9 @@ class TopicReader:
 
     def frame(self, table: pa.Table) -> pd.DataFrame:
         """The frame of rows that were read."""
+        frame: pd.DataFrame = table.to_pandas()
+        frame.index = pd.DatetimeIndex(times_of(table).view("M8[ns]"), tz="UTC", name=TIME)
         kept = json.loads((self._schema.metadata or {}).get(b"pandas", b"{}"))
-        index = pd.DatetimeIndex(times_of(table).view("M8[ns]"), tz="UTC", name=TIME)
-        frame: pd.DataFrame = table.select(self._columns).to_pandas(ignore_metadata=True)
-        types = {each["field_name"]: each["numpy_type"] for each in kept.get("columns", [])}
-        for name in self._columns:
-            if types.get(name) == "object":
-                frame[name] = frame[name].astype(object)
-        frame.index = index
         attrs = dict(kept.get("attributes", {}))
         if isinstance(attrs.get("units"), dict):
             attrs["units"] = {n: u for n, u in attrs["units"].items() if n in self._columns}
