@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
+from trainlog.mcap import read_log
+from trainlog.mcap.stream import stream_log
 from trainlog.railway import Line, Train
-from trainlog.resampling import interpolated
+from trainlog.resampling import joined_pieces
 from trainlog.trip import Trip, seconds
 
 FloatArray = NDArray[np.float64]
@@ -61,12 +64,22 @@ class TripCost:
     top_speed: float
 
 
-def trip_cost(trip: Trip) -> TripCost:
+Recorded = Trip | Path
+"""A trip, or the log that holds it, which is read in pieces, however long it is."""
+
+_STATES = ("/train/state", "/estimates/state")
+_CONTROLS = "/train/controls"
+_EFFORTS = ("tractive_effort", "dynamic_braking_effort")
+ROWS = 250_000
+"""Rows of a piece."""
+
+
+def trip_cost(trip: Recorded) -> TripCost:
     """Energy and time of a trip from its recorded efforts and speed.
 
     Parameters
     ----------
-    trip : Trip
+    trip : Trip, or path of a log
         With `/train/state` (or `/estimates/state`) and `/train/controls`.
 
     Returns
@@ -78,48 +91,120 @@ def trip_cost(trip: Trip) -> TripCost:
     LogError
         If the trip has no speed, no efforts, or never moves.
     """
-    train = train_of(trip)
-    state = trip["/train/state"] if "/train/state" in trip else trip["/estimates/state"]
-    controls = trip["/train/controls"]
-    index = pd.DatetimeIndex(state.index)
-    time = seconds(state)
-    speed = state["speed"].to_numpy(dtype=np.float64)
-    stands = _standstills(time, speed)
-    if stands.size and stands[0, 0] == 0 and stands[0, 1] == time.size:
-        raise LogError(f"trip '{trip.name}' never moves: there is no energy to compare")
-    departs = bool(stands.size) and stands[0, 0] == 0
-    arrives = bool(stands.size) and stands[-1, 1] == time.size
-    first = stands[0, 1] if departs else 0
-    last = stands[-1, 0] if arrives else time.size - 1
-
-    def work(column: str) -> float:
-        effort = interpolated(controls, column, index)
-        power = np.nan_to_num(effort * speed)
-        return float(np.trapezoid(power, time))
-
-    traction = work("tractive_effort")
-    dynamic = work("dynamic_braking_effort")
-    position = state["position"].to_numpy(dtype=np.float64)
+    bare = _described(trip)
+    train = train_of(bare)
+    state = _STATES[1] if _STATES[0] not in bare and _STATES[1] in bare else _STATES[0]
+    motion = [f"{state}.speed", f"{state}.position"]
+    efforts = [f"{_CONTROLS}.{name}" for name in _EFFORTS]
+    meter = _Meter()
+    pieces = _pieces(trip, {state: ["speed", "position"], _CONTROLS: _EFFORTS})
+    for table in joined_pieces(pieces, motion + efforts, state, max_gap=None):
+        meter.add(table)
+    stands = [stand for stand in meter.standstills() if stand.lasts]
+    if stands and stands[0].begin == meter.first and stands[0].moves is None:
+        raise LogError(f"trip '{bare.name}' never moves: there is no energy to compare")
+    departs = bool(stands) and stands[0].begin == meter.first
+    arrives = bool(stands) and stands[-1].moves is None
+    departure = stands[0].moves if departs else meter.first
+    arrival = stands[-1].begin if arrives else meter.last
+    traction, dynamic = meter.work.tolist()
     return TripCost(
-        name=trip.name,
-        direction=trip.metadata.get("direction", "forward"),
-        distance=float(np.nanmax(position) - np.nanmin(position)),
-        running_time=float(time[last] - time[first]),
+        name=bare.name,
+        direction=bare.metadata.get("direction", "forward"),
+        distance=float(meter.highest[1] - meter.lowest[1]),
+        running_time=float(arrival - (departure or 0.0)),
         stops=len(stands) - int(departs) - int(arrives),
-        mass=train.mass + float(trip.metadata.get("load", "0")),
+        mass=train.mass + float(bare.metadata.get("load", "0")),
         traction=traction,
         dynamic_braking=dynamic,
         line=line_energy(train, traction, dynamic),
-        top_speed=float(np.nanmax(speed)),
+        top_speed=float(meter.highest[0]),
     )
 
 
-def _standstills(time: FloatArray, speed: FloatArray) -> NDArray[np.intp]:
-    """First and one-past-last sample of every standstill, (k, 2)."""
-    standing = np.concatenate(([False], np.nan_to_num(speed) <= STANDSTILL, [False]))
-    edges = np.flatnonzero(np.diff(standing)).reshape(-1, 2)
-    lasting = time[edges[:, 1] - 1] - time[edges[:, 0]] >= SHORTEST_STOP
-    return np.asarray(edges[lasting])
+def _described(trip: Recorded) -> Trip:
+    """The trip; of a log, its topics without rows."""
+    if isinstance(trip, Trip):
+        return trip
+    never = (pd.Timestamp(0, tz="UTC"), pd.Timestamp(0, tz="UTC"))
+    return read_log(trip, [*_STATES, _CONTROLS], time=never)
+
+
+def _pieces(trip: Recorded, columns: Mapping[str, Iterable[str]]) -> Iterable[Trip]:
+    return [trip] if isinstance(trip, Trip) else stream_log(trip, columns, rows=ROWS)
+
+
+@dataclass(frozen=True, slots=True)
+class _Standstill:
+    """First and last instant of a standstill, and when the train moves again [s]."""
+
+    begin: float
+    end: float
+    moves: float | None
+
+    @property
+    def lasts(self) -> bool:
+        return self.end - self.begin >= SHORTEST_STOP
+
+
+class _Meter:
+    """Sums over a trip that comes in pieces.
+
+    Attributes
+    ----------
+    first, last : float [s]
+        Times of the first and the last sample, since the first.
+    work : (2,) array [J]
+        Of traction and of the dynamic brake.
+    lowest, highest : (2,) array
+        Of speed [m/s] and position [m].
+    """
+
+    def __init__(self) -> None:
+        self.first = self.last = 0.0
+        self.work = np.zeros(2)
+        self.lowest, self.highest = np.full(2, np.nan), np.full(2, np.nan)
+        self._origin: pd.Timestamp | None = None
+        self._power = np.zeros((0, 2))
+        self._begin: float | None = None
+        self._ended: list[_Standstill] = []
+
+    def add(self, table: pd.DataFrame) -> None:
+        """Add rows with the columns speed, position, tractive and dynamic braking effort."""
+        if table.empty:
+            return
+        if self._origin is None:
+            self._origin = pd.Timestamp(table.index[0])
+        time = seconds(table, self._origin)
+        values = table.to_numpy(dtype=np.float64)
+        power = np.nan_to_num(values[:, 2:] * values[:, :1])
+        before = self._power.shape[0]
+        self.work += np.trapezoid(
+            np.concatenate((self._power, power)),
+            np.concatenate(([self.last][:before], time)),
+            axis=0,
+        )
+        self.lowest = np.fmin(self.lowest, np.fmin.reduce(values[:, :2], axis=0))
+        self.highest = np.fmax(self.highest, np.fmax.reduce(values[:, :2], axis=0))
+        self._stand(time, np.nan_to_num(values[:, 0]) <= STANDSTILL)
+        self.last, self._power = float(time[-1]), power[-1:]
+
+    def standstills(self) -> list[_Standstill]:
+        """Every standstill, the shortest ones too."""
+        if self._begin is None:
+            return self._ended
+        return [*self._ended, _Standstill(self._begin, self.last, None)]
+
+    def _stand(self, time: FloatArray, standing: NDArray[np.bool_]) -> None:
+        """Go through the changes between standing and moving."""
+        before = np.concatenate(([self.last], time))
+        for row in np.flatnonzero(np.diff(standing, prepend=self._begin is not None)).tolist():
+            if self._begin is None:
+                self._begin = float(time[row])
+            else:
+                ended = _Standstill(self._begin, float(before[row]), float(time[row]))
+                self._ended.append(ended)
+                self._begin = None
 
 
 def line_energy(train: Train, traction: float, dynamic_braking: float) -> float:
@@ -127,7 +212,7 @@ def line_energy(train: Train, traction: float, dynamic_braking: float) -> float:
     return traction / train.efficiency_traction - train.efficiency_regeneration * dynamic_braking
 
 
-def fastest_nonstop(trips: Sequence[Trip], line: Line) -> float:
+def fastest_nonstop(trips: Sequence[Recorded], line: Line) -> float:
     """Shortest running time [s] among the trips that run the whole line forward without a stop.
 
     Raises
@@ -135,7 +220,9 @@ def fastest_nonstop(trips: Sequence[Trip], line: Line) -> float:
     LogError
         If there is no such trip.
     """
-    forward = [trip for trip in trips if trip.metadata.get("direction", "forward") == "forward"]
+    forward = [
+        trip for trip in trips if _described(trip).metadata.get("direction", "forward") == "forward"
+    ]
     times = [
         cost.running_time
         for cost in map(trip_cost, forward)
@@ -172,7 +259,7 @@ class Saving:
         return self.driver.line - self.trajectory.line
 
 
-def savings(drivers: Sequence[Trip], followed: Sequence[Trip]) -> tuple[Saving, ...]:
+def savings(drivers: Sequence[Recorded], followed: Sequence[Recorded]) -> tuple[Saving, ...]:
     """Pair drivers' trips with trips that followed a trajectory, configuration by configuration.
 
     A pair is comparable when the followed trip was driven with the configuration observed on the
@@ -184,10 +271,10 @@ def savings(drivers: Sequence[Trip], followed: Sequence[Trip]) -> tuple[Saving, 
     LogError
         If no pair is comparable.
     """
-    by_name = {trip.name: trip for trip in drivers}
+    by_name = {_described(trip).name: trip for trip in drivers}
     pairs = []
     for trip in followed:
-        observed = by_name.get(trip.metadata.get("configuration", ""))
+        observed = by_name.get(_described(trip).metadata.get("configuration", ""))
         if observed is None:
             continue
         driver, cost = trip_cost(observed), trip_cost(trip)

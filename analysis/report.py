@@ -21,8 +21,8 @@ from trainlog.formats.condition import read_map
 from trainlog.formats.parameters import read_parameters
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import read_log
+from trainlog.mcap.convert import span_of
 from trainlog.railway import TrackConditionMap, Trajectory
-from trainlog.trip import Trip
 from trainlog.units import KMH
 
 
@@ -170,15 +170,17 @@ def results_table(folder: Path) -> Group:
     InputError
         If the folder holds no results.
     """
-    trips = [read_log(log) for log in sorted((folder / "trips").glob("*.mcap"))]
-    truths = [truth for truth in map(truth_of, trips) if truth is not None]
+    logs = sorted((folder / "trips").glob("*.mcap"))
+    # What a simulation knows is attached: no topic has to be read for it.
+    found_truths = (truth_of(read_log(log, topics=[])) for log in logs)
+    truths = [truth for truth in found_truths if truth is not None]
     table = new_table(f"Results in {folder}", "", "result", "in")
     rows = [
-        _recorded(folder, trips),
+        _recorded(folder, logs),
         _fitted(folder / "parameters.json", truths),
         _mapped(folder / "map.json", truths),
         *_planned(folder / "trajectory.json"),
-        _saved(folder / "driven", trips),
+        _saved(folder / "driven", logs),
     ]
     found = [row for row in rows if row is not None]
     if not found:
@@ -188,11 +190,12 @@ def results_table(folder: Path) -> Group:
     return Group(table)
 
 
-def _recorded(folder: Path, trips: Sequence[Trip]) -> tuple[str, str, str] | None:
-    if not trips:
+def _recorded(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
+    if not logs:
         return None
-    hours = sum(trip.duration for trip in trips) / 3600.0
-    return "recorded", f"{len(trips)} trips, {hours:.1f} h", str(folder / "trips")
+    spans = [span for span in map(span_of, logs) if span is not None]
+    hours = sum((end - start).total_seconds() for start, end in spans) / 3600.0
+    return "recorded", f"{len(logs)} trips, {hours:.1f} h", str(folder / "trips")
 
 
 def _fitted(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
@@ -244,11 +247,11 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
     return ("trajectory", energy, str(path)), ("certificate", proof, "")
 
 
-def _saved(folder: Path, trips: Sequence[Trip]) -> tuple[str, str, str] | None:
-    followed = [read_log(log) for log in sorted(folder.glob("*.mcap"))]
-    if not (followed and trips):
+def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
+    followed = sorted(folder.glob("*.mcap"))
+    if not (followed and logs):
         return None
-    pairs = savings(trips, followed)
+    pairs = savings(logs, followed)
     driver, saved = total_saved(pairs)
     words = (
         f"{_kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from analysis import compare
 from analysis.compare import savings, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.mcap import write_log
 from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 
@@ -76,6 +80,34 @@ def test_savings_pair_the_same_configuration_only() -> None:
     (pair,) = savings(drivers, followed)
     assert pair.driver.name == "a"
     assert pair.traction == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
+
+
+def test_a_log_in_pieces_costs_what_the_trip_costs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = simulated(stop=True)
+    write_log(whole, tmp_path / "trip.mcap")
+    expected = trip_cost(whole)
+    assert expected.stops == 1
+    for rows in (1, 7, 100, 10**6):
+        monkeypatch.setattr(compare, "ROWS", 20 * rows)
+        found = trip_cost(tmp_path / "trip.mcap")
+        assert (found.name, found.direction) == (expected.name, expected.direction)
+        for name in expected.__slots__[2:]:
+            assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9), name
+
+
+def simulated(**options: bool) -> Trip:
+    """A trip whose controls are on another clock than its state, with samples unknown."""
+    whole = trip(**options)  # type: ignore[arg-type]
+    whole = whole.between(None, whole.start + pd.Timedelta(seconds=400))
+    controls = whole["/train/controls"].iloc[3:-8:3]
+    controls = controls.set_axis(controls.index + pd.Timedelta(milliseconds=33), axis=0)
+    controls.attrs = whole["/train/controls"].attrs
+    state = whole["/train/state"].copy()
+    state.iloc[2000:2010, :] = np.nan
+    state.iloc[-3:, 0] = 0.1
+    return whole.with_topic(controls).with_topic(state)
 
 
 def test_nothing_comparable_is_told() -> None:

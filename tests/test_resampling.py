@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +12,14 @@ from hypothesis import strategies as st
 
 from tests.mcap_trips import START, frames, trip_of, trips
 from trainlog.errors import InputError, LogError
-from trainlog.resampling import interpolated, joined, regular_clock, resampled, resampled_frame
+from trainlog.resampling import (
+    interpolated,
+    joined,
+    joined_pieces,
+    regular_clock,
+    resampled,
+    resampled_frame,
+)
 from trainlog.topics import (
     EVENTS,
     GNSS_MOTION,
@@ -179,6 +188,32 @@ def test_the_clock_may_be_a_topic_or_any_times() -> None:
     assert at["/train/state.speed"].tolist() == [2.5]
     assert str(at.index.dtype) == "datetime64[ns, UTC]"
     assert at.index.name == "time"
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    frames(TRAIN_STATE),
+    frames(TRAIN_CONTROLS),
+    st.lists(st.integers(0, 4 * 10**18), max_size=5),
+    st.one_of(st.none(), st.floats(1e-9, 1e4)),
+)
+def test_joined_in_pieces_is_joined_as_a_whole(
+    state: pd.DataFrame, controls: pd.DataFrame, borders: list[int], max_gap: float | None
+) -> None:
+    whole = Trip({}).with_topic(state).with_topic(controls)
+    names = ["/train/state.speed", "/train/controls.lever", "/train/controls.tractive_effort"]
+    # Borders at samples, too, where most can go wrong.
+    ends = sorted([*borders, *state.index.asi8[::3], *controls.index.asi8[::4]])
+    edges = [-1, *ends, 2**63 - 1]
+    pieces = (
+        whole.cut(np.array([[first + 1, last]]))
+        for first, last in itertools.pairwise(edges)
+        if first < last
+    )
+    parts = list(joined_pieces(pieces, names, TRAIN_STATE.name, max_gap=max_gap))
+    expected = joined(whole, names, TRAIN_STATE.name, max_gap=max_gap)
+    pd.testing.assert_frame_equal(pd.concat(parts), expected, check_exact=True)
+    assert all(part.attrs == expected.attrs for part in parts)
 
 
 @pytest.mark.parametrize(

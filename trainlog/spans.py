@@ -158,6 +158,20 @@ def merged_spans(spans: Spans) -> Spans:
     return np.column_stack((ordered[first, 0], reached[last]))
 
 
+def overlapping(spans: Spans, others: Spans) -> Spans:
+    """The times that are in a span of both, (k, 2)."""
+    if len(spans) == 0 or len(others) == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    first = np.searchsorted(others[:, 1], spans[:, 0], side="left")
+    beyond = np.searchsorted(others[:, 0], spans[:, 1], side="right")
+    # Each span meets a run of the others, of which it cuts the first and the last.
+    count = np.maximum(beyond - first, 0)
+    mine = np.repeat(np.arange(len(spans)), count)
+    theirs = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[mine]
+    begin = np.maximum(spans[mine, 0], others[theirs, 0])
+    return np.column_stack((begin, np.minimum(spans[mine, 1], others[theirs, 1])))
+
+
 def in_spans(time: NDArray[np.int64], spans: Spans) -> NDArray[np.bool_]:
     """Whether each time [ns since 1970 UTC] is in one of the spans; (n,)."""
     if len(spans) == 0:

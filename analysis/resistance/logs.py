@@ -12,7 +12,7 @@ from trainlog import __version__
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import train_of
 from trainlog.formats.files import sha256_of
-from trainlog.mcap import read_log
+from trainlog.mcap.stretches import stretches
 from trainlog.railway.configuration import ParameterSet
 from trainlog.railway.train import Train
 
@@ -44,6 +44,9 @@ class Fits:
 def fit_logs(logs: Iterable[Path], speeds: tuple[float, float] | None = None) -> Fits:
     """Fit each log, then all of them together.
 
+    A log too long for the memory is fitted in stretches, each an observation of its own: over
+    days the load and the weather change.
+
     Parameters
     ----------
     logs : iterable of path
@@ -65,13 +68,15 @@ def fit_logs(logs: Iterable[Path], speeds: tuple[float, float] | None = None) ->
     digests: dict[str, str] = {}
     train: Train | None = None
     for path in logs:
-        trip = read_log(path, topics=TOPICS)
-        digests[trip.name] = sha256_of(path)
-        try:
-            trips.append(fit_trip(trip, speeds))
-            train = train_of(trip)
-        except NotIdentifiableError as error:
-            refused[trip.name] = str(error)
+        digest = sha256_of(path)
+        for stretch in stretches(path, TOPICS):
+            trip = stretch.named()
+            digests[trip.name] = digest
+            try:
+                trips.append(fit_trip(trip, speeds))
+                train = train_of(trip)
+            except NotIdentifiableError as error:
+                refused[trip.name] = str(error)
     if train is None:
         first = next(iter(refused.values()), "no log was given")
         raise NotIdentifiableError(

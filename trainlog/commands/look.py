@@ -79,7 +79,7 @@ def compare(
     from analysis.compare import savings
     from analysis.report import savings_table
 
-    console.print(savings_table(savings(read_trips(logs), read_trips([followed]))))
+    console.print(savings_table(savings(logs_in(logs), logs_in([followed]))))
 
 
 @app.command(rich_help_panel="Look")

@@ -13,7 +13,7 @@ from trainlog.terminal import (
     console,
     destination,
     line_and_train,
-    read_trips,
+    logs_in,
     working,
     wrote,
 )
@@ -86,7 +86,7 @@ def optimise(
     if as_fast_as is not None:
         if running_time is not None:
             raise InputError("--running-time and --as-fast-as contradict", remedy="give one")
-        running_time = fastest_nonstop(read_trips([as_fast_as]), the_line)
+        running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     with working(f"optimising over {len(observed.configurations)} configurations"):
         trajectory = solve(
             the_line,

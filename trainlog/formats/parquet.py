@@ -17,12 +17,14 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 from pydantic import Field
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_folder, read_bytes, sha256
 from trainlog.formats.parquet_topics import (
+    ROWS,
     TopicReader,
     TopicWriter,
     damaged,
@@ -30,8 +32,9 @@ from trainlog.formats.parquet_topics import (
     times_of,
 )
 from trainlog.formats.schema import File, Part
+from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
 from trainlog.topics import SCHEMA_VERSION
-from trainlog.trip import Trip
+from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
 
 INDEX_FILE = "trip.json"
 """The file that makes a folder a trip."""
@@ -217,7 +220,12 @@ def read_parquet(folder: str | Path, topics: Selection | None = None) -> Trip:
 
 
 def stream_parquet(
-    folder: str | Path, topics: Selection | None = None, *, rows: int = 1_000_000
+    folder: str | Path,
+    topics: Selection | None = None,
+    *,
+    time: tuple[Any, Any] | None = None,
+    position: tuple[float | None, float | None] | None = None,
+    rows: int = 1_000_000,
 ) -> Iterator[Trip]:
     """Read a trip piece by piece, in the order of time.
 
@@ -228,6 +236,9 @@ def stream_parquet(
     ----------
     folder, topics
         As in `read_parquet`.
+    time, position : (start, end), optional
+        Only rows of this time, and at the times at which the train was within these positions; as
+        in `Trip.between` and `Trip.within`.
     rows : int
         A piece has about as many rows, and memory holds about twice as many.
 
@@ -242,9 +253,15 @@ def stream_parquet(
     LogError, InputError
         As `read_parquet`.
     """
+    spans = np.array([time_limits(*(time or (None, None)))], dtype=np.int64)
+    if position is not None:
+        spans = overlapping(spans, _spans_within(Path(folder), position))
     with _opened(Path(folder), topics) as (trip, files):
+        trip = trip.with_slice(time=time, position=position)
         batch = max(1, rows // max(1, len(files)))
-        waiting = {name: _Waiting(file.schema, file.batches(batch)) for name, file in files.items()}
+        waiting = {
+            name: _Waiting(file.schema, file.batches(batch, spans)) for name, file in files.items()
+        }
         ends: list[int] = [0]
         while ends:
             for each in waiting.values():
@@ -255,7 +272,39 @@ def stream_parquet(
                 name: files[name].frame(each.taken(min(ends) if ends else None))
                 for name, each in waiting.items()
             }
-            yield replace(trip, topics=frames)
+            yield replace(trip, topics=frames).cut(spans)
+
+
+def _spans_within(folder: Path, position: tuple[float | None, float | None]) -> Spans:
+    """When the train was within two positions."""
+    limits = position_limits(*position)
+    with _opened(folder, {name: ["position"] for name in POSITION_TOPICS}) as (trip, files):
+        for topic in POSITION_TOPICS:
+            if topic in files and files[topic].knows("position"):
+                pieces = (
+                    (times_of(rows), rows["position"].to_numpy())
+                    for rows in files[topic].batches(ROWS)
+                )
+                return spans_of_pieces(pieces, *limits)
+    raise LogError(
+        f"trip '{trip.name}' does not know where the train was", file=folder, remedy=NO_POSITION
+    )
+
+
+def time_span(folder: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
+    """Times of the first and the last row of any topic; None if there are no rows.
+
+    Raises
+    ------
+    LogError, InputError
+        As `read_parquet`.
+    """
+    with _opened(Path(folder), None) as (_, files):
+        spans = [file.spans() for file in files.values()]
+    every = np.concatenate([np.empty((0, 2), dtype=np.int64), *spans])
+    if len(every) == 0:
+        return None
+    return pd.Timestamp(every.min(), tz="UTC"), pd.Timestamp(every.max(), tz="UTC")
 
 
 class _Waiting:

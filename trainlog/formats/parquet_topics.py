@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from trainlog.errors import LogError
 from trainlog.formats.files import sha256
+from trainlog.spans import Spans, overlapping
 from trainlog.topics import TOPICS, column_field
 
 TIME = "time"
@@ -137,11 +138,38 @@ class TopicReader:
         with self._told():
             return self._file.read([*self._columns, TIME])
 
-    def batches(self, rows: int) -> Iterator[pa.Table]:
-        """All rows, at most so many at a time."""
+    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:
+        """Rows in the order of the file, at most so many at a time.
+
+        Row groups without any time in the spans are passed over.
+        """
+        groups = [
+            number
+            for number, span in enumerate(self.spans())
+            if spans is None or len(overlapping(spans, span[None]))
+        ]
         with self._told():
-            for batch in self._file.iter_batches(rows, columns=[*self._columns, TIME]):
+            for batch in self._file.iter_batches(
+                rows, row_groups=groups, columns=[*self._columns, TIME]
+            ):
                 yield pa.Table.from_batches([batch], self.schema)
+
+    def spans(self) -> Spans:
+        """First and last time of each row group [ns], (k, 2)."""
+        column = self._schema.names.index(TIME)
+        found = []
+        for number in range(self._file.num_row_groups):
+            group = self._file.metadata.row_group(number).column(column).statistics
+            found.append((group.min.value, group.max.value))
+        return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+    def knows(self, name: str) -> bool:
+        """Whether a column has any value."""
+        if name not in self._columns:
+            return False
+        column = self._schema.names.index(name)
+        groups = (self._file.metadata.row_group(n) for n in range(self._file.num_row_groups))
+        return any(group.column(column).statistics.num_values > 0 for group in groups)
 
     def frame(self, table: pa.Table) -> pd.DataFrame:
         """The frame of rows that were read."""

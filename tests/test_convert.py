@@ -1,0 +1,198 @@
+"""Logs as Parquet and back, whole and in part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.mcap_trips import START, assert_same, trip_of
+from trainlog.cli import run
+from trainlog.commands.selection import stretch, times
+from trainlog.errors import InputError, LogError
+from trainlog.formats.parquet import read_parquet, write_parquet
+from trainlog.mcap import convert as module
+from trainlog.mcap import read_log, write_log
+from trainlog.mcap.convert import convert, span_of
+from trainlog.topics import EVENTS, TRAIN_STATE
+from trainlog.trip import Trip, frame_of
+
+FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
+
+
+@pytest.fixture(autouse=True)
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "ROWS", 100)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    trip = trip_of(rows=200)
+    position = 1000.0 + np.arange(200) * 10.0
+    state = frame_of(TRAIN_STATE, trip[TRAIN_STATE.name].index, {"position": position})
+    trip = trip.with_topic(state)
+    del trip.topics["/estimates/state"]
+    write_log(trip, tmp_path / "trip.mcap")
+    return tmp_path / "trip.mcap"
+
+
+def test_a_log_goes_to_parquet_and_back_without_losing_a_byte(log: Path, tmp_path: Path) -> None:
+    done = convert(log, tmp_path / "trip.parquet")
+    assert_same(read_log(log), read_parquet(tmp_path / "trip.parquet"))
+    assert done.rows[TRAIN_STATE.name] == 200
+    convert(tmp_path / "trip.parquet", tmp_path / "again.mcap")
+    assert (tmp_path / "again.mcap").read_bytes() == log.read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["mcap", "parquet"])
+def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> None:
+    source = log
+    if kind == "parquet":
+        source = tmp_path / "trip.parquet"
+        write_parquet(read_log(log), source)
+    start = pd.Timestamp(START + 2 * 10**9, tz="UTC")
+    for number, (part, wanted) in enumerate(
+        (
+            ({"time": (start, None)}, read_log(log).between(start, None)),
+            ({"position": (1205.0, 1555.0)}, read_log(log).within(1205.0, 1555.0)),
+        )
+    ):
+        convert(source, tmp_path / f"{number}.mcap", **part)  # type: ignore[arg-type]
+        convert(source, tmp_path / f"{number}.parquet", **part)  # type: ignore[arg-type]
+        assert_same(wanted, read_log(tmp_path / f"{number}.mcap"))
+        assert_same(wanted, read_parquet(tmp_path / f"{number}.parquet"))
+
+
+def test_chosen_topics_are_told_in_the_provenance(log: Path, tmp_path: Path) -> None:
+    convert(log, tmp_path / "some.mcap", topics=[TRAIN_STATE.name, EVENTS.name])
+    back = read_log(tmp_path / "some.mcap")
+    assert list(back.topics) == [TRAIN_STATE.name, EVENTS.name]
+    assert back.provenance[-1]["topics"] == [TRAIN_STATE.name, EVENTS.name]
+
+
+def test_a_trip_without_rows_is_converted_too(tmp_path: Path) -> None:
+    write_log(trip_of(rows=0), tmp_path / "empty.mcap")
+    convert(tmp_path / "empty.mcap", tmp_path / "empty.parquet")
+    convert(tmp_path / "empty.parquet", tmp_path / "again.mcap")
+    assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "empty.mcap").read_bytes()
+    assert span_of(tmp_path / "empty.parquet") is span_of(tmp_path / "empty.mcap") is None
+
+
+def test_log_and_parquet_span_the_same_time(log: Path, tmp_path: Path) -> None:
+    convert(log, tmp_path / "trip.parquet")
+    trip = read_log(log)
+    assert span_of(log) == span_of(tmp_path / "trip.parquet") == (trip.start, trip.end)
+
+
+@pytest.mark.parametrize(
+    ("target", "part", "error", "said"),
+    [
+        ("part.mcap", {"position": (9e6, None)}, LogError, "nothing of the part asked for; see"),
+        (
+            "part.mcap",
+            {"topics": ["/mood"]},
+            LogError,
+            "holds no topic /mood; it holds",
+        ),
+        ("part.zip", {}, InputError, r"end it in .mcap or .parquet"),
+        ("trip.mcap", {}, InputError, "would be overwritten"),
+    ],
+)
+def test_what_cannot_be_converted_leaves_nothing_behind(
+    target: str, part: dict[str, object], error: type[Exception], said: str, log: Path
+) -> None:
+    before = log.read_bytes()
+    with pytest.raises(error, match=said):
+        convert(log, log.parent / target, **part)  # type: ignore[arg-type]
+    assert list(log.parent.iterdir()) == [log]
+    assert log.read_bytes() == before
+
+
+# ----------------------------------------------------------------------- logs of other programs
+
+
+@pytest.mark.skipif(not FOREIGN.exists(), reason="the files of other programs are not here")
+def test_logs_of_other_programs_become_parquet(tmp_path: Path) -> None:
+    source = FOREIGN / "rosbag2_py_test_resources_mcap_talker_talker.mcap"
+    done = convert(source, tmp_path / "talker.parquet")
+    talk = pd.read_parquet(tmp_path / "talker.parquet" / "topic.parquet")
+    assert talk["data"].iloc[0].startswith("Hello")
+    assert done.rows["/topic"] == len(talk) > 0
+    with pytest.raises(InputError, match=r"log of another program.*ingest"):
+        convert(source, tmp_path / "talker.mcap")
+    with pytest.raises(InputError, match="where the train was is not known"):
+        convert(source, tmp_path / "part.parquet", position=(0.0, 1.0))
+    assert list(tmp_path.iterdir()) == [tmp_path / "talker.parquet"]
+
+
+# ------------------------------------------------------------------------------------- the words
+
+FIRST, LAST = pd.Timestamp("2024-05-01T06:00:00Z"), pd.Timestamp("2024-05-01T07:00:00Z")
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("2024-05-01T06:10:00Z", FIRST + pd.Timedelta(minutes=10)),
+        ("2024-05-01 06:10", FIRST + pd.Timedelta(minutes=10)),
+        ("2024-05-01T08:10:00+02:00", FIRST + pd.Timedelta(minutes=10)),
+        ("10s", FIRST + pd.Timedelta(seconds=10)),
+        ("start+1.5min", FIRST + pd.Timedelta(seconds=90)),
+        ("250ms", FIRST + pd.Timedelta(milliseconds=250)),
+        ("end-5min", LAST - pd.Timedelta(minutes=5)),
+        ("end", LAST),
+        ("start", FIRST),
+        ("1h", LAST),
+    ],
+)
+def test_times_are_absolute_or_relative_to_the_log(word: str, meant: pd.Timestamp) -> None:
+    assert times(word, None, lambda: (FIRST, LAST)) == (meant, None)
+    assert times(None, word, lambda: (FIRST, LAST)) == (None, meant)
+
+
+def test_no_words_mean_everything_and_do_not_open_the_log() -> None:
+    def opened() -> None:
+        raise AssertionError
+
+    assert times(None, None, opened) is None  # type: ignore[arg-type]
+    assert times("2024-05-01", None, opened) is not None  # type: ignore[arg-type]
+    assert stretch(None) is None
+
+
+@pytest.mark.parametrize("word", ["soon", "10", "end+5s", "start-5s", "-5s", "5 parsec", ""])
+def test_words_that_are_no_time_are_refused(word: str) -> None:
+    with pytest.raises(InputError, match="is not a time; write it as"):
+        times(word, None, lambda: (FIRST, LAST))
+
+
+def test_relative_words_need_rows() -> None:
+    with pytest.raises(InputError, match="has no rows"):
+        times("10s", None, lambda: None)
+
+
+def test_stretches_are_kilometres() -> None:
+    assert stretch("3.2:7.5") == (3200.0, 7500.0)
+    assert stretch("3:") == (3000.0, None)
+    assert stretch(":7.5") == (None, 7500.0)
+    for wrong in ("3.2", "a:b", "1:2:3", ""):
+        with pytest.raises(InputError, match="is no stretch of the line; write kilometres"):
+            stretch(wrong)
+
+
+def test_the_command_converts_and_cuts(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, part = tmp_path / "trip.parquet", tmp_path / "part.mcap"
+    assert run(["convert", str(log), "-o", str(folder)]) == 0
+    words = ["convert", str(folder), "-o", str(part), "--km", "1.2:1.5", "--to", "end-1s"]
+    assert run([*words, "--topic", TRAIN_STATE.name]) == 0
+    assert "31 rows in 1 topics" in capsys.readouterr().out
+    assert read_log(part)[TRAIN_STATE.name]["position"].iloc[[0, -1]].tolist() == [1200.0, 1500.0]
+
+
+def test_a_stretch_of_a_folder_without_positions_is_refused(tmp_path: Path) -> None:
+    write_parquet(Trip({}, {"trip": "t7"}), tmp_path / "none.parquet")
+    with pytest.raises(LogError, match="does not know where the train was"):
+        convert(tmp_path / "none.parquet", tmp_path / "none.mcap", position=(0.0, 1.0))
