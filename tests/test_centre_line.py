@@ -194,7 +194,8 @@ def test_phones_on_a_metro_make_its_line() -> None:
     rides = {ride.name.split("-")[1]: ride for ride in ingest_each(AALTO)}
     survey = geometry_of([rides[number] for number in METRO])
     assert len(survey.used) == len(METRO)
-    assert 15_500.0 < survey.length < 16_800.0
+    # Where it ends under the city is one phone's word.
+    assert 14_800.0 < survey.length < 16_800.0
     known = survey.support > 0
     # No metro bends sharper than this, and none stands on its head.
     assert np.abs(survey.curvature[known]).max() < 1.0 / 150.0
