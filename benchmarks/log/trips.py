@@ -65,23 +65,30 @@ class Channel:
             yield at, self.message(**fields).SerializeToString()
 
 
+def message_of(topic: Topic) -> Callable[..., Any]:
+    """The protobuf class of a topic's messages."""
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(descriptor_set(topic)).file:
+        pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(topic.message))
+
+
 def channels_of(trip: Trip) -> list[Channel]:
     """The topics of a trip, ready to be written message by message."""
     found = []
     for name, frame in trip.topics.items():
         topic = TOPICS[name]
-        schema = descriptor_set(topic)
-        pool = DescriptorPool()
-        for file in FileDescriptorSet.FromString(schema).file:
-            pool.Add(file)
-        message = GetMessageClass(pool.FindMessageTypeByName(topic.message))
         patterns = [
             f"^{field.name}_[0-9]+$" if field.per_axle else f"^{field.name}$"
             for field in topic.fields
         ]
         values = [frame.filter(regex=pattern).to_numpy().tolist() for pattern in patterns]
         times = frame.index.as_unit("ns").asi8.tolist()
-        found.append(Channel(topic, schema, message, zip(times, *values, strict=True)))
+        found.append(
+            Channel(
+                topic, descriptor_set(topic), message_of(topic), zip(times, *values, strict=True)
+            )
+        )
     return found
 
 
