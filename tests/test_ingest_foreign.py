@@ -227,6 +227,32 @@ def test_foxglove_fixes_and_logs_are_known(tmp_path):
     assert len(read_log(tmp_path / "trip.mcap")["/gnss/fix"]) == 5
 
 
+def test_covariances_that_make_no_sense_give_no_accuracy(tmp_path):
+    schema = ("foxglove.LocationFix", "jsonschema", b"{}")
+    log = ForeignLog(tmp_path / "fixes.mcap")
+    odd = [1e308, np.inf, -np.inf, np.nan, -4.0, 4.0]
+    fixes = [
+        {
+            "latitude": 47.0,
+            "longitude": 8.0 + row * 1e-4,
+            "position_covariance": [value, 0, 0, 0, value, 0, 0, 0, value],
+            "position_covariance_type": 3,
+        }
+        for row, value in enumerate(odd)
+    ]
+    log.add(log.channel("/f", "json", schema), [json.dumps(f).encode() for f in fixes], SECOND)
+    fix = ingest(log.close())["/gnss/fix"]
+    assert len(fix) >= 4
+    assert fix["vertical_accuracy"].iloc[-1] == 2.0
+    assert not fix["horizontal_accuracy"].iloc[:-1].le(1e5).any()
+    path = json_log(
+        tmp_path / "v.mcap", "/v", [{"v": {"x": 1e200 * row, "y": 1}} for row in (0, 1)]
+    )
+    wanted = {"/gnss/motion.speed": {"column": "/v:v", "unit": "m/s"}}
+    trip = ingest(path, profile=profile(wanted))
+    assert trip["/gnss/motion"]["speed"].iloc[0] == 1.0
+
+
 def test_messages_that_cannot_be_decoded_are_counted(tmp_path):
     messages = [{"v": row} for row in range(9)]
     messages[4:5] = [b"{", b"[1]"]

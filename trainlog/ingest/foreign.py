@@ -31,7 +31,7 @@ from trainlog.ingest.recording import (
     field_of,
 )
 from trainlog.ingest.textfile import Cells
-from trainlog.ingest.timestamps import read_time
+from trainlog.ingest.timestamps import EARLIEST, LATEST, read_time
 from trainlog.mcap import ForeignFrames, describe, frames_of
 from trainlog.topics import EVENTS
 
@@ -304,7 +304,8 @@ def _values(frame: pd.DataFrame, path: str) -> Any:
     if len(axes) < 2 or not all(pd.api.types.is_numeric_dtype(frame[axis]) for axis in axes):
         return None
     parts = [frame[axis].to_numpy(dtype=np.float64, na_value=np.nan) for axis in axes]
-    return pd.Series(np.sqrt(np.sum(np.square(parts), axis=0)))
+    with np.errstate(over="ignore"):
+        return pd.Series(np.sqrt(np.sum(np.square(parts), axis=0)))
 
 
 def _stamp(frame: pd.DataFrame, path: str) -> IntArray | None:
@@ -325,8 +326,6 @@ def _stamp(frame: pd.DataFrame, path: str) -> IntArray | None:
 
 def _plausible(time: Any) -> IntArray:
     """Time [ns]; a clock that was never set counts as none."""
-    from trainlog.ingest.timestamps import EARLIEST, LATEST
-
     return np.where((time >= EARLIEST) & (time < LATEST), time, NO_TIME)
 
 

@@ -50,6 +50,8 @@ def _fix(frame: pd.DataFrame) -> Reading:
     kind = _number(frame, "position_covariance_type")
     east, north, up = (_number(frame, f"position_covariance[{at}]") for at in (0, 4, 8))
     known = kind != _COVARIANCE_UNKNOWN
+    with np.errstate(over="ignore", invalid="ignore"):
+        horizontal = (east + north) / 2.0
     signals = {
         "latitude": _number(frame, "latitude"),
         "longitude": _number(frame, "longitude"),
@@ -58,7 +60,7 @@ def _fix(frame: pd.DataFrame) -> Reading:
         "horizontal_accuracy": np.where(
             _number(frame, "status.status") <= _NO_FIX,
             NO_ACCURACY,
-            _deviation((east + north) / 2.0, known),
+            _deviation(horizontal, known),
         ),
         "vertical_accuracy": _deviation(up, known),
     }
