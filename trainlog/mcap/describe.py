@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from mcap.records import Channel
-from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.formats.files import sha256
@@ -17,17 +16,16 @@ from trainlog.mcap.account import Account
 from trainlog.mcap.channels import UNIT, axles_of
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file
+from trainlog.mcap.intervals import Rhythm, rhythms
+from trainlog.mcap.located import position_span
 from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
 from trainlog.mcap.places import Contents
-from trainlog.mcap.reader import attachments_of, metadata_of, trip_of
-from trainlog.mcap.selection import selection_of
+from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of
 from trainlog.mcap.source import Source
-from trainlog.mcap.stored import MisplacedError, index_in
+from trainlog.mcap.stored import MisplacedError
 from trainlog.mcap.walk import contents_by_walk
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip
-
-_POSITION = selection_of({TRAIN_STATE.name: ["position"]}, None, None)
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
@@ -150,8 +148,9 @@ class LogDescription:
 def describe(path: str | Path) -> LogDescription:
     """Tell what is in an MCAP file, whoever wrote it, and what is readable of a damaged one.
 
-    Times and gaps come from the message indexes; of the messages themselves only those that hold
-    the train's position are decompressed.
+    Times and gaps come from the message indexes, positions from the file's own record of them:
+    messages are decompressed only where a file does not have these. A damaged message is therefore
+    not noticed; `account_of` reads and verifies everything.
 
     Raises
     ------
@@ -162,18 +161,26 @@ def describe(path: str | Path) -> LogDescription:
     """
     with Source(path) as source, in_file(path):
         contents = contents_of(source)
-        records = metadata_of(contents)
+        refusal = None
         try:
-            trip, problem = _trip(source, contents)
+            span = position_span(source, contents, TRAIN_STATE.name)
         except MisplacedError:
             contents = contents_by_walk(source)
-            trip, problem = _trip(source, contents)
-        topics = _topics(source, contents)
+            span = position_span(source, contents, TRAIN_STATE.name)
+        except LogError as error:
+            span, refusal = None, str(error)
+        trip, problem = _trip(source, contents)
+        records = metadata_of(contents)
+        told = rhythms(source, contents)
+        topics = tuple(
+            _topic(contents, channel, told[number]) for number, channel in contents.channels.items()
+        )
         attachments = tuple(
             AttachmentDescription(place.name, place.media_type, place.size, sha256(data))
             for place, data in attachments_of(source, contents)
         )
     account = contents.account
+    problem = problem or refusal
     if not account.whole:
         first = account.losses[0]
         problem = f"byte {first.start}: {first.reason}"
@@ -187,7 +194,7 @@ def describe(path: str | Path) -> LogDescription:
         metadata=_metadata(records),
         provenance=trip.provenance if trip else (),
         attachments=attachments,
-        position_span=_position_span(trip),
+        position_span=span if trip else None,
         chunks=len(contents.chunks),
         compression=tuple(sorted({chunk.compression for chunk in contents.chunks})),
         stored_size=sum(chunk.stored for chunk in contents.chunks),
@@ -196,11 +203,9 @@ def describe(path: str | Path) -> LogDescription:
 
 
 def _trip(source: Source, contents: Contents) -> tuple[Trip | None, str | None]:
-    """The trip with its train state only, or the problem that reading the file meets."""
+    """The trip without its topics, or the problem that reading the file meets."""
     try:
-        return trip_of(source, contents, _POSITION, threads=1), None
-    except MisplacedError:
-        raise
+        return bare_trip(source, contents), None
     except LogError as error:
         return None, str(error)
 
@@ -216,48 +221,21 @@ def _metadata(records: dict[str, dict[str, str]]) -> dict[str, str]:
     }
 
 
-def _position_span(trip: Trip | None) -> tuple[float, float] | None:
-    if trip is None or TRAIN_STATE.name not in trip:
-        return None
-    position = trip[TRAIN_STATE.name]["position"].to_numpy()
-    known = position[np.isfinite(position)]
-    return (float(known.min()), float(known.max())) if len(known) else None
-
-
-def _topics(source: Source, contents: Contents) -> tuple[TopicDescription, ...]:
-    times: dict[int, list[NDArray[np.uint64]]] = {number: [] for number in contents.channels}
-    for place in list(contents.chunks):
-        try:
-            index = index_in(source, place)
-        except LogError as error:
-            contents.drop(place, error.problem)
-            continue
-        for number, entries in index.items():
-            # Messages of a channel that is not declared are among the losses.
-            if number in times:
-                times[number].append(entries[:, 0])
-    return tuple(
-        _topic(contents, channel, np.sort(np.concatenate(times[number] or [np.empty(0, "<u8")])))
-        for number, channel in contents.channels.items()
-    )
-
-
-def _topic(contents: Contents, channel: Channel, time: NDArray[np.uint64]) -> TopicDescription:
+def _topic(contents: Contents, channel: Channel, rhythm: Rhythm) -> TopicDescription:
     schema = contents.schema(channel)
-    interval = np.diff(time).astype(np.float64) * 1e-9
-    span = float(interval.sum())
-    median = float(np.median(interval)) if len(interval) else np.nan
+    span = (rhythm.last - rhythm.first) * 1e-9
+    median = rhythm.median
     return TopicDescription(
         name=channel.topic,
         message=schema.name if schema else "",
         encoding=channel.message_encoding,
-        count=len(time),
-        rate=len(interval) / span if span > 0 else np.nan,
-        first=_timestamp(time[0]) if len(time) else None,
-        last=_timestamp(time[-1]) if len(time) else None,
+        count=rhythm.count,
+        rate=(rhythm.count - 1) / span if span > 0 else np.nan,
+        first=_timestamp(rhythm.first) if rhythm.count else None,
+        last=_timestamp(rhythm.last) if rhythm.count else None,
         median_interval=median,
-        largest_gap=float(interval.max()) if len(interval) else np.nan,
-        gaps=int(np.count_nonzero(interval > GAP * median)),
+        largest_gap=rhythm.largest,
+        gaps=rhythm.longer_than(GAP * median),
         units={
             key.removeprefix(UNIT): value
             for key, value in channel.metadata.items()
@@ -267,8 +245,6 @@ def _topic(contents: Contents, channel: Channel, time: NDArray[np.uint64]) -> To
     )
 
 
-def _timestamp(time: np.uint64) -> pd.Timestamp | None:
+def _timestamp(time: int) -> pd.Timestamp | None:
     """The time as a time stamp; None beyond those that pandas has."""
-    if time > pd.Timestamp.max.value:
-        return None
-    return pd.Timestamp(int(time), tz="UTC")
+    return None if time > pd.Timestamp.max.value else pd.Timestamp(time, tz="UTC")

@@ -17,6 +17,9 @@ from trainlog.mcap.source import Source
 from trainlog.spans import Spans, merged_spans, spans_within
 from trainlog.trip import NO_POSITION, POSITION_TOPICS
 
+_AT_ONCE = 64
+"""Chunks whose positions are held at a time, where the file does not tell them."""
+
 
 def position_ranges(contents: Contents, topic: str) -> list[tuple[ChunkPlace, Range]] | None:
     """The chunks with messages of a topic, each with its positions; None if any is not known."""
@@ -51,6 +54,33 @@ def spans_in_log(
         if spans is not None:
             return spans
     raise LogError("does not know where the train was", remedy=NO_POSITION)
+
+
+def position_span(source: Source, contents: Contents, topic: str) -> tuple[float, float] | None:
+    """Least and greatest position that a topic tells [m]; None if it tells none.
+
+    Raises
+    ------
+    LogError
+        If messages are not what their channel says.
+    MisplacedError
+        If something is not as the summary says.
+    """
+    ranges = position_ranges(contents, topic)
+    if ranges is None:
+        ranges = []
+        places = _with_topic(contents, topic)
+        for at in range(0, len(places), _AT_ONCE):
+            group = places[at : at + _AT_ONCE]
+            frames = frames_in(source, contents, group, {topic: frozenset(["position"])}, threads=1)
+            position = frames[topic]["position"].to_numpy()
+            known = position[np.isfinite(position)]
+            if len(known):
+                ranges.append((group[0], (float(known.min()), float(known.max()))))
+    known_ranges = [each for _, each in ranges if not np.isnan(each[0])]
+    if not known_ranges:
+        return None
+    return min(least for least, _ in known_ranges), max(most for _, most in known_ranges)
 
 
 def _spans_by(
