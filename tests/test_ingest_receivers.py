@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import pyubx2
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from ingest_logs import plain_profile
 from recorder_files import (
     checked,
@@ -230,6 +233,42 @@ def test_a_logger_that_was_restarted_is_refused(tmp_path: Path) -> None:
     lines = [f"{since_start(10**9 * (i % 150 + 5))},U,{nav_pvt(run, i).hex()}" for i in range(300)]
     with pytest.raises(InputError, match=r"clock was restarted: .* split the file"):
         read(tmp_path, lines)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_fixes_are_what_pyubx2_reads(tmp_path: Path, data: st.DataObject) -> None:
+    """Every field, whatever the message holds; and a bit that is flipped is noticed."""
+    kept, lines = [], []
+    for i in range(12):
+        payload = bytearray(data.draw(st.binary(min_size=92, max_size=92)))
+        payload[4:12] = nav_pvt(drive(12, 1.0), i)[10:18]
+        payload[16:20] = bytes(4)
+        payload[20:22] = b"\x03\x01"
+        message = bytearray(ubx(b"\x01\x07", bytes(payload)))
+        if i in (4, 9):
+            message[data.draw(st.integers(6, 97))] ^= 1 << data.draw(st.integers(0, 7))
+        else:
+            kept.append(pyubx2.UBXReader.parse(bytes(message)))
+        lines.append(f"{since_start(10**9 * i)},U,{message.hex()}")
+    rules = ("before_first_fix", "no_fix", "out_of_limits", "spikes", "inconsistent")
+    trip = read(tmp_path, lines, profile=plain_profile(repair=dict.fromkeys(rules, False)))
+    assert report_of(trip).count("damaged_messages") == 2
+    columns = {
+        "latitude": ("lat", 1.0),
+        "longitude": ("lon", 1.0),
+        "altitude": ("hMSL", 1e-3),
+        "horizontal_accuracy": ("hAcc", 1e-3),
+        "vertical_accuracy": ("vAcc", 1e-3),
+        "speed": ("gSpeed", 1e-3),
+        "speed_accuracy": ("sAcc", 1e-3),
+        "satellites": ("numSV", 1.0),
+        "pdop": ("pDOP", 1.0),
+    }
+    frame = trip["/gnss/fix"].join(trip["/gnss/motion"])
+    for column, (name, scale) in columns.items():
+        expected = [getattr(message, name) * scale for message in kept]
+        np.testing.assert_allclose(frame[column], expected, rtol=1e-9, err_msg=column)
 
 
 def test_a_known_message() -> None:

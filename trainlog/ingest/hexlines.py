@@ -34,6 +34,7 @@ from trainlog.ingest.recording import (
     Table,
 )
 from trainlog.ingest.textfile import TextFile, open_text
+from trainlog.ingest.timestamps import from_parts
 
 FORCE_PER_BIT = 0.061e-3 * 9.80665
 """Specific force of one bit [m/s²]: 0.061 mg."""
@@ -58,6 +59,45 @@ FIRST_LINE = re.compile(rb"\s*\d+:\d\d:\d\d(\.\d+)?,[IUN],[0-9A-Fa-f]*\r?$")
 
 FIX = (2, 3, 4)
 """Fix types of UBX-NAV-PVT that are a position: 2D, 3D, and 3D with dead reckoning."""
+
+FIX_OK, DATE_AND_TIME = 0x01, 0x03
+"""Bits of `flags` (fix within limits) and of `valid` (date and time are known)."""
+
+NAV_PVT_HEAD = b"\xb5\x62\x01\x07\x5c\x00"
+"""Mark, class, kind and length of UBX-NAV-PVT."""
+
+NAV_PVT_FIELDS = {
+    "year": ("<u2", 4),
+    "month": ("u1", 6),
+    "day": ("u1", 7),
+    "hour": ("u1", 8),
+    "minute": ("u1", 9),
+    "second": ("u1", 10),
+    "valid": ("u1", 11),
+    "nano": ("<i4", 16),
+    "fix_type": ("u1", 20),
+    "flags": ("u1", 21),
+    "satellites": ("u1", 23),
+    "longitude": ("<i4", 24),
+    "latitude": ("<i4", 28),
+    "altitude": ("<i4", 36),
+    "horizontal_accuracy": ("<u4", 40),
+    "vertical_accuracy": ("<u4", 44),
+    "speed": ("<i4", 60),
+    "speed_accuracy": ("<u4", 68),
+    "pdop": ("<u2", 76),
+}
+"""Fields of UBX-NAV-PVT that are used, and where they stand in it (u-blox 8 / M8, 32.17.15.1)."""
+
+NAV_PVT = np.dtype(
+    {
+        "names": list(NAV_PVT_FIELDS),
+        "formats": [kind for kind, _ in NAV_PVT_FIELDS.values()],
+        "offsets": [len(NAV_PVT_HEAD) + offset for _, offset in NAV_PVT_FIELDS.values()],
+        "itemsize": 100,
+    }
+)
+"""The whole message, with mark and checksum."""
 
 
 def is_hexlines(head: bytes) -> bool:
@@ -120,13 +160,13 @@ class _Lines:
         """Which lines are of that kind."""
         return [int(i) for i in np.flatnonzero(self.kind == kind)]
 
-    def row(self, i: int) -> int:
+    def row(self, i: Any) -> int:
         return int(self.rows[i])
 
-    def bytes(self, i: int) -> bytes:
+    def bytes(self, i: Any) -> bytes:
         """What a line holds; nothing if its digits are no bytes."""
         try:
-            return bytes.fromhex(self.text[i].as_py() or "")
+            return bytes.fromhex(self.text[int(i)].as_py() or "")
         except ValueError:
             return b""
 
@@ -202,91 +242,103 @@ def _texts(text: pa.ChunkedArray, mask: BoolArray) -> Any:
     return np.asarray(text.filter(pa.array(mask)).to_pylist(), dtype=np.object_)
 
 
-def _ubx(lines: _Lines, messages: Messages) -> tuple[Table | None, tuple[list[int], list[int]]]:
+def _ubx(lines: _Lines, messages: Messages) -> tuple[Table | None, tuple[IntArray, IntArray]]:
     """The fixes of UBX-NAV-PVT, and times of the logger with the UTC that they tell."""
-    places = lines.of("U")
-    if not places:
-        return None, ([], [])
-    reader = extra("pyubx2").UBXReader
-    fixes: list[tuple[int, int, Any]] = []
-    logger: list[int] = []
-    utc: list[int] = []
+    mine = lines.kind == "U"
+    none = np.zeros(0, dtype=np.int64)
+    messages.read += int(np.count_nonzero(mine))
+    place, pvt = _nav_pvt(lines, mine)
+    whole = np.zeros(mine.size, dtype=np.bool_)
+    whole[place] = True
+    _count_others(lines, mine & ~whole, messages)
+    if not place.size:
+        return None, (none, none)
+    time = _pvt_time(pvt)
+    known = (time != NO_TIME) & (lines.time[place] != NO_TIME)
+    anchors = lines.time[place][known], time[known]
+    return Table(time, lines.rows[place], _pvt_signals(pvt)), anchors
+
+
+def _nav_pvt(lines: _Lines, mine: BoolArray) -> tuple[IntArray, Any]:
+    """Which lines are whole UBX-NAV-PVT messages, and these as records."""
+    lengths = pc.binary_length(lines.text).to_numpy()
+    place = np.flatnonzero(mine & (lengths == 2 * NAV_PVT.itemsize))
+    wanted = np.zeros(mine.size, dtype=np.bool_)
+    wanted[place] = True
+    digits = _characters(lines.text.filter(pa.array(wanted)), 2 * NAV_PVT.itemsize)
+    if digits is None:
+        return place[:0], np.zeros(0, dtype=NAV_PVT)
+    nibbles = NIBBLES[digits]
+    octets = (nibbles[:, ::2] << 4) | nibbles[:, 1::2]
+    # The checksum is Fletcher's, over all but the mark and itself (u-blox 8 / M8, 32.4).
+    first = np.cumsum(octets[:, 2:-2], axis=1, dtype=np.int64)
+    second = first.sum(axis=1)
+    good = nibbles.max(axis=1) < 16
+    good &= np.all(octets[:, : len(NAV_PVT_HEAD)] == np.frombuffer(NAV_PVT_HEAD, np.uint8), axis=1)
+    good &= (first[:, -1] % 256 == octets[:, -2]) & (second % 256 == octets[:, -1])
+    return place[good], np.ascontiguousarray(octets[good]).view(NAV_PVT)[:, 0]
+
+
+def _count_others(lines: _Lines, others: BoolArray, messages: Messages) -> None:
+    """Count the messages that are not used by their names, and those that are damaged."""
+    places = np.flatnonzero(others)
+    if not places.size:
+        return
+    parse = extra("pyubx2").UBXReader.parse
     for i in places:
-        messages.read += 1
         try:
-            message = reader.parse(lines.bytes(i))
+            message = parse(lines.bytes(i))
         except Exception:  # noqa: BLE001 - the parser raises whatever a byte leads it to
             message = None
         if message is None:
-            messages.damaged(lines.row(i), lines.text[i].as_py())
-        elif message.identity != "NAV-PVT":
-            messages.others[f"UBX {message.identity}"] += 1
+            messages.damaged(lines.row(i), lines.text[int(i)].as_py())
         else:
-            time = _pvt_time(message)
-            fixes.append((lines.row(i), time, message))
-            if time != NO_TIME and lines.time[i] != NO_TIME:
-                logger.append(int(lines.time[i]))
-                utc.append(time)
-    return _pvt_table(fixes) if fixes else None, (logger, utc)
+            messages.others[f"UBX {message.identity}"] += 1
 
 
-def _pvt_time(message: Any) -> int:
-    """UTC of a UBX-NAV-PVT [ns]; `NO_TIME` if the receiver does not vouch for it."""
-    if not (message.validDate and message.validTime):
-        return NO_TIME
-    try:
-        stamp = pd.Timestamp(
-            year=message.year,
-            month=message.month,
-            day=message.day,
-            hour=message.hour,
-            minute=message.min,
-            tz="UTC",
-        )
-    except ValueError:
-        return NO_TIME
+def _pvt_time(pvt: Any) -> IntArray:
+    """UTC of UBX-NAV-PVT [ns]; `NO_TIME` if the receiver does not vouch for it."""
+    parts = [pvt[name].astype(np.float64) for name in ("year", "month", "day", "hour", "minute")]
+    minute = from_parts([*parts, np.zeros(len(pvt))])
+    vouched = (pvt["valid"] & DATE_AND_TIME == DATE_AND_TIME) & (minute != NO_TIME)
     # The second may be 60, the nanoseconds are negative where it was rounded up.
-    return int(stamp.value + message.second * 1_000_000_000 + message.nano)
+    second = pvt["second"].astype(np.int64) * 1_000_000_000 + pvt["nano"]
+    return np.where(vouched, minute + second, NO_TIME)
 
 
-def _pvt_table(fixes: list[tuple[int, int, Any]]) -> Table:
-    def column(name: str, scale: float = 1.0) -> FloatArray:
-        return np.array([getattr(message, name) for _, _, message in fixes], dtype=float) * scale
-
-    fixed = np.isin(column("fixType"), FIX) & (column("gnssFixOk") == 1.0)
-    signals = {
-        "/gnss/fix.latitude": np.where(fixed, column("lat"), np.nan),
-        "/gnss/fix.longitude": np.where(fixed, column("lon"), np.nan),
-        "/gnss/fix.altitude": column("hMSL") / 1e3,
-        "/gnss/fix.horizontal_accuracy": column("hAcc") / 1e3,
-        "/gnss/fix.vertical_accuracy": column("vAcc") / 1e3,
-        "/gnss/motion.speed": column("gSpeed") / 1e3,
-        "/gnss/motion.speed_accuracy": column("sAcc") / 1e3,
-        "/gnss/motion.satellites": column("numSV"),
-        "/gnss/motion.pdop": column("pDOP"),
+def _pvt_signals(pvt: Any) -> dict[str, FloatArray]:
+    fixed = np.isin(pvt["fix_type"], FIX) & (pvt["flags"] & FIX_OK != 0)
+    return {
+        "/gnss/fix.latitude": np.where(fixed, pvt["latitude"] / 1e7, np.nan),
+        "/gnss/fix.longitude": np.where(fixed, pvt["longitude"] / 1e7, np.nan),
+        "/gnss/fix.altitude": pvt["altitude"] / 1e3,
+        "/gnss/fix.horizontal_accuracy": pvt["horizontal_accuracy"] / 1e3,
+        "/gnss/fix.vertical_accuracy": pvt["vertical_accuracy"] / 1e3,
+        "/gnss/motion.speed": pvt["speed"] / 1e3,
+        "/gnss/motion.speed_accuracy": pvt["speed_accuracy"] / 1e3,
+        "/gnss/motion.satellites": pvt["satellites"].astype(np.float64),
+        "/gnss/motion.pdop": pvt["pdop"] / 1e2,
     }
-    rows, times = ([fix[i] for fix in fixes] for i in (0, 1))
-    return Table(np.array(times, dtype=np.int64), np.array(rows, dtype=np.int64), signals)
 
 
-def _line_anchors(lines: _Lines, gnss: Table) -> tuple[list[int], list[int]]:
+def _line_anchors(lines: _Lines, gnss: Table) -> tuple[IntArray, IntArray]:
     """Times of the logger with the UTC of the epochs whose first sentence stands there."""
     at = np.searchsorted(lines.rows, gnss.rows)
     known = (gnss.time != NO_TIME) & (lines.time[at] != NO_TIME)
-    return [int(t) for t in lines.time[at][known]], [int(t) for t in gnss.time[known]]
+    return lines.time[at][known], gnss.time[known]
 
 
 class _Offset:
     """UTC less the logger's time, as the receiver's messages tell it."""
 
-    def __init__(self, logger: list[int], utc: list[int]) -> None:
-        if not logger:
+    def __init__(self, logger: IntArray, utc: IntArray) -> None:
+        if not logger.size:
             raise InputError(
                 "no message tells the time: the lines' own clock only counts since the start",
                 remedy="have the receiver send UBX-NAV-PVT, or RMC, and record until it has a fix",
             )
         order = np.argsort(utc, kind="stable")
-        clock, told = (np.array(times, dtype=np.int64)[order] for times in (logger, utc))
+        clock, told = logger[order], utc[order]
         offset = told - clock
         window = (told - told[0]) // WINDOW
         edges = np.flatnonzero(np.diff(window, prepend=-1))
@@ -295,7 +347,7 @@ class _Offset:
         self.base = int(np.median(offset))
         self.clock = np.array([np.median(clock[a:b]) for a, b in pairs])
         self.offset = np.array([np.median(offset[a:b] - self.base) for a, b in pairs])
-        self.count = len(logger)
+        self.count = logger.size
         leaps = np.abs(np.diff(self.offset)) > MAX_OFFSET_CHANGE
         if leaps.any():
             raise InputError(

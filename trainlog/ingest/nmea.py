@@ -11,6 +11,8 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterable
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +102,11 @@ class Epochs:
     def take(self, row: int, prefix: str, sentence: str, messages: Messages) -> None:
         """Add a sentence to its epoch; what cannot be parsed is counted as damaged."""
         messages.read += 1
-        if "*" not in sentence[-4:]:
+        if not _whole(sentence):
             messages.damaged(row, sentence)
+            return
+        if sentence[3:6] not in READERS:
+            messages.others[f"NMEA {sentence[1:].partition(',')[0]}"] += 1
             return
         try:
             parsed = self.parse(f"{sentence}\r\n".encode("ascii", "replace"), validate=1)
@@ -109,9 +114,6 @@ class Epochs:
             messages.damaged(row, sentence)
             return
         kind = parsed.msgID
-        if kind not in READERS:
-            messages.others[f"NMEA {parsed.identity}"] += 1
-            return
         of_day = getattr(parsed, "time", None)
         if kind in TIMED:
             if not isinstance(of_day, datetime.time):
@@ -208,6 +210,12 @@ class Epochs:
         # The logger's clock may be beside the receiver's, also across midnight.
         near = np.round((logged - of_day) / DAY).astype(np.int64) * DAY
         return np.where(pd.isna(stamps), NO_TIME, near)
+
+
+def _whole(sentence: str) -> bool:
+    """Whether a sentence ends with the checksum of what stands before it."""
+    body, mark, told = sentence[1:].rpartition("*")
+    return bool(mark) and f"{reduce(xor, body.encode(), 0):02X}" == told.upper()
 
 
 def _nanoseconds(time: datetime.time) -> int:

@@ -46,7 +46,7 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
     """
     columns = [table[name] for name in options.names]
     if options.format == "parts":
-        time = _from_parts([_number(column, decimal) for column in columns])
+        time = from_parts([_number(column, decimal) for column in columns])
         time = _localised(time, options.timezone, file)
     elif options.format in ("epoch", "elapsed"):
         time = _from_count(columns[0], options, decimal, file)
@@ -72,7 +72,7 @@ def _number(column: pa.ChunkedArray, decimal: str) -> FloatArray:
     return numbers(column, decimal)[0]
 
 
-def _from_parts(parts: list[FloatArray]) -> IntArray:
+def from_parts(parts: list[FloatArray]) -> IntArray:
     """Time from year, month, day, hour, minute, second; `NO_TIME` where there is no such day."""
     bounds = ((1980, 2099), (1, 12), (1, 31), (0, 23), (0, 59), (0, 60.999999999))
     valid = np.ones(parts[0].size, dtype=np.bool_)
