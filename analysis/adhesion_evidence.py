@@ -7,9 +7,11 @@ their order.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.slip import SlipAnalysis, slip
@@ -82,6 +84,12 @@ def evidence(
     LogError
         If the rail condition is not known, or slip cannot be analysed (`analysis.slip.slip`).
     """
+    condition = condition_of(trip, track, layer)
+    return evidence_of(slip(trip), track, condition, sha256=sha256)
+
+
+def condition_of(trip: Trip, track: TrackConditionMap, layer: str | None = None) -> str:
+    """The rail condition of a trip on the map's line; arguments and errors as for `evidence`."""
     condition = layer or trip.metadata.get("weather", "")
     if not condition:
         raise LogError(
@@ -90,20 +98,32 @@ def evidence(
         )
     line = line_of(trip)
     check_line(track, trip.name, line.name, line.length)
-    return evidence_of(slip(trip), track, condition, sha256=sha256)
+    return condition
 
 
 def evidence_of(
     analysis: SlipAnalysis, track: TrackConditionMap, layer: str, *, sha256: str = ""
 ) -> Evidence:
-    """Evidence of an analysed trip on the map's line; arguments as for `evidence`.
+    """Evidence of an analysed trip on the map's line; see `evidence_of_parts`."""
+    return evidence_of_parts([analysis], track, layer, sha256=sha256)
+
+
+def evidence_of_parts(
+    parts: Iterable[SlipAnalysis], track: TrackConditionMap, layer: str, *, sha256: str = ""
+) -> Evidence:
+    """Evidence of a trip that was analysed part by part; arguments as for `evidence`.
 
     All onsets of one bin are one measurement of that trip: their mean, with what they differ by
     and the trip's own deviation. A bin without one counts once, at the highest level that was used
     in it (less one standard deviation, since the highest of noisy values is too high).
     """
-    known = analysis.events["measured"] & analysis.events["position"].between(0.0, track.length)
-    onsets = analysis.events[known]
+    highest, found, trip = np.zeros(track.bins), [], ""
+    for part in parts:
+        known = part.events["measured"] & part.events["position"].between(0.0, track.length)
+        found.append(part.events[known])
+        highest = np.maximum(highest, _highest(part, track))
+        trip = part.trip
+    onsets = pd.concat(found)
     place = track.bin_of(onsets["position"])
     log_adhesion = np.log(onsets["adhesion"].to_numpy())
     precision = (onsets["adhesion"] / onsets["adhesion_std"]).to_numpy() ** 2
@@ -121,19 +141,17 @@ def evidence_of(
         length=track.length,
         bin_length=track.bin_length,
         layer=layer,
-        trip=analysis.trip,
+        trip=trip,
         sha256=sha256,
         events=events,
         weight=weight,
         weighted_log=_fixed(weight * summed(precision * log_adhesion) / safe),
-        censored=_censored(analysis, track, seen),
+        censored=_censored(highest, track, seen),
     )
 
 
-def _censored(
-    analysis: SlipAnalysis, track: TrackConditionMap, measured: NDArray[np.bool_]
-) -> FloatArray:
-    """Highest level that each bin without a measured onset was seen to bear, as a histogram."""
+def _highest(analysis: SlipAnalysis, track: TrackConditionMap) -> FloatArray:
+    """Highest adhesion that each bin was seen to bear, (bins,)."""
     used = np.max(np.abs(analysis.adhesion) - analysis.adhesion_std, axis=1)
     margin = min(POSITION_MARGIN, 0.25 * track.bin_length)
     within = np.mod(analysis.position, track.bin_length)
@@ -141,6 +159,13 @@ def _censored(
     known &= (analysis.position >= 0.0) & (analysis.position <= track.length)
     highest = np.zeros(track.bins)
     np.maximum.at(highest, track.bin_of(analysis.position[known]), used[known])
+    return highest
+
+
+def _censored(
+    highest: FloatArray, track: TrackConditionMap, measured: NDArray[np.bool_]
+) -> FloatArray:
+    """Level that each bin without a measured onset was seen to bear, as a histogram."""
     level = np.searchsorted(track.levels, highest, side="right") - 1
     rows = np.flatnonzero((level >= 0) & ~measured)
     histogram = np.zeros((track.bins, track.levels.size))

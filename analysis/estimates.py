@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -12,6 +14,8 @@ from analysis.slip import slip
 from estimators.kalman import smooth_motion
 from trainlog import __version__
 from trainlog.errors import LogError, TrainlogError
+from trainlog.mcap import LogWriter
+from trainlog.mcap.stretches import stretches
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of, seconds
 
@@ -67,6 +71,40 @@ def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
         "estimate", software=f"trainlog {__version__}", added=added, refused=refusals
     )
     return done, tuple(refusals)
+
+
+def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
+    """Write a log with what can be estimated of it; see `with_estimates`.
+
+    A log too long for the memory is estimated in stretches: at each the running resistance is
+    learnt anew, and the sizes of the noise and the wheel diameters are those of the stretch.
+
+    Returns
+    -------
+    tuple of str
+        What could not be estimated, and why.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read, or nothing could be estimated; a stretch of several for which
+        nothing could is written as it was recorded.
+    InputError
+        If the output cannot be written.
+    """
+    refusals: list[str] = []
+    with LogWriter(output) as writer:
+        for stretch in stretches(log):
+            try:
+                trip, refused = with_estimates(stretch.trip)
+            except LogError as error:
+                if stretch.count == 1:
+                    raise
+                trip, refused = stretch.trip, (str(error),)
+            writer.add(stretch.core(trip))
+            where = "" if stretch.count == 1 else f"part {stretch.number} of {stretch.count}: "
+            refusals += [f"{where}{told}" for told in refused]
+    return tuple(refusals)
 
 
 def _state(trip: Trip, result: Trip) -> Trip:

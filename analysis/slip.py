@@ -7,7 +7,7 @@ sample says that the maximum is at least what is in use.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
+from trainlog.spans import in_spans
 from trainlog.topics import ESTIMATED_ADHESION, EVENTS
 from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
@@ -108,6 +109,15 @@ class SlipAnalysis:
     slipping: BoolArray
     wheel_factor: FloatArray
     events: pd.DataFrame
+
+    def part(self, span: tuple[int, int]) -> SlipAnalysis:
+        """The samples from one instant to another [ns since 1970 UTC], and what began then."""
+        rows = in_spans(self.time.as_unit("ns").asi8, np.array([span], dtype=np.int64))
+        starts = pd.DatetimeIndex(self.events["start"]).as_unit("ns").asi8
+        events = self.events[in_spans(starts, np.array([span], dtype=np.int64))]
+        names = ("position", "speed", "speed_std", "slip_speed", "adhesion", "adhesion_std")
+        samples = {name: getattr(self, name)[rows] for name in (*names, "slipping", "time")}
+        return replace(self, events=events, **samples)
 
     def adhesion_frame(self) -> pd.DataFrame:
         """Frame of the topic ``/estimates/adhesion``."""

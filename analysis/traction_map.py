@@ -7,7 +7,7 @@ order and grouping, and give the same map, byte for byte.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.adhesion_evidence import Evidence, check_line, evidence, evidence_of, setting
+from analysis.adhesion_evidence import (
+    Evidence,
+    check_line,
+    condition_of,
+    evidence,
+    evidence_of,
+    evidence_of_parts,
+    setting,
+)
 from analysis.adhesion_field import Prior, solve_field
+from analysis.slip import SlipAnalysis, slip
 from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
 from trainlog.formats.files import sha256_of
 from trainlog.mcap import read_log
+from trainlog.mcap.stretches import stretches
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
 from trainlog.railway.line import Line
@@ -168,7 +178,9 @@ def update_logs(
 ) -> tuple[TrackConditionMap, tuple[str, ...]]:
     """Add log files to a map; None begins a new one on the line of the first log.
 
-    A log is told from others by the SHA-256 of its file.
+    A log is told from others by the SHA-256 of its file. One too long for the memory is analysed
+    in stretches: what is taken from a whole trip, the sizes of the noise and the wheel diameters,
+    is then that of the stretch.
 
     Parameters
     ----------
@@ -191,16 +203,25 @@ def update_logs(
     track = known
     pieces = []
     for path in logs:
-        trip = read_log(path, topics=TOPICS)
+        trip = read_log(path, topics=[])
         try:
             if track is None:
                 track = empty_map(_own_line(trip))
-            pieces.append(evidence(trip, track, sha256=sha256_of(path), layer=layer))
+            condition = condition_of(trip, track, layer)
+            parts = _analysed(path)
+            pieces.append(evidence_of_parts(parts, track, condition, sha256=sha256_of(path)))
         except TrainlogError as error:
             raise type(error)(error.problem, file=path, remedy=error.remedy) from error
     if track is None:
         raise InputError("no log was given", remedy="name logs to build the map from")
     return update(track, pieces)
+
+
+def _analysed(path: Path) -> Iterator[SlipAnalysis]:
+    """Slip over a log, stretch by stretch; one in which the axles were not recorded has none."""
+    for stretch in stretches(path, TOPICS):
+        if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
+            yield slip(stretch.trip).part(stretch.span)
 
 
 def _own_line(trip: Trip) -> Line:

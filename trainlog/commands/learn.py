@@ -62,17 +62,14 @@ def estimate(
 
     Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
     """
-    from analysis.estimates import with_estimates
-    from trainlog.mcap import read_log, write_log
+    from analysis.estimates import estimate_log
 
     with progress_bar() as progress:
         for log in progress.track(logs_in(logs), description="estimating"):
             if (output / log.name).resolve() == log.resolve():
                 raise InputError("would be overwritten", file=log, remedy="name another folder")
-            trip, refusals = with_estimates(read_log(log))
             made_folder(output)
-            write_log(trip, output / log.name)
-            for refusal in refusals:
+            for refusal in estimate_log(log, output / log.name):
                 progress.console.print(f"  not estimated: {refusal}", highlight=False)
             wrote(output / log.name)
 

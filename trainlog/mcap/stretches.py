@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file
@@ -57,25 +56,24 @@ class Stretch:
         name = f"{self.trip.name} ({self.number} of {self.count})"
         return replace(self.trip, metadata={**self.trip.metadata, "trip": name})
 
-    def own(self, time: pd.DatetimeIndex) -> NDArray[np.bool_]:
-        """Which of the times are in the stretch itself, not in its margins; (n,)."""
-        nanoseconds = time.as_unit("ns").asi8
-        return np.asarray((nanoseconds >= self.span[0]) & (nanoseconds <= self.span[1]))
-
-    def core(self) -> Trip:
-        """The rows of the stretch itself."""
-        return self.trip.cut(np.array([self.span], dtype=np.int64))
+    def core(self, trip: Trip) -> Trip:
+        """The rows of the stretch itself in a trip made of it, without the margins."""
+        return trip if self.count == 1 else trip.cut(np.array([self.span], dtype=np.int64))
 
 
-def stretches(path: str | Path, topics: Sequence[str], *, rows: int = ROWS) -> Iterator[Stretch]:
+def stretches(
+    path: str | Path, topics: Sequence[str] | None = None, *, rows: int | None = None
+) -> Iterator[Stretch]:
     """Read a log in stretches, in the order of time.
 
     Parameters
     ----------
     path : path
-    topics : sequence of str
-    rows : int
-        A stretch has about so many rows over these topics at most, without its margins.
+    topics : sequence of str, optional
+        Default: all.
+    rows : int, optional
+        A stretch has about so many rows over these topics at most, without its margins. Default:
+        `ROWS`.
 
     Yields
     ------
@@ -87,7 +85,7 @@ def stretches(path: str | Path, topics: Sequence[str], *, rows: int = ROWS) -> I
     LogError, InputError
         As `read_log`.
     """
-    borders = _borders(path, topics, rows)
+    borders = _borders(path, topics, rows or ROWS)
     if not borders:
         yield Stretch(read_log(path, topics), ALWAYS, 1, 1)
         return
@@ -104,12 +102,14 @@ def stretches(path: str | Path, topics: Sequence[str], *, rows: int = ROWS) -> I
         yield Stretch(part, (first, last), number, len(edges) - 1)
 
 
-def _borders(path: str | Path, topics: Sequence[str], rows: int) -> list[int]:
+def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[int]:
     """Times [ns] at which a log is parted: where chunks begin, so that few are read twice."""
     with Source(path) as source, in_file(path):
         contents = contents_of(source)
         channels = {
-            each.channel.id for each in topic_channels(contents) if each.topic.name in topics
+            each.channel.id
+            for each in topic_channels(contents)
+            if topics is None or each.topic.name in topics
         }
         chunks = sorted(contents.chunks, key=lambda place: place.start)
     held = [sum(n for channel, n in each.counts.items() if channel in channels) for each in chunks]
