@@ -45,14 +45,6 @@ def logs_in(paths: list[Path]) -> list[Path]:
     return found
 
 
-def read_trips(paths: list[Path]) -> list[Trip]:
-    """All trips in the logs and folders named."""
-    from trainlog.mcap import read_log
-
-    with progress_bar() as progress:
-        return [read_log(log) for log in progress.track(logs_in(paths), description="reading")]
-
-
 FACTS = ("trip", "weather", "load", "clock")
 """What can be said of a recorded trip that its file does not tell."""
 

@@ -8,10 +8,18 @@ from typing import Annotated
 import typer
 
 from trainlog.commands.options import Logs
+from trainlog.commands.selection import (
+    FromOption,
+    KilometreOption,
+    ToOption,
+    source_span,
+    stretch,
+    times,
+)
 from trainlog.terminal import (
     console,
     logs_in,
-    read_trips,
+    progress_bar,
     working,
     wrote,
 )
@@ -40,19 +48,27 @@ def replay(
     condition: Annotated[
         Path | None, typer.Option("--map", help="Track-condition map to show.")
     ] = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    km: KilometreOption = None,
     viewer: Annotated[
         bool, typer.Option(help="Open the Rerun viewer where there is a display.")
     ] = True,
 ) -> None:
-    """Show trips in the Rerun viewer, by time and by position.
+    """Show trips in the Rerun viewer, by time and by position; or a part of them.
 
     Example: trainlog replay results/trips/trip-01.mcap -o results/replay.rrd
     """
     from trainlog.formats.condition import read_map
     from trainlog.formats.trajectory import read_trajectory
+    from trainlog.mcap.stretches import read_bounded
     from trainlog.replay import open_viewer, record_replay
 
-    trips = read_trips(logs)
+    with progress_bar() as progress:
+        trips = [
+            read_bounded(log, time=times(start, end, source_span(log)), position=stretch(km))
+            for log in progress.track(logs_in(logs), description="reading")
+        ]
     with working(f"writing {output.name}"):
         record_replay(
             trips,
