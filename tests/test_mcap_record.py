@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import threading
 import time as clock
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from mcap_trips import ATTACHMENTS, METADATA, START, assert_same, trip_of
 
 import trainlog
 from trainlog.errors import InputError, LogError
-from trainlog.mcap import OverloadWarning, Recording, read_log, recorder
+from trainlog.mcap import OverloadWarning, Recording, read_log, recording_file, write_log
 from trainlog.mcap.sink import PackedChunk, RawChunk
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
@@ -193,14 +194,14 @@ def test_an_event_happens_now_unless_told_otherwise(tmp_path: Path) -> None:
 def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """A disk that takes no chunk before the gate is opened."""
     opened = threading.Event()
-    compress = recorder.packed
+    compress = recording_file.packed
 
     def held(raw: RawChunk) -> PackedChunk:
         if threading.current_thread().name == "trainlog.record":
             assert opened.wait(30)
         return compress(raw)
 
-    monkeypatch.setattr(recorder, "packed", held)
+    monkeypatch.setattr(recording_file, "packed", held)
     return opened
 
 
@@ -365,3 +366,41 @@ def test_a_full_disk_is_told_and_what_was_written_stays(size: int, tmp_path: Pat
         state = read_log(path)[STATE]
     assert len(state) == written > 0
     np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(written))
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of a few pages, where this user may make one."""
+    mounted = tmp_path / "disk"
+    mounted.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(mounted)]
+    if shutil.which("mount") is None or subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("only an administrator can make a small disk")
+    try:
+        yield mounted
+    finally:
+        subprocess.run(["umount", str(mounted)], check=True)
+
+
+def fill(log: Recording) -> None:
+    """Record until the disk is full."""
+    random = np.random.default_rng(1)
+    for number in range(100_000):
+        log.write(STATE, START + number * 50 + np.arange(50), speed=random.random(50))
+        clock.sleep(0.001)
+
+
+def test_a_disk_that_is_really_full(small_disk: Path) -> None:
+    log = trainlog.record(small_disk / "log.mcap", flush=0.01)
+    with pytest.raises(InputError, match="no space left on device; free some space"):
+        fill(log)
+    with pytest.raises(InputError, match="no space left"):
+        log.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the missing summary, if there was no room for it
+        state = read_log(small_disk / "log.mcap")[STATE]
+    assert len(state) == log.account().written[STATE] > 0
+    np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(len(state)))
+    with pytest.raises(InputError, match="no space left"):
+        write_log(trip_of(rows=5000), small_disk / "trip.mcap")
+    assert [path.name for path in small_disk.iterdir()] == ["log.mcap"]

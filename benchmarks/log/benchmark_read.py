@@ -29,8 +29,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import zstandard
-from benchmark_log import read_officially, trip_of, write_officially
 from mcap_protobuf.decoder import DecoderFactory
+from trips import read_officially, trip_of, write_officially
 
 from trainlog.mcap import LogWriter, describe, read_log, stream_log, write_log
 from trainlog.mcap.contents import contents_of

@@ -11,7 +11,9 @@ import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from mcap.reader import make_reader
 from mcap.writer import Writer
+from mcap_protobuf.decoder import DecoderFactory
 from small_mcap import McapWriter
 
 from trainlog.mcap.schemas import descriptor_set
@@ -121,3 +123,17 @@ def write_small(trip: Trip, path: Path) -> None:
             for number, (at, data) in enumerate(row, start=1):
                 writer.add_message(number, at, data, at)
         writer.finish()
+
+
+def read_officially(path: Path) -> int:
+    """The same columns with the official reader and decoder."""
+    columns: dict[str, list[float]] = {}
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            columns.setdefault(channel.topic, []).append(message.log_time)
+            for field in decoded.DESCRIPTOR.fields:
+                columns.setdefault(channel.topic + field.name, []).append(
+                    getattr(decoded, field.name)
+                )
+    return len(columns)

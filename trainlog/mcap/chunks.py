@@ -15,8 +15,8 @@ from trainlog.mcap.sink import RawChunk
 
 PERIOD = 60 * 10**9
 """Longest time that one chunk of a derived file spans [ns]: a minute of a trip is what a damaged
-chunk costs at most. With 10 s files are up to a twentieth larger, without limit a hundredth smaller.
-"""
+chunk costs at most. With 10 s files are up to a twentieth larger, with no limit up to a hundredth
+smaller."""
 
 LARGEST = 2**20
 """Largest chunk before compression [bytes], unless one message is longer."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import errno
-import os
 import struct
 import threading
 import time as clock
@@ -28,11 +27,12 @@ from trainlog.formats.files import writing_error
 from trainlog.mcap.chunks import Stream, plan_of
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.events import HIGHEST_LEVEL, event_record
-from trainlog.mcap.facts import attachment_of, metadata_records
+from trainlog.mcap.facts import metadata_records
 from trainlog.mcap.fill import ListedRecords
 from trainlog.mcap.intake import Form, Table, axles_in, form_of, nanoseconds, table_of
 from trainlog.mcap.names import RECORDING_RECORD
-from trainlog.mcap.sink import Sink, packed
+from trainlog.mcap.recording_file import RecordingFile
+from trainlog.mcap.sink import packed
 from trainlog.mcap.streams import known_topic
 from trainlog.topics import EVENTS, TOPICS
 from trainlog.trip import Trip
@@ -40,9 +40,6 @@ from trainlog.version import __version__
 
 QUEUE = 2**26
 """How much may wait to be written, unless told otherwise [bytes]: seconds of a busy train."""
-
-_UNBOUNDED = 2**62
-"""A period [ns] that no chunk of a recording reaches: it is cut by its flushes."""
 
 _WARNING = 3
 """foxglove.Log.WARNING."""
@@ -157,24 +154,8 @@ class Recording:
         with in_file(path):
             described = metadata_records(Trip({}, metadata, (step,), attachments))
         described[RECORDING_RECORD] = {"flush": repr(float(flush)), "sync": str(sync).lower()}
-        try:
-            self._file = path.open("xb", buffering=0)
-        except FileExistsError as error:
-            remedy = "choose another name; a recording never overwrites a file"
-            raise InputError("exists already", file=path, remedy=remedy) from error
-        except OSError as error:
-            raise writing_error(path, error) from error
-        try:
-            self._sink = Sink(self._file)
-            for name, values in described.items():
-                self._sink.put_metadata(name, values)
-            for name, content in sorted(attachments.items()):
-                self._sink.put_attachment(attachment_of(name, content, 0))
-            self._declare(events)
-        except OSError as error:
-            self._file.close()
-            path.unlink(missing_ok=True)
-            raise writing_error(path, error) from error
+        declared = (events.schema, events.channel)
+        self._file = RecordingFile(path, declared, described, attachments, sync=sync)
         warm_up()
         self._thread = threading.Thread(target=self._run, name="trainlog.record", daemon=True)
         self._thread.start()
@@ -361,7 +342,8 @@ class Recording:
                 closing = self._closing
                 batch = self._taken()
             try:
-                self._write(self._streams(batch))
+                for counts in self._file.put(self._streams(batch)):
+                    self._count(counts)
             except MemoryError:
                 self._fail(OSError(errno.ENOMEM, "out of memory"))
             except OSError as error:
@@ -405,31 +387,10 @@ class Recording:
             )
         return sorted(streams, key=lambda stream: stream.channel.id)
 
-    def _write(self, streams: list[Stream]) -> None:
-        """Write streams as chunks, each counted when it is in the file."""
-        for stream in streams:
-            self._sink.declare(stream.schema)
-            self._sink.declare(stream.channel)
-        plan = plan_of(streams, period=_UNBOUNDED)
-        for number in range(len(plan)):
-            chunk = packed(plan.chunk(number))
-            self._sink.put_chunk(chunk)
-            with self._lock:
-                for stream in streams:
-                    count = len(chunk.index.get(stream.channel.id, ()))
-                    name = stream.channel.topic
-                    self._written[name] = self._written.get(name, 0) + count
-        if self._sync:
-            os.fsync(self._file.fileno())
-        here, there = os.fstat(self._file.fileno()), self._path.stat()
-        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
-            raise FileNotFoundError(
-                errno.ENOENT, "another file has taken its place", str(self._path)
-            )
-
-    def _declare(self, table: Table) -> None:
-        self._sink.declare(table.schema)
-        self._sink.declare(table.channel)
+    def _count(self, counts: dict[str, int]) -> None:
+        with self._lock:
+            for name, count in counts.items():
+                self._written[name] = self._written.get(name, 0) + count
 
     def _fail(self, error: OSError) -> None:
         """End the recording because the file cannot be written; what is whole in it stays."""
@@ -438,32 +399,16 @@ class Recording:
             self._failure = found
 
     def _end(self) -> None:
-        """Close the file: with its summary if there is room for it, else behind its last chunk."""
+        """Close the file; its closing metadata say what is missing."""
         account = self.account()
         closed = {"closed": "whole" if self._failure is None else self._failure.problem}
         closed |= {f"dropped.{name}": str(count) for name, count in account.dropped.items()}
         closed |= {f"lost.{name}": str(count) for name, count in account.waiting.items()}
         try:
-            if self._failure:
-                self._cut()
-            self._sink.put_metadata(RECORDING_RECORD, closed)
-            self._sink.finish()
-            if self._sync:
-                os.fsync(self._file.fileno())
+            self._file.end(closed, failed=self._failure is not None)
         except OSError as error:
             if self._failure is None:
                 self._fail(error)
-            try:
-                self._cut()
-            except OSError as further:
-                error.add_note(str(further))
-        finally:
-            self._file.close()
-
-    def _cut(self) -> None:
-        """Take away the part of a record that a failed write may have left."""
-        self._file.truncate(self._sink.position)
-        self._file.seek(self._sink.position)
 
 
 def _checked_event(time: Any, level: int, message: str, name: str) -> tuple[int, int, str, str]:
