@@ -15,7 +15,8 @@ from simulated_world import flirt, hilly_line
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, report_of
-from trainlog.ingest.chainage import Fixes, chainage_of
+from trainlog.ingest.chainage import chainage_of
+from trainlog.ingest.wheels import Fixes
 from trainlog.railway import Geometry, Line
 from trainlog.railway.projection import nearest_on, track_of
 from trainlog.simulation.recorders import write_ublox_csv
