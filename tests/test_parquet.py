@@ -201,13 +201,19 @@ def test_the_columns_tell_unit_and_meaning_and_what_is_unknown_is_null(tmp_path:
     assert str(table.schema.field("time").type) == "timestamp[ns, tz=UTC]"
 
 
-def test_doubles_are_split_by_bytes(tmp_path: Path) -> None:
-    write_parquet(trip_of(rows=20), tmp_path / "trip.parquet")
-    file = pq.ParquetFile(tmp_path / "trip.parquet" / "train_state.parquet")
-    for number in range(3):
-        column = file.metadata.row_group(0).column(number)
-        assert "BYTE_STREAM_SPLIT" in column.encodings
-        assert column.compression == "ZSTD"
+def test_doubles_are_split_by_bytes_unless_few_come_again_and_again(tmp_path: Path) -> None:
+    speed = np.random.default_rng(1).normal(20.0, 1.0, 400)
+    state = frame_of(
+        TRAIN_STATE, START + np.arange(400), {"speed": speed, "position": np.arange(400) // 10}
+    ).astype(float)
+    state.attrs = STATE.attrs
+    write_parquet(Trip({TRAIN_STATE.name: state}), tmp_path / "trip.parquet")
+    group = pq.ParquetFile(tmp_path / "trip.parquet" / "train_state.parquet").metadata.row_group(0)
+    kinds = {group.column(n).path_in_schema: group.column(n) for n in range(4)}
+    assert "BYTE_STREAM_SPLIT" in kinds["speed"].encodings
+    assert "RLE_DICTIONARY" in kinds["position"].encodings
+    assert "DELTA_BINARY_PACKED" in kinds["time"].encodings
+    assert all(column.compression == "ZSTD" for column in kinds.values())
 
 
 # ------------------------------------------------------------------------------------ bad input

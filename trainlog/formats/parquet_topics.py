@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from trainlog.errors import LogError
@@ -23,6 +24,9 @@ TIME = "time"
 
 COMPRESSION_LEVEL = 3
 """Of zstd."""
+
+DICTIONARY = 0.25
+"""Share of different values in a column up to which a dictionary of them is kept."""
 
 ROWS = 131_072
 """Rows of a row group: what is compressed, and read, at a time."""
@@ -50,16 +54,7 @@ class TopicWriter:
         self._schema = _described(topic, _table(topic, frame).schema)
         self._waiting: list[pa.Table] = []
         self._last = np.iinfo(np.int64).min
-        self._file = pq.ParquetWriter(
-            path,
-            self._schema,
-            compression="zstd",
-            compression_level=COMPRESSION_LEVEL,
-            # A dictionary helps words; numbers are stored in a way of their own.
-            use_dictionary=[f.name for f in self._schema if _encoding(f.type) is None],
-            column_encoding={f.name: e for f in self._schema if (e := _encoding(f.type))},
-            write_page_checksum=True,
-        )
+        self._file: pq.ParquetWriter | None = None
 
     def add(self, frame: pd.DataFrame) -> None:
         """Append rows; LogError if their columns are not those of the first."""
@@ -90,14 +85,31 @@ class TopicWriter:
 
     def close(self) -> None:
         """Write the rows that wait for a full row group, and close the file."""
-        if self._file.is_open and self._waiting:
-            self._write(pa.concat_tables(self._waiting))
-        self._waiting = []
-        self._file.close()
+        rest, self._waiting = self._waiting, []
+        if rest or self._file is None:
+            self._write(pa.concat_tables([self._schema.empty_table(), *rest]))
+        if self._file is not None:
+            self._file.close()
 
     def _write(self, table: pa.Table) -> None:
-        if len(table):
-            self._file.write_table(table.combine_chunks(), row_group_size=ROWS)
+        together = table.combine_chunks()
+        if self._file is None:
+            self._file = self._opened(together.slice(0, ROWS))
+        if len(together):
+            self._file.write_table(together, row_group_size=ROWS)
+
+    def _opened(self, first: pa.Table) -> pq.ParquetWriter:
+        """The file begun; the first row group tells how each column is best stored."""
+        encodings = {field.name: _encoding(first[field.name]) for field in self._schema}
+        return pq.ParquetWriter(
+            self.path,
+            self._schema,
+            compression="zstd",
+            compression_level=COMPRESSION_LEVEL,
+            use_dictionary=[name for name, encoding in encodings.items() if encoding is None],
+            column_encoding={name: each for name, each in encodings.items() if each},
+            write_page_checksum=True,
+        )
 
 
 class TopicReader:
@@ -249,8 +261,15 @@ def _described(topic: str, schema: pa.Schema) -> pa.Schema:
     return pa.schema(fields, metadata)
 
 
-def _encoding(kind: pa.DataType) -> str | None:
-    """How Parquet stores numbers of a type; None leaves it to Parquet."""
+def _encoding(column: pa.ChunkedArray) -> str | None:
+    """How the numbers of a column are best stored; None for a dictionary of the values.
+
+    A recorder's numbers of few digits, and words, come again and again; what was measured or
+    computed to the last digit does not.
+    """
+    kind = column.type
+    if len(column) and pc.count_distinct(column).as_py() <= DICTIONARY * len(column):
+        return None
     if pa.types.is_float64(kind) or pa.types.is_float32(kind):
         return "BYTE_STREAM_SPLIT"
     if pa.types.is_timestamp(kind) or pa.types.is_int64(kind):
