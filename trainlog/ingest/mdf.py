@@ -25,7 +25,7 @@ from trainlog.errors import InputError
 from trainlog.ingest.mapping import recording_of
 from trainlog.ingest.messages import extra
 from trainlog.ingest.profile import WORDS, Column, Profile, suggestion
-from trainlog.ingest.recording import IntArray, Recording, field_of
+from trainlog.ingest.recording import NO_TIME, IntArray, Recording, field_of
 from trainlog.ingest.textfile import Cells
 from trainlog.ingest.timestamps import EARLIEST, LATEST
 from trainlog.units import factor
@@ -42,6 +42,9 @@ UNITS = {
     "km/std": "km/h",
 }
 """How measurement files spell units that `trainlog.units` spells otherwise."""
+
+LONGEST = 1e8
+"""Time since the start [s], three years, beyond which it is no time."""
 
 Place = tuple[int, int]
 """Number of a group, and of a channel in it."""
@@ -222,9 +225,7 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
         signals |= dict(zip(channels, read, strict=True))
         columns[name] = _with_unit(name, column, read[0], channels, path)
     groups = sorted({group for places in part.places.values() for group, _ in places})
-    clocks = {
-        group: start + np.round(_master(signals, group) * 1e9).astype(np.int64) for group in groups
-    }
+    clocks = {group: _clock(signals, group, start) for group in groups}
     time, rows = _instants(clocks)
     table = pa.table(
         {
@@ -250,10 +251,13 @@ def _selected(mdf: Any, places: list[Place], words: bool, path: Path) -> list[An
     return list(_asked(path, lambda: mdf.select(wanted, ignore_value2text_conversions=not words)))
 
 
-def _master(signals: dict[str, Any], group: int) -> Any:
-    """Time of a group's samples since the start [s]."""
+def _clock(signals: dict[str, Any], group: int, start: int) -> IntArray:
+    """Time of a group's samples [ns]; `NO_TIME` where the file holds none."""
     key = next(key for key in signals if key.startswith(f"{group}:"))
-    return np.asarray(signals[key].timestamps, dtype=np.float64)
+    seconds = np.asarray(signals[key].timestamps, dtype=np.float64)
+    sane = np.abs(seconds) < LONGEST  # False for NaN
+    since = np.round(np.where(sane, seconds, 0.0) * 1e9).astype(np.int64)
+    return np.where(sane, start + since, NO_TIME)
 
 
 def _instants(clocks: dict[int, IntArray]) -> tuple[IntArray, dict[int, IntArray]]:

@@ -1,0 +1,83 @@
+"""Whatever happens to a recorder's file, it gives trips or one of our errors, never another."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+import test_ingest_aalto as phones
+import test_ingest_mdf as measured
+from recorder_files import drive, gpx_text, hexlines, mtk, nmea_lines
+
+from trainlog.errors import TrainlogError
+from trainlog.ingest import ingest_each, repairs_of, report_of
+
+FILLS = (b"\0", b",", b"\n", b'"', b"9", b"-", b"e", b"<")
+
+
+def whole(kind: str, folder: Path) -> tuple[Path, bytes]:
+    """A good file of a format."""
+    run = drive(30, 1.0)
+    if kind == "aalto":
+        rides = [phones.ride(1, "SUBWAY", "V", "09:02:00", "09:09:00")]
+        path = phones.both(folder, phones.fixes(1, "09:00:00", "09:10:00"), rides)
+        return path, path.read_bytes()
+    if kind == "mdf":
+        samples = [measured.signal(measured.speed(measured.SLOW), measured.SLOW, "v", "km/h")]
+        path = measured.measured(folder / "run.mf4", groups=[samples])
+        return path, path.read_bytes()
+    text = {
+        "gpx": gpx_text(run),
+        "nmea": "\n".join(nmea_lines(run)),
+        "hexlines": hexlines(0, 8, 20).text,
+        "mtk": mtk(0, before=5).text[:6000],
+    }[kind]
+    return folder / "run.dat", text.encode()
+
+
+def damaged(draw: random.Random, data: bytes) -> bytes:
+    """The file with one to eight stretches flipped, cut, doubled or filled."""
+    found = bytearray(data)
+    for _ in range(draw.randint(1, 8)):
+        start, length = draw.randrange(len(found)), draw.randint(1, 40)
+        kind = draw.choice(["flip", "cut", "double", "fill"])
+        if kind == "flip":
+            found[start] ^= draw.randint(1, 255)
+        elif kind == "cut":
+            del found[start : start + length]
+        elif kind == "double":
+            found[start:start] = found[start : start + length]
+        else:
+            found[start : start + length] = draw.choice(FILLS) * length
+    return bytes(found)
+
+
+@pytest.mark.parametrize("kind", ["gpx", "nmea", "hexlines", "mtk", "aalto", "mdf"])
+def test_damage_gives_trips_or_our_error(tmp_path: Path, kind: str) -> None:
+    path, data = whole(kind, tmp_path)
+    draw = random.Random(kind)
+    profile = measured.profile({"/train/state.speed": {"column": "v"}}) if kind == "mdf" else None
+    for _ in range(40):
+        path.write_bytes(damaged(draw, data))
+        told, trips = "", []
+        try:
+            trips.extend(ingest_each(path, format=kind, profile=profile))
+        except TrainlogError as error:
+            told = str(error)
+        assert told.startswith(str(path.parent)) if told else trips
+        assert "\n" not in told
+        for trip in trips:
+            report = report_of(trip)
+            assert 0 < report.rows_kept <= report.rows_read
+            assert len(repairs_of(trip)) == report.raw_kept
+
+
+def test_samples_without_a_time_are_dropped(tmp_path: Path) -> None:
+    seconds = measured.FAST.copy()
+    seconds[[50, 70]] = float("nan"), 1e300
+    signals = [measured.signal(measured.speed(measured.FAST), seconds, "v", "km/h")]
+    path = measured.measured(tmp_path / "run.mf4", groups=[signals])
+    profile = measured.profile({"/train/state.speed": {"column": "v"}})
+    (trip,) = ingest_each(path, profile=profile)
+    assert report_of(trip).counts == {"time_unreadable": 2}
