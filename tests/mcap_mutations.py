@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from random import Random
@@ -425,6 +426,7 @@ def mutated(data: bytes, seed: int) -> tuple[str, bytes]:
         more = [name for name in MUTATIONS if name not in _ALONE]
         chosen += random.choices(more, k=random.choice((0, 0, 0, 1, 2)))
     for name in chosen:
-        if len(data) > len(MAGIC):
-            data = MUTATIONS[name](random, data)
+        # What was damaged before may have nothing left that this could be done to.
+        with suppress(struct.error, ValueError, IndexError):
+            data = MUTATIONS[name](random, data) if len(data) > len(MAGIC) else data
     return ", ".join(chosen), data

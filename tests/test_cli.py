@@ -125,9 +125,10 @@ def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
     )
     assert status == 0
     for line in complaint.splitlines():
-        assert line.startswith(f"trainlog: warning: {cut}: ")
-        assert "messages in" in line
-        assert "lost: bytes" in line
+        assert line.startswith(f"trainlog: warning: {cut}: is damaged: ")
+        assert "messages are readable" in line
+        assert "bytes are lost" in line
+        assert "trainlog recover" in line
     assert complaint
 
 

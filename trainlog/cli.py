@@ -117,5 +117,6 @@ def _complain(message: str) -> int:
 
 
 def _warn(message: Warning | str, *_: object, **__: object) -> None:
-    """One line for a warning, such as that a log is damaged and what of it is lost."""
-    _complain(f"warning: {message}")
+    """One yellow line for a warning, such as that a log is damaged and what of it is lost."""
+    told = " ".join(f"trainlog: warning: {message}".split())
+    complaints.print(told, style="yellow", markup=False, highlight=False, soft_wrap=True)

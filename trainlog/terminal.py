@@ -15,6 +15,7 @@ from trainlog.errors import InputError
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from trainlog.mcap import Account
     from trainlog.railway import Line, Train
     from trainlog.trip import Trip
 
@@ -93,6 +94,19 @@ def about(trip: Trip) -> str:
     words += [f"load {float(known['load']) / 1e3:.1f} t"] if known.get("load") else []
     words += [f"as {known['configuration']}"] if known.get("configuration") else []
     return f"  {trip.name}: {', '.join(filter(None, words))}"
+
+
+def tell_account(log: Path, account: Account, to: Console) -> None:
+    """Tell what of a log is readable and what is lost: a line, and one for each loss."""
+    to.print(
+        f"{log}: {account.sentence}",
+        style=None if account.whole else "yellow",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    for line in [] if account.whole else account.lines()[1:]:
+        to.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 
 def wrote(*paths: Path) -> None:

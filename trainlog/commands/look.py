@@ -1,4 +1,4 @@
-"""Commands that look at logs: info, replay, compare, report."""
+"""Commands that look at logs: info, check, replay, compare, report."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from trainlog.terminal import (
     console,
     logs_in,
     progress_bar,
+    tell_account,
     working,
     wrote,
 )
@@ -38,6 +39,27 @@ def info(logs: Logs) -> None:
 
     for log in logs_in(logs):
         console.print(render(describe(log)))
+
+
+@app.command(rich_help_panel="Look")
+def check(logs: Logs) -> None:
+    """Read logs to the last byte, verify every checksum, and account for what is lost.
+
+    MCAP files of other programs are checked alike. Exit status 1 if any log is damaged;
+    [bold]trainlog recover[/bold] rebuilds it.
+
+    Example: trainlog check results/trips
+    """
+    from trainlog.mcap import account_of
+
+    damaged = 0
+    with progress_bar() as progress:
+        for log in progress.track(logs_in(logs), description="checking"):
+            account = account_of(log)
+            damaged += not account.whole
+            tell_account(log, account, progress.console)
+    if damaged:
+        raise typer.Exit(1)
 
 
 @app.command(rich_help_panel="Look")

@@ -1,4 +1,4 @@
-"""Commands that make logs: simulate, ingest; and import of lines and trains."""
+"""Commands that make logs: simulate, ingest, recover; and import of lines and trains."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from trainlog.terminal import (
     logs_in,
     pairs,
     progress_bar,
+    tell_account,
     working,
     wrote,
 )
@@ -158,6 +159,34 @@ def _named(recording: Path, output: Path, trips: Iterator[Trip]) -> Iterator[tup
         several = "recording" in trip.provenance[0]
         name = re.sub(r"[^\w.+-]+", "_", trip.name) if several else recording.stem
         yield output / f"{name}.mcap", trip
+
+
+@app.command(rich_help_panel="Record")
+def recover(
+    logs: Logs,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Log to write, or folder for several.")
+    ],
+) -> None:
+    """Rebuild damaged logs with every message that is readable, and account for what is lost.
+
+    A log that was cut, that a recorder left when it was killed, or that a disk has damaged becomes
+    a whole one with an index. Works for MCAP files of any program. The damaged log stays as it is;
+    the account is kept in the new one.
+
+    Example: trainlog recover trip.mcap -o recovered/
+    """
+    from trainlog.mcap import recover as rebuild
+
+    found = logs_in(logs)
+    several = len(found) > 1 or output.suffix != ".mcap"
+    if several:
+        made_folder(output)
+    with progress_bar() as progress:
+        for log in progress.track(found, description="recovering"):
+            target = output / log.name if several else destination(output, ".mcap")
+            tell_account(log, rebuild(log, target), progress.console)
+            progress.console.print(f"wrote {target}", highlight=False, soft_wrap=True)
 
 
 @app.command(name="import", rich_help_panel="Record")

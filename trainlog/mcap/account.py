@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 
@@ -27,8 +28,41 @@ class Loss:
 
 
 @dataclass(frozen=True)
+class Unfinished:
+    """A live recording that was not closed: its recorder was killed, or lost its power.
+
+    Attributes
+    ----------
+    last : int or None
+        Time of the last sample that is in the file [ns since 1970 UTC]; None if there is none.
+    flush : float
+        Period after which what was recorded is in the file [s]: the most that is missing.
+    """
+
+    last: int | None
+    flush: float
+
+    def __str__(self) -> str:
+        """What happened, in words."""
+        if self.last is None:
+            return f"the recording was not closed; at most {self.flush:g} s are missing"
+        second, rest = divmod(self.last, 10**9)
+        try:
+            text = datetime.fromtimestamp(second, UTC).strftime("%Y-%m-%d %H:%M:%S")
+        except (OverflowError, OSError, ValueError):
+            text = f"{second} s after 1970,"
+        return (
+            f"the recording was not closed; its last sample is of {text}.{rest // 10**6:03d} UTC, "
+            f"at most {self.flush:g} s after it are missing"
+        )
+
+
+@dataclass(frozen=True)
 class Account:
     """What was read of a file, and each stretch that was lost.
+
+    Every byte of the file was read, or is part of one loss. A loss of no bytes stands where
+    something is missing, or where what was read contradicts itself.
 
     Attributes
     ----------
@@ -36,11 +70,14 @@ class Account:
         That are readable.
     losses : tuple of Loss
         In the order of the file; empty if it is whole.
+    unfinished : Unfinished or None
+        If the file is a live recording that was not closed.
     """
 
     messages: int
     chunks: int
     losses: tuple[Loss, ...] = ()
+    unfinished: Unfinished | None = None
 
     @property
     def whole(self) -> bool:
@@ -58,6 +95,21 @@ class Account:
         counts = [loss.messages for loss in self.losses]
         return None if None in counts else sum(count for count in counts if count is not None)
 
+    @property
+    def sentence(self) -> str:
+        """The account in one sentence."""
+        if self.whole:
+            return f"is whole: {self.messages:,} messages in {self.chunks:,} chunks"
+        first, *others = self.losses
+        lost = "" if self.messages_lost is None else f"{self.messages_lost:,} messages, "
+        more = f", and {len(others):,} more" if others else ""
+        unfinished = f"; {self.unfinished}" if self.unfinished else ""
+        return (
+            f"is damaged: {self.messages:,} messages are readable, "
+            f"{lost}{self.bytes_lost:,} bytes are lost "
+            f"(byte {first.start:,}: {first.reason}{more}){unfinished}"
+        )
+
     def lines(self) -> list[str]:
         """The account in words: what is readable, then one line a loss."""
         shown = [f"{self.messages:,} messages in {self.chunks:,} chunks are readable"]
@@ -67,6 +119,8 @@ class Account:
                 f"lost: bytes {loss.start:,} to {loss.end:,} ({loss.end - loss.start:,} bytes"
                 f"{held}): {loss.reason}"
             )
+        if self.unfinished:
+            shown.append(str(self.unfinished))
         return shown
 
     def details(self) -> dict[str, Any]:
@@ -76,15 +130,8 @@ class Account:
             "chunks": self.chunks,
             "bytes_lost": self.bytes_lost,
             "messages_lost": self.messages_lost,
-            "losses": [
-                {
-                    "start": loss.start,
-                    "end": loss.end,
-                    "reason": loss.reason,
-                    "messages": loss.messages,
-                }
-                for loss in self.losses
-            ],
+            "losses": [asdict(loss) for loss in self.losses],
+            "unfinished": asdict(self.unfinished) if self.unfinished else None,
         }
 
 
@@ -101,4 +148,7 @@ class DamageWarning(UserWarning):
     def __init__(self, file: str, account: Account) -> None:
         self.file = file
         self.account = account
-        super().__init__(f"{file}: {'; '.join(account.lines())}")
+        super().__init__(
+            f"{file}: {account.sentence}; 'trainlog check' tells all, "
+            "'trainlog recover' rebuilds the file"
+        )

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from mcap.records import Channel, Metadata, Schema, Statistics
 
-from trainlog.mcap.account import Account, Loss
+from trainlog.mcap.account import Account, Loss, Unfinished
+from trainlog.mcap.names import RECORDING_RECORD
 
 
 class ChunkPlace(NamedTuple):
@@ -133,4 +134,20 @@ class Contents:
     def account(self) -> Account:
         """What is readable and what is lost, as far as it is known by now."""
         losses = sorted(self.losses, key=lambda loss: (loss.start, loss.end))
-        return Account(self.counts().total(), len(self.chunks), tuple(losses))
+        unfinished = self._unfinished() if losses else None
+        return Account(self.counts().total(), len(self.chunks), tuple(losses), unfinished)
+
+    def _unfinished(self) -> Unfinished | None:
+        """How a live recording ended that was not closed; None if this is none."""
+        flush = None
+        for record in self.metadata:
+            if record.name == RECORDING_RECORD:
+                if "closed" in record.metadata:
+                    return None
+                flush = record.metadata.get("flush", flush)
+        try:
+            period = float(flush or "nan")
+        except ValueError:
+            return None
+        last = max((chunk.end for chunk in self.chunks if chunk.counts), default=None)
+        return Unfinished(last, period) if period >= 0 else None

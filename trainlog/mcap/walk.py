@@ -394,7 +394,7 @@ class _Walk:
                 for number, loss in enumerate(self._losses):
                     if loss.start <= offset < loss.end and loss.messages is not None:
                         self._losses[number] = replace(loss, messages=loss.messages - messages)
-        if self._chunked and (self._losses or not self._closed):
+        if self._chunked:
             self._drop_astray()
 
     def _drop_astray(self) -> None:
@@ -402,10 +402,13 @@ class _Walk:
 
         They are pieces of broken chunks, and nothing vouches for them.
         """
+        harmed = bool(self._losses) or not self._closed
+        end = self._source.size if self._data_end is None else self._data_end[0]
         for section in self._sections:
             kept = []
             for chunk in section.chunks:
-                if chunk.loose and chunk.behind > self._verified:
+                doubtful = chunk.behind > self._verified and (harmed or chunk.offset > end)
+                if chunk.loose and doubtful:
                     reason = "messages outside of the chunks that the file has"
                     self._insert(Loss(chunk.offset, chunk.behind, reason))
                 else:
@@ -424,6 +427,7 @@ class _Walk:
         elif self._closed and self._data_end is None and not self._losses:
             at = self._footer[0] if self._footer else size
             self._lose(at, at, "the data section has no end", 0)
+        self._settle_summary()
         if self._data_end is not None and self._data_end[1].data_section_crc:
             end = self._data_end[0]
             damage = any(loss.start <= end for loss in self._losses)
@@ -433,6 +437,16 @@ class _Walk:
             ):
                 reason = "a record outside of the chunks, or their order, fails the checksum"
                 self._insert(Loss(end, end, reason))
+
+    def _settle_summary(self) -> None:
+        """Say that what is lost behind the data section held no messages."""
+        if self._data_end is None or len(self._sections) > 1:
+            return
+        end = self._data_end[0]
+        if not any(chunk.offset > end for chunk in self._sections[0].chunks):
+            self._losses = [
+                replace(loss, messages=0) if loss.start > end else loss for loss in self._losses
+            ]
 
     def _check_summary(self) -> bool:
         """Whether the summary is as it was written; a Loss is noted if not."""

@@ -1,0 +1,412 @@
+"""A damaged log is accounted for to the byte, and rebuilt with everything that is readable."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tracemalloc
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from mcap.reader import SeekingReader
+from mcap.writer import CompressionType
+from mcap_judge import Specimen, foreign, messages_in, specimen, specimens, time_limit
+from mcap_mutations import CHUNK, MESSAGE, chunk_bytes, records_of
+from mcap_trips import assert_same, trip_of
+from rerun.chunk import McapReader
+
+import trainlog
+from trainlog.cli import main
+from trainlog.errors import InputError, LogError
+from trainlog.mcap import (
+    Account,
+    DamageWarning,
+    account_of,
+    describe,
+    read_log,
+    recover,
+    write_log,
+)
+from trainlog.mcap.account import Loss, Unfinished
+from trainlog.mcap.names import RECOVERY_RECORD
+from trainlog.mcap.source import Source
+from trainlog.mcap.walk import contents_by_walk
+from trainlog.topics import EVENTS, TRAIN_STATE
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Specimen:
+    """A log of 120 messages in three chunks."""
+    return specimens(tmp_path_factory.mktemp("whole"))[0]
+
+
+def put(tmp_path: Path, data: bytes) -> Path:
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    return tmp_path / "damaged.mcap"
+
+
+def chunk_groups(data: bytes) -> list[tuple[int, int]]:
+    """Each chunk's first byte, and the byte behind it."""
+    return [(each.start, each.end) for each in records_of(data) if each.opcode == CHUNK]
+
+
+# ---------------------------------------------------------------------------------- the account
+
+
+def assert_cuts(one: Specimen, path: Path, step: int = 1) -> None:
+    """Cut at every `step`-th byte: all messages of every complete chunk, and one account."""
+    ends = [record.end for record in records_of(one.data) if record.opcode in (CHUNK, MESSAGE)]
+    counts = [messages.total() for _, messages in one.groups] or [1] * len(ends)
+    path.write_bytes(one.data)
+    with path.open("r+b") as file:
+        for length in range(len(one.data) - 1, 7, -step):
+            file.truncate(length)
+            account = account_of(path)
+            expected = sum(count for count, end in zip(counts, ends, strict=True) if end <= length)
+            told = [loss for loss in account.losses if "nowhere declared" in loss.reason]
+            assert account.messages + sum(loss.messages or 0 for loss in told) == expected
+            assert not (told and one.trip)
+            assert not account.whole
+            assert account.losses[-1].end == length
+
+
+def test_a_log_cut_at_every_byte_gives_its_whole_chunks(tmp_path: Path) -> None:
+    trip = trip_of(rows=60, topics=[TRAIN_STATE.name])
+    frame = trip[TRAIN_STATE.name]
+    frame.index = frame.index[0] + (frame.index - frame.index[0]) * 30
+    trip.attachments.clear()
+    write_log(trip, tmp_path / "small.mcap")
+    small = specimen("small", (tmp_path / "small.mcap").read_bytes(), trip)
+    assert len(small.groups) == 3
+    assert_cuts(small, tmp_path / "cut.mcap")
+    for length in range(8):
+        (tmp_path / "cut.mcap").write_bytes(small.data[:length])
+        with pytest.raises(LogError):
+            account_of(tmp_path / "cut.mcap")
+
+
+@pytest.mark.parametrize("number", [0, 3, 5])
+def test_logs_cut_here_and_there(number: int, tmp_path: Path) -> None:
+    """Of trainlog, of another program with its schemas in the chunks, and without chunks."""
+    assert_cuts(specimens(tmp_path)[number], tmp_path / "cut.mcap", step=13)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", range(6))
+def test_all_logs_cut_at_every_byte(number: int, tmp_path: Path) -> None:
+    assert_cuts(specimens(tmp_path)[number], tmp_path / "cut.mcap")
+
+
+def test_a_cut_log_is_read_with_a_warning(whole: Specimen, tmp_path: Path) -> None:
+    """What `read_log` gives is what the account says, around the end of every chunk."""
+    ends = [end for _, end in chunk_groups(whole.data)]
+    for end in ends:
+        for length in (end - 1, end, end + 1):
+            path = put(tmp_path, whole.data[:length])
+            complete = sum(each <= length for each in ends)
+            if not complete:
+                with pytest.raises(LogError, match="no message of it is readable"):
+                    read_log(path)
+                continue
+            with pytest.warns(DamageWarning) as caught:
+                trip = read_log(path)
+            rows = sum(len(frame) for frame in trip.topics.values())
+            assert rows == caught[0].message.account.messages == 40 * complete
+
+
+def test_damage_in_the_middle_costs_only_what_it_touches(whole: Specimen, tmp_path: Path) -> None:
+    start, end = chunk_groups(whole.data)[1]
+    for place in (start, start + 3, start + 40, end - 1):
+        data = bytearray(whole.data)
+        data[place] ^= 0x55
+        account = account_of(put(tmp_path, bytes(data)))
+        assert (account.messages, account.messages_lost) == (80, 40)
+        (loss,) = account.losses
+        assert loss.start == start
+        assert loss.end >= end
+
+
+def test_bytes_removed_and_inserted_shift_nothing_out_of_reach(
+    whole: Specimen, tmp_path: Path
+) -> None:
+    """No offset of the summary is right any more, and every other chunk is found."""
+    start, _ = chunk_groups(whole.data)[1]
+    for data in (
+        whole.data[: start + 60] + whole.data[start + 95 :],
+        whole.data[: start + 60] + bytes(500) + whole.data[start + 60 :],
+    ):
+        account = account_of(put(tmp_path, data))
+        assert (account.messages, account.messages_lost) == (80, 40)
+
+
+def test_a_chunk_that_comes_twice_is_counted_once(whole: Specimen, tmp_path: Path) -> None:
+    start, end = chunk_groups(whole.data)[1]
+    path = put(tmp_path, whole.data[:end] + whole.data[start:])
+    account = account_of(path)
+    assert (account.messages, account.messages_lost) == (120, 0)
+    assert any("comes again" in loss.reason for loss in account.losses)
+
+
+def test_a_file_joined_to_itself_is_read_once(whole: Specimen, tmp_path: Path) -> None:
+    with pytest.warns(DamageWarning) as caught:
+        trip = read_log(put(tmp_path, whole.data + whole.data))
+    assert whole.trip is not None
+    assert_same(whole.trip, trip)
+    assert caught[0].message.account.messages == 120
+
+
+def test_two_trips_joined_are_not_read_as_one(whole: Specimen, tmp_path: Path) -> None:
+    """Channel numbers of the other file mean other topics: its messages are not taken for these."""
+    other = trip_of(rows=20, topics=[EVENTS.name])
+    write_log(other, tmp_path / "other.mcap")
+    data = (tmp_path / "other.mcap").read_bytes() + whole.data
+    account = account_of(put(tmp_path, data))
+    assert account.messages == 120
+    assert account.messages_lost == 20
+    assert any("declared otherwise elsewhere" in loss.reason for loss in account.losses)
+
+
+def test_a_last_chunk_without_its_index_is_read(whole: Specimen, tmp_path: Path) -> None:
+    _, end = chunk_groups(whole.data)[-1]
+    assert account_of(put(tmp_path, whole.data[:end])).messages == 120
+
+
+def test_lost_channels_come_from_the_summary(whole: Specimen, tmp_path: Path) -> None:
+    records = records_of(whole.data)
+    first = next(each for each in records if each.opcode == 0x04)
+    data = whole.data[: first.start] + bytes(first.end - first.start) + whole.data[first.end :]
+    with pytest.warns(DamageWarning):
+        trip = read_log(put(tmp_path, data))
+    assert whole.trip is not None
+    assert_same(whole.trip, trip)
+
+
+def test_a_lost_beginning_is_noticed_and_the_rest_read(whole: Specimen, tmp_path: Path) -> None:
+    with pytest.warns(DamageWarning) as caught:
+        trip = read_log(put(tmp_path, bytes(20) + whole.data[20:]))
+    assert caught[0].message.account.losses[0].start == 0
+    assert whole.trip is not None
+    assert_same(whole.trip, trip)
+
+
+def test_a_recording_that_was_not_closed(tmp_path: Path) -> None:
+    """The account tells the last sample, and the most that can be missing."""
+    path = tmp_path / "live.mcap"
+    with trainlog.record(path, flush=0.5) as log:
+        for row in range(30):
+            log.write(TRAIN_STATE.name, 10**18 + row * 10**8, speed=1.0 * row)
+    end = chunk_groups(path.read_bytes())[-1][1]
+    cut = put(tmp_path, path.read_bytes()[:end])
+    account = account_of(cut)
+    assert account.unfinished == Unfinished(10**18 + 29 * 10**8, 0.5)
+    assert "at most 0.5 s after it are missing" in account.sentence
+    with pytest.warns(DamageWarning, match="last sample is of 2001-09-09 01:46:42.900 UTC"):
+        read_log(cut)
+    recover(cut, tmp_path / "again.mcap")
+    assert account_of(tmp_path / "again.mcap").whole
+    assert account_of(path).unfinished is None
+
+
+def test_the_account_in_words_and_as_json() -> None:
+    losses = (Loss(10, 20, "a chunk fails its checksum", 3), Loss(30, 30, "the end is missing"))
+    account = Account(5, 2, losses)
+    assert account.bytes_lost == 10
+    assert account.messages_lost is None
+    assert len(account.lines()) == 3
+    assert json.loads(json.dumps(account.details()))["losses"][0]["messages"] == 3
+    assert "5 messages are readable" in account.sentence
+    assert Account(5, 2).sentence == "is whole: 5 messages in 2 chunks"
+
+
+# --------------------------------------------------------------------------------- bounded effort
+
+
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_forged_chunks_inside_of_each_other_are_walked_in_bounded_time(
+    compression: str, tmp_path: Path
+) -> None:
+    """Each claims everything that follows; to try them all would take hours."""
+    size = 4_000_000
+    head = len(chunk_bytes(compression, b"", 0, 1, bytes(16)))
+    data = bytearray(b"\x89MCAP0\r\n")
+    while len(data) + head <= size:
+        stored = size - len(data) - head
+        data += chunk_bytes(compression, b"", stored, 1, bytes(16))[: head - 8]
+        data += stored.to_bytes(8, "little")
+    for at in range(8, size - head, head):
+        data[at + 1 : at + 9] = (size - at - 9).to_bytes(8, "little")
+    with time_limit(60):
+        assert account_of(put(tmp_path, bytes(data[:size]))).messages == 0
+
+
+def test_records_without_sense_are_walked_in_bounded_time(tmp_path: Path) -> None:
+    head = b"\x89MCAP0\r\n"
+    for unit in (b"\x05\x16" + bytes(7), b"\x0c\x08" + bytes(15), b"\x06" + bytes(8), bytes(9)):
+        data = head + b"\x00" + unit * (500_000 // len(unit)) + head
+        with time_limit(60):
+            account_of(put(tmp_path, data))
+
+
+def test_recovery_of_a_large_log_stays_small_in_memory(tmp_path: Path) -> None:
+    """Neither the file nor its messages are held: a chunk at a time is."""
+    path = tmp_path / "large.mcap"
+    write_log(trip_of(rows=40_000, topics=[TRAIN_STATE.name]), path)
+    data = path.read_bytes()
+    start, end = chunk_groups(data)[1]
+    path.write_bytes(data[:start] + bytes(end - start) + data[end:] + data[len(data) // 2 :])
+    del data
+    tracemalloc.start()
+    recover(path, tmp_path / "again.mcap")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20e6
+
+
+# ---------------------------------------------------------------------------------------- recovery
+
+
+def official(path: Path) -> list[tuple[str, int, int, bytes]]:
+    """All messages, by the official reader with its checks."""
+    reader = SeekingReader(BytesIO(path.read_bytes()), validate_crcs=True)
+    return [
+        (channel.topic, message.log_time, message.sequence, message.data)
+        for _, channel, message in reader.iter_messages()
+    ]
+
+
+def test_a_recovered_log_opens_everywhere(whole: Specimen, tmp_path: Path) -> None:
+    start, end = chunk_groups(whole.data)[1]
+    cut = whole.data[: start + 50] + bytes(end - start - 60) + whole.data[end - 10 : -30]
+    path, output = put(tmp_path, cut), tmp_path / "again.mcap"
+    account = recover(path, output)
+    assert account == account_of(path)
+    assert (account.messages, account.messages_lost) == (80, 40)
+    assert len(official(output)) == 80
+    assert read_log(output).metadata == whole.trip.metadata  # no warning
+    assert describe(output).count == 80
+    rows = sum(batch.num_rows for batch in McapReader(output).stream().collect())
+    assert rows > 0
+    checked = subprocess.run(
+        [shutil.which("rerun", path=Path(sys.executable).parent), "mcap", "check", output],
+        capture_output=True,
+        env={**os.environ, "NO_COLOR": "1"},
+        check=False,
+    )
+    assert checked.returncode == 0, checked.stderr
+
+
+def test_the_account_stays_with_the_recovered_log(whole: Specimen, tmp_path: Path) -> None:
+    path = put(tmp_path, whole.data[:-100])
+    account = recover(path, tmp_path / "once.mcap")
+    recover(tmp_path / "once.mcap", tmp_path / "twice.mcap")
+    with Source(tmp_path / "twice.mcap") as source:
+        metadata = {each.name: each.metadata for each in contents_by_walk(source).metadata}
+    told = {key: json.loads(text) for key, text in metadata[RECOVERY_RECORD].items()}
+    assert list(told) == ["0001", "0002"]
+    assert told["0001"]["account"] == json.loads(json.dumps(account.details()))
+    assert told["0001"]["file"] == "damaged.mcap"
+    assert told["0002"]["account"]["losses"] == []
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_whole_log_stays_as_it_is(number: int, tmp_path: Path) -> None:
+    one = specimens(tmp_path)[number]
+    path, output = put(tmp_path, one.data), tmp_path / "again.mcap"
+    assert recover(path, output).whole
+    assert official(output) == official(path)
+    assert account_of(output).whole
+    if one.trip is not None:
+        assert_same(one.trip, read_log(output))
+
+
+def test_intact_chunks_are_copied_as_they_are_stored(whole: Specimen, tmp_path: Path) -> None:
+    recover(put(tmp_path, whole.data[:-10]), tmp_path / "again.mcap")
+    recovered = (tmp_path / "again.mcap").read_bytes()
+    for start, end in chunk_groups(whole.data):
+        assert whole.data[start:end] in recovered
+
+
+def test_other_programs_logs_are_recovered_with_profile_and_attachments(tmp_path: Path) -> None:
+    one = specimen("lz4", foreign(CompressionType.LZ4))
+    # The declarations stand in the first chunk and in the summary; the cut takes the latter.
+    recover(put(tmp_path, one.data[:-500]), tmp_path / "again.mcap")
+    reader = SeekingReader(BytesIO((tmp_path / "again.mcap").read_bytes()), validate_crcs=True)
+    assert reader.get_header().profile == "other"
+    assert [each.name for each in reader.iter_attachments()] == ["notes.txt"]
+    assert {each.name for each in reader.iter_metadata()} == {"about", RECOVERY_RECORD}
+    assert len(official(tmp_path / "again.mcap")) == 60
+
+
+def test_messages_of_undeclared_channels_are_left_out_and_counted(tmp_path: Path) -> None:
+    one = specimen("zstd", foreign(CompressionType.ZSTD))
+    start, end = chunk_groups(one.data)[0]
+    # Without the first chunk and the summary nothing declares the channels.
+    data = one.data[:start] + one.data[end : one.data.index(b"jsonschema") - 40]
+    path = put(tmp_path, data)
+    account = account_of(path)
+    assert account.messages == 0
+    assert sum(loss.messages or 0 for loss in account.losses) >= 49
+
+
+def test_the_input_is_never_overwritten(whole: Specimen, tmp_path: Path) -> None:
+    path = put(tmp_path, whole.data[:-10])
+    (tmp_path / "link.mcap").symlink_to(path)
+    for output in (path, tmp_path / "link.mcap"):
+        with pytest.raises(InputError, match="would be overwritten"):
+            recover(path, output)
+    assert path.read_bytes() == whole.data[:-10]
+
+
+def test_what_cannot_be_recovered_is_refused(tmp_path: Path) -> None:
+    for data in (b"", b"time,speed\n1,2\n", b"\x89MCAP0\r\n" + bytes(100)):
+        with pytest.raises(LogError):
+            recover(put(tmp_path, data), tmp_path / "again.mcap")
+        assert not (tmp_path / "again.mcap").exists()
+
+
+def test_messages_found_are_those_that_were_written(whole: Specimen, tmp_path: Path) -> None:
+    with Source(put(tmp_path, whole.data)) as source:
+        assert messages_in(source, contents_by_walk(source)) == whole.messages
+
+
+# --------------------------------------------------------------------------------- command line
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path
+) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    told = capsys.readouterr()
+    return int(caught.value.code or 0), told.out, told.err
+
+
+def test_check_and_recover_from_the_command_line(
+    whole: Specimen,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / "cut.mcap").write_bytes(whole.data[:-50])
+    (logs / "whole.mcap").write_bytes(whole.data)
+    status, told, _ = run(monkeypatch, capsys, "check", logs)
+    assert status == 1
+    assert "cut.mcap: is damaged: 120 messages are readable" in told
+    assert "whole.mcap: is whole: 120 messages in 3 chunks" in told
+    status, told, _ = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
+    assert status == 0
+    assert "wrote" in told
+    status, told, _ = run(monkeypatch, capsys, "check", tmp_path / "again")
+    assert status == 0
+    assert told.count("is whole") == 2
+    single = tmp_path / "one.mcap"
+    status, _, _ = run(monkeypatch, capsys, "recover", logs / "cut.mcap", "-o", single)
+    assert status == 0
+    assert account_of(single).whole
