@@ -288,7 +288,7 @@ def test_a_recovered_log_opens_everywhere(whole: Specimen, tmp_path: Path) -> No
     assert len(official(output)) == 80
     assert read_log(output).metadata == whole.trip.metadata  # no warning
     assert describe(output).count == 80
-    rows = sum(batch.num_rows for batch in McapReader(output).stream().collect())
+    rows = sum(chunk.to_record_batch().num_rows for chunk in McapReader(output).stream())
     assert rows > 0
     checked = subprocess.run(
         [shutil.which("rerun", path=Path(sys.executable).parent), "mcap", "check", output],
