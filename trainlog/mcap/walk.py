@@ -132,6 +132,7 @@ class _Walk:
         self._closed = False
         self._seen: dict[tuple[int, int, int, int], int] = {}
         self._failed = 0
+        self._failed_before: set[tuple[int, int]] = set()
         self._failures: list[tuple[int, int, int]] = []
         self._indexed: set[int] = set()
         self._chunked = False
@@ -322,8 +323,13 @@ class _Walk:
             if inside < end:
                 self._lose(place.offset, inside, reason, None)
                 return inside
+        stored = _checksum(self._source.file, place.data, end)
+        again = (stored, place.stored) in self._failed_before
+        self._failed_before.add((stored, place.stored))
         messages = sum(len(entries) for entries in index.values()) if index else None
-        self._lose(place.offset, behind, reason, messages)
+        self._lose(place.offset, behind, reason, 0 if again else messages)
+        if again:
+            return behind
         for channel, entries in index.items():
             self._failures.append((place.offset, len(entries), _key(channel, entries)))
         return behind
@@ -350,6 +356,11 @@ class _Walk:
         """Another file begins here: the end of the one before, if it has one, closes nothing."""
         closing = self._data_end or self._footer
         start = at if closing is None else closing[0]
+        section = self._sections[-1]
+        section.chunks = [
+            each for each in section.chunks if not (each.loose and each.offset > start)
+        ]
+        start = max([start, *(each.behind for each in section.chunks)])
         while self._losses and self._losses[-1].start >= start:
             self._losses.pop()
         self._lose(start, end, "one file ends here and another begins", 0)
@@ -402,8 +413,10 @@ class _Walk:
 
         They are pieces of broken chunks, and nothing vouches for them.
         """
-        harmed = bool(self._losses) or not self._closed
-        end = self._source.size if self._data_end is None else self._data_end[0]
+        size = self._source.size
+        end, closing = self._data_end or (size, None)
+        fails = closing is not None and closing.data_section_crc and end > self._verified
+        harmed = bool(self._losses) or not self._closed or fails
         for section in self._sections:
             kept = []
             for chunk in section.chunks:
