@@ -9,7 +9,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from trainlog.mcap.fill import Records, interleave
+from trainlog.mcap.fill import Records
 from trainlog.mcap.positions import range_in
 from trainlog.mcap.sink import RawChunk
 
@@ -151,6 +151,8 @@ def plan_of(streams: Sequence[Stream], period: int = PERIOD, largest: int = LARG
     """
     if not any(len(stream.time) for stream in streams):
         return Plan(streams)
+    from trainlog.mcap.laying import interleave
+
     starts = np.cumsum([0] + [len(stream.time) for stream in streams], dtype=np.int64)
     time = np.concatenate([stream.time for stream in streams])
     sizes = np.concatenate([stream.records.sizes for stream in streams])
