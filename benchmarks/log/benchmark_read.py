@@ -128,7 +128,7 @@ def small_mcap(path: Path) -> Callable[[], object] | None:
 
 def rerun(path: Path) -> int:
     """The same with Rerun, to Arrow."""
-    from rerun.experimental import McapReader
+    from rerun.chunk import McapReader
 
     return sum(1 for _ in McapReader(path).stream())
 
@@ -220,7 +220,12 @@ def only(verb: str, path: str) -> None:
         count = describe(path).count
     else:
         count = sum(len(frame) for trip in stream_log(path) for frame in trip.topics.values())
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    status = Path("/proc/self/status")
+    if status.exists():
+        # Of this process alone: the other figure begins with that of the process that started it.
+        peak = int(status.read_text().partition("VmHWM:")[2].split()[0]) * 1024
+    else:
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     print(f"{verb}: {count:,} messages, at most {peak / 1e6:.0f} MB")
 
 
