@@ -172,6 +172,14 @@ def column(tmp_path: Path, cells: list[str], **options: object) -> np.ndarray:
     return ingest(path, profile=profile)[topic][field].to_numpy()
 
 
+def test_a_train_that_runs_against_the_kilometres_counts_from_the_other_end(tmp_path: Path) -> None:
+    """As the page says: sign -1, and minus the line's length as offset."""
+    raw = ["29.8", "29.5", "29.0", "28.0"]
+    options = {"unit": "km", "sign": -1, "offset": -29.8}
+    found = column(tmp_path, raw, name="/train/state.position", **options)
+    np.testing.assert_allclose(found, [0.0, 300.0, 800.0, 1800.0], atol=1e-9)
+
+
 def test_scale_offset_part_and_sign_come_before_the_unit(tmp_path: Path) -> None:
     raw = ["0", "50", "100", "-100"]
     np.testing.assert_array_equal(column(tmp_path, raw, unit="%"), [0.0, 0.5, 1.0, -1.0])

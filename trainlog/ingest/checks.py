@@ -101,8 +101,8 @@ def _distance_ratio(
     if moved < -SHORTEST:
         raise InputError(
             f"{POSITION} falls by {-moved:.0f} m while the train drives {driven:.0f} m",
-            remedy="position grows in the direction of travel: set sign = -1, and offset to the"
-            " line's length, for its column in the profile",
+            remedy="position grows in the direction of travel: set sign = -1, and offset to"
+            " minus the line's length, for its column in the profile",
         )
     yield POSITION, moved / driven, f"{POSITION} moves {moved:.0f} m, {SPEED} says {driven:.0f} m"
 
