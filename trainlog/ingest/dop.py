@@ -1,9 +1,8 @@
 """Accuracy of a fix from the dilution of precision alone, where the receiver tells no more.
 
-A standard deviation is the dilution of precision times that of a range, about 4.2 m for a
-single-frequency receiver under an open sky (Kaplan and Hegarty, Understanding GPS/GNSS, table of
-the user equivalent range error: 4 to 7 m). HDOP is of both horizontal axes together: each has
-1/sqrt(2) of it.
+A standard deviation is the dilution of precision times that of a range, for which 4.2 m are
+assumed: a single-frequency receiver under a mostly open sky. HDOP is of both horizontal axes
+together: each has 1/sqrt(2) of it.
 """
 
 HORIZONTAL_PER_HDOP = 3.0

@@ -87,7 +87,7 @@ NAV_PVT_FIELDS = {
     "speed_accuracy": ("<u4", 68),
     "pdop": ("<u2", 76),
 }
-"""Fields of UBX-NAV-PVT that are used, and where they stand in it (u-blox 8 / M8, 32.17.15.1)."""
+"""Fields of UBX-NAV-PVT that are used, and where they stand in it."""
 
 NAV_PVT = np.dtype(
     {
@@ -270,7 +270,7 @@ def _nav_pvt(lines: _Lines, mine: BoolArray) -> tuple[IntArray, Any]:
         return place[:0], np.zeros(0, dtype=NAV_PVT)
     nibbles = NIBBLES[digits]
     octets = (nibbles[:, ::2] << 4) | nibbles[:, 1::2]
-    # The checksum is Fletcher's, over all but the mark and itself (u-blox 8 / M8, 32.4).
+    # The checksum is Fletcher's, over all but the mark and itself.
     first = np.cumsum(octets[:, 2:-2], axis=1, dtype=np.int64)
     second = first.sum(axis=1)
     good = nibbles.max(axis=1) < 16
