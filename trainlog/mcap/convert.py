@@ -26,8 +26,8 @@ from trainlog.mcap.writer import LogWriter
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip
 
-ROWS = 250_000
-"""Rows that are held in memory at a time; about 50 MB in frames and in buffers."""
+ROWS = 100_000
+"""Rows that are read at a time."""
 
 LOG = ".mcap"
 PARQUET = ".parquet"
