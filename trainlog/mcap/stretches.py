@@ -25,7 +25,7 @@ from trainlog.mcap.stream import stream_log
 from trainlog.spans import ALWAYS
 from trainlog.trip import Trip
 
-ROWS = 1_500_000
+ROWS = 750_000
 """Rows of a stretch over all topics read."""
 
 MARGIN = 60.0
