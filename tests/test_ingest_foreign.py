@@ -260,10 +260,10 @@ def test_messages_that_cannot_be_decoded_are_counted(tmp_path):
     wanted = {"/train/state.speed": {"column": "/odo:v", "unit": "m/s"}}
     report = report_of(ingest(path, profile=profile(wanted)))
     assert (report.rows_read, report.rows_kept) == (10, 8)
-    assert report.count("truncated_rows") == 2
+    assert report.count("damaged_messages") == 2
     assert "it is not JSON" in report.findings[0].note
-    strict = profile(wanted, repair={"truncated_rows": False})
-    with pytest.raises(InputError, match="2 times 'truncated_rows'"):
+    strict = profile(wanted, repair={"damaged_messages": False})
+    with pytest.raises(InputError, match="2 times 'damaged_messages'"):
         ingest(path, profile=strict)
 
 

@@ -237,7 +237,7 @@ class _Reader:
                 names.append(topic)
 
     def _count_skipped(self) -> None:
-        """Count messages that cannot be decoded as rows that cannot be split into cells."""
+        """Count messages that cannot be decoded."""
         broken = [
             item
             for item in self.found.skipped
@@ -246,7 +246,7 @@ class _Reader:
         count = sum(item.messages for item in broken)
         if count:
             note = "; ".join(str(item) for item in broken[:_MOST_NAMED])
-            self.findings.append(Finding("truncated_rows", count, note=note))
+            self.findings.append(Finding("damaged_messages", count, note=note))
             self.rows_read += count
 
     def _time_name(self) -> str:
