@@ -198,8 +198,10 @@ class _Walk:
             return
         # Nothing in the record vouches for its length.
         inside = start + told
-        if self._scanner.ends_inside(inside, end) or (
-            not follows(source, end) and self._scanner.next(inside, end) < end
+        if (
+            self._scanner.ends_inside(inside, end)
+            or self._scanner.next(inside, end, _INSIDE) < end
+            or (not follows(source, end) and self._scanner.next(inside, end) < end)
         ):
             raise damaged(at, f"the {_name(opcode)} record is longer than it can be")
 
