@@ -172,6 +172,7 @@ class _Walk:
         opcode, length = struct.unpack("<BQ", head)
         rest = source.size - at - RECORD_HEAD
         if length > rest:
+            self._chunked |= opcode == Opcode.CHUNK
             raise damaged(at, f"a record of {length:,} bytes begins and only {rest:,} bytes follow")
         if opcode == 0:
             raise damaged(at, "there is no record with opcode 0")
