@@ -209,6 +209,45 @@ def test_ingest_refuses_two_recordings_of_one_name(
     assert "same name" in complaint
 
 
+def test_a_recording_is_not_overwritten_by_the_log_that_is_made_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = tmp_path / "gnss.mcap"
+    recording.write_bytes(sample("gnss.csv").read_bytes())
+    status, _, complaint = run(monkeypatch, capsys, "ingest", recording, "-o", tmp_path)
+    assert status == 2
+    assert f"{recording}: would be overwritten" in complaint
+    assert recording.read_bytes() == sample("gnss.csv").read_bytes()
+
+
+def test_recover_refuses_two_logs_of_one_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "copy").mkdir()
+    copy = tmp_path / "copy" / "stopping.mcap"
+    copy.write_bytes(sample("stopping.mcap").read_bytes())
+    out = tmp_path / "out"
+    status, _, complaint = run(
+        monkeypatch, capsys, "recover", sample("stopping.mcap"), copy, "-o", out
+    )
+    assert status == 2
+    assert f"{copy}: has the same name as" in complaint
+    assert not out.exists()
+
+
+def test_brackets_in_names_and_findings_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = tmp_path / "run [1].csv"
+    recording.write_bytes(sample("gnss.csv").read_bytes())
+    profile = ("--profile", sample("recorder.profile.toml"))
+    status, told, _ = run(monkeypatch, capsys, "ingest", recording, *profile, "-o", tmp_path)
+    assert status == 0
+    assert "run [1]: " in told
+    assert "not used: [time] of the profile" in told
+    assert "run [1].mcap" in told
+
+
 def test_a_recorded_trip_can_be_fitted_and_mapped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

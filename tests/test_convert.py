@@ -167,6 +167,12 @@ def test_words_that_are_no_time_are_refused(word: str) -> None:
         times(word, None, lambda: (FIRST, LAST))
 
 
+@pytest.mark.parametrize("word", ["99999999999h", "end-3000000h"])
+def test_words_beyond_time_stamps_are_refused(word: str) -> None:
+    with pytest.raises(InputError, match="is further than time stamps reach; the log begins"):
+        times(word, None, lambda: (FIRST, LAST))
+
+
 def test_relative_words_need_rows() -> None:
     with pytest.raises(InputError, match="has no rows"):
         times("10s", None, lambda: None)
@@ -176,7 +182,7 @@ def test_stretches_are_kilometres() -> None:
     assert stretch("3.2:7.5") == (3200.0, 7500.0)
     assert stretch("3:") == (3000.0, None)
     assert stretch(":7.5") == (None, 7500.0)
-    for wrong in ("3.2", "a:b", "1:2:3", ""):
+    for wrong in ("3.2", "a:b", "1:2:3", "", "nan:3", "1:inf"):
         with pytest.raises(InputError, match="is no stretch of the line; write kilometres"):
             stretch(wrong)
 

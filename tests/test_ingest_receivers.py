@@ -45,6 +45,16 @@ def assert_fixes(trip: Trip, run: object) -> None:
 # ------------------------------------------------------------------ NMEA
 
 
+def test_bytes_that_the_checksum_does_not_see_are_damage(tmp_path: Path) -> None:
+    lines = nmea_lines(drive(60, 1.0), ("RMC", "GGA"))
+    body, mark, rest = lines[21].partition(",1,")
+    path = tmp_path / "run.log"
+    data = "\n".join(lines).encode()
+    whole = lines[21].encode()
+    path.write_bytes(data.replace(whole, f"{body}\0\0{mark}{rest}".encode()))
+    assert report_of(ingest(path)).lines()[1] == "damaged_messages: 1 (rows 22)"
+
+
 @pytest.mark.parametrize(
     "kinds",
     [

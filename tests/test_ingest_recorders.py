@@ -57,6 +57,14 @@ def test_gpx_comes_back(tmp_path: Path, seed: int, speed: str, offset: str) -> N
     assert trip.metadata["horizontal_accuracy"] == "3 m times HDOP"
 
 
+def test_whole_gpx_in_utf_16_is_not_called_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "run.gpx"
+    text = gpx_text(drive(40, 1.0)).replace("UTF-8", "UTF-16").rstrip()
+    for data in (text.encode("utf-16"), text.encode("utf-16") + bytes(512)):
+        path.write_bytes(data)
+        assert report_of(ingest(path)).lines()[0] == "40 rows read, 40 kept, 0 dropped"
+
+
 def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path: Path) -> None:
     run = drive(300, 1.0)
     parts = np.split(np.arange(300), [100, 150, 220])

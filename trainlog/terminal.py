@@ -86,6 +86,19 @@ def destination(path: Path, suffix: str) -> Path:
     return path
 
 
+def distinct(names: list[str], files: list[Path]) -> None:
+    """Refuse files whose results would have the same name, so that none overwrites another."""
+    first: dict[str, Path] = {}
+    for name, file in zip(names, files, strict=True):
+        if name in first:
+            raise InputError(
+                f"has the same name as {first[name]}, and so would what is made of it",
+                file=file,
+                remedy="give them in two calls, with different folders",
+            )
+        first[name] = file
+
+
 def about(trip: Trip) -> str:
     """One line on a trip."""
     known = trip.metadata
@@ -109,10 +122,10 @@ def tell_account(log: Path, account: Account, to: Console) -> None:
         to.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 
-def wrote(*paths: Path) -> None:
+def wrote(*paths: Path, to: Console = console) -> None:
     """Tell which files were written."""
     for path in paths:
-        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        to.print(f"wrote {path}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

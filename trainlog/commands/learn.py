@@ -70,7 +70,7 @@ def estimate(
                 raise InputError("would be overwritten", file=log, remedy="name another folder")
             made_folder(output)
             for refusal in estimate_log(log, output / log.name):
-                progress.console.print(f"  not estimated: {refusal}", highlight=False)
+                progress.console.print(f"  not estimated: {refusal}", highlight=False, markup=False)
             wrote(output / log.name)
 
 
@@ -100,7 +100,9 @@ def map_update(
         every = progress.track(logs_in(logs), description="mapping")
         updated, told = update_logs(known, every, layer)
     for trip in told:
-        console.print(f"  {trip}: in the map already, not counted again", highlight=False)
+        console.print(
+            f"  {trip}: in the map already, not counted again", highlight=False, markup=False
+        )
     write_map(updated, condition)
     draw_map(updated, condition.with_suffix(".png"))
     console.print(map_table(updated))

@@ -16,6 +16,7 @@ from trainlog.terminal import (
     about,
     console,
     destination,
+    distinct,
     line_and_train,
     logs_in,
     pairs,
@@ -83,7 +84,7 @@ def simulate(
         for scenario in progress.track(scenarios, description="driving"):
             trip = drive(scenario)
             write_log(trip, output / f"{trip.name}.mcap")
-            progress.console.print(about(trip), highlight=False)
+            progress.console.print(about(trip), highlight=False, markup=False)
 
 
 @app.command(rich_help_panel="Record")
@@ -118,10 +119,7 @@ def ingest(
 
     the_line = None if line is None else read_line(line)
     the_train = None if train is None else read_train(train)
-    if len({recording.stem for recording in recordings}) < len(recordings):
-        raise InputError(
-            "two recordings have the same name", remedy="ingest them into different folders"
-        )
+    distinct([recording.stem for recording in recordings], recordings)
     metadata = pairs(facts or [])
     written: set[Path] = set()
     for recording in recordings:
@@ -140,12 +138,18 @@ def ingest(
                     file=recording,
                     remedy="ingest the files into different folders",
                 )
+            if any(one.exists() and target.exists() and one.samefile(target) for one in recordings):
+                raise InputError(
+                    "would be overwritten by the log that is made of it",
+                    file=target,
+                    remedy="name another folder",
+                )
             written.add(target)
             made_folder(output)
             write_log(trip, target)
-            console.print(about(trip), highlight=False)
+            console.print(about(trip), highlight=False, markup=False)
             for finding in report_of(trip).lines():
-                console.print(f"    {finding}", highlight=False)
+                console.print(f"    {finding}", highlight=False, markup=False)
             wrote(target)
 
 
@@ -181,12 +185,13 @@ def recover(
     found = logs_in(logs)
     several = len(found) > 1 or output.suffix != ".mcap"
     if several:
+        distinct([log.name for log in found], found)
         made_folder(output)
     with progress_bar() as progress:
         for log in progress.track(found, description="recovering"):
             target = output / log.name if several else destination(output, ".mcap")
             tell_account(log, rebuild(log, target), progress.console)
-            progress.console.print(f"wrote {target}", highlight=False, soft_wrap=True)
+            wrote(target, to=progress.console)
 
 
 @app.command(name="import", rich_help_panel="Record")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -76,6 +77,8 @@ def stretch(words: str | None) -> tuple[float | None, float | None] | None:
         if not colon:
             raise ValueError(words)
         limits = tuple(float(word) * 1000.0 if word.strip() else None for word in (start, end))
+        if not all(limit is None or math.isfinite(limit) for limit in limits):
+            raise ValueError(words)
     except ValueError as error:
         raise InputError(
             f"'{words}' is no stretch of the line", remedy="write kilometres as 3.2:7.5"
@@ -105,8 +108,15 @@ def _moment(
         raise InputError(f"'{word}' has no meaning: the log has no rows", remedy="leave it out")
     edge = found["edge"] or ("end" if found["sign"] == "end-" else "start")
     from_edge = float(found["number"] or 0.0) * SECONDS[found["unit"] or "s"]
-    distance = pd.Timedelta(round(from_edge * 1e9), "ns")
-    return known[1] - distance if edge == "end" else known[0] + distance
+    try:
+        distance = pd.Timedelta(round(from_edge * 1e9), "ns")
+        return known[1] - distance if edge == "end" else known[0] + distance
+    except (OverflowError, pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta) as error:
+        raise InputError(
+            f"'{word}' is further than time stamps reach",
+            remedy=f"the log begins {known[0]:%Y-%m-%dT%H:%M:%SZ} and ends "
+            f"{known[1]:%Y-%m-%dT%H:%M:%SZ}",
+        ) from error
 
 
 def source_span(source: Path) -> Callable[[], tuple[pd.Timestamp, pd.Timestamp] | None]:

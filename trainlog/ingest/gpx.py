@@ -161,8 +161,7 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
     InputError
         If it is no XML, with line and column; declares entities; or holds no track with points.
     """
-    # A power cut leaves zeros where the file system had no time for data.
-    reader, cut = _parsed(read_bytes(path).rstrip(b"\0"), path)
+    reader, cut = _parsed(_without_zeros(read_bytes(path)), path)
     filled = [track for track in reader.tracks if track.points]
     if not filled:
         told = ", ".join(f"{count} {kind}" for kind, count in reader.others.items())
@@ -180,6 +179,13 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
         cut_here = cut if number == len(filled) else 0
         found.append(_recording(track, several, cut_here, reader.creator, not_used, path))
     return found
+
+
+def _without_zeros(data: bytes) -> bytes:
+    """A file without the zeros that a power cut leaves where there was no time for data."""
+    plain = data.rstrip(b"\0")
+    # The last character of little-endian UTF-16 ends in a zero of its own.
+    return plain + b"\0" * (len(plain) % 2) if data[:2] == b"\xff\xfe" else plain
 
 
 def _parsed(data: bytes, path: Path) -> tuple[_Reader, int]:

@@ -215,7 +215,9 @@ class Epochs:
 def _whole(sentence: str) -> bool:
     """Whether a sentence ends with the checksum of what stands before it."""
     body, mark, told = sentence[1:].rpartition("*")
-    return bool(mark) and f"{reduce(xor, body.encode(), 0):02X}" == told.upper()
+    if not (mark and body.isascii() and body.isprintable()):
+        return False  # the exclusive or does not see the same wrong byte twice
+    return f"{reduce(xor, body.encode(), 0):02X}" == told.upper()
 
 
 def _nanoseconds(time: datetime.time) -> int:

@@ -48,8 +48,9 @@ def _overview(description: LogDescription) -> Table:
         table.add_row("time", f"{_time(first)} to {_time(last)} UTC ({duration})")
     if description.position_span is not None:
         start, end = description.position_span
+        shown = [round(position / 1e3, 3) + 0.0 for position in (start, end)]  # no -0.000
         table.add_row(
-            "position", f"km {start / 1e3:.3f} to km {end / 1e3:.3f} ({(end - start) / 1e3:.3f} km)"
+            "position", f"km {shown[0]:.3f} to km {shown[1]:.3f} ({(end - start) / 1e3:.3f} km)"
         )
     table.add_row("messages", f"{description.count:,} in {_chunks(description)}")
     table.add_row("file", _size(description.size))
