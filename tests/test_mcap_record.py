@@ -247,6 +247,8 @@ def test_overload_is_counted_and_told(gate: threading.Event, tmp_path: Path) -> 
     assert numbers == [*range(101), 161]
     closed = {"closed": "whole", f"dropped.{STATE}": "60", f"dropped.{EVENTS.name}": "1"}
     assert closed in records
+    write_log(found, tmp_path / "derived.mcap")
+    assert read_log(tmp_path / "derived.mcap").provenance[-1].items() >= closed.items()
 
 
 def test_many_threads_may_write(tmp_path: Path) -> None:

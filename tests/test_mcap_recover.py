@@ -251,6 +251,21 @@ def test_records_without_sense_are_walked_in_bounded_time(tmp_path: Path) -> Non
             account_of(put(tmp_path, data))
 
 
+def test_what_is_made_of_a_recovered_log_tells_what_was_lost(
+    whole: Specimen, tmp_path: Path
+) -> None:
+    start = chunk_groups(whole.data)[1][0]
+    damaged = put(tmp_path, whole.data[: start + 60] + bytes(40) + whole.data[start + 100 :])
+    account = recover(damaged, tmp_path / "recovered.mcap")
+    assert account.bytes_lost
+    write_log(read_log(tmp_path / "recovered.mcap"), tmp_path / "derived.mcap")
+    step = read_log(tmp_path / "derived.mcap").provenance[-1]
+    assert step["step"] == "recover"
+    assert step["file"] == "damaged.mcap"
+    assert step["account"]["bytes_lost"] == account.bytes_lost
+    assert step["account"]["losses"][0]["start"] == start
+
+
 def test_recovery_of_a_large_log_stays_small_in_memory(tmp_path: Path) -> None:
     """Neither the file nor its messages are held: a chunk at a time is."""
     path = tmp_path / "large.mcap"

@@ -19,7 +19,13 @@ from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file, shown, unusable
 from trainlog.mcap.filling import frames_in, threads_of, topic_channels
 from trainlog.mcap.located import spans_in_log
-from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
+from trainlog.mcap.names import (
+    FORMAT_RECORD,
+    PROVENANCE_RECORD,
+    RECORDING_RECORD,
+    RECOVERY_RECORD,
+    TRIP_RECORD,
+)
 from trainlog.mcap.places import AttachmentPlace, Contents
 from trainlog.mcap.selection import Selection, Topics, chunks_within, selection_of
 from trainlog.mcap.source import Source
@@ -202,9 +208,26 @@ def metadata_of(contents: Contents) -> dict[str, dict[str, str]]:
 
 
 def _provenance(metadata: dict[str, dict[str, str]]) -> tuple[dict[str, Any], ...]:
-    """The processing steps that a file's metadata records tell, oldest first."""
+    """The processing steps that a file's metadata records tell, oldest first.
+
+    How a recording ended is told behind its last sample, and what was lost when a log was rebuilt
+    in a record of its own. Both belong to the trip: whatever is made of it says so, too.
+    """
+    steps = _steps(metadata, PROVENANCE_RECORD)
+    ended = metadata.get(RECORDING_RECORD, {})
+    recorded = [number for number, step in enumerate(steps) if step.get("step") == "record"]
+    if ended and recorded:
+        steps[recorded[-1]] |= ended
+    for step in _steps(metadata, RECOVERY_RECORD):
+        account = step.get("account")
+        if isinstance(account, dict) and account.get("losses"):
+            steps.append({"step": "recover"} | step)
+    return tuple(steps)
+
+
+def _steps(metadata: dict[str, dict[str, str]], name: str) -> list[dict[str, Any]]:
     steps = []
-    for key, text in sorted(metadata.get(PROVENANCE_RECORD, {}).items()):
+    for key, text in sorted(metadata.get(name, {}).items()):
         try:
             step = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -212,7 +235,7 @@ def _provenance(metadata: dict[str, dict[str, str]]) -> tuple[dict[str, Any], ..
         if not isinstance(step, dict):
             raise unusable(f"step {shown(key)} of the provenance is not an object")
         steps.append(step)
-    return tuple(steps)
+    return steps
 
 
 def _check_version(
