@@ -220,6 +220,18 @@ def test_a_recording_is_not_overwritten_by_the_log_that_is_made_of_it(
     assert recording.read_bytes() == sample("gnss.csv").read_bytes()
 
 
+def test_check_goes_on_behind_a_file_that_is_no_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.mcap").touch()
+    (tmp_path / "b.mcap").write_bytes(sample("stopping.mcap").read_bytes())
+    status, told, complaint = run(monkeypatch, capsys, "check", tmp_path)
+    assert status == 2
+    assert complaint.count("\n") == 1
+    assert "a.mcap, byte 0: is empty" in complaint
+    assert "b.mcap: is whole" in told
+
+
 def test_recover_refuses_two_logs_of_one_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

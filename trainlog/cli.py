@@ -16,7 +16,7 @@ from typer.exceptions import TyperException
 from trainlog import __version__
 from trainlog.commands import learn, look, plan, portion, record, study
 from trainlog.errors import TrainlogError
-from trainlog.terminal import complaints, console, wrote
+from trainlog.terminal import complain, complaints, console, wrote
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C; typer returns it, too."""
@@ -111,8 +111,7 @@ def main() -> None:
 
 
 def _complain(message: str) -> int:
-    told = " ".join(message.split())
-    complaints.print(f"trainlog: {told}", markup=False, highlight=False, soft_wrap=True)
+    complain(message)
     return 2
 
 

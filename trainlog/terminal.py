@@ -109,6 +109,12 @@ def about(trip: Trip) -> str:
     return f"  {trip.name}: {', '.join(filter(None, words))}"
 
 
+def complain(message: str) -> None:
+    """Tell what is wrong in one line on standard error."""
+    told = " ".join(message.split())
+    complaints.print(f"trainlog: {told}", markup=False, highlight=False, soft_wrap=True)
+
+
 def tell_account(log: Path, account: Account, to: Console) -> None:
     """Tell what of a log is readable and what is lost: a line, and one for each loss."""
     to.print(
@@ -118,7 +124,8 @@ def tell_account(log: Path, account: Account, to: Console) -> None:
         highlight=False,
         soft_wrap=True,
     )
-    for line in [] if account.whole else account.lines()[1:]:
+    # The sentence has told already that a recording was not closed.
+    for line in account.lines()[1 : 1 + len(account.losses)]:
         to.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 

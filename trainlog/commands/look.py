@@ -16,7 +16,9 @@ from trainlog.commands.selection import (
     stretch,
     times,
 )
+from trainlog.errors import LogError
 from trainlog.terminal import (
+    complain,
     console,
     logs_in,
     progress_bar,
@@ -46,20 +48,25 @@ def check(logs: Logs) -> None:
     """Read logs to the last byte, verify every checksum, and account for what is lost.
 
     MCAP files of other programs are checked alike. Exit status 1 if any log is damaged;
-    [bold]trainlog recover[/bold] rebuilds it.
+    [bold]trainlog recover[/bold] rebuilds it. 2 if any file is no log at all.
 
     Example: trainlog check results/trips
     """
     from trainlog.mcap import account_of
 
-    damaged = 0
+    status = 0
     with progress_bar() as progress:
         for log in progress.track(logs_in(logs), description="checking"):
-            account = account_of(log)
-            damaged += not account.whole
+            try:
+                account = account_of(log)
+            except LogError as error:  # one file that is no log says nothing of the others
+                complain(str(error))
+                status = 2
+                continue
+            status = max(status, 0 if account.whole else 1)
             tell_account(log, account, progress.console)
-    if damaged:
-        raise typer.Exit(1)
+    if status:
+        raise typer.Exit(status)
 
 
 @app.command(rich_help_panel="Look")
