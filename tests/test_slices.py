@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -152,10 +155,16 @@ def test_a_trip_without_position_is_refused() -> None:
         trip.within(0, 1)
 
 
-@pytest.mark.parametrize("limits", [(2, 1), (np.nan, 1), (0, np.nan)])
-def test_stretches_that_are_none_are_refused(limits: tuple[float, float]) -> None:
+@pytest.mark.parametrize("limits", [(2, 1), (np.nan, 1), (0, np.nan), ("km 1", 2)])
+def test_stretches_that_are_none_are_refused(limits: tuple[Any, Any]) -> None:
     with pytest.raises(InputError, match="there is no stretch"):
         driven([0, 1], [0, 10]).within(*limits)
+
+
+def test_a_stretch_to_infinity_can_be_written(tmp_path: Path) -> None:
+    trip = driven([0, 1, 2], [0, 10, 20]).within(10, np.inf)
+    write_log(trip, tmp_path / "part.mcap")
+    assert read_log(tmp_path / "part.mcap").provenance[-1]["position"] == [10.0, None]
 
 
 @st.composite

@@ -65,8 +65,13 @@ def position_limits(start: float | None = None, end: float | None = None) -> tup
     InputError
         If an end is not a number, or the start is behind the end.
     """
-    first = -np.inf if start is None else float(start)
-    last = np.inf if end is None else float(end)
+    try:
+        first = -np.inf if start is None else float(start)
+        last = np.inf if end is None else float(end)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"there is no stretch from {start!r} to {end!r}", remedy="give positions in metres"
+        ) from error
     if not first <= last:
         raise InputError(
             f"there is no stretch from {first:g} m to {last:g} m",

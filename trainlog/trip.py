@@ -171,7 +171,8 @@ class Trip:
             told = [None if each is None else utc(each).isoformat() for each in time]
             trip = trip.with_step("slice", software=_SOFTWARE, time=told)
         if position is not None:
-            ends = [None if each is None else float(each) for each in position]
+            # An end at infinity is open, too; JSON has no word for it.
+            ends = [None if each is None or np.isinf(each) else float(each) for each in position]
             trip = trip.with_step("slice", software=_SOFTWARE, position=ends)
         return trip
 
