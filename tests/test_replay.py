@@ -28,6 +28,7 @@ from trainlog import topics
 from trainlog.errors import InputError, LogError
 from trainlog.replay import record_replay
 from trainlog.replay.clock import clock_of
+from trainlog.replay.curves import CURVES
 from trainlog.replay.samples import Samples, broken, thinned
 from trainlog.trip import Trip, frame_of
 
@@ -456,3 +457,35 @@ def test_a_long_trip_is_sent_whole(tmp_path: Path) -> None:
         pd.Timestamp(rows(path, "/trips/unnamed/speed/measured")["time"][-1], tz="UTC")
         == (state.index[-1])
     )
+
+
+def test_pieces_are_drawn_as_the_whole(trip: Trip, tmp_path: Path) -> None:
+    """Of a held value, samples beside the seams may be more, none of them other."""
+    whole, parts = tmp_path / "whole.rrd", tmp_path / "parts.rrd"
+    record_replay([trip], whole)
+    edges = pd.date_range(trip.start, trip.end, periods=6).as_unit("ns").asi8
+    edges[0], edges[-1] = 0, 2**62
+    spans = np.column_stack((edges[:-1], edges[1:] - 1))
+    record_replay([lambda: (trip.cut(span[None, :]) for span in spans)], parts)
+    one, other = _drawn(whole), _drawn(parts)
+    held = {curve.entity for curve in CURVES if curve.held}
+    assert one.keys() == other.keys()
+    for key, values in one.items():
+        assert values.items() <= other[key].items(), key
+        if key.removeprefix("/trips/up/") not in held:
+            assert len(values) == len(other[key]), key
+
+
+def _drawn(path: Path) -> dict[str, dict[str, int]]:
+    """How often each row of each entity is in a recording, and what it says."""
+    drawn: dict[str, dict[str, int]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        for row in chunk.to_record_batch().to_pylist():
+            said = {
+                name: value
+                for name, value in row.items()
+                if "RowId" not in name and "row_id" not in name
+            }
+            found = drawn.setdefault(chunk.entity_path, {})
+            found[repr(said)] = found.get(repr(said), 0) + 1
+    return drawn

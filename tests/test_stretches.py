@@ -12,11 +12,10 @@ from analysis.estimates import estimate_log, with_estimates
 from analysis.resistance import fit_logs
 from analysis.traction_map import update_logs
 from tests.mcap_trips import assert_same, trip_of
-from trainlog.errors import LogError
 from trainlog.formats.samples import folder
 from trainlog.mcap import read_log, write_log
 from trainlog.mcap import stretches as module
-from trainlog.mcap.stretches import read_bounded, stretches
+from trainlog.mcap.stretches import stretches
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -65,17 +64,6 @@ def test_a_stretch_has_the_samples_before_and_after_it(log: Path) -> None:
 def test_a_log_without_rows_is_one_stretch(tmp_path: Path) -> None:
     write_log(trip_of(rows=0), tmp_path / "empty.mcap")
     assert [part.count for part in stretches(tmp_path / "empty.mcap")] == [1]
-
-
-def test_what_must_be_held_as_a_whole_is_bounded(
-    log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert_same(read_bounded(log), read_log(log))
-    monkeypatch.setattr(module, "ROWS", 50_000)
-    with pytest.raises(LogError, match=r"stopping.mcap: has more than 50,000 rows.*--km"):
-        read_bounded(log)
-    part = read_bounded(log, position=(3_200.0, 7_500.0))
-    assert_same(part, read_log(log, position=(3_200.0, 7_500.0)))
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +29,9 @@ from trainlog.terminal import (
 )
 
 app = typer.Typer()
+
+PIECE = 200_000
+"""Rows that a replay holds at a time, over all topics."""
 
 
 @app.command(rich_help_panel="Look")
@@ -90,17 +94,22 @@ def replay(
     """
     from trainlog.formats.condition import read_map
     from trainlog.formats.trajectory import read_trajectory
-    from trainlog.mcap.stretches import read_bounded
+    from trainlog.mcap import stream_log
     from trainlog.replay import open_viewer, record_replay
 
-    with progress_bar() as progress:
-        trips = [
-            read_bounded(log, time=times(start, end, source_span(log)), position=stretch(km))
-            for log in progress.track(logs_in(logs), description="reading")
-        ]
+    sources = [
+        partial(
+            stream_log,
+            log,
+            time=times(start, end, source_span(log)),
+            position=stretch(km),
+            rows=PIECE,
+        )
+        for log in logs_in(logs)
+    ]
     with working(f"writing {output.name}"):
         record_replay(
-            trips,
+            sources,
             output,
             trajectory=None if trajectory is None else read_trajectory(trajectory),
             condition_map=None if condition is None else read_map(condition),

@@ -10,18 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from trainlog.errors import LogError
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.filling import topic_channels
 from trainlog.mcap.reader import read_log
 from trainlog.mcap.source import Source
-from trainlog.mcap.stream import stream_log
 from trainlog.spans import ALWAYS
 from trainlog.trip import Trip
 
@@ -103,39 +100,6 @@ def stretches(
         )
         part = replace(read_log(path, topics, time=time), provenance=bare.provenance)
         yield Stretch(part, (first, last), number, len(edges) - 1)
-
-
-def read_bounded(
-    path: str | Path,
-    *,
-    time: tuple[Any, Any] | None = None,
-    position: tuple[float | None, float | None] | None = None,
-) -> Trip:
-    """Read a log, or a part of it, that has to be in memory as a whole.
-
-    Raises
-    ------
-    LogError
-        If it has more rows than `ROWS`; otherwise as `read_log`.
-    InputError
-        As `read_log`.
-    """
-    parts: list[Trip] = []
-    held = 0
-    for piece in stream_log(path, time=time, position=position, rows=ROWS):
-        parts.append(piece)
-        held += sum(map(len, piece.topics.values()))
-        if held > ROWS:
-            raise LogError(
-                f"has more than {ROWS:,} rows, too many to be shown at once",
-                file=path,
-                remedy="choose a part of it with --from, --to or --km",
-            )
-    frames = {}
-    for name, frame in parts[0].topics.items():
-        frames[name] = pd.concat([part[name] for part in parts if len(part[name])] or [frame])
-        frames[name].attrs = frame.attrs
-    return replace(parts[0], topics=frames)
 
 
 def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[int]:

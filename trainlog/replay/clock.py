@@ -12,6 +12,7 @@ non-decreasing line nearest to what was recorded.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,14 @@ TIME, ELAPSED, POSITION = "time", "elapsed", "position_mm"
 
 MILLIMETRES = 1e3
 """In one metre."""
+
+CLOCKS: tuple[tuple[str, ...], ...] = (
+    (ESTIMATED_STATE.name, "position"),
+    (TRAIN_STATE.name, "position"),
+    (GNSS_MOTION.name, "speed"),
+    (GNSS_FIX.name, "latitude", "longitude"),
+)
+"""Topics, and columns of them, that tell a trip's position, the best first."""
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the earth [m]."""
@@ -118,24 +127,35 @@ def clock_of(trip: Trip) -> Clock:
         If the trip holds no samples.
     """
     start = int(trip.start.as_unit("ns").value)
-    for topic in (ESTIMATED_STATE.name, TRAIN_STATE.name):
-        found = _known(trip, topic, "position")
-        if found is not None:
-            time, position = found
+    found = {candidate: known_rows(trip, *candidate) for candidate in CLOCKS}
+    return clock_from(start, {key: rows for key, rows in found.items() if rows is not None})
+
+
+def clock_from(start: int, known: Mapping[tuple[str, ...], tuple[Any, ...]]) -> Clock:
+    """The clock of a trip that began at `start` [ns], of which `known` tells the place.
+
+    Parameters
+    ----------
+    start : int [ns since 1970 UTC]
+    known : mapping of tuple of str to tuple of arrays
+        By one of `CLOCKS`: time [ns] and columns of the rows in which all of them are known.
+    """
+    for candidate in CLOCKS[:2]:
+        if candidate in known:
+            time, position = known[candidate]
             forward = isotonic_regression(np.maximum(position, 0.0)).x
             return Clock(start, time, np.asarray(forward, dtype=np.float64))
-    found = _known(trip, GNSS_MOTION.name, "speed")
-    if found is not None:
-        time, speed = found
+    if CLOCKS[2] in known:
+        time, speed = known[CLOCKS[2]]
         steps = np.diff(time) / 1e9 * 0.5 * (speed[1:] + speed[:-1])
         return Clock(start, time, np.concatenate(([0.0], np.cumsum(steps))))
-    found = _known(trip, GNSS_FIX.name, "latitude", "longitude")
-    if found is not None:
-        return Clock(start, found[0], _run(*found[1:]))
+    if CLOCKS[3] in known:
+        time, latitude, longitude = known[CLOCKS[3]]
+        return Clock(start, time, _run(latitude, longitude))
     return Clock(start, np.empty(0, np.int64), np.empty(0))
 
 
-def _known(trip: Trip, topic: str, *names: str) -> tuple[Any, ...] | None:
+def known_rows(trip: Trip, topic: str, *names: str) -> tuple[Any, ...] | None:
     """Time and columns of the rows of `topic` in which all of `names` are known; None if none."""
     if topic not in trip:
         return None

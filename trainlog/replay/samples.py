@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trainlog.replay.clock import FloatArray, Nanoseconds, nanoseconds
 from trainlog.replay.curves import Curve
 from trainlog.resampling import interpolated
-from trainlog.topics import ESTIMATED_ADHESION, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.topics import ESTIMATED_ADHESION, TRAIN_AXLES, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
 
 GAP_PERIODS = 5.0
@@ -45,36 +45,91 @@ class Samples:
     variances: FloatArray | None = None
 
 
-def samples_of(curve: Curve, trip: Trip) -> Samples | None:
-    """The points of a curve; None if the trip has nothing to show."""
-    if curve.topic.name not in trip:
+class Pen:
+    """Makes the points of a curve piece by piece, with no seams between the pieces.
+
+    Nothing comes before the first piece in which there is anything to show.
+    """
+
+    def __init__(self, curve: Curve) -> None:
+        self._curve = curve
+        self._last = 0
+        self._longest: float | None = None
+        self._begun = False
+
+    def samples(self, trip: Trip) -> Samples | None:
+        """The points of the next piece; None if it has nothing to show."""
+        curve = self._curve
+        values = shown_values(curve, trip)
+        if values is None or not (self._begun or np.isfinite(values).any()):
+            return None
+        frame = trip[curve.topic.name]
+        variances = None
+        if curve.std is not None:
+            scale = [stroke.scale for stroke in curve.strokes]
+            variances = (_block(frame, [curve.std]) * scale) ** 2
+        points = Samples(nanoseconds(frame), values, variances)
+        if self._longest is None:
+            self._longest = longest_pause(points.time)
+        points = broken(points, self._longest, self._last if self._begun else None)
+        self._begun, self._last = True, int(points.time[-1])
+        return thinned(points) if curve.held else points
+
+
+def shown_values(curve: Curve, trip: Trip) -> FloatArray | None:
+    """The ordinates of a curve, (n, lines), in its unit; None if there is no sample of it."""
+    if curve.topic.name not in trip or trip[curve.topic.name].empty:
         return None
     frame = trip[curve.topic.name]
     names = _columns(curve, frame)
-    scale = [stroke.scale for stroke in curve.strokes]
-    values = _block(frame, names) * scale
-    if not np.isfinite(values).any():
+    if not names:
         return None
-    if curve.magnitude:
-        values = np.abs(values)
-    variances = None
-    if curve.std is not None:
-        variances = (_block(frame, [curve.std]) * scale) ** 2
-    points = broken(Samples(nanoseconds(frame), values, variances))
-    return thinned(points) if curve.held else points
+    values = _block(frame, names) * [stroke.scale for stroke in curve.strokes]
+    return np.abs(values) if curve.magnitude else values
 
 
-def broken(points: Samples) -> Samples:
-    """A row of NaN after each sample that is followed by a gap in time, so that the line breaks."""
-    steps = np.diff(points.time)
-    if steps.size == 0:
+def longest_pause(time: Nanoseconds) -> float | None:
+    """Samples further apart than this [ns] have a gap between them; None of a single sample."""
+    if time.size < 2:
+        return None
+    return max(GAP_PERIODS * float(np.median(np.diff(time))), SHORTEST_GAP)
+
+
+def broken(points: Samples, longest: float | None = None, before: int | None = None) -> Samples:
+    """A row of NaN after each sample that is followed by a gap in time, so that the line breaks.
+
+    Parameters
+    ----------
+    points : Samples
+    longest : float [ns], optional
+        What is longer is a gap. Default: `longest_pause` of the points.
+    before : int [ns since 1970 UTC], optional
+        Time of the last sample before these: the line breaks after it, too.
+    """
+    if longest is None:
+        longest = longest_pause(points.time)
+    if longest is None:
         return points
-    gaps = np.flatnonzero(steps > max(GAP_PERIODS * float(np.median(steps)), SHORTEST_GAP)) + 1
+    if before is not None and points.time[0] - before > longest:
+        points = _after_gap(points, before)
+    gaps = np.flatnonzero(np.diff(points.time) > longest) + 1
+    if before is not None:
+        gaps = gaps[points.time[gaps - 1] != before + 1]
     variances = points.variances
     return Samples(
         np.insert(points.time, gaps, points.time[gaps - 1] + 1),
         np.insert(points.ordinates, gaps, np.nan, axis=0),
         None if variances is None else np.insert(variances, gaps, np.nan, axis=0),
+    )
+
+
+def _after_gap(points: Samples, before: int) -> Samples:
+    """The points behind a row of NaN that ends the line just after `before` [ns]."""
+    variances = points.variances
+    return Samples(
+        np.insert(points.time, 0, before + 1),
+        np.insert(points.ordinates, 0, np.nan, axis=0),
+        None if variances is None else np.insert(variances, 0, np.nan, axis=0),
     )
 
 
@@ -90,54 +145,75 @@ def thinned(points: Samples) -> Samples:
     return Samples(points.time[kept], values[kept], variances)
 
 
-def with_slip(trip: Trip) -> Trip:
-    """The trip with slip speeds: wheel less train speed, where no estimate of them is recorded."""
-    if ESTIMATED_ADHESION.name in trip or not {TRAIN_AXLES.name, TRAIN_STATE.name} <= {
-        *trip.topics
-    }:
+def with_slip(trip: Trip, state: pd.DataFrame | None) -> Trip:
+    """The trip with slip speeds: wheel less train speed, where no estimate of them is recorded.
+
+    `state` is the train's state from before the trip's first sample to behind its last.
+    """
+    if ESTIMATED_ADHESION.name in trip or TRAIN_AXLES.name not in trip or state is None:
         return trip
     axles = trip[TRAIN_AXLES.name]
     wheels = _block(axles, [name for name in axles.columns if name.startswith("wheel_speed_")])
-    train = interpolated(trip[TRAIN_STATE.name], "speed", pd.DatetimeIndex(axles.index))
+    train = interpolated(state, "speed", pd.DatetimeIndex(axles.index))
     return trip.with_topic(
         frame_of(ESTIMATED_ADHESION, nanoseconds(axles), {"slip_speed": wheels - train[:, None]})
     )
 
 
-def phases(trip: Trip) -> tuple[Nanoseconds, NDArray[np.str_]] | None:
+def phases(
+    trip: Trip, state: pd.DataFrame | None, largest: FloatArray
+) -> tuple[Nanoseconds, NDArray[np.str_]] | None:
     """When the train changed between traction, coasting, braking and standstill, and to which.
 
     The lever decides, which has no noise; without one the efforts asked for, then those given.
     None if the trip records none of them.
+
+    Parameters
+    ----------
+    trip : Trip
+        Or a piece of one.
+    state : DataFrame or None
+        The train's state from before the piece's first sample to behind its last.
+    largest : (3,) array
+        `largest_pulls` of the whole trip.
     """
-    if TRAIN_CONTROLS.name not in trip:
+    if TRAIN_CONTROLS.name not in trip or trip[TRAIN_CONTROLS.name].empty:
         return None
-    frame = trip[TRAIN_CONTROLS.name].reindex(columns=[f.name for f in TRAIN_CONTROLS.fields])
-    pull = _pull(frame)
+    frame = trip[TRAIN_CONTROLS.name]
+    pull = _pull(frame, largest)
     if pull is None:
         return None
     phase = np.select([pull > 0.0, pull < 0.0], ["traction", "braking"], default="coasting")
-    if TRAIN_STATE.name in trip:
-        index = pd.DatetimeIndex(frame.index)
-        speed = interpolated(trip[TRAIN_STATE.name], "speed", index)
+    if state is not None:
+        speed = interpolated(state, "speed", pd.DatetimeIndex(frame.index))
         phase = np.where(speed < STANDSTILL, "standstill", phase)
     phase = np.where(np.isnan(pull), "", phase)
     changed = np.concatenate(([True], phase[1:] != phase[:-1]))
     return nanoseconds(frame)[changed], phase[changed]
 
 
-def _pull(frame: pd.DataFrame) -> FloatArray | None:
+def largest_pulls(frame: pd.DataFrame) -> FloatArray:
+    """Largest magnitude of the lever, of the effort asked for, and of that given; (3,)."""
+    found = [np.nanmax(np.abs(pull), initial=0.0) for pull in _pulls(frame)]
+    return np.array(found, dtype=np.float64)
+
+
+def _pull(frame: pd.DataFrame, largest: FloatArray) -> FloatArray | None:
     """Positive in traction, negative in braking, 0 between, NaN where unknown; (n,)."""
-    demand = frame["tractive_effort_demand"] - frame["braking_effort_demand"]
-    given = frame["tractive_effort"].fillna(0.0) - frame[
+    for pull, most in zip(_pulls(frame), largest.tolist(), strict=True):
+        if most > 0.0:
+            return np.where(np.abs(pull) < APPLIED * most, 0.0, pull)
+    return None
+
+
+def _pulls(frame: pd.DataFrame) -> tuple[FloatArray, ...]:
+    """The lever, the effort asked for, and that given, braking negative; (n,) each."""
+    full = frame.reindex(columns=[field.name for field in TRAIN_CONTROLS.fields])
+    demand = full["tractive_effort_demand"] - full["braking_effort_demand"]
+    given = full["tractive_effort"].fillna(0.0) - full[
         ["dynamic_braking_effort", "pneumatic_braking_effort"]
     ].sum(axis=1)
-    for candidate in (frame["lever"], demand, given):
-        pull = candidate.to_numpy(dtype=np.float64)
-        largest = np.nanmax(np.abs(pull), initial=0.0)
-        if np.isfinite(pull).any() and largest > 0.0:
-            return np.where(np.abs(pull) < APPLIED * largest, 0.0, pull)
-    return None
+    return tuple(each.to_numpy(dtype=np.float64) for each in (full["lever"], demand, given))
 
 
 def _columns(curve: Curve, frame: pd.DataFrame) -> list[str]:

@@ -60,9 +60,15 @@ def send_curve(
         # force on either side of each change, and slips that never were as high.
         "aggregation_policy": "Off" if held else "MinMax",
     }
+    style_of = rr.SeriesLines if points.variances is None else rr.Measurements.from_fields
+    send_static(recording, entity, style_of(**style))
+    send_samples(recording, entity, instants, points)
+
+
+def send_samples(recording: Any, entity: str, instants: Instants, points: Samples) -> None:
+    """Send further points of a curve."""
     variances = points.variances
     if variances is None:
-        send_static(recording, entity, rr.SeriesLines(**style))
         send_rows(
             recording,
             entity,
@@ -70,7 +76,6 @@ def send_curve(
             lambda rows: rr.Scalars.columns(scalars=_rows(points.ordinates[rows])),
         )
         return
-    send_static(recording, entity, rr.Measurements.from_fields(**style))
     send_rows(
         recording,
         entity,

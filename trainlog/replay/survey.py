@@ -1,0 +1,214 @@
+"""What a replay has to know of a whole trip before the first piece of it is drawn.
+
+A trip may be longer than the memory: it is read twice, piece by piece. The first time gives where
+the train was when, how high the plots have to be, and the recording's id; the second time each
+piece is drawn and forgotten.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trainlog.formats.attached import line_of
+from trainlog.railway import Line
+from trainlog.replay.clock import (
+    CLOCKS,
+    Clock,
+    FloatArray,
+    Nanoseconds,
+    clock_from,
+    known_rows,
+    nanoseconds,
+)
+from trainlog.replay.curves import CURVES
+from trainlog.replay.samples import largest_pulls, shown_values, with_slip
+from trainlog.topics import GNSS_FIX, TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.trip import LINE_ATTACHMENT, Trip
+
+Pieces = Callable[[], Iterable[Trip]]
+"""Gives a trip piece by piece, in the order of time, each time that it is called."""
+
+MOST = 500_000
+"""Samples of a quantity that are kept of a whole trip; of more, every second, fourth, ..."""
+
+USUAL = 0.999
+"""Share of the values that a plot shows: outliers do not flatten the rest."""
+
+
+class Sparse:
+    """Rows of a long series, every one until there are too many, then every second, and so on."""
+
+    def __init__(self, most: int = MOST) -> None:
+        self._most = most
+        self._parts: list[tuple[Any, ...]] = []
+        self._step = 1
+        self._passed = 0
+        self._held = 0
+
+    def add(self, *columns: Any) -> None:
+        """The next rows: arrays of one length."""
+        count = len(columns[0])
+        first = -self._passed % self._step
+        self._passed += count
+        self._parts.append(tuple(column[first :: self._step].copy() for column in columns))
+        self._held += len(self._parts[-1][0])
+        while self._held > self._most:
+            # What is kept are the rows whose number is a multiple of the step.
+            self._parts = [tuple(column[::2] for column in self.rows())]
+            self._held = len(self._parts[0][0])
+            self._step *= 2
+
+    def __len__(self) -> int:
+        return self._held
+
+    def rows(self) -> tuple[Any, ...]:
+        """The columns, of what was kept."""
+        return tuple(np.concatenate(each) for each in zip(*self._parts, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A whole trip at a glance.
+
+    Attributes
+    ----------
+    bare : Trip
+        Its metadata and attachments, and its topics without rows.
+    line : Line or None
+        As travelled; None if the trip carries none.
+    clock : Clock
+    tops : dict of str to float
+        Of each curve that has anything to show, by entity, the value that nearly all are below,
+        in the curve's unit.
+    pulls : (3,) array
+        Largest magnitude of lever, of the effort asked for, and of that given.
+    fixes : (time [ns], (n, 2) array [deg]) or None
+        When and where the satellites saw it.
+    digest : bytes
+        Of everything recorded.
+    """
+
+    bare: Trip
+    line: Line | None
+    clock: Clock
+    tops: dict[str, float]
+    pulls: FloatArray
+    fixes: tuple[Nanoseconds, FloatArray] | None
+    digest: bytes
+
+
+def pieces_of(trip: Trip | Pieces) -> Pieces:
+    """A trip in memory is a single piece."""
+    if isinstance(trip, Trip):
+        return lambda: [trip]
+    return trip
+
+
+def survey(pieces: Pieces) -> Survey:
+    """Read a trip once.
+
+    Raises
+    ------
+    LogError
+        If the trip holds no samples.
+    """
+    bare: Trip | None = None
+    start: int | None = None
+    digest = hashlib.sha256()
+    places = {candidate: Sparse() for candidate in CLOCKS}
+    values: dict[str, Sparse] = {}
+    pulls = np.zeros(3)
+    for piece, state in neighboured(pieces()):
+        if bare is None:
+            bare = replace(
+                piece, topics={name: frame.iloc[:0] for name, frame in piece.topics.items()}
+            )
+            digest.update(json.dumps(piece.metadata, sort_keys=True).encode())
+        if start is None and any(map(len, piece.topics.values())):
+            start = int(piece.start.as_unit("ns").value)
+        _digest(digest, piece)
+        for (topic, *names), kept in places.items():
+            found = known_rows(piece, topic, *names)
+            if found is not None:
+                kept.add(*found)
+        drawn = with_slip(piece, state)
+        for curve in CURVES:
+            shown = shown_values(curve, drawn)
+            if shown is not None and np.isfinite(shown).any():
+                values.setdefault(curve.entity, Sparse(MOST // shown.shape[1])).add(shown)
+        if TRAIN_CONTROLS.name in piece:
+            pulls = np.maximum(pulls, largest_pulls(piece[TRAIN_CONTROLS.name]))
+    if bare is None or start is None:
+        bare = bare or Trip({})
+        start = int(bare.start.as_unit("ns").value)
+    known = {candidate: kept.rows() for candidate, kept in places.items() if len(kept)}
+    seen = known.get((GNSS_FIX.name, "latitude", "longitude"))
+    return Survey(
+        bare=bare,
+        line=line_of(bare) if LINE_ATTACHMENT in bare.attachments else None,
+        clock=clock_from(start, known),
+        tops={
+            entity: float(np.nanquantile(kept.rows()[0], USUAL)) for entity, kept in values.items()
+        },
+        pulls=pulls,
+        fixes=None if seen is None else (seen[0], np.column_stack(seen[1:])),
+        digest=digest.digest(),
+    )
+
+
+def neighboured(pieces: Iterable[Trip]) -> Iterator[tuple[Trip, pd.DataFrame | None]]:
+    """Each piece, and the train's state in it with one sample before it and one behind it.
+
+    What is read between two samples of the train's state then has no seams.
+    """
+    before: pd.DataFrame | None = None
+    waiting: Trip | None = None
+    for piece in pieces:
+        if waiting is not None:
+            yield waiting, _state(before, waiting, piece)
+            before = _last_state(before, waiting)
+        waiting = piece
+    if waiting is not None:
+        yield waiting, _state(before, waiting, None)
+
+
+def _state(before: pd.DataFrame | None, piece: Trip, after: Trip | None) -> pd.DataFrame | None:
+    name = TRAIN_STATE.name
+    if name not in piece:
+        return None
+    frame = piece[name]
+    parts = [
+        part
+        for part in (before, frame, None if after is None else after[name].iloc[:1])
+        if part is not None and len(part)
+    ]
+    if len(parts) < 2:
+        return parts[0] if parts else frame
+    joined = pd.concat(parts)
+    joined.attrs = frame.attrs
+    return joined
+
+
+def _last_state(before: pd.DataFrame | None, piece: Trip) -> pd.DataFrame | None:
+    if TRAIN_STATE.name not in piece or piece[TRAIN_STATE.name].empty:
+        return before
+    return piece[TRAIN_STATE.name].iloc[-1:]
+
+
+def _digest(digest: Any, piece: Trip) -> None:
+    for topic, frame in sorted(piece.topics.items()):
+        digest.update(topic.encode() + nanoseconds(frame).tobytes())
+        for column in frame.columns:
+            values = frame[column]
+            numbers = values.dtype.kind in "fiub"
+            text = (
+                values.to_numpy().tobytes() if numbers else "\n".join(values.astype(str)).encode()
+            )
+            digest.update(column.encode() + text)
