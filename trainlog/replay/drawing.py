@@ -23,6 +23,7 @@ from trainlog.replay.samples import Pen, phases, with_slip
 from trainlog.replay.stream import (
     path_of,
     send_curve,
+    send_places,
     send_points,
     send_rows,
     send_samples,
@@ -193,9 +194,11 @@ class Drawing:
             return
         instants = self._known.clock.instants(nanoseconds(frame)[known])
         entity = f"{self._root}/place/satellites"
-        send_points(
-            *(self._recording, entity, instants, fixes[known]), colour=SATELLITES, radius=SMALL
-        )
+        drawn = (self._recording, entity, instants, fixes[known])
+        if "place/satellites" in self._entities:
+            send_places(*drawn)
+            return
+        send_points(*drawn, colour=SATELLITES, radius=SMALL)
         self._entities.add("place/satellites")
 
     def _draw_places(self) -> FloatArray | None:

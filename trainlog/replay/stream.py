@@ -116,6 +116,11 @@ def send_points(
         entity,
         rr.GeoPoints.from_fields(radii=rr.Radius.ui_points(radius), colors=np.array([colour])),
     )
+    send_places(recording, entity, instants, degrees)
+
+
+def send_places(recording: Any, entity: str, instants: Instants, degrees: FloatArray) -> None:
+    """Send further places of a point: latitude and longitude [deg], (n, 2)."""
     send_rows(
         recording, entity, instants, lambda rows: rr.GeoPoints.columns(positions=degrees[rows])
     )
