@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from mcap.reader import make_reader
 
 from tests.mcap_trips import START, assert_same, trip_of
 from trainlog.cli import run
 from trainlog.commands.selection import stretch, times
 from trainlog.errors import InputError, LogError
 from trainlog.formats.parquet import read_parquet, write_parquet
+from trainlog.mcap import DamageWarning, read_log, write_log
 from trainlog.mcap import convert as module
-from trainlog.mcap import read_log, write_log
 from trainlog.mcap.convert import convert, span_of
 from trainlog.topics import EVENTS, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
@@ -202,3 +203,39 @@ def test_a_stretch_of_a_folder_without_positions_is_refused(tmp_path: Path) -> N
     write_parquet(Trip({}, {"trip": "t7"}), tmp_path / "none.parquet")
     with pytest.raises(LogError, match="does not know where the train was"):
         convert(tmp_path / "none.parquet", tmp_path / "none.mcap", position=(0.0, 1.0))
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
+def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(
+    suffix: str, log: Path, tmp_path: Path
+) -> None:
+    """Also where it shows only on the way: the last chunk of several fails its checksum."""
+    trip = read_log(log)
+    minutes = {}
+    for name, frame in trip.topics.items():
+        parts = [frame.set_axis(frame.index + pd.Timedelta(minutes=2 * k)) for k in range(4)]
+        minutes[name] = pd.concat(parts)
+        minutes[name].attrs = frame.attrs
+    long = tmp_path / "long.mcap"
+    write_log(Trip(minutes, trip.metadata, trip.provenance), long)
+    data = bytearray(long.read_bytes())
+    with long.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    last = max(summary.chunk_indexes, key=lambda each: each.chunk_start_offset)
+    data[last.chunk_start_offset + last.chunk_length - 5] ^= 0xFF
+    long.write_bytes(data)
+
+    with pytest.warns(DamageWarning) as told:
+        convert(long, tmp_path / f"made{suffix}")
+    account = told[0].message.account  # type: ignore[union-attr]
+    made = read_log(tmp_path / "made.mcap") if suffix == ".mcap" else read_parquet(
+        tmp_path / "made.parquet"
+    )  # fmt: skip
+    step = made.provenance[-1]
+    assert step["step"] == "read damaged log"
+    assert step["account"] == account.details()
+    rows = sum(len(frame) for frame in made.topics.values())
+    assert step["account"]["messages"] == rows == account.messages
+    whole = sum(len(frame) for frame in minutes.values())
+    assert step["account"]["messages_lost"] == whole - rows > 0

@@ -120,7 +120,8 @@ def parquet_writer(folder: str | Path) -> Iterator[ParquetWriter]:
 class ParquetWriter:
     """A folder of Parquet files being written; made by `parquet_writer`.
 
-    Metadata, provenance and attachments are those of the first piece.
+    Metadata and attachments are those of the first piece, the provenance is that of the last, which
+    knows what was lost on the way.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -136,7 +137,8 @@ class ParquetWriter:
         LogError
             If a frame has no time, or not the columns of the pieces before.
         """
-        self._trip = self._trip or replace(piece, topics={})
+        first = self._trip or replace(piece, topics={})
+        self._trip = replace(first, provenance=piece.provenance)
         for topic, frame in piece.topics.items():
             if topic not in self._topics:
                 path = self._folder / f"{self._free_name(topic)}.parquet"

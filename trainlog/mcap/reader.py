@@ -56,7 +56,7 @@ def read_log(
     Only what is asked for is read: the chunks that hold it are found by the file's index. What is
     read is verified by its checksums; when all is read, the rest of the file is, too. Of a damaged
     file everything that is readable comes back, with a `DamageWarning` that carries the account of
-    what is lost.
+    what is lost; the trip's provenance keeps it.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def read_log(
             trip = trip_of(source, contents, selection, threads_of(threads))
         check_readable(contents.account)
     report_losses(path, contents)
-    return trip
+    return with_losses(trip, contents)
 
 
 def report_losses(path: str | Path, contents: Contents) -> None:
@@ -106,6 +106,13 @@ def report_losses(path: str | Path, contents: Contents) -> None:
     if contents.losses:
         # From here over the public function to its caller.
         warnings.warn(DamageWarning(str(path), contents.account), stacklevel=3)
+
+
+def with_losses(trip: Trip, contents: Contents) -> Trip:
+    """The trip, its provenance telling what of its file is lost, if anything is."""
+    if not contents.losses:
+        return trip
+    return trip.with_step("read damaged log", account=contents.account.details())
 
 
 def trip_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Trip:

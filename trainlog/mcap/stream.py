@@ -16,7 +16,13 @@ from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.filling import frames_in, topic_channels
 from trainlog.mcap.places import ChunkPlace
-from trainlog.mcap.reader import bare_trip, check_readable, report_losses, spans_of
+from trainlog.mcap.reader import (
+    bare_trip,
+    check_readable,
+    report_losses,
+    spans_of,
+    with_losses,
+)
 from trainlog.mcap.selection import Selection, Topics, chunks_within, selection_of
 from trainlog.mcap.source import Source
 from trainlog.mcap.stored import MisplacedError
@@ -54,8 +60,8 @@ def stream_log(
     ------
     Trip
         With every topic, without rows perhaps, and the metadata, provenance and attachments of the
-        whole. There is at least one. Messages of the same instant are in the same piece, if they
-        are no more than `rows`.
+        whole; the provenance of the last tells what is lost. There is at least one. Messages of the
+        same instant are in the same piece, if they are no more than `rows`.
 
     Raises
     ------
@@ -75,13 +81,14 @@ def stream_log(
 def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]:
     with Source(path) as source, in_file(path):
         stream = _Stream(source, selection)
-        count = 0
+        told = None
         for frames in stream.groups(rows):
             for part in _cut(frames, rows):
-                count += 1
-                yield replace(stream.bare, topics=part)
-        if not count:
-            yield replace(stream.bare, topics=stream.none)
+                told = stream.told
+                yield replace(told, topics=part)
+        if told is None or told.provenance != stream.told.provenance:
+            # What is lost shows in a piece without rows, too.
+            yield replace(stream.told, topics=stream.none)
         check_readable(stream.contents.account)
     report_losses(path, stream.contents)
 
@@ -106,6 +113,11 @@ class _Stream:
         self.bare = bare.with_slice(time=selection.time, position=selection.position)
         return spans_of(self._source, self.contents, selection, threads=1)
 
+    @property
+    def told(self) -> Trip:
+        """The trip without its topics; its provenance tells the losses met so far."""
+        return with_losses(self.bare, self.contents)
+
     def groups(self, rows: int) -> Iterator[_Frames]:
         """The rows of all topics that come before all that follow, some chunks at a time."""
         selection = self._selection
@@ -127,8 +139,7 @@ class _Stream:
                 frames = replace(self.bare, topics=frames).cut(self._spans).topics
             waiting = {name: _joined(waiting.get(name), frame) for name, frame in frames.items()}
             if not chunks:
-                yield waiting
-                return
+                break
             until = min(place.start for place in chunks)
             ready = {
                 name: frame.iloc[: _times(frame).searchsorted(until)]
@@ -136,6 +147,7 @@ class _Stream:
             }
             waiting = {name: frame.iloc[len(ready[name]) :] for name, frame in waiting.items()}
             yield ready
+        yield waiting
 
     def _chunks(self, done: set[int]) -> list[ChunkPlace]:
         """The chunks that are still to be read, in the order of time."""

@@ -17,6 +17,7 @@ from trainlog.formats.files import atomic_write
 from trainlog.mcap.chunks import Plan, Stream, plan_of
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.facts import attachment_of, metadata_records
+from trainlog.mcap.names import PROVENANCE_RECORD
 from trainlog.mcap.sink import PackedChunk, Sink, packed
 from trainlog.mcap.streams import stream_of, topics_of
 from trainlog.trip import Trip
@@ -59,10 +60,11 @@ class LogWriter:
             for piece in pieces:
                 log.add(piece)
 
-    The pieces follow each other in time. Metadata, provenance and attachments are those of the
-    first. When the block ends the file takes its place; when it fails there is no file, and an
-    older one stays as it was. The bytes are those that `write_log` gives for the whole trip, if
-    all its topics are in the first piece and no two pieces share an instant.
+    The pieces follow each other in time. Metadata and attachments are those of the first, the
+    provenance is that of the last, which knows what was lost on the way. When the block ends the
+    file takes its place; when it fails there is no file, and an older one stays as it was. The
+    bytes are those that `write_log` gives for the whole trip, if all its topics are in the first
+    piece, no two pieces share an instant and the provenance of all is the same.
 
     Parameters
     ----------
@@ -78,6 +80,7 @@ class LogWriter:
         self._place = atomic_write(path, sync=sync)
         self._sink: Sink | None = None
         self._described: dict[str, dict[str, str]] | None = None
+        self._steps: dict[str, str] = {}
         self._attachments: dict[str, bytes] = {}
         self._pending: dict[str, Stream] = {}
         self._end = 0
@@ -118,9 +121,11 @@ class LogWriter:
             If the file cannot be written.
         """
         with in_file(self._path):
+            described = metadata_records(piece)
             if self._described is None:
-                self._described = metadata_records(piece)
+                self._described = described
                 self._attachments = piece.attachments
+            self._steps = described[PROVENANCE_RECORD]
             streams = self._checked(piece)
         for name, stream in streams.items():
             held = self._pending.get(name)
@@ -165,6 +170,10 @@ class LogWriter:
         if full:
             self._pending = dict(zip(self._pending, plan.behind(full), strict=True))
         if last:
+            first = (self._described or {}).get(PROVENANCE_RECORD, {})
+            later = {key: step for key, step in self._steps.items() if first.get(key) != step}
+            if later:
+                self._sink.put_metadata(PROVENANCE_RECORD, later)
             self._sink.finish()
 
     def _packed(self, plan: Plan, chunks: int) -> Iterator[PackedChunk]:
