@@ -338,6 +338,9 @@ def _trip(path: Path, whole: Specimen, account: Account) -> Iterator[str]:
     said = [each.message.account for each in caught if isinstance(each.message, DamageWarning)]
     if said and said[0].messages != account.messages:
         yield f"read_log says {said[0].messages} are readable, account_of {account.messages}"
+    if said and not all(each in path.read_bytes() for each in whole.declarations):
+        # A schema of which no copy is whole gives its columns other names.
+        return
     for name, frame in whole.trip.topics.items():
         written = _rows(frame)
         read = _rows(trip.topics[name]) if name in trip.topics else Counter()

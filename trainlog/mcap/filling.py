@@ -204,9 +204,12 @@ def _offsets(source: Source, place: ChunkPlace, content: bytes, targets: list[_T
             # One message after the other; the layout is verified where they are read.
             return {sole.channel.id: _evenly(size, -(-len(content) // _ROUND))[:count]}
     if place.indexes:
-        return _starts(
+        index = _starts(
             fetched_index(source, place, [target.source.channel.id for target in targets])
         )
+        # An index that leads to one message twice leaves out another.
+        if all(bool(np.all(each[1:] > each[:-1])) for each in index.values()):
+            return index
     return _starts(index_of(content, place.offset))
 
 

@@ -180,10 +180,13 @@ def check_data_section(source: Source, contents: Contents) -> None:
     Raises
     ------
     MisplacedError
-        If it fails and the contents were found by the summary; a walk tells more.
+        If it fails, or an attachment has, and the contents were found by the summary; a walk
+        tells more.
     """
-    if contents.data_section is None or contents.losses or not contents.indexed:
+    if contents.data_section is None or not contents.indexed:
         return
+    if contents.losses:
+        raise MisplacedError(contents.losses[0].reason, place=f"byte {contents.losses[0].start}")
     end, expected = contents.data_section
     checksum = 0
     for at in range(0, end if expected else 0, _PIECE):

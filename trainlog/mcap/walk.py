@@ -40,9 +40,11 @@ from trainlog.mcap.resync import (
     is_message_index,
     told_length,
 )
+from trainlog.mcap.schemas import descriptor_set
 from trainlog.mcap.source import Source
 from trainlog.mcap.stored import attachment_place, chunk_place, fetched, loose_place
 from trainlog.mcap.tally import tally
+from trainlog.topics import TOPICS
 
 _MAGIC = len(MCAP0_MAGIC)
 _FIRST_PRIVATE = 0x80
@@ -188,6 +190,7 @@ class _Walk:
         if told is None or (told < length and opcode in _FIXED):
             raise damaged(at, f"the {_name(opcode)} record contradicts itself")
         if opcode != Opcode.CHUNK and is_chunk(source, at, length):
+            self._chunked = True
             raise damaged(at, f"a chunk has become a {_name(opcode)} record")
         if opcode > Opcode.DATA_END and is_message_index(source, at, length):
             raise damaged(at, f"a message index has become a {_name(opcode)} record")
@@ -508,6 +511,10 @@ class _Walk:
     def _define(self, trusted: bool) -> None:
         """Schemas and channels: of the summary if that is trusted, else of the sections."""
         found, sections = self._found, self._sections
+        for number, schema in self._summary.schemas.items():
+            # Of two copies that nothing verifies, the one that says what the table of topics says.
+            if not trusted and number in sections[-1].schemas and _of_the_table(schema):
+                sections[-1].schemas[number] = schema
         order = [self._summary, *sections] if trusted else [*sections, self._summary]
         for each in order:
             for number, schema in each.schemas.items():
@@ -563,16 +570,17 @@ class _Walk:
     def _count(self, trusted: bool) -> None:
         """Tell how many messages a loss held where the statistics leave one answer."""
         statistics = self._found.statistics
-        open_ = [number for number, loss in enumerate(self._losses) if loss.messages is None]
-        if not (trusted and statistics and open_) or len(self._sections) > 1:
+        if not (trusted and statistics) or len(self._sections) > 1:
             return
+        missing = max(0, statistics.message_count - self._found.counts().total())
+        if sum(loss.messages or 0 for loss in self._losses) > missing:
+            # What comes twice, or the indexes of a chunk that failed, tell too many.
+            self._losses = [replace(loss, messages=None) for loss in self._losses]
         known = sum(loss.messages or 0 for loss in self._losses)
-        missing = statistics.message_count - self._found.counts().total() - known
-        if missing < 0 or (missing > 0 and len(open_) > 1):
-            return
-        for number in open_:
-            loss = self._losses[number]
-            self._losses[number] = Loss(loss.start, loss.end, loss.reason, missing)
+        unknown = [number for number, loss in enumerate(self._losses) if loss.messages is None]
+        if missing == known or len(unknown) == 1:
+            for number in unknown:
+                self._losses[number] = replace(self._losses[number], messages=missing - known)
 
 
 _Told = tuple[int, int, str, int, int, int, int]
@@ -601,6 +609,12 @@ def _listed(index: ChunkIndex) -> _Told:
         index.message_start_time,
         index.message_end_time,
     )
+
+
+def _of_the_table(schema: Schema) -> bool:
+    """Whether a schema is the one that trainlog writes for a topic."""
+    topics = [topic for topic in TOPICS.values() if topic.message == schema.name]
+    return any(descriptor_set(topic) == schema.data for topic in topics)
 
 
 def _verified(source: Source) -> int:
