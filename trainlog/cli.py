@@ -91,7 +91,8 @@ def main() -> None:
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("always", UserWarning)
+            # A log that a command reads twice is told of once.
+            warnings.simplefilter("once", UserWarning)
             warnings.showwarning = _warn
             status = run(sys.argv[1:])
     except TrainlogError as error:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import rerun as rr
@@ -17,6 +19,9 @@ from trainlog.replay.layout import blueprint
 from trainlog.replay.lineside import check_line, draw_trajectory
 from trainlog.replay.survey import Pieces, Survey, neighboured, pieces_of, survey
 from trainlog.trip import Trip
+
+_ENDING, _FOOTER = 64, b"RRF2FOOT"
+"""What the last bytes of a whole .rrd file hold."""
 
 APPLICATION = "trainlog"
 """Rerun's application id: a layout made for it fits every replay."""
@@ -69,8 +74,7 @@ def record_replay(
     )
     names = _distinct([each.bare.name for each in surveys])
     others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    with atomic_write(path) as temporary:
-        recording.save(temporary)
+    with atomic_write(path) as temporary, _saved(recording, temporary, path):
         recording.send_recording_name(names[0] + others)
         recording.send_recording_start_time_nanos(surveys[0].clock.start)
         for first in lines:
@@ -86,9 +90,35 @@ def record_replay(
         if trajectory is not None and len(trips) > 1:
             draw_trajectory(recording, trajectory, surveys[0].clock.start)
         recording.send_blueprint(blueprint(shown, trajectory is not None, observed(condition_map)))
+
+
+@contextmanager
+def _saved(recording: rr.RecordingStream, temporary: Path, path: str | Path) -> Iterator[None]:
+    """Write a recording to `temporary`, whole; `path` is what errors call it.
+
+    Rerun writes in a thread of its own and does not say what kept it from it.
+    """
+    recording.save(temporary)
+    failure = None
+    try:
+        yield
         recording.flush()
+    except RuntimeError as error:
+        failure = error
+    finally:
         # The index at the file's end is written when the recording lets go of it.
         recording.disconnect()
+    with temporary.open("rb") as written:
+        written.seek(max(0, written.seek(0, os.SEEK_END) - _ENDING))
+        whole = _FOOTER in written.read()
+    if not whole:
+        raise InputError(
+            "cannot be written to its end: is the disk full?",
+            file=path,
+            remedy="free some space on the disk, or choose another place, and try again",
+        ) from failure
+    if failure is not None:
+        raise failure
 
 
 def content_id(
