@@ -425,3 +425,24 @@ def test_check_and_recover_from_the_command_line(
     status, _, _ = run(monkeypatch, capsys, "recover", logs / "cut.mcap", "-o", single)
     assert status == 0
     assert account_of(single).whole
+
+
+def test_one_file_that_is_no_log_does_not_keep_the_others_from_being_rebuilt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / "a.mcap").write_bytes(b"")
+    write_log(trip_of(rows=30), logs / "b.mcap")
+    status, told, complaint = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
+    assert status == 2
+    assert "a.mcap" in complaint
+    assert "is empty" in complaint
+    assert "b.mcap" in told
+    assert read_log(tmp_path / "again" / "b.mcap")
+    assert [path.name for path in (tmp_path / "again").iterdir()] == ["b.mcap"]
+    status, _, complaint = run(
+        monkeypatch, capsys, "recover", logs, "-o", tmp_path / "one.mcap"
+    )  # fmt: skip
+    assert status == 2
+    assert "name of one log, and there are 2" in complaint

@@ -188,3 +188,14 @@ def without(folder: Path, trip: Trip) -> Trip:
         path.unlink()
     folder.rmdir()
     return trip
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5])
+def test_threads_are_whole_numbers_from_one_on(threads: int, tmp_path: Path) -> None:
+    path = tmp_path / "trip.mcap"
+    with pytest.raises(InputError, match=r"threads is .*whole number from 1 on"):
+        write_log(Trip({}), path, threads=threads)
+    assert not path.exists()
+    write_log(Trip({}), path)
+    with pytest.raises(InputError, match="threads is"):
+        read_log(path, threads=threads)

@@ -253,3 +253,9 @@ def test_a_clock_begins_at_the_start_and_does_not_pass_the_end() -> None:
 def test_an_empty_topic_stays_empty_of_values() -> None:
     frame = frame_of(GNSS_MOTION, [], {})
     assert np.isnan(resampled_frame(frame, clock(0.0), max_gap=None).to_numpy()).all()
+
+
+def test_a_clock_of_a_slipped_unit_is_refused() -> None:
+    start = pd.Timestamp("2025-01-01", tz="UTC")
+    with pytest.raises(InputError, match=r"steps of 1e-09 s has 3,600,000,000,000 instants"):
+        regular_clock(start, start + pd.Timedelta(hours=1), 1e-9)

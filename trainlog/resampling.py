@@ -266,18 +266,29 @@ def _nanoseconds(frame: pd.DataFrame) -> NDArray[np.int64]:
     return pd.DatetimeIndex(frame.index).as_unit("ns").asi8
 
 
+MOST_INSTANTS = 10**8
+"""Of a clock: more are no clock but a slip of the unit."""
+
+
 def regular_clock(start: pd.Timestamp, end: pd.Timestamp, step: float) -> pd.DatetimeIndex:
     """Times from `start` on, `step` seconds apart, none after `end`.
 
     Raises
     ------
     InputError
-        If the step is shorter than a nanosecond.
+        If the step is shorter than a nanosecond, or makes more than `MOST_INSTANTS`.
     """
     nanoseconds = round(step * _SECOND) if np.isfinite(step) else 0
     if nanoseconds < 1:
         raise InputError(f"a clock cannot go in steps of {step:g} s", remedy="give seconds above 0")
-    times = np.arange(start.as_unit("ns").value, end.as_unit("ns").value + 1, nanoseconds)
+    first, last = start.as_unit("ns").value, end.as_unit("ns").value
+    if (last - first) // nanoseconds > MOST_INSTANTS:
+        raise InputError(
+            f"a clock in steps of {step:g} s has {(last - first) // nanoseconds:,} instants"
+            f" in {(last - first) / _SECOND:.0f} s",
+            remedy=f"take longer steps or a part of the trip: at most {MOST_INSTANTS:,}",
+        )
+    times = np.arange(first, last + 1, nanoseconds)
     return pd.DatetimeIndex(times.view("M8[ns]"), tz="UTC", name="time")
 
 

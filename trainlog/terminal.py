@@ -102,7 +102,9 @@ def distinct(names: list[str], files: list[Path]) -> None:
 def about(trip: Trip) -> str:
     """One line on a trip."""
     known = trip.metadata
-    words = [f"{trip.duration / 60.0:.1f} min", known.get("direction", "")]
+    length = trip.duration
+    words = [f"{length / 60.0:.1f} min" if length >= 60.0 else f"{length:.1f} s"]
+    words += [known.get("direction", "")]
     words += [f"{known['weather']} rail"] if known.get("weather") else []
     words += [f"load {float(known['load']) / 1e3:.1f} t"] if known.get("load") else []
     words += [f"as {known['configuration']}"] if known.get("configuration") else []

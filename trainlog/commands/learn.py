@@ -70,7 +70,8 @@ def estimate(
                 raise InputError("would be overwritten", file=log, remedy="name another folder")
             made_folder(output)
             for refusal in estimate_log(log, output / log.name):
-                progress.console.print(f"  not estimated: {refusal}", highlight=False, markup=False)
+                told = f"  not estimated: {refusal}"
+                progress.console.print(told, highlight=False, markup=False, soft_wrap=True)
             wrote(output / log.name)
 
 

@@ -35,7 +35,7 @@ def convert(
     """Turn a log into Parquet for repeated analysis, and back; or cut a part out of it.
 
     Nothing is lost either way. Logs may be larger than the memory. Logs of other programs become
-    Parquet, too.
+    Parquet, too; they are held in memory as a whole.
 
     One Parquet file a topic, and the log again:
 

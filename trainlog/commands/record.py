@@ -10,10 +10,11 @@ from typing import Annotated, Literal
 import typer
 
 from trainlog.commands.options import LineOption, Logs, Seed, TrainOption
-from trainlog.errors import InputError
+from trainlog.errors import InputError, LogError
 from trainlog.formats.files import made_folder
 from trainlog.terminal import (
     about,
+    complain,
     console,
     destination,
     distinct,
@@ -185,13 +186,30 @@ def recover(
     found = logs_in(logs)
     several = len(found) > 1 or output.suffix != ".mcap"
     if several:
+        if output.suffix == ".mcap":
+            raise InputError(
+                f"is the name of one log, and there are {len(found)}",
+                file=output,
+                remedy="name a folder",
+            )
         distinct([log.name for log in found], found)
         made_folder(output)
+    refused = 0
     with progress_bar() as progress:
         for log in progress.track(found, description="recovering"):
             target = output / log.name if several else destination(output, ".mcap")
-            tell_account(log, rebuild(log, target), progress.console)
+            try:
+                tell_account(log, rebuild(log, target), progress.console)
+            except LogError as error:
+                # One file that is no log does not keep the others from being rebuilt.
+                if not several:
+                    raise
+                refused += 1
+                complain(str(error))
+                continue
             wrote(target, to=progress.console)
+    if refused:
+        raise typer.Exit(2)
 
 
 @app.command(name="import", rich_help_panel="Record")

@@ -6,6 +6,9 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+LISTED = 100
+"""Losses that are kept one by one with what is made of a log; the others are counted."""
+
 
 @dataclass(frozen=True)
 class Loss:
@@ -124,13 +127,14 @@ class Account:
         return shown
 
     def details(self) -> dict[str, Any]:
-        """The account as JSON, for metadata and provenance."""
+        """The account as JSON, for metadata and provenance; `LISTED` losses one by one."""
         return {
             "messages": self.messages,
             "chunks": self.chunks,
             "bytes_lost": self.bytes_lost,
             "messages_lost": self.messages_lost,
-            "losses": [asdict(loss) for loss in self.losses],
+            "losses": [asdict(loss) for loss in self.losses[:LISTED]],
+            "losses_beyond": max(0, len(self.losses) - LISTED),
             "unfinished": asdict(self.unfinished) if self.unfinished else None,
         }
 

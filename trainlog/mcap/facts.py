@@ -61,5 +61,6 @@ def _check_text(key: object, value: object) -> None:
         f"{key}{value}".encode()
     except UnicodeEncodeError as error:
         raise LogError(
-            f"metadata {key!r} cannot be written as UTF-8", remedy="remove the broken characters"
+            f"metadata {key!r} cannot be written as UTF-8",
+            remedy="remove the broken characters, or name the trip otherwise",
         ) from error

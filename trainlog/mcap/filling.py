@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -61,11 +60,6 @@ def topic_channels(contents: Contents) -> list[TopicChannel]:
         if topic is not None and schema is not None:
             found.append(TopicChannel(channel, schema, topic))
     return found
-
-
-def threads_of(threads: int | None) -> int:
-    """How many threads read: as many as asked for, or one a processor, at most four."""
-    return min(4, os.cpu_count() or 1) if threads is None else max(1, threads)
 
 
 def frames_in(

@@ -17,7 +17,7 @@ from trainlog.errors import LogError
 from trainlog.mcap.account import Account, DamageWarning, Loss
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file, shown, unusable
-from trainlog.mcap.filling import frames_in, threads_of, topic_channels
+from trainlog.mcap.filling import frames_in, topic_channels
 from trainlog.mcap.located import spans_in_log
 from trainlog.mcap.names import (
     FORMAT_RECORD,
@@ -32,6 +32,7 @@ from trainlog.mcap.source import Source
 from trainlog.mcap.stored import MisplacedError, attachment_data
 from trainlog.mcap.tables import TopicChannel
 from trainlog.mcap.walk import contents_by_walk
+from trainlog.mcap.workers import threads_of
 from trainlog.spans import Spans
 from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import Trip

@@ -37,8 +37,6 @@ _FIELDS = {
 """Fields of each kind of record: the length of a number, ``s`` and ``S`` for what tells its own
 length in four or eight bytes."""
 
-COMPRESSIONS = ("", "zstd", "lz4")
-
 _SHORTEST = 24
 """Shorter contents are not believed without a record behind them [bytes]."""
 

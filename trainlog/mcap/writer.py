@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import deque
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ from trainlog.mcap.facts import attachment_of, metadata_records
 from trainlog.mcap.names import PROVENANCE_RECORD
 from trainlog.mcap.sink import PackedChunk, Sink, packed
 from trainlog.mcap.streams import stream_of, topics_of
+from trainlog.mcap.workers import threads_of
 from trainlog.trip import Trip
 
 
@@ -75,7 +75,7 @@ class LogWriter:
 
     def __init__(self, path: str | Path, *, threads: int | None = None, sync: bool = False) -> None:
         self._path = path
-        self._threads = min(4, os.cpu_count() or 1) if threads is None else max(1, threads)
+        self._threads = threads_of(threads)
         self._resources = ExitStack()
         self._place = atomic_write(path, sync=sync)
         self._sink: Sink | None = None

@@ -149,13 +149,6 @@ class Train:
         v = np.maximum(np.asarray(speed, dtype=np.float64), 1e-9)
         return np.asarray(np.minimum(self.max_tractive_effort, self.max_traction_power / v))
 
-    def dynamic_braking_limit(self, speed: ArrayLike) -> NDArray[np.float64]:
-        """Largest dynamic braking effort [N] at each speed [m/s]."""
-        v = np.maximum(np.asarray(speed, dtype=np.float64), 1e-9)
-        return np.asarray(
-            np.minimum(self.max_dynamic_braking_effort, self.max_dynamic_braking_power / v)
-        )
-
     def tunnel_coefficient(self, cross_section: ArrayLike) -> NDArray[np.float64]:
         """Extra quadratic resistance [N/(m/s)²] in a tunnel of each cross-section [m²].
 
