@@ -381,3 +381,20 @@ def test_options_that_contradict_are_refused(
     assert status == 2
     assert "--trajectory" in complaint
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("words", [["replay", "--no-viewer"], ["convert"]])
+def test_a_part_that_holds_nothing_is_told_with_its_file(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    log = sample("nonstop.mcap")
+    output = tmp_path / f"part{'.rrd' if words[0] == 'replay' else '.mcap'}"
+    status, _, complaint = run(
+        monkeypatch, capsys, words[0], log, *words[1:], "--km", "900:901", "-o", output
+    )
+    assert status == 2
+    assert f"{log}: holds nothing of the part asked for" in complaint
+    assert not output.exists()

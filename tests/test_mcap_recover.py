@@ -446,3 +446,10 @@ def test_one_file_that_is_no_log_does_not_keep_the_others_from_being_rebuilt(
     )  # fmt: skip
     assert status == 2
     assert "name of one log, and there are 2" in complaint
+
+
+def test_a_recording_that_lacks_only_its_end_is_not_called_damaged() -> None:
+    lacking = Account(30, 1, (Loss(900, 900, "the end is missing", 0),), Unfinished(None, 0.5))
+    assert lacking.sentence == "was not closed: 30 messages are readable; at most 0.5 s are missing"
+    torn = Account(1, 1, (Loss(899, 900, "cut", None),), Unfinished(None, 0.5))
+    assert torn.sentence.startswith("is damaged: 1 message is readable, 1 byte is lost")

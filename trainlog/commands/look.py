@@ -13,9 +13,7 @@ from trainlog.commands.selection import (
     FromOption,
     KilometreOption,
     ToOption,
-    source_span,
-    stretch,
-    times,
+    part_of,
 )
 from trainlog.errors import LogError
 from trainlog.terminal import (
@@ -94,19 +92,9 @@ def replay(
     """
     from trainlog.formats.condition import read_map
     from trainlog.formats.trajectory import read_trajectory
-    from trainlog.mcap import stream_log
     from trainlog.replay import open_viewer, record_replay
 
-    sources = [
-        partial(
-            stream_log,
-            log,
-            time=times(start, end, source_span(log)),
-            position=stretch(km),
-            rows=PIECE,
-        )
-        for log in logs_in(logs)
-    ]
+    sources = [partial(part_of, log, start, end, km, PIECE) for log in logs_in(logs)]
     with working(f"writing {output.name}"):
         record_replay(
             sources,

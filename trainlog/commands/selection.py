@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +14,8 @@ from trainlog.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from trainlog.trip import Trip
 
 TopicOption = Annotated[
     list[str] | None, typer.Option("--topic", help="Only this topic; may be given several times.")
@@ -128,3 +130,25 @@ def source_span(source: Path) -> Callable[[], tuple[pd.Timestamp, pd.Timestamp] 
         return span_of(source)
 
     return span
+
+
+def part_of(
+    log: Path, start: str | None, end: str | None, km: str | None, rows: int
+) -> Iterator[Trip]:
+    """The part of a log that is asked for, in pieces of at most `rows` rows.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read, or nothing of it is in that part.
+    """
+    from trainlog.mcap import stream_log
+    from trainlog.mcap.errors import nothing_of
+
+    time, position = times(start, end, source_span(log)), stretch(km)
+    empty = True
+    for piece in stream_log(log, time=time, position=position, rows=rows):
+        empty = empty and not any(map(len, piece.topics.values()))
+        yield piece
+    if empty and (time, position) != (None, None):
+        raise nothing_of(log)

@@ -47,15 +47,20 @@ class Unfinished:
 
     def __str__(self) -> str:
         """What happened, in words."""
+        return f"the recording was not closed; {self.missing}"
+
+    @property
+    def missing(self) -> str:
+        """How much at most is missing, in words."""
         if self.last is None:
-            return f"the recording was not closed; at most {self.flush:g} s are missing"
+            return f"at most {self.flush:g} s are missing"
         second, rest = divmod(self.last, 10**9)
         try:
             text = datetime.fromtimestamp(second, UTC).strftime("%Y-%m-%d %H:%M:%S")
         except (OverflowError, OSError, ValueError):
             text = f"{second} s after 1970,"
         return (
-            f"the recording was not closed; its last sample is of {text}.{rest // 10**6:03d} UTC, "
+            f"its last sample is of {text}.{rest // 10**6:03d} UTC, "
             f"at most {self.flush:g} s after it are missing"
         )
 
@@ -102,25 +107,32 @@ class Account:
     def sentence(self) -> str:
         """The account in one sentence."""
         if self.whole:
-            return f"is whole: {self.messages:,} messages in {self.chunks:,} chunks"
+            return f"is whole: {self._readable}"
+        readable = f"{_counted(self.messages, 'message')} {_are(self.messages)} readable"
         first, *others = self.losses
-        lost = "" if self.messages_lost is None else f"{self.messages_lost:,} messages, "
+        if self.unfinished and self.bytes_lost == 0 and self.messages_lost in (0, None):
+            return f"was not closed: {readable}; {self.unfinished.missing}"
+        lost = "" if self.messages_lost is None else f"{_counted(self.messages_lost, 'message')}, "
         more = f", and {len(others):,} more" if others else ""
         unfinished = f"; {self.unfinished}" if self.unfinished else ""
         return (
-            f"is damaged: {self.messages:,} messages are readable, "
-            f"{lost}{self.bytes_lost:,} bytes are lost "
+            f"is damaged: {readable}, "
+            f"{lost}{_counted(self.bytes_lost, 'byte')} {_are(self.bytes_lost)} lost "
             f"(byte {first.start:,}: {first.reason}{more}){unfinished}"
         )
 
+    @property
+    def _readable(self) -> str:
+        return f"{_counted(self.messages, 'message')} in {_counted(self.chunks, 'chunk')}"
+
     def lines(self) -> list[str]:
         """The account in words: what is readable, then one line a loss."""
-        shown = [f"{self.messages:,} messages in {self.chunks:,} chunks are readable"]
+        shown = [f"{self._readable} {_are(self.messages)} readable"]
         for loss in self.losses:
-            held = "" if loss.messages is None else f", {loss.messages:,} messages"
+            held = "" if loss.messages is None else f", {_counted(loss.messages, 'message')}"
+            size = _counted(loss.end - loss.start, "byte")
             shown.append(
-                f"lost: bytes {loss.start:,} to {loss.end:,} ({loss.end - loss.start:,} bytes"
-                f"{held}): {loss.reason}"
+                f"lost: bytes {loss.start:,} to {loss.end:,} ({size}{held}): {loss.reason}"
             )
         if self.unfinished:
             shown.append(str(self.unfinished))
@@ -156,3 +168,12 @@ class DamageWarning(UserWarning):
             f"{file}: {account.sentence}; 'trainlog check' tells all, "
             "'trainlog recover' rebuilds the file"
         )
+
+
+def _counted(number: int, noun: str) -> str:
+    """A number and its noun, in the plural unless there is one."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def _are(number: int) -> str:
+    return "is" if number == 1 else "are"

@@ -20,6 +20,7 @@ from trainlog.formats.parquet import (
     trip_index,
 )
 from trainlog.mcap.describe import LogDescription, describe
+from trainlog.mcap.errors import nothing_of
 from trainlog.mcap.foreign import frames_of
 from trainlog.mcap.stream import stream_log
 from trainlog.mcap.writer import LogWriter
@@ -94,11 +95,7 @@ def convert(
             if told is not None:
                 told(done.rows.total())
         if not done.rows.total() and (topics, time, position) != (None, None, None):
-            raise LogError(
-                "holds nothing of the part asked for",
-                file=source,
-                remedy=f"see 'trainlog info {source}' for its topics, times and positions",
-            )
+            raise nothing_of(source)
     return done
 
 
@@ -119,7 +116,7 @@ def _check_target(source: Path, target: Path) -> None:
             file=target,
             remedy=f"end it in {LOG} or {PARQUET}",
         )
-    if target.resolve() == source.resolve():
+    if target.exists() and source.exists() and target.samefile(source):
         raise InputError("would be overwritten", file=source, remedy="choose another name")
 
 

@@ -22,6 +22,15 @@ def unusable(problem: str) -> LogError:
     return LogError(problem, remedy="write it again with a program that keeps to the format")
 
 
+def nothing_of(path: str | Path) -> LogError:
+    """The error for a part that was asked for and holds nothing."""
+    return LogError(
+        "holds nothing of the part asked for",
+        file=path,
+        remedy=f"see 'trainlog info {path}' for its topics, times and positions",
+    )
+
+
 def shown(text: str) -> str:
     """A text from a file, for a message: on one line, of bounded length, in quotes."""
     cut = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
