@@ -1,1 +1,10 @@
 """Recursive estimators: one sample in, one estimate out; they know arrays, not logs or files."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from estimators.interface import Estimator
+    from estimators.rls import RecursiveLeastSquares
+
+    # That each of them has the interface is a matter of types, not of running.
+    _ESTIMATORS: tuple[type[Estimator], ...] = (RecursiveLeastSquares,)

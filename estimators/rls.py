@@ -13,23 +13,27 @@ Paper 004, eqs. (16), (19), (20) with the forgetting factor as corrected.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike
 
+from estimators.interface import (
+    CALIBRATED,
+    FloatArray,
+    array_of,
+    check_state,
+    count_of,
+    number_of,
+    saved_state,
+)
 from trainlog.errors import InputError
 
-FloatArray = NDArray[np.floating[Any]]
-
-STATE_VERSION = 1
-"""Raised when the meaning of a saved state changes."""
-
-CALIBRATED = 0.5
-"""Excitation from which a result counts as valid."""
+STATE_KIND, STATE_VERSION = "trainlog/rls", 2
+"""Of a saved state; the version is raised when its meaning changes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +42,12 @@ class RlsResult:
 
     Attributes
     ----------
-    theta : (p,) array
+    estimate : (p,) array
         Estimated parameters.
     covariance : (p, p) array
         In units of the measurement variance that was given with the samples.
     valid : bool
-        Whether the data, rather than the prior, determine every direction of `theta`.
+        Whether the data, rather than the prior, determine every direction of the estimate.
     excitation : float
         Share of the prior's standard deviation that the data have removed in the direction that
         they tell least about: 0 nothing was learnt there, 1 everything.
@@ -55,7 +59,7 @@ class RlsResult:
         Resets so far, full and partial.
     """
 
-    theta: FloatArray
+    estimate: FloatArray
     covariance: FloatArray
     valid: bool
     excitation: float
@@ -114,7 +118,7 @@ class RecursiveLeastSquares:
         self._prior_variance = spread**2
         self._forgetting = float(forgetting)
         self._walk = walk.astype(dtype) ** 2
-        self._theta = self._prior_mean.copy()
+        self._estimate = self._prior_mean.copy()
         self._upper = np.eye(size, dtype=dtype)
         self._diagonal = self._prior_variance.copy()
         self._samples = 0
@@ -123,7 +127,7 @@ class RecursiveLeastSquares:
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return int(self._theta.size)
+        return int(self._estimate.size)
 
     def reset(self, parameters: Sequence[int] | None = None, *, keep_estimate: bool = True) -> None:
         """Return to the prior uncertainty: of all parameters, or of some.
@@ -145,11 +149,11 @@ class RecursiveLeastSquares:
         _time_update(
             self._upper,
             self._diagonal,
-            np.where(chosen, 0.0, 1.0).astype(self._theta.dtype),
-            np.where(chosen, self._prior_variance, 0.0).astype(self._theta.dtype),
+            np.where(chosen, 0.0, 1.0).astype(self._estimate.dtype),
+            np.where(chosen, self._prior_variance, 0.0).astype(self._estimate.dtype),
         )
         if not keep_estimate:
-            self._theta[chosen] = self._prior_mean[chosen]
+            self._estimate[chosen] = self._prior_mean[chosen]
         if chosen.all():
             self._samples = 0
         self._resets += 1
@@ -189,14 +193,14 @@ class RecursiveLeastSquares:
 
         Returns
         -------
-        theta : (n, p) array
+        estimate : (n, p) array
         covariance : (n, p, p) array
         """
         rows, values, noise = self._checked(regressors, measurements, variance)
-        theta = np.empty(rows.shape, dtype=rows.dtype)
+        estimate = np.empty(rows.shape, dtype=rows.dtype)
         covariance = np.empty((len(rows), self.size, self.size), dtype=rows.dtype)
-        self._run(rows, values, noise, theta, covariance)
-        return theta, covariance
+        self._run(rows, values, noise, estimate, covariance)
+        return estimate, covariance
 
     def result(self) -> RlsResult:
         """The estimate with its covariance, validity and excitation."""
@@ -208,8 +212,8 @@ class RecursiveLeastSquares:
         columns = square_root_information / np.linalg.norm(square_root_information, axis=0)
         singular = np.linalg.svd(columns, compute_uv=False)
         return RlsResult(
-            theta=self._theta.copy(),
-            covariance=np.asarray(root @ root.T, dtype=self._theta.dtype),
+            estimate=self._estimate.copy(),
+            covariance=np.asarray(root @ root.T, dtype=self._estimate.dtype),
             valid=self._samples >= self.size and excitation >= CALIBRATED,
             excitation=excitation,
             condition=float(singular[0] / max(singular[-1], np.finfo(np.float64).tiny)),
@@ -219,18 +223,20 @@ class RecursiveLeastSquares:
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on later, bit for bit; plain values that JSON can hold."""
-        return {
-            "format": "trainlog/rls",
-            "version": STATE_VERSION,
-            "dtype": self._theta.dtype.name,
-            "forgetting": self._forgetting,
-            "samples": self._samples,
-            "resets": self._resets,
-            **{name: getattr(self, f"_{name}").tolist() for name in _STATE_ARRAYS},
-        }
+        return saved_state(
+            STATE_KIND,
+            STATE_VERSION,
+            {
+                "dtype": self._estimate.dtype.name,
+                "forgetting": self._forgetting,
+                "samples": self._samples,
+                "resets": self._resets,
+                **{name: getattr(self, f"_{name}") for name in _STATE_ARRAYS},
+            },
+        )
 
     @classmethod
-    def resume(cls, state: dict[str, Any]) -> RecursiveLeastSquares:
+    def resume(cls, state: Mapping[str, Any]) -> Self:
         """The estimator that `state` was taken from.
 
         Raises
@@ -238,34 +244,30 @@ class RecursiveLeastSquares:
         InputError
             If the state is of another kind or version, or incomplete.
         """
-        if state.get("format") != "trainlog/rls" or state.get("version") != STATE_VERSION:
-            raise InputError(
-                f"state of a recursion has format {state.get('format')!r}, version"
-                f" {state.get('version')!r}; needs 'trainlog/rls', {STATE_VERSION}",
-                remedy="start the estimator anew",
-            )
-        try:
-            dtype = np.dtype(state["dtype"])
-            arrays = {name: np.array(state[name], dtype=dtype) for name in _STATE_ARRAYS}
-            estimator = cls(
-                np.sqrt(arrays["prior_variance"]), forgetting=state["forgetting"], dtype=dtype
-            )
-            estimator._samples = int(state["samples"])
-            estimator._resets = int(state["resets"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"state of a recursion is incomplete: {error}", remedy="start the estimator anew"
-            ) from error
+        settings = ("dtype", "forgetting", "samples", "resets")
+        check_state(state, STATE_KIND, STATE_VERSION, (*settings, *_STATE_ARRAYS))
+        if state["dtype"] not in ("float64", "float32"):
+            raise InputError(f"state of {STATE_KIND!r}: dtype {state['dtype']!r} is not known")
+        dtype, size = np.dtype(state["dtype"]), np.size(state["estimate"])
+        arrays = {
+            name: array_of(state, name, (size, size) if name == "upper" else (size,), dtype)
+            for name in _STATE_ARRAYS
+        }
+        estimator = cls(
+            np.sqrt(arrays["prior_variance"]),
+            forgetting=number_of(state, "forgetting"),
+            dtype=dtype,
+        )
+        estimator._samples = count_of(state, "samples")
+        estimator._resets = count_of(state, "resets")
         for name, array in arrays.items():
-            if array.shape != getattr(estimator, f"_{name}").shape:
-                raise InputError(f"state of a recursion: {name} has shape {array.shape}")
             setattr(estimator, f"_{name}", array)
         return estimator
 
     def _checked(
         self, regressors: ArrayLike, measurements: ArrayLike, variance: ArrayLike
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        dtype = self._theta.dtype
+        dtype = self._estimate.dtype
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(regressors, dtype=dtype)))
         values = np.ascontiguousarray(np.atleast_1d(np.asarray(measurements, dtype=dtype)))
         noise = np.ascontiguousarray(
@@ -287,27 +289,27 @@ class RecursiveLeastSquares:
         rows: FloatArray,
         values: FloatArray,
         noise: FloatArray,
-        theta: FloatArray,
-        covariance: FloatArray,
+        estimates: FloatArray,
+        covariances: FloatArray,
     ) -> FloatArray:
         self._samples += len(values)
         innovations: FloatArray = _block(
-            self._theta,
+            self._estimate,
             self._upper,
             self._diagonal,
             self._prior_variance,
             self._walk,
-            self._theta.dtype.type(self._forgetting),
+            self._estimate.dtype.type(self._forgetting),
             rows,
             values,
             noise,
-            theta,
-            covariance,
+            estimates,
+            covariances,
         )
         return innovations
 
 
-_STATE_ARRAYS = ("prior_mean", "prior_variance", "walk", "theta", "upper", "diagonal")
+_STATE_ARRAYS = ("prior_mean", "prior_variance", "walk", "estimate", "upper", "diagonal")
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

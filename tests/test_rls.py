@@ -36,9 +36,9 @@ def batch(
     return covariance @ (rows.T @ (weight * values)), covariance
 
 
-def assert_same(result: RlsResult, theta: Array, covariance: Array, rtol: float = 1e-6) -> None:
+def assert_same(result: RlsResult, estimate: Array, covariance: Array, rtol: float = 1e-6) -> None:
     scale = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(result.theta / scale, theta / scale, rtol=rtol, atol=rtol)
+    np.testing.assert_allclose(result.estimate / scale, estimate / scale, rtol=rtol, atol=rtol)
     np.testing.assert_allclose(
         result.covariance / np.outer(scale, scale),
         covariance / np.outer(scale, scale),
@@ -62,10 +62,10 @@ def test_sample_by_sample_equals_block_and_record() -> None:
     one_by_one = [
         single.update(row, value, 0.01)[0] for row, value in zip(rows, values, strict=True)
     ]
-    theta, covariance = recorded.record(rows, values, 0.01)
+    estimate, covariance = recorded.record(rows, values, 0.01)
     np.testing.assert_array_equal(innovations, one_by_one)
-    np.testing.assert_array_equal(single.result().theta, block.result().theta)
-    np.testing.assert_array_equal(theta[-1], block.result().theta)
+    np.testing.assert_array_equal(single.result().estimate, block.result().estimate)
+    np.testing.assert_array_equal(estimate[-1], block.result().estimate)
     np.testing.assert_allclose(covariance[-1], block.result().covariance, rtol=1e-12)
 
 
@@ -87,28 +87,28 @@ def test_random_walk_equals_the_kalman_recursion() -> None:
     walk = np.array([1e-2, 1e-4, 1e-6])
     estimator = RecursiveLeastSquares(PRIOR, random_walk_std=walk)
     estimator.update(rows, values, 0.01)
-    theta, covariance = np.zeros(3), np.diag(PRIOR**2)
+    estimate, covariance = np.zeros(3), np.diag(PRIOR**2)
     for row, value in zip(rows, values, strict=True):
         covariance = covariance + np.diag(walk**2)
         gain = covariance @ row / (0.01 + row @ covariance @ row)
-        theta = theta + gain * (value - row @ theta)
+        estimate = estimate + gain * (value - row @ estimate)
         remaining = np.eye(3) - np.outer(gain, row)
         covariance = remaining @ covariance @ remaining.T + 0.01 * np.outer(gain, gain)
-    assert_same(estimator.result(), theta, covariance)
+    assert_same(estimator.result(), estimate, covariance)
 
 
 def test_full_reset_returns_to_the_prior_uncertainty() -> None:
     rows, values = davis_samples(100, seed=6)
     estimator = RecursiveLeastSquares(PRIOR)
     estimator.update(rows, values, 0.01)
-    learnt = estimator.result().theta
+    learnt = estimator.result().estimate
     estimator.reset()
     result = estimator.result()
     np.testing.assert_allclose(result.covariance, np.diag(PRIOR**2), rtol=1e-12)
-    np.testing.assert_array_equal(result.theta, learnt)
+    np.testing.assert_array_equal(result.estimate, learnt)
     assert (result.samples, result.resets, result.valid) == (0, 1, False)
     estimator.reset(keep_estimate=False)
-    np.testing.assert_array_equal(estimator.result().theta, np.zeros(3))
+    np.testing.assert_array_equal(estimator.result().estimate, np.zeros(3))
 
 
 def test_partial_reset_keeps_what_was_learnt_about_the_others() -> None:
@@ -120,7 +120,7 @@ def test_partial_reset_keeps_what_was_learnt_about_the_others() -> None:
     after = estimator.result()
     np.testing.assert_allclose(after.covariance[1:, 1:], before.covariance[1:, 1:], rtol=1e-9)
     np.testing.assert_allclose(after.covariance[0], [PRIOR[0] ** 2, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_array_equal(after.theta, [0.0, *before.theta[1:]])
+    np.testing.assert_array_equal(after.estimate, [0.0, *before.estimate[1:]])
     assert after.resets == 1
 
 
@@ -153,7 +153,7 @@ def assert_positive_definite(estimator: RecursiveLeastSquares) -> None:
     """By its factors: a unit triangle and positive weights cannot be anything else."""
     state = estimator.state()
     upper, diagonal = np.array(state["upper"]), np.array(state["diagonal"])
-    assert np.all(np.isfinite(state["theta"]))
+    assert np.all(np.isfinite(state["estimate"]))
     assert np.all(np.isfinite(upper))
     np.testing.assert_array_equal(np.tril(upper), np.eye(3))
     assert np.all(diagonal > 0.0)
@@ -197,7 +197,7 @@ def test_no_windup_without_excitation() -> None:
     assert np.all(np.array(estimator.state()["diagonal"]) <= PRIOR**2 * (1.0 + 1e-12))
     assert not result.valid
     assert result.excitation < 0.5
-    np.testing.assert_allclose(rows[0] @ result.theta, rows[0] @ TRUE, rtol=1e-9)
+    np.testing.assert_allclose(rows[0] @ result.estimate, rows[0] @ TRUE, rtol=1e-9)
 
 
 def test_says_when_the_data_determine_the_answer() -> None:
@@ -211,7 +211,7 @@ def test_says_when_the_data_determine_the_answer() -> None:
     assert result.valid
     assert result.condition < 20.0
     assert result.samples == 2000
-    z = (result.theta - TRUE) / np.sqrt(np.diag(result.covariance))
+    z = (result.estimate - TRUE) / np.sqrt(np.diag(result.covariance))
     assert np.all(np.abs(z) < 4.0)
 
 
@@ -231,7 +231,13 @@ def test_saved_state_resumes_bit_for_bit(dtype: type) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"version": 99}, {"format": "other"}, {"theta": [0.0]}, {"upper": None}, {"forgetting": 2.0}],
+    [
+        {"version": 99},
+        {"format": "other"},
+        {"estimate": [0.0]},
+        {"upper": None},
+        {"forgetting": 2.0},
+    ],
 )
 def test_foreign_state_is_refused(change: dict[str, object]) -> None:
     state = RecursiveLeastSquares(PRIOR).state() | change

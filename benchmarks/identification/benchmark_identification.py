@@ -43,7 +43,7 @@ def differenced(trip: Drawn, study: Study) -> FloatArray:
     right = -np.column_stack([np.ones(speed.size - 1), speed[:-1], speed[:-1] ** 2])
     recursion = RecursiveLeastSquares([1e6, 1e5, 1e4])
     recursion.update(right[known], left[known], 1e8)
-    return np.asarray(recursion.result().theta, dtype=np.float64)
+    return np.asarray(recursion.result().estimate, dtype=np.float64)
 
 
 def ordinary(windows: Windows) -> FloatArray:

@@ -33,7 +33,7 @@ def samples(count: int) -> tuple[FloatArray, FloatArray]:
 def compiled(rows: FloatArray, values: FloatArray, **settings: object) -> FloatArray:
     recursion = RecursiveLeastSquares(PRIOR, **settings)  # type: ignore[arg-type]
     recursion.update(rows, values, VARIANCE)
-    return np.asarray(recursion.result().theta, dtype=np.float64)
+    return np.asarray(recursion.result().estimate, dtype=np.float64)
 
 
 def numpy_loop(rows: FloatArray, values: FloatArray) -> FloatArray:

@@ -1,0 +1,180 @@
+"""The one interface of all recursive estimators, and how their state is saved and resumed.
+
+An estimator takes samples in (`update`, one or a block), says at any time what it knows and how
+far the data determine it (`result`), forgets (`reset`), and can be stopped and continued later as
+if nothing had happened (`state`, `resume`): bit for bit, however the samples were cut into blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from trainlog.errors import InputError
+
+FloatArray = NDArray[np.floating[Any]]
+
+CALIBRATED = 0.5
+"""Excitation from which a result counts as valid."""
+
+
+class EstimatorResult(Protocol):
+    """What an estimator knows after the samples so far; estimators add what else they know."""
+
+    @property
+    def estimate(self) -> FloatArray:
+        """Estimated parameters or state, (p,)."""
+        ...
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the estimate, (p, p)."""
+        ...
+
+    @property
+    def valid(self) -> bool:
+        """Whether the data, rather than the prior, determine the estimate."""
+        ...
+
+    @property
+    def excitation(self) -> float:
+        """0: nothing was learnt in the direction least told about ... 1: everything."""
+        ...
+
+    @property
+    def samples(self) -> int:
+        """Samples since the last full reset."""
+        ...
+
+    @property
+    def resets(self) -> int:
+        """Resets so far, full and partial."""
+        ...
+
+
+class Estimator(Protocol):
+    """What every recursive estimator can do."""
+
+    def reset(self) -> None:
+        """Forget what was learnt."""
+        ...
+
+    def update(self, *args: Any, **kwargs: Any) -> Any:
+        """Learn from one sample or from a block of them; what it takes is the estimator's own."""
+        ...
+
+    def result(self) -> EstimatorResult:
+        """What is known now."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on later, bit for bit; plain values that JSON can hold."""
+        ...
+
+    @classmethod
+    def resume(cls, state: Mapping[str, Any]) -> Self:
+        """The estimator that `state` was taken from; InputError if it cannot be."""
+        ...
+
+
+def excitation_of(covariance: ArrayLike, prior: ArrayLike) -> float:
+    """Share of the prior's standard deviation that the data removed where they tell least.
+
+    Parameters
+    ----------
+    covariance, prior : (p, p) array
+        Now and before the first sample; `prior` positive definite.
+
+    Returns
+    -------
+    float
+        ``1 - sqrt(max xᵀ covariance x / xᵀ prior x)``, within 0 and 1.
+    """
+    whitener = np.linalg.inv(np.linalg.cholesky(np.asarray(prior, dtype=np.float64)))
+    scaled = whitener @ np.asarray(covariance, dtype=np.float64) @ whitener.T
+    worst = float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[-1])
+    return float(np.clip(1.0 - np.sqrt(max(worst, 0.0)), 0.0, 1.0))
+
+
+def saved_state(kind: str, version: int, values: Mapping[str, Any]) -> dict[str, Any]:
+    """State of an estimator as plain values that JSON can hold.
+
+    Parameters
+    ----------
+    kind : str
+        Format of the state, such as ``"trainlog/rls"``.
+    version : int
+        Raised when the meaning of a saved state changes.
+    values : mapping
+        Arrays and numbers; arrays become lists and NaN, which JSON lacks, None.
+    """
+    return {"format": kind, "version": version} | {
+        name: _plain(value) for name, value in values.items()
+    }
+
+
+def check_state(state: Mapping[str, Any], kind: str, version: int, names: Iterable[str]) -> None:
+    """Refuse a saved state that is of another kind or version, or incomplete.
+
+    Raises
+    ------
+    InputError
+        Naming what was found and what is needed.
+    """
+    if state.get("format") != kind or state.get("version") != version:
+        raise InputError(
+            f"state of an estimator has format {state.get('format')!r}, version"
+            f" {state.get('version')!r}; needs {kind!r}, {version}",
+            remedy="start the estimator anew",
+        )
+    missing = [name for name in names if name not in state]
+    if missing:
+        raise _broken(kind, f"is incomplete, it lacks {', '.join(missing)}")
+
+
+def array_of(
+    state: Mapping[str, Any], name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float64
+) -> NDArray[Any]:
+    """An array of a saved state, with NaN where it holds None.
+
+    Raises
+    ------
+    InputError
+        If it holds no numbers, or not as many as `shape` needs.
+    """
+    try:
+        array: NDArray[Any] = np.array(state[name], dtype=dtype)
+        fits = array.shape == shape or array.size == 0 == np.prod(shape)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise _broken(state["format"], f"{name} is no array of numbers") from error
+    if not fits:
+        raise _broken(state["format"], f"{name} has shape {array.shape}, needs {shape}")
+    return array.reshape(shape)
+
+
+def number_of(state: Mapping[str, Any], name: str) -> float:
+    """A number of a saved state, NaN for None; InputError if it is none."""
+    return float(array_of(state, name, ()))
+
+
+def count_of(state: Mapping[str, Any], name: str) -> int:
+    """A whole number of a saved state, at least 0; InputError if it is none."""
+    value = state[name]
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise _broken(state["format"], f"{name} is no count: {value!r}")
+    return value
+
+
+def _broken(kind: str, problem: str) -> InputError:
+    return InputError(f"state of {kind!r}: {problem}", remedy="start the estimator anew")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and np.isnan(value) else value
