@@ -124,6 +124,7 @@ def ingest(
     metadata = pairs(facts or [])
     written: set[Path] = set()
     for recording in recordings:
+        told: set[str] = set()
         trips = ingest_each(
             recording,
             profile=profile,
@@ -150,7 +151,11 @@ def ingest(
             write_log(trip, target)
             console.print(about(trip), highlight=False, markup=False)
             for finding in report_of(trip).lines():
-                console.print(f"    {finding}", highlight=False, markup=False)
+                # What the file holds besides its trips is told with the first of them.
+                if finding not in told:
+                    console.print(f"    {finding}", highlight=False, markup=False)
+                if finding.startswith("not used: "):
+                    told.add(finding)
             wrote(target)
 
 
