@@ -127,7 +127,7 @@ def test_coasting_down_follows_the_closed_form(r0: float, r1: float, r2: float) 
 
 def test_integration_is_of_fourth_order() -> None:
     def speeds(step: float) -> np.ndarray:
-        plant = ConsistPlant(train(5), brake=Brake(0.0, 0.0), step=step)
+        plant = ConsistPlant(replace(train(5), brake=Brake(0.0, 0.0)), step=step)
         state = plant.at(0.0, 10.0)
         plant.advance(state, [0.0, 31_250.0, 0.0, 0.0, 0.0], 0.0, round(2.0 / step))
         return state.speeds
@@ -180,7 +180,7 @@ def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
 
 
 def test_the_brake_answers_after_its_dead_time_with_its_lag() -> None:
-    plant = ConsistPlant(train(1), brake=Brake(0.6, 0.4), step=0.01)
+    plant = ConsistPlant(replace(train(1), brake=Brake(0.6, 0.4)), step=0.01)
     state = plant.at(0.0, 30.0)
     efforts = []
     for _ in range(300):
@@ -189,6 +189,36 @@ def test_the_brake_answers_after_its_dead_time_with_its_lag() -> None:
     time = 0.01 * np.arange(1, 301)
     expected = 40_000.0 * (1.0 - np.exp(-np.maximum(time - 0.6, 0.0) / 0.4))
     np.testing.assert_allclose(efforts, expected, atol=1e-6)
+
+
+def test_the_demand_travels_along_the_train_pipe() -> None:
+    """Each brake begins when the demand has come to the middle of its vehicle."""
+    consist = replace(train(8), brake=Brake(0.6, 0.4), brake_propagation=250.0)
+    plant = ConsistPlant(consist, step=0.005)
+    state = plant.at(0.0, 30.0)
+    begins = np.full(8, np.nan)
+    for k in range(400):
+        plant.advance(state, 0.0, 320_000.0, 1)
+        begins[np.isnan(begins) & (state.braking_effort > 0.0)] = 0.005 * k
+    np.testing.assert_allclose(begins, 0.6 + consist.middles / 250.0, atol=0.0026)
+    # Meanwhile the rear runs up on the front, which brakes already.
+    plant = ConsistPlant(replace(consist, brake_propagation=50.0), step=0.005)
+    state = plant.at(0.0, 30.0)
+    plant.advance(state, 0.0, 320_000.0, 500)
+    assert np.all(plant.coupler_forces(state) < -1e3)
+
+
+def test_buffers_push_with_their_own_spring() -> None:
+    coupler = replace(COUPLER, buffing_stiffness=4e6, buffing_nonlinearity=5.0)
+    assert coupler.force([0.01, -0.01]) == pytest.approx(
+        [10e6 * (1.0 + 200.0 * 1e-4) * 0.01, -4e6 * (1.0 + 5.0 * 1e-4) * 0.01]
+    )
+    consist = train(2, coupler, resistance=FRICTIONLESS)
+    plant = ConsistPlant(consist, step=0.002)
+    pushed = plant.at(0.0, 10.0)
+    plant.advance(pushed, [0.0, 30e3], 0.0, 20_000)
+    assert plant.coupler_forces(pushed) == pytest.approx(-15e3, rel=1e-6)
+    assert coupler.force(plant.stretches(pushed)) == pytest.approx(-15e3, rel=1e-6)
 
 
 def test_a_braked_train_stands_on_a_slope_and_rolls_without_brake() -> None:
@@ -263,7 +293,7 @@ def test_efforts_that_a_vehicle_does_not_have_are_refused() -> None:
 
 def test_a_softening_coupler_is_refused_beyond_its_validity() -> None:
     soft = replace(COUPLER, stiffness=1e6, nonlinearity=-200.0)
-    assert soft.largest_stretch == pytest.approx(1.0 / np.sqrt(600.0))
+    assert soft.largest_stretch == pytest.approx((1.0 / np.sqrt(600.0),) * 2)
     plant = ConsistPlant(train(3, soft, max_tractive_effort=200e3), step=0.002)
     state = plant.at()
     with pytest.raises(InputError, match=r"coupler 1 .* valid to 41 mm"):
@@ -272,7 +302,11 @@ def test_a_softening_coupler_is_refused_beyond_its_validity() -> None:
 
 def test_springs_store_what_their_force_does() -> None:
     stretch = np.linspace(-0.05, 0.05, 20_001)
-    for coupler in (COUPLER, replace(COUPLER, nonlinearity=-20.0, slack=0.01)):
+    for coupler in (
+        COUPLER,
+        replace(COUPLER, nonlinearity=-20.0, slack=0.01),
+        replace(COUPLER, buffing_stiffness=4e6, buffing_nonlinearity=5.0),
+    ):
         work = np.concatenate(
             ([0.0], np.cumsum(0.5 * np.diff(stretch) * (
                 coupler.force(stretch)[1:] + coupler.force(stretch)[:-1]

@@ -212,7 +212,12 @@ def consist() -> Consist:
         max_tractive_effort=EFFORT_LIMIT,
         max_braking_effort=EFFORT_LIMIT,
     )
-    return Consist("train of paper 004", (train,), source="paper 004, section 5")
+    return Consist(
+        "train of paper 004",
+        (train,),
+        brake=Brake(0.0, 0.0),  # acts at once in the paper's simulation
+        source="paper 004, section 5",
+    )
 
 
 def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int = 1) -> Run:
@@ -230,9 +235,7 @@ def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int =
     """
     random = np.random.default_rng(seed)
     slopes = line(shift)
-    plant = ConsistPlant(
-        consist(), slopes, brake=Brake(0.0, 0.0), variation=VARIATION, step=STEP
-    )  # the paper's brake acts at once
+    plant = ConsistPlant(consist(), slopes, variation=VARIATION, step=STEP)
     state = plant.at(float(plant.consist.middles[0]))
     learner = RecursiveLeastSquares(PRIOR_STD[: variant.parameters], forgetting=variant.forgetting)
     controller = SlidingModeController(MASS, effort_limit=EFFORT_LIMIT)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from trainlog.railway import Brake, RunningResistance
+from trainlog.railway import RunningResistance
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.simulation.consist import ConsistPlant
 
@@ -67,7 +67,7 @@ def main() -> None:
         f"{'vehicles':>8s} {'1 h in':>8s} {'steps/s':>10s} {'vehicle-steps/s':>16s} {'scipy':>8s}"
     )
     for count in (1, 8, 40):
-        plant = ConsistPlant(consist(count), brake=Brake(0.6, 0.4), step=STEP)
+        plant = ConsistPlant(consist(count), step=STEP)
         plant.advance(plant.at(0.0, 1.0), 1e3, 0.0, 10)  # compiles
         effort = 0.5 * count * WAGON.max_tractive_effort
 

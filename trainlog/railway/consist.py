@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import reduce
 from operator import add
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Brake
 
 FloatArray = NDArray[np.float64]
 
@@ -29,49 +30,75 @@ class Coupler:
         b.
     slack : float [m]
         Free travel from the middle to either side before the spring takes up force.
+    buffing_stiffness, buffing_nonlinearity : float or None
+        Of the spring that is pushed together, as side buffers are, where it is another than the one
+        that is pulled apart.
     """
 
     stiffness: float
     nonlinearity: float = 0.0
     damping: float = 0.0
     slack: float = 0.0
+    buffing_stiffness: float | None = None
+    buffing_nonlinearity: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "damping", "slack", "nonlinearity"):
-            if not np.isfinite(getattr(self, name)):
+        for name in (each.name for each in fields(self)):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
                 raise InputError(f"coupler: {name} must be a finite number")
-        if not self.stiffness > 0.0:
-            raise InputError(
-                f"coupler: stiffness {self.stiffness} N/m is not positive",
-                remedy="vehicles that are not coupled are not a consist",
-            )
+        for name, (stiffness, _) in (("stiffness", self.draft), ("buffing_stiffness", self.buff)):
+            if not stiffness > 0.0:
+                raise InputError(
+                    f"coupler: {name} {stiffness} N/m is not positive",
+                    remedy="vehicles that are not coupled are not a consist",
+                )
         for name in ("damping", "slack"):
             if getattr(self, name) < 0.0:
                 raise InputError(f"coupler: {name} {getattr(self, name)} is negative")
 
     @property
-    def largest_stretch(self) -> float:
-        """Stretch [m] up to which the force grows; infinite unless it softens.
+    def draft(self) -> tuple[float, float]:
+        """Stiffness [N/m] and nonlinearity [1/m²] of the spring that is pulled apart."""
+        return self.stiffness, self.nonlinearity
+
+    @property
+    def buff(self) -> tuple[float, float]:
+        """Stiffness [N/m] and nonlinearity [1/m²] of the spring that is pushed together."""
+        stiffness, nonlinearity = self.buffing_stiffness, self.buffing_nonlinearity
+        return (
+            self.stiffness if stiffness is None else stiffness,
+            self.nonlinearity if nonlinearity is None else nonlinearity,
+        )
+
+    @property
+    def largest_stretch(self) -> tuple[float, float]:
+        """Stretch [m], apart and together, up to which the force grows; infinite unless it softens.
 
         A softening spring ``k0 (1 + eps x²) x`` weakens beyond ``1 / sqrt(3 |eps|)``.
         """
-        if self.nonlinearity >= 0.0:
-            return np.inf
-        return self.slack + 1.0 / float(np.sqrt(-3.0 * self.nonlinearity))
+        apart, together = (
+            self.slack + 1.0 / float(np.sqrt(-3.0 * nonlinearity)) if nonlinearity < 0.0 else np.inf
+            for _, nonlinearity in (self.draft, self.buff)
+        )
+        return apart, together
 
     def force(self, stretch: ArrayLike) -> FloatArray:
         """Spring force [N] at each stretch [m], positive when pulled apart."""
-        x = np.asarray(stretch, dtype=np.float64)
-        beyond = np.sign(x) * np.maximum(np.abs(x) - self.slack, 0.0)
-        return np.asarray(self.stiffness * (1.0 + self.nonlinearity * beyond**2) * beyond)
+        beyond, stiffness, nonlinearity = self._spring(stretch)
+        return np.asarray(stiffness * (1.0 + nonlinearity * beyond**2) * beyond)
 
     def energy(self, stretch: ArrayLike) -> FloatArray:
         """Energy stored in the spring [J] at each stretch [m]."""
+        beyond, stiffness, nonlinearity = self._spring(stretch)
+        return np.asarray(0.5 * stiffness * beyond**2 * (1.0 + 0.5 * nonlinearity * beyond**2))
+
+    def _spring(self, stretch: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Stretch beyond the slack, with its sign, and the spring that takes it up."""
         x = np.asarray(stretch, dtype=np.float64)
-        beyond = np.maximum(np.abs(x) - self.slack, 0.0)
-        return np.asarray(
-            0.5 * self.stiffness * beyond**2 * (1.0 + 0.5 * self.nonlinearity * beyond**2)
-        )
+        beyond = np.sign(x) * np.maximum(np.abs(x) - self.slack, 0.0)
+        (k, eps), (k_buff, eps_buff) = self.draft, self.buff
+        return beyond, np.where(x < 0.0, k_buff, k), np.where(x < 0.0, eps_buff, eps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +159,23 @@ class Consist:
     vehicles : tuple of Vehicle
     couplers : tuple of Coupler
         One fewer than vehicles.
+    brake : Brake
+        Dead time and lag of every vehicle's brake; paper 004, eq. (1).
+    brake_propagation : float [m/s]
+        How fast the demand travels from the front along the train pipe; infinite where it is
+        electric.
     source : str
+    assumed : tuple of str
+        Fields that the source does not give: they hold assumptions.
     """
 
     name: str
     vehicles: tuple[Vehicle, ...]
     couplers: tuple[Coupler, ...] = ()
+    brake: Brake = field(default_factory=Brake)
+    brake_propagation: float = np.inf
     source: str = ""
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.vehicles:
@@ -147,6 +184,18 @@ class Consist:
             raise InputError(
                 f"consist '{self.name}': {len(self.vehicles)} vehicles need"
                 f" {len(self.vehicles) - 1} couplers, given are {len(self.couplers)}"
+            )
+        brake = self.brake
+        if not (0.0 <= brake.dead_time < np.inf and 0.0 <= brake.lag < np.inf):
+            raise InputError(
+                f"consist '{self.name}': a brake with a dead time of {brake.dead_time} s and a lag"
+                f" of {brake.lag} s cannot be",
+                remedy="give times that are not negative",
+            )
+        if not self.brake_propagation > 0.0:
+            raise InputError(
+                f"consist '{self.name}': brake_propagation {self.brake_propagation} m/s is not"
+                " positive"
             )
 
     @property
@@ -164,6 +213,21 @@ class Consist:
         """Distance of each vehicle's middle behind the front of the consist [m], at rest."""
         lengths = np.array([vehicle.length for vehicle in self.vehicles])
         return np.asarray(np.cumsum(lengths) - 0.5 * lengths)
+
+    @property
+    def dead_times(self) -> FloatArray:
+        """Of each vehicle's brake [s]: its own, and what the demand takes from the front to it."""
+        return np.asarray(self.brake.dead_time + self.middles / self.brake_propagation)
+
+    @property
+    def max_tractive_effort(self) -> float:
+        """Of all vehicles together [N]."""
+        return sum(vehicle.max_tractive_effort for vehicle in self.vehicles)
+
+    @property
+    def max_braking_effort(self) -> float:
+        """Of all vehicles together [N]."""
+        return sum(vehicle.max_braking_effort for vehicle in self.vehicles)
 
     @property
     def resistance(self) -> RunningResistance:

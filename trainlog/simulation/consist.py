@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trainlog.errors import InputError
-from trainlog.railway import Brake, Line
+from trainlog.railway import Line
 from trainlog.railway.consist import Consist
 from trainlog.railway.resistance import tunnel_force_per_weight
 from trainlog.simulation import particles
@@ -20,7 +20,7 @@ from trainlog.simulation.track import pieces
 
 FloatArray = NDArray[np.float64]
 
-LEVEL_TRACK = np.zeros((1, 6))
+LEVEL_TRACK = np.array([[-np.inf, 0.0, 0.0, 0.0, 0.0, 0.0], [np.inf, 0.0, 0.0, 0.0, 0.0, 0.0]])
 """Table of a track without gradients, curves and tunnels."""
 
 FINEST = 1.0
@@ -54,11 +54,11 @@ class ConsistState:
         Positions of the vehicles' middles [m], their speeds [m/s], and the works [J].
     braking_effort : (n,) array [N]
     delay : (d, n) array [N]
-        Braking efforts asked for within the dead time; `cursor` is the oldest.
+        Braking efforts asked for within the dead times; `cursor` is where the next one goes.
     places : (n, 3) array
         Piece of the track under the front, the rear and the middle of each vehicle.
-    largest_stretch : (n - 1,) array [m]
-        Of each coupler since the beginning, to either side.
+    largest_stretch : (n - 1, 2) array [m]
+        Most that each coupler was pulled apart, and pushed together, since the beginning.
     """
 
     time: float
@@ -97,8 +97,6 @@ class ConsistPlant:
     consist : Consist
     line : Line, optional
         As travelled; without it the track is straight and level.
-    brake : Brake
-        Dead time and lag of every vehicle's brake; paper 004, eq. (1).
     variation : Variation
         Of the running resistance.
     step : float [s]
@@ -115,12 +113,10 @@ class ConsistPlant:
         consist: Consist,
         line: Line | None = None,
         *,
-        brake: Brake | None = None,
         variation: Variation | None = None,
         step: float = 0.01,
     ) -> None:
         self.consist = consist
-        self.brake = brake or Brake()
         self.variation = variation or Variation()
         self.step = step
         self._line = line
@@ -145,17 +141,19 @@ class ConsistPlant:
         self._couplers = np.array(
             [
                 [
-                    each.stiffness,
-                    each.nonlinearity,
+                    *each.draft,
+                    each.largest_stretch[0],
+                    *each.buff,
+                    each.largest_stretch[1],
                     each.damping,
                     each.slack,
                     distance,
-                    each.largest_stretch,
                 ]
                 for each, distance in zip(consist.couplers, apart, strict=True)
             ]
-        ).reshape(-1, 6)
+        ).reshape(-1, 9)
         self._check_step()
+        self._late = np.round(consist.dead_times / step).astype(np.int64)
 
     def at(self, position: float = 0.0, speed: float = 0.0) -> ConsistState:
         """The state of a consist whose front is at `position` [m], rolling at `speed` [m/s].
@@ -179,15 +177,14 @@ class ConsistPlant:
         values = np.zeros(2 * n + len(WORKS))
         values[:n] = position - self.consist.middles
         values[n : 2 * n] = speed
-        delayed = round(self.brake.dead_time / self.step)
         return ConsistState(
             0.0,
             values,
             np.zeros(n),
-            np.zeros((delayed, n)),
+            np.zeros((int(self._late.max()) + 1, n)),
             0,
             np.zeros((n, 3), dtype=np.int64),
-            np.zeros(n - 1),
+            np.zeros((n - 1, 2)),
         )
 
     def advance(
@@ -217,8 +214,8 @@ class ConsistPlant:
         demand = self._shared(braking_efforts, particles.BRAKE, "braking")
         state.cursor = particles.advance(
             state.values, state.time, pull, demand, state.braking_effort, state.delay,
-            state.cursor, self.brake.lag, self.step, steps, self._vehicles, self._couplers,
-            self._track, state.places, np.array(self.variation.amplitudes),
+            self._late, state.cursor, self.consist.brake.lag, self.step, steps, self._vehicles,
+            self._couplers, self._track, state.places, np.array(self.variation.amplitudes),
             self.variation.angular_frequency, state.largest_stretch,
         )  # fmt: skip
         state.time += steps * self.step
@@ -226,21 +223,21 @@ class ConsistPlant:
 
     def coupler_forces(self, state: ConsistState) -> FloatArray:
         """Force in each coupler [N], positive when pulled apart; (n - 1,) array."""
-        stretch = -np.diff(state.positions) - self._couplers[:, particles.APART]
-        rate = -np.diff(state.speeds)
-        springs = [
-            float(coupler.force(each))
-            for coupler, each in zip(self.consist.couplers, stretch, strict=True)
-        ]
-        slack = self._couplers[:, particles.SLACK]
-        beyond = np.maximum(np.abs(stretch) - slack, 0.0)
-        hold = np.where(slack > 0.0, np.minimum(beyond / particles.TAKE_UP, 1.0), 1.0)
-        dampers = hold * self._couplers[:, particles.DAMPING] * rate
-        return np.asarray(np.array(springs) + dampers)
+        stretch, rate = self.stretches(state), -np.diff(state.speeds)
+        return np.array(
+            [
+                particles.coupler_force(self._couplers, i, stretch[i], rate[i])[0]
+                for i in range(stretch.size)
+            ]
+        )
+
+    def stretches(self, state: ConsistState) -> FloatArray:
+        """How far each coupler is pulled apart [m], negative when pushed together; (n - 1,)."""
+        return np.asarray(-np.diff(state.positions) - self._couplers[:, particles.APART])
 
     def energy(self, state: ConsistState) -> float:
         """Kinetic energy of the vehicles and energy stored in the couplers [J]."""
-        stretch = -np.diff(state.positions) - self._couplers[:, particles.APART]
+        stretch = self.stretches(state)
         stored = sum(
             float(coupler.energy(each))
             for coupler, each in zip(self.consist.couplers, stretch, strict=True)
@@ -274,35 +271,42 @@ class ConsistPlant:
     def _check_step(self) -> None:
         if not (self.step > 0.0 and np.isfinite(self.step)):
             raise InputError(f"a time step of {self.step} s makes no sense")
+        name = self.consist.name
         inertia = self._vehicles[:, particles.INERTIA]
         reduced = 1.0 / (1.0 / inertia[:-1] + 1.0 / inertia[1:])
         # A vehicle between two couplers swings up to twice as fast as a pair of them.
-        frequency = 2.0 * np.sqrt(self._couplers[:, particles.STIFFNESS] / reduced)
+        stiffest = self._couplers[:, [particles.DRAFT, particles.BUFF]].max(axis=1, initial=0.0)
+        frequency = 2.0 * np.sqrt(stiffest / reduced)
         rate = 2.0 * self._couplers[:, particles.DAMPING] / reduced
         fastest = max(frequency.max(initial=0.0), 0.5 * rate.max(initial=0.0))
         if self.step * fastest > FINEST:
             raise InputError(
                 f"step of {1e3 * self.step:g} ms is too coarse for the couplers of consist"
-                f" '{self.consist.name}'",
+                f" '{name}'",
                 remedy=f"use at most {1e3 * FINEST / fastest:.1f} ms",
             )
-        strongest = float((self._vehicles[:, particles.BRAKE] / inertia).max())
+        # What can bring a vehicle to rest within one step.
+        held = self._vehicles[:, particles.BRAKE] + self._vehicles[:, particles.R0]
+        strongest = float((held / inertia).max())
         if self.step * strongest > 2.0 * particles.AT_REST:
             raise InputError(
-                f"step of {1e3 * self.step:g} ms is too coarse for brakes of {strongest:.1f} m/s²",
+                f"step of {1e3 * self.step:g} ms is too coarse for consist '{name}': its brakes"
+                f" and its resistance take {strongest:.1f} m/s²",
                 remedy=f"use at most {2e3 * particles.AT_REST / strongest:.1f} ms",
             )
 
     def _check_motion(self, state: ConsistState) -> None:
-        for number, coupler in enumerate(self.consist.couplers):
-            stretch = float(state.largest_stretch[number])
-            if stretch >= coupler.largest_stretch:
-                raise InputError(
-                    f"coupler {number + 1} of consist '{self.consist.name}' was stretched by"
-                    f" {1e3 * stretch:.0f} mm; its softening spring is valid to"
-                    f" {1e3 * coupler.largest_stretch:.0f} mm",
-                    remedy="give it a smaller |epsilon| or more stiffness, or lower the efforts",
-                )
+        valid = self._couplers[
+            :, [particles.DRAFT + particles.LARGEST, particles.BUFF + particles.LARGEST]
+        ]
+        for number, side in np.argwhere(state.largest_stretch >= valid):
+            raise InputError(
+                f"coupler {number + 1} of consist '{self.consist.name}' was"
+                f" {('pulled apart', 'pushed together')[side]} by"
+                f" {1e3 * state.largest_stretch[number, side]:.0f} mm; its softening spring is"
+                f" valid to {1e3 * valid[number, side]:.0f} mm",
+                remedy="give it a smaller |epsilon| or more stiffness, or lower the efforts",
+            )
         if not np.all(np.isfinite(state.values)):
             raise InputError(
                 f"the motion of consist '{self.consist.name}' is not finite after"
@@ -312,13 +316,14 @@ class ConsistPlant:
 
 
 def track_table(line: Line) -> FloatArray:
-    """Track of a line: one row a piece between two breakpoints.
+    """Track of a line as `particles` reads it: one row a piece between two breakpoints.
+
+    Before its beginning and after its end the line goes on as it begins and ends.
 
     Returns
     -------
-    (n, 6) array
-        Start [m], height there [m], sine of the gradient, curvature at the start [1/m], its change
-        [1/m²], and the tunnel's resistance over weight.
+    (n + 1, 6) array
+        Columns `particles.START` to `particles.TUNNEL`.
     """
     start, width, sine, curvature, bend = pieces(line)
     height = np.concatenate(([0.0], np.cumsum(sine * width)[:-1]))
@@ -326,4 +331,8 @@ def track_table(line: Line) -> FloatArray:
     for each in line.tunnels:
         here = (start >= each.position) & (start < each.position + each.length)
         tunnel[here] = tunnel_force_per_weight(each.length)
-    return np.ascontiguousarray(np.column_stack([start, height, sine, curvature, bend, tunnel]))
+    table = np.column_stack(
+        [start, height - sine * start, sine, curvature - bend * start, bend, tunnel]
+    )
+    table[0, particles.START] = -np.inf
+    return np.ascontiguousarray(np.vstack([table, LEVEL_TRACK[-1]]))

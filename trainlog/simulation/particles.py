@@ -6,10 +6,10 @@
 
 (paper 004, eqs. 1-10 as corrected: the forces of a coupler act on its two vehicles with opposite
 signs, and the track acts on every vehicle at its own position.) `M` moves with the vehicle; `P` is
-its tractive effort, `B` the braking effort, which follows its demand after a dead time and with a
-first-order lag (eq. 1). `dh/L` is the rise of the track from the vehicle's rear to its front over
-its length: the slope under it, which changes steadily as it passes an edge. One vehicle is the
-single-particle model (10).
+its tractive effort, `B` the braking effort, which follows its demand after the vehicle's own dead
+time and with a first-order lag (eq. 1). `k0` and `eps` may differ between draft and buff. `dh/L` is
+the rise of the track from the vehicle's rear to its front over its length: the slope under it,
+which changes steadily as it passes an edge. One vehicle is the single-particle model (10).
 
 Classical Runge-Kutta of fourth order with a fixed step; the works of all forces are integrated
 beside the motion, so that the energy balance can be checked.
@@ -35,13 +35,18 @@ WORKS = ("traction", "braking", "running_resistance", "track", "damping")
 MASS, INERTIA, R0, R1, R2, PULL, POWER, BRAKE, LENGTH = range(9)
 """Columns of the table of vehicles."""
 
-STIFFNESS, NONLINEARITY, DAMPING, SLACK, APART, LARGEST = range(6)
-"""Columns of the table of couplers; APART is the distance of the middles at rest [m], LARGEST the
-stretch up to which the spring is valid."""
+DRAFT, BUFF, DAMPING, SLACK, APART = 0, 3, 6, 7, 8
+"""Columns of the table of couplers: where the spring in draft and that in buff begin, each with
+stiffness, nonlinearity and the stretch up to which it is valid; APART is the distance of the
+middles at rest [m]."""
 
-START, HEIGHT, SINE, CURVATURE, BEND, TUNNEL = range(6)
-"""Columns of the table of the track: piece from START [m] on, HEIGHT [m] there; TUNNEL is
-resistance over weight."""
+STIFFNESS, NONLINEARITY, LARGEST = range(3)
+"""Columns of a spring, from where it begins."""
+
+START, OFFSET, SINE, CURVATURE, BEND, TUNNEL = range(6)
+"""Columns of the table of the track: a piece from START [m] to that of the next row, in which the
+height is ``OFFSET + SINE x`` [m], the curvature ``CURVATURE + BEND x`` [1/m], and a tunnel resists
+with TUNNEL over weight. The first piece begins at minus infinity; a row at infinity ends it."""
 
 TAKE_UP = 0.005
 """Travel behind the slack [m] over which a coupler's damper takes hold."""
@@ -51,39 +56,50 @@ AT_REST = 0.01
 stopped there, and the brakes take what kinetic energy is left."""
 
 
-@njit(cache=True)
-def piece(track: FloatArray, position: float, guess: int) -> int:
-    """Number of the track's piece at `position`, searched from the last one."""
-    k = guess
-    while k > 0 and position < track[k, START]:
-        k -= 1
-    while k + 1 < track.shape[0] and position >= track[k + 1, START]:
-        k += 1
-    return k
+@njit(cache=True, error_model="numpy")
+def locate(
+    y: FloatArray, vehicles: FloatArray, track: FloatArray, places: NDArray[np.int64]
+) -> None:
+    """Find the pieces of the track under front, rear and middle of every vehicle.
+
+    Walks from where they were; within the step the derivative looks at the neighbours alone.
+    """
+    for i in range(vehicles.shape[0]):
+        half = 0.5 * vehicles[i, LENGTH]
+        for end in range(3):
+            position = y[i] + (half if end == 0 else -half if end == 1 else 0.0)
+            k = places[i, end]
+            while position < track[k, START]:
+                k -= 1
+            while position >= track[k + 1, START]:
+                k += 1
+            places[i, end] = k
 
 
-@njit(cache=True)
-def slope(track: FloatArray, position: float, length: float, ends: NDArray[np.int64]) -> float:
-    """Rise over length under a vehicle; `ends` are the pieces of its front and rear."""
-    front, rear = position + 0.5 * length, position - 0.5 * length
-    j = piece(track, front, ends[0])
-    k = piece(track, rear, ends[1])
-    ends[0], ends[1] = j, k
-    if j == k:
-        return track[j, SINE]
-    above = track[j, HEIGHT] + track[j, SINE] * (front - track[j, START])
-    below = track[k, HEIGHT] + track[k, SINE] * (rear - track[k, START])
-    return (above - below) / length
+@njit(cache=True, error_model="numpy")
+def passed(position: float, start: float, end: float) -> int:
+    """1 if `position` lies beyond a piece of the track, -1 if before it, 0 on it."""
+    return int(position >= end) - int(position < start)
 
 
-@njit(cache=True)
-def bends_and_tunnels(track: FloatArray, k: int, position: float) -> float:
-    """Curve and tunnel resistance over weight in piece `k`; paper 004, eq. (6) as corrected."""
-    bend = track[k, CURVATURE] + track[k, BEND] * (position - track[k, START])
-    return CURVE_COEFFICIENT * abs(bend) + track[k, TUNNEL]
+@njit(cache=True, error_model="numpy")
+def coupler_force(couplers: FloatArray, i: int, stretch: float, rate: float) -> tuple[float, float]:
+    """Force of coupler `i` [N], positive when pulled apart, and the damper's part of it.
+
+    A damper behind slack takes hold over `TAKE_UP`, so that the force has no steps.
+    """
+    slack = couplers[i, SLACK]
+    spring, beyond = DRAFT, max(stretch - slack, 0.0)
+    if stretch < 0.0:
+        spring, beyond = BUFF, min(stretch + slack, 0.0)
+    damper = couplers[i, DAMPING] * rate
+    if slack > 0.0:
+        damper *= min(abs(beyond) / TAKE_UP, 1.0)
+    hardening = 1.0 + couplers[i, spring + NONLINEARITY] * beyond * beyond
+    return couplers[i, spring + STIFFNESS] * hardening * beyond + damper, damper
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", inline="always")
 def derivative(
     y: FloatArray,
     out: FloatArray,
@@ -97,18 +113,30 @@ def derivative(
 ) -> None:
     """Time derivative of the state: positions, speeds, works."""
     n = vehicles.shape[0]
-    works = 2 * n
-    for i in range(works, works + 5):
-        out[i] = 0.0
+    traction, braking, running, along, damping = 0.0, 0.0, 0.0, 0.0, 0.0
+    behind = 0.0
     for i in range(n):
-        v = y[n + i]
-        k = piece(track, y[i], places[i, 2])
-        places[i, 2] = k
-        rise = slope(track, y[i], vehicles[i, LENGTH], places[i])
-        effort = min(pull[i], vehicles[i, POWER] / max(v, 1e-3))
+        x, v = y[i], y[n + i]
+        half = 0.5 * vehicles[i, LENGTH]
+        j, k, m = places[i, 0], places[i, 1], places[i, 2]
+        j += passed(x + half, track[j, START], track[j + 1, START])
+        k += passed(x - half, track[k, START], track[k + 1, START])
+        m += passed(x, track[m, START], track[m + 1, START])
+        rise = track[k, SINE]
+        if j != k:
+            above = track[j, OFFSET] + track[j, SINE] * (x + half)
+            below = track[k, OFFSET] + track[k, SINE] * (x - half)
+            rise = (above - below) / vehicles[i, LENGTH]
+        bend = track[m, CURVATURE] + track[m, BEND] * x
+        resisting = CURVE_COEFFICIENT * abs(bend) + track[m, TUNNEL]
+        effort = pull[i]
+        if effort * v > vehicles[i, POWER]:
+            effort = vehicles[i, POWER] / v
         # Friction and brakes act against the motion.
-        way = min(max(v / AT_REST, -1.0), 1.0)
         speed = abs(v)
+        way = 1.0 if v > 0.0 else -1.0
+        if speed < AT_REST:
+            way = v / AT_REST
         weight = GRAVITY * vehicles[i, MASS]
         own = way * (
             vehicles[i, R0] * scale[0]
@@ -116,32 +144,28 @@ def derivative(
             + vehicles[i, R2] * scale[2] * speed * speed
         )
         held = way * brake[i]
-        load = weight * (rise + way * bends_and_tunnels(track, k, y[i]))
+        load = weight * (rise + way * resisting)
+        # What the coupler in front pulls, found with the vehicle before.
+        force = behind
+        behind = 0.0
+        if i + 1 < n:
+            rate = v - y[n + i + 1]
+            behind, damper = coupler_force(couplers, i, x - y[i + 1] - couplers[i, APART], rate)
+            damping += damper * rate
         out[i] = v
-        out[n + i] = effort - held - own - load
-        out[works] += effort * v
-        out[works + 1] += held * v
-        out[works + 2] += own * v
-        out[works + 3] += load * v
-    for i in range(n - 1):
-        stretch = y[i] - y[i + 1] - couplers[i, APART]
-        beyond = max(abs(stretch) - couplers[i, SLACK], 0.0)
-        if stretch < 0.0:
-            beyond = -beyond
-        rate = y[n + i] - y[n + i + 1]
-        damper = couplers[i, DAMPING] * rate
-        if couplers[i, SLACK] > 0.0:
-            damper *= min(abs(beyond) / TAKE_UP, 1.0)
-        force = couplers[i, STIFFNESS] * (1.0 + couplers[i, NONLINEARITY] * beyond * beyond)
-        force = force * beyond + damper
-        out[n + i] -= force
-        out[n + i + 1] += force
-        out[works + 4] += damper * rate
-    for i in range(n):
-        out[n + i] /= vehicles[i, INERTIA]
+        out[n + i] = (effort - held - own - load + force - behind) / vehicles[i, INERTIA]
+        traction += effort * v
+        braking += held * v
+        running += own * v
+        along += load * v
+    out[2 * n] = traction
+    out[2 * n + 1] = braking
+    out[2 * n + 2] = running
+    out[2 * n + 3] = along
+    out[2 * n + 4] = damping
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance(
     y: FloatArray,
     time: float,
@@ -149,6 +173,7 @@ def advance(
     demand: FloatArray,
     brake: FloatArray,
     delay: FloatArray,
+    late: NDArray[np.int64],
     cursor: int,
     lag: float,
     step: float,
@@ -172,93 +197,78 @@ def advance(
     brake : (n,) array [N]
         Braking effort at work.
     delay : (d, n) array [N]
-        Ring buffer of the demands of the last dead time; `cursor` is its oldest row.
+        Ring buffer of the demands of the last dead time; the next goes to row `cursor`.
+    late : (n,) array
+        Dead time of each vehicle's brake in steps, less than d.
     variation : (3,) array
         Amplitude, relative to its mean, with which each coefficient of the running resistance
         swings with `angular_frequency` [rad/s] of time.
-    stretch : (n - 1,) array [m]
-        Largest stretch of each coupler so far; beyond what is valid the motion ends.
+    stretch : (n - 1, 2) array [m]
+        Most that each coupler was pulled apart and pushed together so far, both positive; beyond
+        what is valid the motion ends.
 
     Returns
     -------
     cursor : int
     """
     n = vehicles.shape[0]
-    work = np.empty((5, y.size))
+    size, rows = y.size, delay.shape[0]
+    slopes, trial, moved = np.empty(size), np.empty(size), np.empty(size)
     decay = np.exp(-step / lag) if lag > 0.0 else 0.0
+    swings = variation[0] != 0.0 or variation[1] != 0.0 or variation[2] != 0.0
+    scale = (1.0, 1.0, 1.0)
     for _ in range(steps):
         for i in range(n):
-            wanted = demand[i]
-            if delay.shape[0] > 0:
-                wanted = delay[cursor, i]
-                delay[cursor, i] = demand[i]
+            delay[cursor, i] = demand[i]
+            oldest = cursor - late[i]
+            wanted = delay[oldest if oldest >= 0 else oldest + rows, i]
             brake[i] = wanted + (brake[i] - wanted) * decay
-        if delay.shape[0] > 0:
-            cursor = (cursor + 1) % delay.shape[0]
+        cursor = cursor + 1 if cursor + 1 < rows else 0
 
-        if _stands(y, pull, brake, vehicles, track, places):
+        if abs(y[n]) <= AT_REST and _stands(y, pull, brake, vehicles, track, places):
             for i in range(n):
                 y[2 * n + 1] += 0.5 * vehicles[i, INERTIA] * y[n + i] ** 2
                 y[n + i] = 0.0
             time += step
             continue
 
-        _step(
-            y, time, step, pull, brake, vehicles, couplers, track, places, variation,
-            angular_frequency, work,
-        )  # fmt: skip
+        locate(y, vehicles, track, places)
+        # The four stages in one loop, so that the compiler can unite it with the derivative.
+        for i in range(size):
+            trial[i] = y[i]
+            moved[i] = y[i]
+        for stage in range(4):
+            outer = stage == 0 or stage == 3
+            if swings:
+                into = 0.5 * ((stage + 1) // 2) * step
+                scale = _scaled(variation, angular_frequency * (time + into))
+            derivative(trial, slopes, pull, brake, vehicles, couplers, track, places, scale)
+            share = step / 6.0 if outer else step / 3.0
+            reach = 0.5 * step if stage < 2 else step
+            for i in range(size):
+                moved[i] += share * slopes[i]
+                trial[i] = y[i] + reach * slopes[i]
+        for i in range(size):
+            y[i] = moved[i]
+
         for i in range(n - 1):
-            stretch[i] = max(stretch[i], abs(y[i] - y[i + 1] - couplers[i, APART]))
-            if stretch[i] >= couplers[i, LARGEST]:
+            apart = y[i] - y[i + 1] - couplers[i, APART]
+            side = 0 if apart >= 0.0 else 1
+            stretch[i, side] = max(stretch[i, side], abs(apart))
+            if abs(apart) >= couplers[i, (DRAFT if side == 0 else BUFF) + LARGEST]:
                 return cursor
         time += step
     return cursor
 
 
-@njit(cache=True)
-def _step(
-    y: FloatArray,
-    time: float,
-    step: float,
-    pull: FloatArray,
-    brake: FloatArray,
-    vehicles: FloatArray,
-    couplers: FloatArray,
-    track: FloatArray,
-    places: NDArray[np.int64],
-    variation: FloatArray,
-    angular_frequency: float,
-    work: FloatArray,
-) -> None:
-    """One step of Runge and Kutta, in place."""
-    k1, k2, k3, k4, trial = work[0], work[1], work[2], work[3], work[4]
-    scale = _scaled(variation, angular_frequency * time)
-    derivative(y, k1, pull, brake, vehicles, couplers, track, places, scale)
-    scale = _scaled(variation, angular_frequency * (time + 0.5 * step))
-    for i in range(y.size):
-        trial[i] = y[i] + 0.5 * step * k1[i]
-    derivative(trial, k2, pull, brake, vehicles, couplers, track, places, scale)
-    for i in range(y.size):
-        trial[i] = y[i] + 0.5 * step * k2[i]
-    derivative(trial, k3, pull, brake, vehicles, couplers, track, places, scale)
-    scale = _scaled(variation, angular_frequency * (time + step))
-    for i in range(y.size):
-        trial[i] = y[i] + step * k3[i]
-    derivative(trial, k4, pull, brake, vehicles, couplers, track, places, scale)
-    for i in range(y.size):
-        y[i] += step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _scaled(variation: FloatArray, angle: float) -> tuple[float, float, float]:
     """What each coefficient of the running resistance is multiplied with."""
-    if variation[0] == 0.0 and variation[1] == 0.0 and variation[2] == 0.0:
-        return 1.0, 1.0, 1.0
     swing = np.sin(angle)
     return 1.0 + variation[0] * swing, 1.0 + variation[1] * swing, 1.0 + variation[2] * swing
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _stands(
     y: FloatArray,
     pull: FloatArray,
@@ -269,12 +279,18 @@ def _stands(
 ) -> bool:
     """Whether no vehicle moves and what drives the train is less than what holds it."""
     n = vehicles.shape[0]
-    drive, hold = 0.0, 0.0
     for i in range(n):
         if abs(y[n + i]) > AT_REST:
             return False
-        k = piece(track, y[i], places[i, 2])
-        weight = GRAVITY * vehicles[i, MASS]
-        drive += pull[i] - weight * slope(track, y[i], vehicles[i, LENGTH], places[i])
-        hold += brake[i] + vehicles[i, R0] + weight * bends_and_tunnels(track, k, y[i])
+    locate(y, vehicles, track, places)
+    drive, hold = 0.0, 0.0
+    for i in range(n):
+        j, k, m = places[i, 0], places[i, 1], places[i, 2]
+        length, weight = vehicles[i, LENGTH], GRAVITY * vehicles[i, MASS]
+        above = track[j, OFFSET] + track[j, SINE] * (y[i] + 0.5 * length)
+        below = track[k, OFFSET] + track[k, SINE] * (y[i] - 0.5 * length)
+        bend = track[m, CURVATURE] + track[m, BEND] * y[i]
+        drive += pull[i] - weight * (above - below) / length
+        hold += brake[i] + vehicles[i, R0]
+        hold += weight * (CURVE_COEFFICIENT * abs(bend) + track[m, TUNNEL])
     return abs(drive) <= hold
