@@ -1,13 +1,17 @@
 """Recursive least squares in factorised form.
 
 The covariance is kept as ``P = U D Uᵀ`` (U unit upper triangular, D diagonal) and only the
-factors are updated, so that it stays positive definite whatever the data: the conventional
-recursion (paper 004, eqs. 15-17) loses that property after some hundred samples.
+factors are updated (`estimators.factors`), so that it stays positive definite whatever the data:
+the conventional recursion (paper 004, eqs. 15-17) loses that property after some hundred samples.
+
+Forgetting and random walk make the covariance grow where the data say nothing. Windup is guarded
+against: the covariance never exceeds the prior's in any direction. While it could, each sample is
+followed by just so much confirmation of the estimate that an unexcited direction stays at its
+prior variance, ``P⁻¹ <- gamma P⁻¹ + (1 - gamma) P₀⁻¹``; while the data hold it well below the
+prior (the variances over their priors sum up to less than 1) the recursion is the plain one.
 
 References
 ----------
-Bierman, G. J. (1977), Factorization Methods for Discrete Sequential Estimation, ch. V (measurement
-update) and ch. VI (Thornton's time update by modified weighted Gram-Schmidt).
 Paper 004, eqs. (16), (19), (20) with the forgetting factor as corrected.
 """
 
@@ -18,9 +22,9 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, DTypeLike
 
+from estimators.factors import recursion, transform
 from estimators.interface import (
     CALIBRATED,
     FloatArray,
@@ -35,6 +39,10 @@ from trainlog.errors import InputError
 STATE_KIND, STATE_VERSION = "trainlog/rls", 2
 """Of a saved state; the version is raised when its meaning changes."""
 
+WELL_CONDITIONED = 300.0
+"""Condition number up to which a result counts as valid: beyond it noise of the regressors, which
+the recursion takes as exact, passes for excitation."""
+
 
 @dataclass(frozen=True, eq=False)
 class RlsResult:
@@ -47,7 +55,9 @@ class RlsResult:
     covariance : (p, p) array
         In units of the measurement variance that was given with the samples.
     valid : bool
-        Whether the data, rather than the prior, determine every direction of the estimate.
+        Whether the data, rather than the prior, determine every direction of the estimate: at
+        least as many samples as parameters, an excitation of at least 0.5, and a condition number
+        of at most 300.
     excitation : float
         Share of the prior's standard deviation that the data have removed in the direction that
         they tell least about: 0 nothing was learnt there, 1 everything.
@@ -146,7 +156,7 @@ class RecursiveLeastSquares:
         if parameters is not None:
             chosen[:] = False
             chosen[list(parameters)] = True
-        _time_update(
+        transform(
             self._upper,
             self._diagonal,
             np.where(chosen, 0.0, 1.0).astype(self._estimate.dtype),
@@ -211,12 +221,17 @@ class RecursiveLeastSquares:
         square_root_information = np.linalg.inv(root)
         columns = square_root_information / np.linalg.norm(square_root_information, axis=0)
         singular = np.linalg.svd(columns, compute_uv=False)
+        condition = float(singular[0] / max(singular[-1], np.finfo(np.float64).tiny))
         return RlsResult(
             estimate=self._estimate.copy(),
             covariance=np.asarray(root @ root.T, dtype=self._estimate.dtype),
-            valid=self._samples >= self.size and excitation >= CALIBRATED,
+            valid=(
+                self._samples >= self.size
+                and excitation >= CALIBRATED
+                and condition <= WELL_CONDITIONED
+            ),
             excitation=excitation,
-            condition=float(singular[0] / max(singular[-1], np.finfo(np.float64).tiny)),
+            condition=condition,
             samples=self._samples,
             resets=self._resets,
         )
@@ -293,7 +308,7 @@ class RecursiveLeastSquares:
         covariances: FloatArray,
     ) -> FloatArray:
         self._samples += len(values)
-        innovations: FloatArray = _block(
+        return recursion(self.size)(
             self._estimate,
             self._upper,
             self._diagonal,
@@ -306,116 +321,6 @@ class RecursiveLeastSquares:
             estimates,
             covariances,
         )
-        return innovations
 
 
 _STATE_ARRAYS = ("prior_mean", "prior_variance", "walk", "estimate", "upper", "diagonal")
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _block(
-    theta: FloatArray,
-    upper: FloatArray,
-    diagonal: FloatArray,
-    ceiling: FloatArray,
-    walk: FloatArray,
-    forgetting: float,
-    rows: FloatArray,
-    values: FloatArray,
-    noise: FloatArray,
-    theta_after: FloatArray,
-    covariance_after: FloatArray,
-) -> FloatArray:
-    """Run the recursion over a block in place; record it where the last two arrays have rows."""
-    count, size = rows.shape
-    innovations = np.empty_like(values)
-    gain = np.empty_like(theta)
-    ones = np.ones_like(theta)
-    wanders = np.any(walk > 0.0)
-    for k in range(count):
-        if wanders:
-            _time_update(upper, diagonal, ones, walk)
-        if forgetting < 1.0:
-            for i in range(size):
-                # Forgetting ends at the prior: more would be windup.
-                diagonal[i] = min(diagonal[i] / forgetting, max(diagonal[i], ceiling[i]))
-        innovation = values[k]
-        for i in range(size):
-            innovation -= rows[k, i] * theta[i]
-        innovations[k] = innovation
-        _measurement_update(theta, upper, diagonal, gain, rows[k], innovation, noise[k])
-        if k < theta_after.shape[0]:
-            theta_after[k] = theta
-            for i in range(size):
-                for j in range(size):
-                    total = upper[i, 0] * diagonal[0] * upper[j, 0]
-                    for m in range(1, size):
-                        total += upper[i, m] * diagonal[m] * upper[j, m]
-                    covariance_after[k, i, j] = total
-    return innovations
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _measurement_update(
-    theta: FloatArray,
-    upper: FloatArray,
-    diagonal: FloatArray,
-    gain: FloatArray,
-    row: FloatArray,
-    innovation: float,
-    variance: float,
-) -> None:
-    """Bierman's update of the factors and the estimate by one sample, in place."""
-    size = theta.size
-    tiny = np.finfo(theta.dtype).tiny
-    alpha = variance
-    for j in range(size):
-        # f = Uᵀ x, component j; the columns to the right are not touched yet.
-        f = row[j]
-        for i in range(j):
-            f += upper[i, j] * row[i]
-        weighted = diagonal[j] * f
-        before = alpha
-        alpha += f * weighted
-        diagonal[j] = max(diagonal[j] * (before / alpha), tiny)
-        slope = -f / before
-        for i in range(j):
-            old = upper[i, j]
-            upper[i, j] = old + slope * gain[i]
-            gain[i] += weighted * old
-        gain[j] = weighted
-    for i in range(size):
-        theta[i] += gain[i] * (innovation / alpha)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _time_update(
-    upper: FloatArray, diagonal: FloatArray, keep: FloatArray, added: FloatArray
-) -> None:
-    """Thornton's update for ``theta <- keep * theta + w``, ``w ~ (0, diag(added))``, in place.
-
-    Modified weighted Gram-Schmidt on the rows of ``[diag(keep) U, I]`` with the weights
-    ``[D, added]``.
-    """
-    size = diagonal.size
-    tiny = np.finfo(diagonal.dtype).tiny
-    wide = np.zeros((size, 2 * size), diagonal.dtype)
-    weight = np.empty(2 * size, diagonal.dtype)
-    for i in range(size):
-        for j in range(size):
-            wide[i, j] = keep[i] * upper[i, j]
-        wide[i, size + i] = 1.0
-        weight[i] = diagonal[i]
-        weight[size + i] = added[i]
-    for j in range(size - 1, -1, -1):
-        total = weight[0] * wide[j, 0] * wide[j, 0]
-        for m in range(1, 2 * size):
-            total += weight[m] * wide[j, m] * wide[j, m]
-        diagonal[j] = max(total, tiny)
-        for i in range(j):
-            product = weight[0] * wide[i, 0] * wide[j, 0]
-            for m in range(1, 2 * size):
-                product += weight[m] * wide[i, m] * wide[j, m]
-            upper[i, j] = product / diagonal[j]
-            for m in range(2 * size):
-                wide[i, m] -= upper[i, j] * wide[j, m]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.control.sliding_mode import SlidingModeController, Target
+from estimators.resets import edges_crossed, periods_elapsed
 from estimators.rls import RecursiveLeastSquares
 from trainlog.railway import Brake, Line, RunningResistance, Station, StepProfile
 from trainlog.railway.consist import Consist, Vehicle
@@ -245,15 +246,14 @@ def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int =
     theta = np.empty((count, variant.parameters))
     spread = np.empty_like(theta)
     theta[0], spread[0] = 0.0, PRIOR_STD[: variant.parameters]
-    effort, before, place = 0.0, 0.0, 1
+    effort, before = 0.0, 0.0
     for k in range(count):
         now = k * PERIOD
         position, speed = float(state.positions[0]), float(state.speeds[0])
         measured = speed + errors[k]
         if k:
-            here = int(np.searchsorted(slopes.gradients.positions, position, side="right"))
-            _reset(learner, variant, k, moved_on=here != place)
-            place = here
+            crossed = edges_crossed(slopes.gradients.positions, position, rows[k - 1, 0])
+            _reset(learner, variant, now, moved_on=bool(crossed[0]))
             # (22): the rate of change of speed less the effort that was at work.
             output = MASS / PERIOD * (measured - before) - effort
             found, covariance = learner.record(_regressor(variant, before), output, SAMPLE_VARIANCE)
@@ -297,9 +297,9 @@ def _regressor(variant: Variant, speed: float) -> FloatArray:
     return -np.array([1.0, speed, speed**2])[: variant.parameters]
 
 
-def _reset(learner: RecursiveLeastSquares, variant: Variant, k: int, *, moved_on: bool) -> None:
-    timed = variant.reset == "time" and k % round(TIME_RESET / PERIOD) == 0
-    if timed or (variant.reset == "space" and moved_on):
+def _reset(learner: RecursiveLeastSquares, variant: Variant, now: float, *, moved_on: bool) -> None:
+    elapsed = bool(periods_elapsed(TIME_RESET, now, now - PERIOD)[0])
+    if (variant.reset == "time" and elapsed) or (variant.reset == "space" and moved_on):
         learner.reset()
     elif variant.reset == "space, constant term" and moved_on:
         learner.reset([0])

@@ -1,0 +1,232 @@
+"""Updates of a covariance that is kept as ``P = U D Uᵀ``, compiled and in place.
+
+U is unit upper triangular and D diagonal and positive: whatever is done to the factors here, the
+covariance stays positive definite. Sums of positive terms only, products and quotients of positive
+ones; no difference of covariances is ever taken.
+
+References
+----------
+Bierman, G. J. (1977), Factorization Methods for Discrete Sequential Estimation, ch. V (measurement
+update) and ch. VI (Thornton's time update by modified weighted Gram-Schmidt).
+Agee, W. S. and Turner, R. H. (1972), Triangular decomposition of a positive definite matrix plus a
+symmetric dyad, White Sands Missile Range, TR-38.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+from numba import njit
+
+from estimators.interface import FloatArray
+
+
+@njit(inline="always")  # type: ignore[untyped-decorator]
+def measure(
+    size: int,
+    estimate: FloatArray,
+    upper: FloatArray,
+    diagonal: FloatArray,
+    gain: FloatArray,
+    row: FloatArray,
+    innovation: float,
+    variance: float,
+) -> None:
+    """Bierman's update of the factors and the estimate by one sample of `variance`.
+
+    `gain` (p,) is room to work in.
+    """
+    tiny = np.finfo(estimate.dtype).tiny
+    before = variance
+    inverse = 1.0 / before
+    for j in range(size):
+        # f = Uᵀ x, component j; the columns to the right are not touched yet.
+        f = row[j]
+        for i in range(j):
+            f += upper[i, j] * row[i]
+        weighted = diagonal[j] * f
+        alpha = before + f * weighted
+        slope = -f * inverse
+        inverse = 1.0 / alpha
+        diagonal[j] = max(diagonal[j] * (before * inverse), tiny)
+        for i in range(j):
+            old = upper[i, j]
+            upper[i, j] = old + slope * gain[i]
+            gain[i] += weighted * old
+        gain[j] = weighted
+        before = alpha
+    scale = innovation * inverse
+    for i in range(size):
+        estimate[i] += gain[i] * scale
+
+
+@njit(inline="always")  # type: ignore[untyped-decorator]
+def hold(
+    size: int,
+    upper: FloatArray,
+    diagonal: FloatArray,
+    gain: FloatArray,
+    which: int,
+    variance: float,
+) -> None:
+    """Bierman's update by a sample of the one parameter `which` that confirms its estimate."""
+    tiny = np.finfo(diagonal.dtype).tiny
+    before = variance
+    inverse = 1.0 / before
+    for i in range(which):
+        gain[i] = 0.0
+    for j in range(which, size):
+        f = upper[which, j]
+        weighted = diagonal[j] * f
+        alpha = before + f * weighted
+        slope = -f * inverse
+        inverse = 1.0 / alpha
+        diagonal[j] = max(diagonal[j] * (before * inverse), tiny)
+        for i in range(j):
+            old = upper[i, j]
+            upper[i, j] = old + slope * gain[i]
+            gain[i] += weighted * old
+        gain[j] = weighted
+        before = alpha
+
+
+@njit(inline="always")  # type: ignore[untyped-decorator]
+def wander(
+    upper: FloatArray,
+    diagonal: FloatArray,
+    dyad: FloatArray,
+    which: int,
+    variance: float,
+) -> None:
+    """Add `variance` to that of the one parameter `which`: Agee and Turner's rank-one update.
+
+    `dyad` (p,) is room to work in: the vector of the dyad, at first the unit vector `which`, so
+    that the columns to the right of it stay as they are.
+    """
+    for i in range(which):
+        dyad[i] = 0.0
+    dyad[which] = 1.0
+    for j in range(which, -1, -1):
+        here = dyad[j]
+        old = diagonal[j]
+        inverse = 1.0 / (old + variance * here * here)
+        diagonal[j] = old + variance * here * here
+        share = variance * here * inverse
+        for i in range(j):
+            dyad[i] -= here * upper[i, j]
+            upper[i, j] += share * dyad[i]
+        variance *= old * inverse
+
+
+@njit(inline="always")  # type: ignore[untyped-decorator]
+def trace(size: int, upper: FloatArray, diagonal: FloatArray, weights: FloatArray) -> float:
+    """Sum of the variances of the parameters, each times its weight."""
+    total = 0.0
+    for i in range(size):
+        variance = diagonal[i]
+        for j in range(i + 1, size):
+            variance += upper[i, j] * upper[i, j] * diagonal[j]
+        total += variance * weights[i]
+    return total
+
+
+@njit(inline="always")  # type: ignore[untyped-decorator]
+def product(size: int, upper: FloatArray, diagonal: FloatArray, covariance: FloatArray) -> None:
+    """Write ``U D Uᵀ`` into `covariance`."""
+    for i in range(size):
+        for j in range(i, size):
+            total = upper[i, j] * diagonal[j]
+            for m in range(j + 1, size):
+                total += upper[i, m] * diagonal[m] * upper[j, m]
+            covariance[i, j] = total
+            covariance[j, i] = total
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def transform(upper: FloatArray, diagonal: FloatArray, keep: FloatArray, added: FloatArray) -> None:
+    """Thornton's update for ``x <- keep * x + w``, ``w ~ (0, diag(added))``.
+
+    Modified weighted Gram-Schmidt on the rows of ``[diag(keep) U, I]`` with the weights
+    ``[D, added]``. Where `keep` is 0 a parameter starts anew, with the variance `added`.
+    """
+    size = diagonal.size
+    tiny = np.finfo(diagonal.dtype).tiny
+    wide = np.zeros((size, 2 * size), diagonal.dtype)
+    weight = np.empty(2 * size, diagonal.dtype)
+    for i in range(size):
+        for j in range(size):
+            wide[i, j] = keep[i] * upper[i, j]
+        wide[i, size + i] = 1.0
+        weight[i] = diagonal[i]
+        weight[size + i] = added[i]
+    for j in range(size - 1, -1, -1):
+        total = weight[0] * wide[j, 0] * wide[j, 0]
+        for m in range(1, 2 * size):
+            total += weight[m] * wide[j, m] * wide[j, m]
+        diagonal[j] = max(total, tiny)
+        for i in range(j):
+            shared = weight[0] * wide[i, 0] * wide[j, 0]
+            for m in range(1, 2 * size):
+                shared += weight[m] * wide[i, m] * wide[j, m]
+            upper[i, j] = shared / diagonal[j]
+            for m in range(2 * size):
+                wide[i, m] -= upper[i, j] * wide[j, m]
+
+
+@cache
+def recursion(size: int) -> Callable[..., FloatArray]:
+    """The compiled recursion for `size` parameters, over a block in place.
+
+    Loops of constant length compile to straight code, five times as fast. The compiled function
+    returns the innovations, and records estimate and covariance after each sample where the last
+    two arrays have rows.
+    """
+
+    @njit(cache=True)  # type: ignore[untyped-decorator]
+    def run(
+        estimate: FloatArray,
+        upper: FloatArray,
+        diagonal: FloatArray,
+        prior: FloatArray,
+        walk: FloatArray,
+        forgetting: float,
+        rows: FloatArray,
+        values: FloatArray,
+        noise: FloatArray,
+        estimate_after: FloatArray,
+        covariance_after: FloatArray,
+    ) -> FloatArray:
+        innovations = np.empty_like(values)
+        room = np.empty_like(estimate)
+        weights = 1.0 / prior
+        inverse = 1.0 / forgetting
+        # Before the guard the covariance is at most (prior + walk) / forgetting: this information
+        # brings it back to the prior. The trace bounds what it is in any direction.
+        leak = (prior * (1.0 - forgetting) + walk) / (prior * (prior + walk))
+        wanders = np.any(walk > 0.0)
+        forgets = forgetting < 1.0
+        for k in range(len(rows)):
+            if wanders:
+                for i in range(size):
+                    wander(upper, diagonal, room, i, walk[i])
+            if forgets:
+                for i in range(size):
+                    diagonal[i] *= inverse
+            if (wanders or forgets) and trace(size, upper, diagonal, weights) > 1.0:
+                for i in range(size):
+                    if leak[i] > 0.0:
+                        hold(size, upper, diagonal, room, i, 1.0 / leak[i])
+            innovation = values[k]
+            for i in range(size):
+                innovation -= rows[k, i] * estimate[i]
+            innovations[k] = innovation
+            measure(size, estimate, upper, diagonal, room, rows[k], innovation, noise[k])
+            if k < estimate_after.shape[0]:
+                estimate_after[k] = estimate
+                product(size, upper, diagonal, covariance_after[k])
+        return innovations
+
+    compiled: Callable[..., FloatArray] = run
+    return compiled
