@@ -95,7 +95,21 @@ def fit_table(fits: Fits) -> Group:
         " correlated: trust the curve.",
     ]
     words += [f"refused: {reason}" for reason in fits.refused.values()]
+    words += _set_told(fits)
     return Group(table, *words)
+
+
+def _set_told(fits: Fits) -> list[str]:
+    """What the observed set stands for."""
+    found = fits.parameters
+    words = (
+        f"{len(found.configurations)} configurations stand for {found.cover['trips']} trips: their"
+        f" worst case bounds {found.cover['level']:.1%} of trips like these"
+    )
+    if found.cover["level"] < found.cover["asked"]:
+        words += f", fewer than the {found.cover['asked']:.1%} asked for"
+    known = f"{fits.known} logs were not read: their summaries are known." if fits.known else ""
+    return [f"{words}.", *([known] if known else [])]
 
 
 def map_table(track: TrackConditionMap) -> Group:

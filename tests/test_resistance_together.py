@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
 
 from analysis.pictures.resistance import draw_fits, draw_trip
-from analysis.resistance import TripFit, combine, fit_logs, fit_trip, parameter_set
+from analysis.resistance import (
+    TripFit,
+    TripRefusedError,
+    combine,
+    fit_logs,
+    fit_trip,
+    parameter_set,
+    summarised,
+)
 from analysis.resistance.combination import nearest_physical
 from analysis.resistance.curve import powers
 from analysis.resistance.fit import History, WindowPoints
@@ -53,6 +61,8 @@ def fit_of(
         freedom=90,
         rotating_mass=12e3,
         max_power=None,
+        max_power_std=None,
+        train_power=TRAIN.max_traction_power,
         asked=(5.0, 35.0),
         speed_range=(3.0, 34.0),
         condition=50.0,
@@ -163,7 +173,9 @@ def test_one_trip_says_that_others_may_differ() -> None:
 
 def test_parameter_set_is_physical_and_complete() -> None:
     fits, _ = drawn(6, 0.05, (700.0, 300.0, 400.0), seed=6)
-    parameters = parameter_set(fits, TRAIN, {"trip-900": "standing all the time"})
+    standing = TripRefusedError("standstill", "standing all the time")
+    summaries = summarised(fits, {"trip-900": standing}, trains={"trip-900": "unit"})
+    parameters = parameter_set(summaries)
     assert [c.name for c in parameters.configurations] == [f.trip for f in fits]
     for configuration, fit in zip(parameters.configurations, fits, strict=True):
         assert np.all(beta_of(configuration.resistance) >= 0.0)
@@ -172,12 +184,20 @@ def test_parameter_set_is_physical_and_complete() -> None:
         assert configuration.max_power == TRAIN.max_traction_power
     assert parameters.details[-1] == {
         "trip": "trip-900",
+        "sha256": "",
         "accepted": False,
+        "refused": "standstill",
         "reason": "standing all the time",
     }
+    assert parameters.cover["refused"] == {"standstill": 1}
+    assert parameters.cover["level"] <= 6 / 7
     assert parameters.details[0]["max_power"] == "train file"
-    seen = [replace(fits[0], max_power=2.3e6), replace(fits[1], max_power=2.5e6), *fits[2:]]
-    powers_given = [c.max_power for c in parameter_set(seen, TRAIN).configurations]
+    seen = [
+        replace(fits[0], max_power=2.3e6, max_power_std=2e3),
+        replace(fits[1], max_power=2.5e6, max_power_std=2e3),
+        *fits[2:],
+    ]
+    powers_given = [c.max_power for c in parameter_set(seen).configurations]
     assert powers_given == pytest.approx([2.3e6, 2.5e6, 2.4e6, 2.4e6, 2.4e6, 2.4e6])
     assert parameters.speed_range == (3.0, 34.0)
     assert json.loads(json.dumps(parameters.details)) == parameters.details
@@ -223,7 +243,8 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
     fits = fit_logs(logs)
     assert [fit.trip for fit in fits.trips] == ["made-0", "made-1", "made-2"]
     assert list(fits.refused) == ["dull"]
-    assert "vary too little" in fits.refused["dull"]
+    assert fits.refused["dull"].reason == "condition"
+    assert "vary too little" in str(fits.refused["dull"])
     assert all(len(detail["sha256"]) == 64 for detail in fits.parameters.details)
     assert set(fits.parameters.provenance["inputs"]) == {one.name for one in trips}
     assert relative(beta_of(fits.common.resistance), TRUE) < 0.02

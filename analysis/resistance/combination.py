@@ -1,36 +1,27 @@
-"""Many trips together: the common curve, how trips differ from it, the observed parameter set.
+"""Many trips together: the common curve, and how trips differ from it.
 
-Trips differ: wind, weather, the train itself. Each trip's ``beta = (r0, r1, r2)`` is a draw from
-a normal distribution around the common one, seen with that trip's own covariance:
-
-    beta_i ~ N(common, between),    fitted_i ~ N(beta_i, V_i).
-
-`between` is found by restricted maximum likelihood (expectation maximisation); the best estimate
-of one trip's curve is the fitted one drawn towards the common one by as much as its own
-covariance warrants. Only sums over trips are needed, in no particular order.
-
-References
-----------
-Laird, N. M., Ware, J. H. (1982), Random-effects models for longitudinal data, Biometrics 38(4),
-eqs. (3.2)-(3.6).
+Trips differ: wind, weather, the train itself. `analysis.resistance.random_effects` finds what they
+have in common, and draws each towards it by as much as its own uncertainty warrants. Of a trip its
+summary is needed, not its log: a million trips are a million rows, in any order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import TripFit
+from analysis.resistance.random_effects import random_effects
+from analysis.resistance.summary import summarised
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.railway.configuration import Configuration, ParameterSet
+from trainlog.formats.summaries import covariances_of, ordered, parameters_of
 from trainlog.railway.resistance import RunningResistance
-from trainlog.railway.train import Train
 
 FloatArray = NDArray[np.float64]
 
@@ -39,9 +30,6 @@ BETWEEN_TRIPS = 0.05
 
 PRIOR_TRIPS = 2.0
 """This expectation counts as much as so many trips beside the observed ones."""
-
-ITERATIONS = 500
-"""Most rounds of the expectation maximisation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,157 +80,65 @@ class CommonFit:
         return value - reach, value + reach
 
 
-def combine(fits: Sequence[TripFit]) -> CommonFit:
-    """Combine the fits of several trips of one train.
+def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
+    """Combine several trips of one train.
 
     Parameters
     ----------
-    fits : sequence of TripFit
-        In any order; the result is the same.
+    trips : DataFrame of summaries, or sequence of TripFit
+        In any order; the result is the same to the last bit. Refused trips are left aside.
 
     Raises
     ------
     NotIdentifiableError
-        If there is no fit.
+        If there is no trip that determines the curve.
     InputError
-        If the fits belong to different trains, or a trip appears twice.
+        If the trips belong to different trains, or one appears twice.
     """
-    if not fits:
-        raise NotIdentifiableError(
-            "no trip determines the running resistance", remedy="give more, or more varied, trips"
-        )
-    ordered = sorted(fits, key=lambda fit: fit.trip)
-    names = [fit.trip for fit in ordered]
-    trains = sorted({fit.train for fit in ordered})
-    if len(trains) > 1:
-        raise InputError(
-            f"trips of different trains: {', '.join(trains)}", remedy="fit each train apart"
-        )
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"trip '{twice}' is given twice", remedy="give each trip once")
-    asked = (max(f.asked[0] for f in ordered), min(f.asked[1] for f in ordered))
+    rows = accepted(trips)
+    top = float(rows["asked_highest"].min())
     # Curve values at three speeds are far better conditioned than the coefficients.
-    nodes = powers(np.linspace(0.0, asked[1], 3))
+    nodes = powers(np.linspace(0.0, top, 3))
+    values = parameters_of(rows)[:, :3] @ nodes.T
+    size = np.median(values, axis=0)
+    nodes, values = nodes / size[:, None], values / size
+    variances = nodes @ covariances_of(rows)[:, :3, :3] @ nodes.T
+    expected = BETWEEN_TRIPS**2 * np.eye(3)
+    found = random_effects(values, variances, expected, PRIOR_TRIPS)
     back = np.linalg.inv(nodes)
-    found = _random_effects(
-        np.array([nodes @ fit.beta for fit in ordered]),
-        np.array([nodes @ fit.covariance[:3, :3] @ nodes.T for fit in ordered]),
-    )
     covariance = back @ found.variance @ back.T
     return CommonFit(
-        train=trains[0],
+        train=str(rows["train"].iloc[0]),
         resistance=nearest_physical(back @ found.mean, covariance),
         covariance=covariance,
         between=back @ found.between @ back.T,
-        freedom=len(ordered) - 1 + int(PRIOR_TRIPS),
-        asked=asked,
-        speed_range=(
-            min(fit.speed_range[0] for fit in ordered),
-            max(fit.speed_range[1] for fit in ordered),
-        ),
-        trips=tuple(names),
+        freedom=len(rows) - 1 + int(PRIOR_TRIPS),
+        asked=(float(rows["asked_lowest"].max()), top),
+        speed_range=(float(rows["speed_lowest"].min()), float(rows["speed_highest"].max())),
+        trips=tuple(rows["trip"]),
         betas=found.single @ back.T,
         covariances=back @ found.single_variance @ back.T,
     )
 
 
-def parameter_set(
-    fits: Sequence[TripFit], train: Train, refused: Mapping[str, str] | None = None
-) -> ParameterSet:
-    """The observed set of configurations: one a trip, each the best estimate of that trip.
-
-    Parameters
-    ----------
-    fits : sequence of TripFit
-        Of the trips that were accepted.
-    train : Train
-        Gives the power where no trip was at its power limit; a trip that was not, while others
-        were, gets their mean.
-    refused : mapping of str to str, optional
-        Trips that do not determine the curve, and why; they are listed in the details.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If there is no fit.
-    InputError
-        If the fits belong to different trains, or a trip appears twice.
-    """
-    common = combine(fits)
-    by_name = {fit.trip: fit for fit in fits}
-    powers_seen = [fit.max_power for fit in fits if fit.max_power is not None]
-    usual = float(np.mean(sorted(powers_seen))) if powers_seen else train.max_traction_power
-    configurations, details = [], []
-    for row, name in enumerate(common.trips):
-        fit = by_name[name]
-        resistance = nearest_physical(common.betas[row], common.covariances[row])
-        configurations.append(
-            Configuration(
-                name=name,
-                mass=_mass_given(fit, resistance),
-                rotating_mass=fit.rotating_mass,
-                resistance=resistance,
-                max_power=fit.max_power or usual,
-            )
+def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:
+    """Summaries of the trips that determine the curve, in order; errors as `combine`."""
+    every = trips if isinstance(trips, pd.DataFrame) else summarised(trips)
+    rows = ordered(every[every["refused"] == ""])
+    if rows.empty:
+        raise NotIdentifiableError(
+            "no trip determines the running resistance", remedy="give more, or more varied, trips"
         )
-        details.append(
-            _detail(fit, common.covariances[row], "other trips" if powers_seen else "train file")
+    trains = sorted(rows["train"].unique())
+    if len(trains) > 1:
+        raise InputError(
+            f"trips of different trains: {', '.join(trains)}", remedy="fit each train apart"
         )
-    details += [
-        {"trip": name, "accepted": False, "reason": reason}
-        for name, reason in sorted((refused or {}).items())
-    ]
-    return ParameterSet(
-        train=train.name,
-        configurations=tuple(configurations),
-        common=common.resistance,
-        common_covariance=common.covariance,
-        speed_range=common.speed_range,
-        details=details,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Effects:
-    """Mean (p,), its variance, the variance between trips (p, p); each trip (k, p), (k, p, p)."""
-
-    mean: FloatArray
-    variance: FloatArray
-    between: FloatArray
-    single: FloatArray
-    single_variance: FloatArray
-
-
-def _random_effects(values: FloatArray, variances: FloatArray) -> _Effects:
-    """Mean of trips that differ, and the best estimate of each; values (k, p), variances (k, p, p).
-
-    Laird and Ware's expectation maximisation of the restricted likelihood, with a weak prior on
-    the variance between trips.
-    """
-    count = len(values)
-    expected = np.diag((BETWEEN_TRIPS * np.median(values, axis=0)) ** 2)
-    between = expected
-    for _ in range(ITERATIONS):
-        weight = np.linalg.inv(between + variances)
-        variance = np.linalg.inv(weight.sum(axis=0))
-        mean = variance @ np.einsum("kij,kj->i", weight, values)
-        gain = between @ weight
-        effect = np.einsum("kij,kj->ki", gain, values - mean)
-        remaining = between - gain @ between + gain @ variance @ gain.transpose(0, 2, 1)
-        total = np.einsum("ki,kj->ij", effect, effect) + remaining.sum(axis=0)
-        previous = between
-        between = (total + PRIOR_TRIPS * expected) / (count + PRIOR_TRIPS)
-        if np.allclose(between, previous, rtol=1e-6, atol=0.0):
-            break
-    rest = np.eye(mean.size) - gain
-    return _Effects(
-        mean=mean,
-        variance=variance,
-        between=between,
-        single=mean + effect,
-        single_variance=between - gain @ between + rest @ variance @ rest.transpose(0, 2, 1),
-    )
+    again = rows.duplicated(["trip", "sha256"])
+    if again.any():
+        twice = rows["trip"][again].iloc[0]
+        raise InputError(f"trip '{twice}' is given twice", remedy="give each trip once")
+    return rows
 
 
 def nearest_physical(beta: FloatArray, covariance: FloatArray) -> RunningResistance:
@@ -255,35 +151,3 @@ def nearest_physical(beta: FloatArray, covariance: FloatArray) -> RunningResista
     half = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale)))
     nearest, _ = nnls(half, half @ (beta / scale))
     return RunningResistance(*(nearest * scale).tolist())
-
-
-def _mass_given(fit: TripFit, resistance: RunningResistance) -> float:
-    """Mass [kg] of a trip once its running resistance is known better than from itself."""
-    shift = np.array([resistance.r0, resistance.r1, resistance.r2]) - fit.beta
-    slope = np.linalg.solve(fit.covariance[:3, :3], fit.covariance[:3, 3])
-    return float(fit.mass + slope @ shift)
-
-
-def _detail(fit: TripFit, covariance: FloatArray, otherwise: str) -> dict[str, Any]:
-    """What is noted beside a trip's configuration; plain values."""
-    own, drawn = (np.sqrt(np.diag(c)[:3]).tolist() for c in (fit.covariance, covariance))
-    return {
-        "trip": fit.trip,
-        "accepted": True,
-        "fitted": {
-            "r0": fit.resistance.r0,
-            "r1": fit.resistance.r1,
-            "r2": fit.resistance.r2,
-            "mass": fit.mass,
-        },
-        "fitted_std": dict(zip(("r0", "r1", "r2"), own, strict=True)) | {"mass": fit.mass_std},
-        "std": dict(zip(("r0", "r1", "r2"), drawn, strict=True)),
-        "max_power": "power-limited stretches" if fit.max_power else otherwise,
-        "condition": fit.condition,
-        "speed_range": list(fit.speed_range),
-        "windows": fit.windows,
-        "masked": fit.masked,
-        "speed_scale": {"factor": fit.scale.factor, "source": fit.scale.source},
-        "noise": fit.noise,
-        "residual_std": fit.residual_std,
-    }

@@ -9,11 +9,11 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.power import power_limit
+from analysis.resistance.power import limited_samples, power_limit
 from analysis.resistance.recording import Prepared, SpeedScale, check_recorded, prepare
+from analysis.resistance.refusal import Reason, TripRefusedError
 from analysis.resistance.regression import Regression, regress
 from analysis.resistance.windows import Windows, build_windows
-from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
@@ -94,8 +94,10 @@ class TripFit:
         Degrees of freedom of the residuals.
     rotating_mass : float [kg]
         Taken from the train's file.
-    max_power : float or None [W]
+    max_power, max_power_std : float or None [W]
         From the stretches at the power limit; None if there was none.
+    train_power : float [W]
+        What the train's file states.
     asked : (float, float) [m/s]
         Speeds between which the curve was asked for.
     speed_range : (float, float) [m/s]
@@ -131,6 +133,8 @@ class TripFit:
     freedom: int
     rotating_mass: float
     max_power: float | None
+    max_power_std: float | None
+    train_power: float
     asked: tuple[float, float]
     speed_range: tuple[float, float]
     condition: float
@@ -188,7 +192,7 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
 
     Raises
     ------
-    NotIdentifiableError
+    TripRefusedError
         If the trip does not determine the curve; the message says why.
     LogError
         If the trip lacks its line or its train, or time does not increase.
@@ -205,6 +209,8 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
     _check_curve(trip, regression, covariance, asked)
     used = windows.select(regression.kept)
     residual = regression.residual
+    everywhere = np.ones(len(prepared.index), dtype=bool)
+    limit = power_limit(limited_samples(trip, prepared, everywhere), train, prepared.scale.std)
     return TripFit(
         trip=trip.name,
         train=train.name,
@@ -213,7 +219,9 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
         covariance=covariance,
         freedom=used.count - 4,
         rotating_mass=train.rotating_mass,
-        max_power=power_limit(trip, prepared, train),
+        max_power=None if limit is None else limit.power,
+        max_power_std=None if limit is None else limit.std,
+        train_power=train.max_traction_power,
         asked=asked,
         speed_range=(float(used.mean_speed.min()), float(used.mean_speed.max())),
         condition=regression.condition,
@@ -295,18 +303,27 @@ def _check_windows(trip: Trip, windows: Windows, prepared: Prepared) -> None:
     reasons = ", ".join(
         f"{reason} {seconds:.0f} s" for reason, seconds in prepared.masked.items() if seconds > 0.0
     )
-    raise NotIdentifiableError(
+    raise TripRefusedError(
+        _masked_most(prepared.masked, total),
         f"trip '{trip.name}': only {windows.count} windows of 10 s can be used of {total:.0f} s"
         f" (masked: {reasons or 'nothing'})",
         remedy=f"running resistance needs {FEWEST_WINDOWS} windows free of friction braking",
     )
 
 
+def _masked_most(masked: dict[str, float], total: float) -> Reason:
+    """What took most of a trip of which too little is left; "too short" if nothing took half."""
+    kinds: tuple[Reason, ...] = ("gap", "standstill", "braking", "slip")
+    worst = max(kinds, key=lambda reason: masked[reason])
+    return worst if masked[worst] > 0.5 * total else "too short"
+
+
 def _check_curve(
     trip: Trip, regression: Regression, covariance: FloatArray, asked: tuple[float, float]
 ) -> None:
     if regression.condition > LARGEST_CONDITION:
-        raise NotIdentifiableError(
+        raise TripRefusedError(
+            "condition",
             f"trip '{trip.name}': speed and effort vary too little to tell mass and coefficients"
             f" apart (condition number {regression.condition:.0f}, at most"
             f" {LARGEST_CONDITION:.0f})",
@@ -319,7 +336,8 @@ def _check_curve(
     worst = int(np.argmax(share))
     if share[worst] > LARGEST_STD:
         told = f"{100.0 * share[worst]:.0f} %" if np.isfinite(share[worst]) else "the whole"
-        raise NotIdentifiableError(
+        raise TripRefusedError(
+            "excitation",
             f"trip '{trip.name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {told}"
             f" of itself only (standard deviation, at most {100.0 * LARGEST_STD:.0f} %)",
             remedy="ask for a narrower range of speeds, or give a longer or more varied trip",

@@ -1,4 +1,4 @@
-"""From recorded trips to the observed parameter set, with what it was made from."""
+"""From recorded trips, and summaries of earlier ones, to the observed parameter set."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from analysis.resistance.combination import CommonFit, combine, parameter_set
+import pandas as pd
+
+from analysis.resistance.combination import CommonFit, combine
 from analysis.resistance.fit import TripFit, fit_trip
-from trainlog import __version__
-from trainlog.errors import NotIdentifiableError
+from analysis.resistance.observed import COVER, LISTED, parameter_set
+from analysis.resistance.refusal import TripRefusedError
+from analysis.resistance.summary import SOFTWARE, summarised
+from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import train_of
-from trainlog.formats.files import sha256_of
+from trainlog.formats.files import sha256, sha256_of
+from trainlog.formats.summaries import SUFFIX, merged, read_summaries
 from trainlog.mcap.stretches import stretches
 from trainlog.railway.configuration import ParameterSet
-from trainlog.railway.train import Train
+from trainlog.trip import Trip
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
 """What is read of each log."""
@@ -27,76 +32,117 @@ class Fits:
     Attributes
     ----------
     trips : tuple of TripFit
-        Accepted, by name.
-    refused : dict of str to str
-        Trips that do not determine the curve, and why.
+        Fitted now and accepted, by name; not those whose summaries were known.
+    refused : dict of str to TripRefusedError
+        Trips fitted now that do not determine the curve, and why.
+    known : int
+        Logs that were not read because a summary of theirs was given.
+    summaries : DataFrame
+        All trips, fitted now or known; see `trainlog.formats.summaries`.
     common : CommonFit
     parameters : ParameterSet
         The observed configurations, ready to be written.
     """
 
     trips: tuple[TripFit, ...]
-    refused: dict[str, str]
+    refused: dict[str, TripRefusedError]
+    known: int
+    summaries: pd.DataFrame
     common: CommonFit
     parameters: ParameterSet
 
 
-def fit_logs(logs: Iterable[Path], speeds: tuple[float, float] | None = None) -> Fits:
-    """Fit each log, then all of them together.
+def fit_logs(
+    paths: Iterable[Path],
+    speeds: tuple[float, float] | None = None,
+    *,
+    cover: float = COVER,
+    most: int | None = None,
+) -> Fits:
+    """Fit each log, then all of them together, with the trips of which summaries are given.
 
     A log too long for the memory is fitted in stretches, each an observation of its own: over
     days the load and the weather change.
 
     Parameters
     ----------
-    logs : iterable of path
-        Read one after the other.
+    paths : iterable of path
+        Logs, read one after the other, and files of summaries (``.parquet``). A log is not read,
+        but for its SHA-256, after summaries that hold it.
     speeds : (float, float) [m/s], optional
         Speeds between which the curve is asked for; see `fit_trip`.
+    cover, most
+        Of the observed set; see `parameter_set`.
 
     Raises
     ------
     NotIdentifiableError
-        If no log determines the curve.
+        If no trip determines the curve.
     LogError
         If a file is not a log, or a trip lacks its line or its train.
     InputError
-        If the logs are of different trains, or a trip appears twice.
+        If the logs are of different trains, a trip appears twice, or a file of summaries is none.
     """
+    earlier: list[pd.DataFrame] = []
+    held: set[str] = set()
     trips: list[TripFit] = []
-    refused: dict[str, str] = {}
+    refused: dict[str, TripRefusedError] = {}
     digests: dict[str, str] = {}
-    train: Train | None = None
-    for path in logs:
+    trains: dict[str, str] = {}
+    known = 0
+    for path in paths:
+        if path.suffix == SUFFIX:
+            earlier.append(read_summaries(path))
+            held |= set(earlier[-1]["sha256"]) - {""}
+            continue
         digest = sha256_of(path)
+        if digest in held:
+            known += 1
+            continue
         for stretch in stretches(path, TOPICS):
             trip = stretch.named()
+            if trip.name in digests:
+                raise InputError(
+                    f"trip '{trip.name}' is given twice", file=path, remedy="give each trip once"
+                )
             digests[trip.name] = digest
             try:
                 trips.append(fit_trip(trip, speeds))
-                train = train_of(trip)
-            except NotIdentifiableError as error:
-                refused[trip.name] = str(error)
-    if train is None:
-        first = next(iter(refused.values()), "no log was given")
+            except TripRefusedError as error:
+                refused[trip.name] = error
+                trains[trip.name] = _train_name(trip)
+    rows = summarised(trips, refused, trains=trains, digests=digests)
+    summaries = merged([*earlier, rows])
+    if not (summaries["refused"] == "").any():
+        first = next(iter(summaries["message"]), "no log was given")
         raise NotIdentifiableError(
             f"no trip determines the running resistance; {first}",
             remedy="give more, or more varied, trips",
         )
-    parameters = parameter_set(trips, train, refused)
+    parameters = parameter_set(summaries, cover=cover, most=most)
     return Fits(
         trips=tuple(sorted(trips, key=lambda fit: fit.trip)),
         refused=refused,
-        common=combine(trips),
-        parameters=replace(
-            parameters,
-            details=[
-                {**detail, "sha256": digests[detail["trip"]]} for detail in parameters.details
-            ],
-            provenance={
-                "step": "fit",
-                "software": f"trainlog {__version__}",
-                "inputs": dict(sorted(digests.items())),
-            },
-        ),
+        known=known,
+        summaries=summaries,
+        common=combine(summaries),
+        parameters=replace(parameters, provenance=_provenance(summaries)),
     )
+
+
+def _provenance(summaries: pd.DataFrame) -> dict[str, object]:
+    """What was fitted; of very many trips one digest over those of all logs."""
+    digests = summaries["sha256"].tolist()
+    names = [str(name) for name in summaries["trip"]]
+    step: dict[str, object] = {"step": "fit", "software": SOFTWARE}
+    if len(names) <= LISTED and len(set(names)) == len(names):
+        return step | {"inputs": dict(zip(names, digests, strict=True))}
+    together = sha256("\n".join(sorted(digests)).encode())
+    return step | {"inputs": {"trips": len(names), "sha256 of sorted sha256": together}}
+
+
+def _train_name(trip: Trip) -> str:
+    try:
+        return train_of(trip).name
+    except LogError:
+        return trip.metadata.get("train", "")

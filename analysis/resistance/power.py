@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from analysis.resistance.recording import Prepared
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import Trip
 
+FloatArray = NDArray[np.float64]
+
 SHORTEST = 5.0
 """Shorter time at the limit than this [s] tells nothing."""
 
 LOWEST_SPEED = 8.0
 """Below this speed [m/s] effort is limited by adhesion or by the motors, not by power."""
+
+AVERAGED = 2.0
+"""Efforts are averaged over this time [s]."""
 
 PLATEAU = 0.03
 """Power within this share of the highest counts as the same limit."""
@@ -26,21 +35,58 @@ WEAKEST = 0.5
 """Share of the train's stated power below which another limit (adhesion, a fault) is at work."""
 
 
-def power_limit(trip: Trip, prepared: Prepared, train: Train) -> float | None:
-    """Traction power at the wheel rims [W] where more effort was asked for than was given.
+@dataclass(frozen=True, eq=False)
+class LimitedSamples:
+    """Samples at which more effort was asked for than was given; (n,) arrays.
 
-    Efforts are averaged over two seconds; wheels that slip and transients are left out. The
-    wheels' own speed counts where it is recorded: it is the motors that are limited.
+    Attributes
+    ----------
+    power : array [W]
+    speed : array [m/s]
+    step : float [s]
+        Between two samples.
+    """
 
-    Returns
-    -------
-    float or None
-        None if the train was not at its power limit for `SHORTEST` at least.
+    power: FloatArray
+    speed: FloatArray
+    step: float
+
+    @staticmethod
+    def joined(pieces: Sequence[LimitedSamples]) -> LimitedSamples:
+        """Those of the parts of one trip."""
+        return LimitedSamples(
+            np.concatenate([piece.power for piece in pieces]),
+            np.concatenate([piece.speed for piece in pieces]),
+            float(np.median([piece.step for piece in pieces])),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PowerLimit:
+    """Largest traction power at the wheel rims and its standard deviation [W], seen for [s]."""
+
+    power: float
+    std: float
+    time: float
+
+
+def limited_samples(trip: Trip, prepared: Prepared, inside: NDArray[np.bool_]) -> LimitedSamples:
+    """Where more effort was asked for than was given.
+
+    Efforts are averaged; wheels that slip and transients are left out. The wheels' own speed
+    counts where it is recorded: it is the motors that are limited.
+
+    Parameters
+    ----------
+    trip : Trip
+    prepared : Prepared
+    inside : (n,) bool array
+        Samples that count.
     """
     controls = trip["/train/controls"]
     index, recording = prepared.index, prepared.recording
     step = float(np.median(np.diff(recording.time)))
-    width = max(1, round(2.0 / step))
+    width = max(1, round(AVERAGED / step))
     demand, effort = (
         _moving_average(interpolated(controls, name, index), width)
         for name in ("tractive_effort_demand", "tractive_effort")
@@ -50,13 +96,38 @@ def power_limit(trip: Trip, prepared: Prepared, train: Train) -> float | None:
     limited &= demand > 1.01 * effort
     # A limit that lasts: true for the whole averaging time around the sample.
     limited &= _moving_average(limited.astype(np.float64), width) > 0.999
-    if np.count_nonzero(limited) * step < SHORTEST:
+    limited &= inside
+    return LimitedSamples(power[limited], recording.speed[limited], step)
+
+
+def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> PowerLimit | None:
+    """Traction power at the wheel rims where the train was at its limit.
+
+    Parameters
+    ----------
+    samples : LimitedSamples
+    train : Train
+    scale_std : float
+        Standard deviation of the speed scale; the power has the same on top.
+
+    Returns
+    -------
+    PowerLimit or None
+        None if the train was not at its power limit for `SHORTEST` at least.
+    """
+    power, step = samples.power, samples.step
+    if power.size * step < SHORTEST:
         return None
-    highest = float(np.quantile(power[limited], 0.98))
-    plateau = limited & (power > (1.0 - PLATEAU) * highest)
-    found, speeds = float(np.median(power[plateau])), recording.speed[plateau]
-    lasts = np.count_nonzero(plateau) * step >= SHORTEST and np.ptp(speeds) >= SPEED_RANGE
-    return found if lasts and found > WEAKEST * train.max_traction_power else None
+    plateau = power > (1.0 - PLATEAU) * float(np.quantile(power, 0.98))
+    found, speeds = float(np.median(power[plateau])), samples.speed[plateau]
+    time = float(np.count_nonzero(plateau) * step)
+    lasts = time >= SHORTEST and np.ptp(speeds) >= SPEED_RANGE
+    if not lasts or found <= WEAKEST * train.max_traction_power:
+        return None
+    scatter = 1.4826 * float(np.median(np.abs(power[plateau] - found)))
+    # Averages that overlap are worth as many as fit into the time side by side.
+    own = 1.2533 * scatter / np.sqrt(max(time / AVERAGED, 1.0))
+    return PowerLimit(found, float(np.hypot(own, scale_std * found)), time)
 
 
 def _power(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared) -> np.ndarray:

@@ -8,9 +8,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.resistance.refusal import TripRefusedError
 from analysis.resistance.windows import Recording
 from estimators.kalman import smooth_motion
-from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.errors import LogError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
@@ -166,7 +167,7 @@ def check_recorded(trip: Trip) -> None:
 
     Raises
     ------
-    NotIdentifiableError
+    TripRefusedError
         If no speed, no position or no tractive effort is recorded.
     """
     for topic, column in (
@@ -176,7 +177,8 @@ def check_recorded(trip: Trip) -> None:
     ):
         if topic in trip and trip[topic][column].notna().sum() > 1:
             continue
-        raise NotIdentifiableError(
+        raise TripRefusedError(
+            "not recorded",
             f"trip '{trip.name}': no {column.replace('_', ' ')} recorded",
             place=f"topic {topic}",
             remedy="running resistance needs speed, chainage and tractive effort",

@@ -99,7 +99,7 @@ class Judge:
             return
         mean = self.basis @ np.mean(true, axis=0)
         self.together.append(self.relative(combine(fits).resistance(self.speed), mean))
-        chosen = parameter_set(fits, scenarios[0].train).configurations
+        chosen = parameter_set(fits, cover=1.0).configurations
         self.configurations += [
             self.relative(one.resistance(self.speed), self.basis @ beta)
             for one, beta in zip(chosen, true, strict=True)

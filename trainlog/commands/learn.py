@@ -25,16 +25,29 @@ app.add_typer(map_app, name="map", rich_help_panel="Learn")
 
 @app.command(rich_help_panel="Learn")
 def fit(
-    logs: Logs,
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Logs (.mcap), folders of logs, and summaries of earlier fits (.parquet)."
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Observed parameter set (JSON).")],
+    cover: Annotated[
+        float,
+        typer.Option(help="Share of trips (%) whose times and energies the set is to bound."),
+    ] = 95.0,
+    configurations: Annotated[
+        int | None, typer.Option(min=1, help="At most so many configurations.")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Picture; default: beside the output, .png.")
     ] = None,
 ) -> None:
     """Fit running resistance by recursive least squares, per trip and together.
 
-    Writes the observed set of parameter configurations, with uncertainty, and a picture. Trips
-    that do not determine the resistance are refused with the reason.
+    Writes the observed set of parameter configurations, with uncertainty, a picture, and the
+    summaries of all trips, which stand for their logs in a later fit. Trips that do not determine
+    the resistance are refused with the reason.
 
     Example: trainlog fit results/trips -o results/parameters.json
     """
@@ -42,15 +55,23 @@ def fit(
     from analysis.report import fit_table
     from analysis.resistance import fit_logs
     from trainlog.formats.parameters import write_parameters
+    from trainlog.formats.summaries import SUFFIX, write_summaries
 
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
+    kept = destination(output.with_suffix(SUFFIX), SUFFIX)
+    if not 0.0 < cover < 100.0:
+        raise InputError(f"--cover {cover:g} makes no sense", remedy="give a share in %, below 100")
+    # Summaries first: the logs that they hold need not be read.
+    paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
     with progress_bar() as progress:
-        fits = fit_logs(progress.track(logs_in(logs), description="fitting"))
+        given = progress.track(paths, description="fitting")
+        fits = fit_logs(given, cover=cover / 100.0, most=configurations)
     write_parameters(fits.parameters, output)
+    write_summaries(fits.summaries, kept)
     draw_fits(fits, shown)
     console.print(fit_table(fits))
-    wrote(output, shown)
+    wrote(output, kept, shown)
 
 
 @app.command(rich_help_panel="Learn")

@@ -119,6 +119,7 @@ class _ParametersFile(File):
     common_covariance: _Covariance | None = None
     details: list[Details] = Field(default_factory=list)
     provenance: Details = Field(default_factory=dict)
+    cover: Details = Field(default_factory=dict)
 
     def parameters(self) -> ParameterSet:
         """The parameter set that the file describes."""
@@ -131,6 +132,7 @@ class _ParametersFile(File):
             speed_range=(self.speed_range.lowest, self.speed_range.highest),
             details=self.details,
             provenance=self.provenance,
+            cover=self.cover,
         )
 
     @staticmethod
@@ -146,6 +148,7 @@ class _ParametersFile(File):
             common_covariance=None if covariance is None else _Covariance.of(covariance),
             details=plain(parameters.details, "details"),
             provenance=plain(parameters.provenance, "provenance"),
+            cover=plain(parameters.cover, "cover"),
         )
 
 

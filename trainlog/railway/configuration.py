@@ -79,7 +79,11 @@ class ParameterSet:
     speed_range : (float, float) [m/s]
         Speeds that the data support.
     details : list of dict
-        One entry a trip: standard deviations, condition, refusals, SHA-256 of the log.
+        One entry a configuration: the trip it was observed on and the SHA-256 of its log, how many
+        trips it stands for, standard deviations, condition; and refusals.
+    cover : dict
+        Share of trips whose running times and energies the set bounds: ``asked`` for, and
+        ``level`` reached; ``trips`` fitted, and ``refused`` by reason. Empty if it was not said.
     """
 
     train: str
@@ -89,6 +93,7 @@ class ParameterSet:
     speed_range: tuple[float, float] = (0.0, 0.0)
     details: list[dict[str, Any]] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
+    cover: dict[str, Any] = field(default_factory=dict)
 
     def check_train(self, train: str) -> None:
         """Refuse to be used for another train.

@@ -1,0 +1,352 @@
+"""The observed parameter set: few configurations that bound what all trips can cost.
+
+A robust trajectory is computed for the configurations of a set; what it promises holds for every
+trip whose running time and energy the set bounds. In the equation of motion, divided by the
+inertia M = mass + rotating mass,
+
+    dv/dt = u / M - R(v) / M - g i mass / M,        u v <= p_max,
+
+a configuration is its features ``(1/M, R(v1)/M, R(v2)/M, R(v3)/M, p_max)``: to first order every
+running time and every energy is a linear function of them. The set is chosen so that, whichever
+linear function it is, the largest over the set is at least as large as that of a stated share of
+the trips. If trips come in no particular order, the next trip exceeds the k-th largest of n with
+probability ``1 - k/(n+1)``: the share is told as k/(n+1), the same for trips not yet seen. A dozen
+trips cannot promise 95 % of the next ones; then all are kept, and the level says what they can.
+
+A trip's best estimate is drawn towards the common curve, so that estimates differ less than the
+trips do. Before the extremes are looked for they are spread out to the variance that the trips
+were found to have.
+
+References
+----------
+Agarwal, P. K., Har-Peled, S., Varadarajan, K. R. (2004), Approximating extent measures of points,
+Journal of the ACM 51(4): few points that have nearly the extent of all, in every direction.
+Louis, T. A. (1984), Estimating a population of parameter values using Bayes and empirical Bayes
+methods, Journal of the American Statistical Association 79(386): estimates with the right spread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.resistance.combination import CommonFit, accepted, combine, nearest_physical
+from analysis.resistance.curve import powers
+from analysis.resistance.fit import TripFit
+from analysis.resistance.summary import summarised
+from trainlog.formats.summaries import PARAMETERS, covariances_of, ordered, parameters_of
+from trainlog.railway.configuration import Configuration, ParameterSet
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+COVER = 0.95
+"""Share of trips that the set bounds unless the caller says otherwise."""
+
+DIRECTIONS = 1024
+"""Linear functions of the features that the set is chosen for; as many others judge it."""
+
+CANDIDATES = 20_000
+"""Most trips among which configurations are looked for; of more, evenly spaced ones."""
+
+NEGLIGIBLE = 0.002
+"""Features that differ by less than this share of themselves are taken to be equal."""
+
+LARGEST_STRETCH = 2.0
+"""Most by which estimates are spread out."""
+
+LISTED = 1000
+"""More refused trips than this are counted, not listed; the summaries have all of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """Trips that stand for all.
+
+    Attributes
+    ----------
+    rows : (q,) int array
+        Increasing.
+    weights : (q,) int array
+        How many trips are nearest to each.
+    level : float
+        Share of trips that the worst of the chosen bounds, in the worst of the linear functions
+        that judged them.
+    """
+
+    rows: IntArray
+    weights: IntArray
+    level: float
+
+
+def parameter_set(
+    trips: pd.DataFrame | Sequence[TripFit], *, cover: float = COVER, most: int | None = None
+) -> ParameterSet:
+    """The observed set of configurations.
+
+    Parameters
+    ----------
+    trips : DataFrame of summaries, or sequence of TripFit
+        Refused trips are told in the details. A trip that was not at its power limit, while
+        others were, gets their mean; where none was, the train's file gives the power.
+    cover : float
+        Share of trips whose running times and energies the set is to bound; as many
+        configurations as that takes.
+    most : int, optional
+        At most so many configurations; the level that they reach is told.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If there is no trip that determines the curve.
+    InputError
+        If the trips belong to different trains, or one appears twice.
+    """
+    every = ordered(trips) if isinstance(trips, pd.DataFrame) else summarised(trips)
+    rows, common = accepted(every), combine(every)
+    betas = _spread_out(common)
+    masses = _masses_given(rows, betas)
+    limits = rows["max_power"].to_numpy(np.float64)
+    seen = np.isfinite(limits)
+    usual = float(limits[seen].mean()) if seen.any() else np.nan
+    stated = rows["train_power"].to_numpy(np.float64)
+    power = np.where(seen, limits, usual if seen.any() else stated)
+    inertia = masses + rows["rotating_mass"].to_numpy(np.float64)
+    speeds = np.linspace(0.0, common.asked[1], 3)
+    drag = betas @ powers(speeds).T / inertia[:, None]
+    chosen = choose(np.column_stack([1.0 / inertia, drag, power]), cover, most)
+    names = _names(rows)
+    configurations, details = [], []
+    for row, weight in zip(chosen.rows.tolist(), chosen.weights.tolist(), strict=True):
+        summary = rows.iloc[row]
+        resistance = nearest_physical(betas[row], common.covariances[row])
+        nearest = np.array([[resistance.r0, resistance.r1, resistance.r2]])
+        configurations.append(
+            Configuration(
+                name=names[row],
+                mass=float(_masses_given(rows.iloc[[row]], nearest)[0]),
+                rotating_mass=float(summary["rotating_mass"]),
+                resistance=resistance,
+                max_power=float(power[row]),
+            )
+        )
+        source = "power-limited stretches" if seen[row] else "other trips"
+        details.append(
+            {"configuration": names[row], "stands_for": weight}
+            | _detail(
+                summary,
+                common.covariances[row],
+                source if seen.any() else "train file",
+                float(np.std(limits[seen])) if seen.any() else None,
+            )
+        )
+    refused = every[every["refused"] != ""]
+    return ParameterSet(
+        train=common.train,
+        configurations=tuple(configurations),
+        common=common.resistance,
+        common_covariance=common.covariance,
+        speed_range=common.speed_range,
+        details=details + _refusals(refused),
+        cover={
+            "asked": cover,
+            "level": chosen.level,
+            "trips": len(rows),
+            "refused": {str(k): int(n) for k, n in refused["refused"].value_counts().items()},
+            "between": common.between.tolist(),
+        },
+    )
+
+
+def choose(features: FloatArray, cover: float, most: int | None = None) -> Chosen:
+    """The rows of which the worst bounds a share of all rows, in every linear function.
+
+    Parameters
+    ----------
+    features : (n, d) array
+        Of about the same sign in each column.
+    cover : float
+        Share asked for. If n rows cannot promise it, all are chosen.
+    most : int, optional
+        Choose no more; then the largest share that so many reach.
+    """
+    points = _whitened(features)
+    count, size = points.shape
+    generator = np.random.default_rng(0)
+    train, judges = generator.standard_normal((2, DIRECTIONS, max(size, 1)))
+    most = count if most is None else most
+    if size == 0:
+        rows = np.zeros(1, dtype=np.int64)
+        return Chosen(rows, np.array([count]), count / (count + 1))
+    wanted = np.ceil(cover * (count + 1))
+    if wanted > count and count <= most:
+        rows = np.arange(count)
+    else:
+        rows = _hitting(points, train, int(min(wanted, count)), most)
+    return Chosen(rows, _nearest(points, rows), _level(points, rows, judges))
+
+
+def _hitting(points: FloatArray, directions: FloatArray, rank: int, most: int) -> IntArray:
+    """Few rows, at most `most`, that reach the `rank`-th smallest projection in each direction.
+
+    With too few rows for that rank, the highest rank that they do reach.
+    """
+    spaced = np.linspace(0, len(points) - 1, min(len(points), CANDIDATES))
+    candidates: IntArray = np.unique(np.round(spaced).astype(np.int64))
+    low, found = 1, _greedy(points, candidates, directions, rank)
+    if found.size <= most:
+        return found
+    found, high = np.zeros(0, dtype=np.int64), rank
+    while high - low > max(1, rank // 1000):
+        middle = (low + high) // 2
+        fewer = _greedy(points, candidates, directions, middle)
+        if fewer.size <= most:
+            low, found = middle, fewer
+        else:
+            high = middle
+    if not found.size:
+        # Not even the least: those that reach farthest.
+        found = _greedy(points, candidates, directions, low)[:most]
+    return np.sort(found)
+
+
+def _greedy(
+    points: FloatArray, candidates: IntArray, directions: FloatArray, rank: int
+) -> IntArray:
+    """Rows chosen one by one, each for the most directions that none before it reaches."""
+    reach = np.empty((candidates.size, len(directions)), dtype=bool)
+    for number, direction in enumerate(directions):
+        along = points @ direction
+        own = along[candidates]
+        threshold = min(float(np.partition(along, rank - 1)[rank - 1]), float(own.max()))
+        reach[:, number] = own >= threshold
+    rows: list[int] = []
+    open_ones = np.ones(len(directions), dtype=bool)
+    while open_ones.any():
+        best = int(np.argmax(np.count_nonzero(reach[:, open_ones], axis=1)))
+        rows.append(int(candidates[best]))
+        open_ones &= ~reach[best]
+    return np.sort(np.array(rows, dtype=np.int64))
+
+
+def _level(points: FloatArray, rows: IntArray, directions: FloatArray) -> float:
+    """Least share of the points, over the directions, that the rows reach."""
+    fewest = len(points)
+    for direction in directions:
+        along = points @ direction
+        fewest = min(fewest, int(np.count_nonzero(along <= along[rows].max())))
+    return fewest / (len(points) + 1)
+
+
+def _whitened(features: FloatArray) -> FloatArray:
+    """Features made uncorrelated and of unit variance; those that do not differ are left out."""
+    relative = features / np.mean(features, axis=0) - 1.0
+    if len(features) < 2:
+        return np.zeros((len(features), 0))
+    variance, vectors = np.linalg.eigh(np.cov(relative, rowvar=False))
+    kept = variance > NEGLIGIBLE**2
+    return np.asarray(relative @ vectors[:, kept] / np.sqrt(variance[kept]))
+
+
+def _nearest(points: FloatArray, rows: IntArray) -> IntArray:
+    """How many points are nearest to each of the rows."""
+    best = np.full(len(points), np.inf)
+    owner = np.zeros(len(points), dtype=np.int64)
+    for number, row in enumerate(rows):
+        distance = np.sum((points - points[row]) ** 2, axis=1)
+        closer = distance < best
+        best[closer], owner[closer] = distance[closer], number
+    return np.bincount(owner, minlength=rows.size)
+
+
+def _spread_out(common: CommonFit) -> FloatArray:
+    """Each trip's coefficients (k, 3), their variance raised to what trips have; Louis (1984)."""
+    betas = common.betas
+    if len(betas) < 2:
+        return betas
+    scale = np.sqrt(np.diag(common.between))
+    root = np.linalg.cholesky(common.between / np.outer(scale, scale))
+    middle = betas.mean(axis=0)
+    away = np.linalg.solve(root, ((betas - middle) / scale).T)
+    variance, vectors = np.linalg.eigh(np.cov(away))
+    stretch = np.clip(1.0 / np.sqrt(np.maximum(variance, 1e-12)), 1.0, LARGEST_STRETCH)
+    moved = root @ (vectors * stretch) @ vectors.T @ away
+    return np.asarray(middle + scale * moved.T)
+
+
+def _masses_given(rows: pd.DataFrame, betas: FloatArray) -> FloatArray:
+    """Mass [kg] of each trip once its running resistance is known better than from itself."""
+    fitted, covariance = parameters_of(rows), covariances_of(rows)
+    shift = betas - fitted[:, :3]
+    scale = np.sqrt(np.einsum("kii->ki", covariance[:, :3, :3]))
+    scaled = covariance[:, :3, :3] / (scale[:, :, None] * scale[:, None, :])
+    slope = np.linalg.solve(scaled, (covariance[:, :3, 3] / scale)[..., None])[..., 0]
+    return np.asarray(fitted[:, 3] + np.sum(slope * shift / scale, axis=1))
+
+
+def _names(rows: pd.DataFrame) -> list[str]:
+    """Names of the trips; trips of one name are told apart by the digest of their logs."""
+    twice = rows.duplicated("trip", keep=False).to_numpy()
+    if not twice.any():
+        return [str(name) for name in rows["trip"]]
+    pairs = zip(rows["trip"], rows["sha256"], twice, strict=True)
+    return [f"{trip} {digest[:8]}" if same else str(trip) for trip, digest, same in pairs]
+
+
+def _detail(
+    summary: pd.Series, covariance: FloatArray, power_source: str, power_spread: float | None
+) -> dict[str, Any]:
+    """What is noted beside a trip's configuration; plain values."""
+    one = summary.to_frame().T
+    own = covariances_of(one)[0]
+    fitted_std = np.sqrt(np.diag(own))
+    std = [*np.sqrt(np.diag(covariance)).tolist(), float(fitted_std[3])]
+    seen = power_source == "power-limited stretches"
+    power_std = float(summary["max_power_std"]) if seen else power_spread
+
+    def numbers(*names: str, prefix: str = "") -> dict[str, float | None]:
+        every = {name: float(summary[prefix + name]) for name in names}
+        return {name: None if np.isnan(number) else number for name, number in every.items()}
+
+    return {
+        "trip": str(summary["trip"]),
+        "sha256": str(summary["sha256"]),
+        "accepted": True,
+        "fitted": numbers(*PARAMETERS),
+        "fitted_std": dict(zip(PARAMETERS, fitted_std.tolist(), strict=True)),
+        "fitted_correlation": (own / np.outer(fitted_std, fitted_std)).tolist(),
+        "std": dict(zip(PARAMETERS, std, strict=True)),
+        "max_power": power_source,
+        "max_power_std": power_std,
+        "condition": float(summary["condition"]),
+        "speed_range": [float(summary["speed_lowest"]), float(summary["speed_highest"])],
+        "windows": {"used": int(summary["windows"]), "outlier": int(summary["outliers"])},
+        "masked": numbers("gap", "standstill", "braking", "slip", prefix="masked_"),
+        "speed_scale": {
+            "factor": float(summary["speed_scale"]),
+            "source": str(summary["speed_scale_source"]),
+        },
+        "noise": numbers("speed", "gradient", "position", "effort", prefix="noise_"),
+        "residual_std": float(summary["residual_std"]),
+    }
+
+
+def _refusals(refused: pd.DataFrame) -> list[dict[str, Any]]:
+    """Trips that do not determine the curve, and why."""
+    if len(refused) > LISTED:
+        return []
+    return [
+        {
+            "trip": str(row.trip),
+            "sha256": str(row.sha256),
+            "accepted": False,
+            "refused": str(row.refused),
+            "reason": str(row.message),
+        }
+        for row in refused.itertuples()
+    ]

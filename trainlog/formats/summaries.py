@@ -1,0 +1,286 @@
+"""Summaries of trips, one row a trip, as a Parquet file; docs/formats.md describes it.
+
+What the identification keeps of a trip: a thousandth of its log, and all that combining it with
+others needs. The frame is plain; `COLUMNS` says what it holds.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError
+from trainlog.formats.files import atomic_write, refuse_reading
+
+FloatArray = NDArray[np.float64]
+
+FORMAT, VERSION = "trainlog/summaries", 1
+"""Named in the file; the version is raised when a column changes its meaning or goes."""
+
+SUFFIX = ".parquet"
+
+ROWS = 100_000
+"""Rows of a row group."""
+
+PARAMETERS = ("r0", "r1", "r2", "mass")
+_UNITS = ("N", "N/(m/s)", "N/(m/s)^2", "kg")
+COVARIANCE = tuple(
+    f"covariance_{PARAMETERS[i]}_{PARAMETERS[j]}" for i in range(4) for j in range(i, 4)
+)
+"""The upper triangle of the covariance of `PARAMETERS`, row by row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: ``kind`` is ``"text"``, ``"count"`` or ``"number"`` (null where unknown)."""
+
+    name: str
+    unit: str
+    meaning: str
+    kind: str = "number"
+
+
+COLUMNS: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip", "text"),
+    Column("sha256", "", "of its log", "text"),
+    Column("train", "", "name of the train", "text"),
+    Column("software", "", "that made the summary, with its version", "text"),
+    Column("refused", "", "why the trip does not determine the curve; empty if it does", "text"),
+    Column("message", "", "the same in a sentence, with the figures", "text"),
+    *(
+        Column(name, unit, meaning)
+        for name, unit, meaning in zip(
+            PARAMETERS, _UNITS, (*3 * ("running resistance",), "without rotating part"), strict=True
+        )
+    ),
+    *(
+        Column(name, f"{_UNITS[i]} {_UNITS[j]}", "covariance")
+        for name, (i, j) in zip(
+            COVARIANCE, ((i, j) for i in range(4) for j in range(i, 4)), strict=True
+        )
+    ),
+    Column("freedom", "1", "degrees of freedom of the residuals", "count"),
+    Column("rotating_mass", "kg", "from the train's file"),
+    Column("train_power", "W", "largest traction power that the train's file states"),
+    Column("max_power", "W", "from stretches at the power limit; null if there was none"),
+    Column("max_power_std", "W", "its standard deviation"),
+    Column("asked_lowest", "m/s", "lowest speed that the curve was asked for"),
+    Column("asked_highest", "m/s", "highest"),
+    Column("speed_lowest", "m/s", "lowest mean speed of a window"),
+    Column("speed_highest", "m/s", "highest"),
+    Column("condition", "1", "column-normalised condition number of the regressors"),
+    Column("windows", "1", "windows used", "count"),
+    Column("outliers", "1", "windows left out", "count"),
+    Column("noise_speed", "m/s", "noise of the speed averaged at a window's end"),
+    Column("noise_gradient", "1", "of the gradient of a piece of the map"),
+    Column("noise_position", "m", "of the chainage at a change of gradient"),
+    Column("noise_effort", "1", "of one sample's effort, over the effort"),
+    Column("delay", "s", "by which efforts were recorded late"),
+    Column("brake_scale", "1", "dynamic brake's recorded effort over its size"),
+    Column("cluster_factor", "1", "by which the noise model's variances were enlarged"),
+    Column("residual_std", "1", "of the whitened residuals"),
+    Column("residual_correlation", "1", "between neighbouring whitened residuals"),
+    Column("speed_scale", "1", "measured over true speed"),
+    Column("speed_scale_std", "1", "its standard deviation"),
+    Column("speed_scale_source", "", "what it was calibrated against", "text"),
+    Column("masked_gap", "s", "time masked: gaps"),
+    Column("masked_standstill", "s", "time masked: standstill"),
+    Column("masked_braking", "s", "time masked: braking effort not known well enough"),
+    Column("masked_slip", "s", "time masked: slip"),
+)
+
+_ALWAYS = (*PARAMETERS, *COVARIANCE, "rotating_mass", "train_power", "asked_highest")
+"""What no accepted trip can be without."""
+
+
+def write_summaries(summaries: pd.DataFrame, path: str | Path) -> None:
+    """Write summaries, whole or not at all, in the order of trip and SHA-256.
+
+    The same summaries give the same bytes, in whatever order they come.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or strange, a row is not plausible, or the file cannot be written.
+    """
+    frame = ordered(summaries)
+    _check(frame, path)
+    arrays = [_array(frame[column.name], column) for column in COLUMNS]
+    table = pa.Table.from_arrays(arrays, schema=_schema())
+    with atomic_write(path) as temporary:
+        pq.write_table(
+            table,
+            temporary,
+            compression="zstd",
+            row_group_size=ROWS,
+            use_dictionary=["train", "software", "refused", "speed_scale_source"],
+            write_page_checksum=True,
+        )
+
+
+def read_summaries(path: str | Path) -> pd.DataFrame:
+    """Read summaries.
+
+    Returns
+    -------
+    DataFrame
+        With the columns of `COLUMNS`, in the order of trip and SHA-256.
+
+    Raises
+    ------
+    InputError
+        If it is not such a file, of a version this trainlog does not know, or damaged.
+    """
+    try:
+        with Path(path).open("rb"):
+            pass
+        table = pq.read_table(os.fspath(path), page_checksum_verification=True)
+    except pa.ArrowException as error:
+        raise InputError(
+            "is not a Parquet file, or damaged", file=path, remedy="fit the logs again"
+        ) from error
+    except OSError as error:
+        # Arrow tells of a page whose checksum is wrong by an OSError without a number.
+        if error.errno is None:
+            raise InputError("is damaged", file=path, remedy="fit the logs again") from error
+        refuse_reading(path, error)
+    _check_header(table.schema.metadata or {}, path)
+    frame = pd.DataFrame(
+        {
+            name: pd.Series(
+                column.to_numpy(), dtype=object if pa.types.is_string(column.type) else None
+            )
+            for name, column in zip(table.column_names, table.columns, strict=True)
+        }
+    )
+    _check(frame, path)
+    return ordered(frame[[column.name for column in COLUMNS]])
+
+
+def ordered(summaries: pd.DataFrame) -> pd.DataFrame:
+    """The summaries in the order of trip, SHA-256 and software."""
+    return summaries.sort_values(["trip", "sha256", "software"], kind="stable", ignore_index=True)
+
+
+def merged(pieces: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Summaries of several files together; a log that several of them hold counts once.
+
+    Of two summaries of one log that of the later software is kept, whatever the order of the
+    pieces.
+    """
+    together = pd.concat(pieces, ignore_index=True)
+    versions = sorted(together["software"].unique(), key=lambda name: (_version(name), name))
+    together["_version"] = together["software"].map({name: n for n, name in enumerate(versions)})
+    together = together.sort_values(
+        ["sha256", "trip", "_version", *PARAMETERS], kind="stable", ignore_index=True
+    )
+    unknown = together["sha256"] == ""
+    again = together.duplicated(["sha256", "trip"], keep="last") & ~unknown
+    return ordered(together[~again].drop(columns="_version"))
+
+
+def parameters_of(summaries: pd.DataFrame) -> FloatArray:
+    """r0, r1, r2 and mass of each trip (k, 4); NaN for refused ones."""
+    return np.ascontiguousarray(summaries[list(PARAMETERS)].to_numpy(np.float64))
+
+
+def covariances_of(summaries: pd.DataFrame) -> FloatArray:
+    """Covariance of r0, r1, r2 and mass of each trip (k, 4, 4)."""
+    triangle = summaries[list(COVARIANCE)].to_numpy(np.float64)
+    full = np.empty((len(summaries), 4, 4))
+    rows, columns = np.triu_indices(4)
+    full[:, rows, columns] = triangle
+    full[:, columns, rows] = triangle
+    return full
+
+
+def _version(software: str) -> tuple[int, ...]:
+    digits = "".join(c if c.isdigit() else " " for c in software)
+    return tuple(int(word) for word in digits.split())
+
+
+def _schema() -> pa.Schema:
+    types = {"text": pa.string(), "count": pa.int64(), "number": pa.float64()}
+    fields = [
+        pa.field(
+            column.name,
+            types[column.kind],
+            metadata={"unit": column.unit, "meaning": column.meaning},
+        )
+        for column in COLUMNS
+    ]
+    return pa.schema(fields, {"format": FORMAT, "version": str(VERSION)})
+
+
+def _array(values: pd.Series, column: Column) -> pa.Array:
+    if column.kind == "text":
+        return pa.array(values.tolist(), pa.string())
+    if column.kind == "count":
+        return pa.array(values.to_numpy(np.int64))
+    numbers = values.to_numpy(np.float64)
+    return pa.array(numbers, pa.float64(), mask=np.isnan(numbers))
+
+
+def _check_header(metadata: dict[bytes, bytes], path: str | Path) -> None:
+    if metadata.get(b"format") != FORMAT.encode():
+        raise InputError(
+            f"is not a {FORMAT} file", file=path, remedy="give logs, or what 'trainlog fit' wrote"
+        )
+    version = metadata.get(b"version", b"").decode("utf-8", "replace")
+    if version != str(VERSION):
+        newer = version.isdigit() and int(version) > VERSION
+        raise InputError(
+            f"version {version} is "
+            + (f"newer than this trainlog knows ({VERSION})" if newer else "not one it reads"),
+            file=path,
+            remedy="update trainlog" if newer else "fit the logs again",
+        )
+
+
+def _check(frame: pd.DataFrame, path: str | Path) -> None:
+    """Refuse what no fit gives; a single bad row would spoil all trips together."""
+    known = {column.name for column in COLUMNS}
+    present = {str(name) for name in frame}
+    for names, what in ((known - present, "lacks"), (present - known, "has an unknown")):
+        if names:
+            raise InputError(
+                f"{what} column '{min(names)}'", file=path, remedy="fit the logs again"
+            )
+    for column in COLUMNS:
+        numeric = pd.api.types.is_numeric_dtype(frame[column.name])
+        if numeric == (column.kind == "text") or frame[column.name].isna().any() > (
+            column.kind == "number"
+        ):
+            raise InputError(
+                "is not what it should be",
+                file=path,
+                place=f"column {column.name}",
+                remedy="fit the logs again",
+            )
+    accepted = (frame["refused"] == "").to_numpy()
+    numbers = frame[list(_ALWAYS)].to_numpy(np.float64)
+    bad = accepted & ~np.all(np.isfinite(numbers), axis=1)
+    bad |= accepted & ~(frame["mass"] > 0.0).to_numpy()
+    covariance = covariances_of(frame)
+    # Scaled to ones on the diagonal, so that units do not matter.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.sqrt(np.einsum("kii->ki", covariance))
+        scaled = covariance / (size[:, :, None] * size[:, None, :])
+        minors = [np.linalg.det(scaled[:, :n, :n]) for n in (2, 3)]
+        bad |= accepted & ~((size > 0.0).all(axis=1) & (minors[0] > 0.0) & (minors[1] > 0.0))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(
+            f"trip '{frame['trip'].iloc[row]}': numbers that no fit gives",
+            file=path,
+            place=f"row {row}",
+            remedy="fit its log again",
+        )
