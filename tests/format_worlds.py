@@ -27,6 +27,7 @@ from trainlog.railway import (
     Tunnel,
 )
 from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.railway.journey import Journey, TimingPoint
 
 NAMES = st.text(min_size=1, max_size=12)
@@ -247,3 +248,48 @@ def assert_same(found: Any, expected: Any, tolerance: float = 0.0) -> None:
         np.testing.assert_allclose(found, expected, rtol=tolerance, atol=1e-290 * tolerance)
     else:
         assert found == expected
+
+
+FEW = sizes(0.0, 1e6)
+POSITIVE = sizes(1e-3, 1e8)
+VEHICLES = st.builds(
+    Vehicle,
+    name=NAMES,
+    mass=POSITIVE,
+    length=POSITIVE,
+    resistance=st.builds(RunningResistance, FEW, FEW, FEW),
+    rotating_mass=FEW,
+    max_tractive_effort=FEW,
+    max_traction_power=st.one_of(st.just(np.inf), POSITIVE),
+    max_braking_effort=FEW,
+)
+COUPLERS = st.builds(
+    Coupler,
+    stiffness=POSITIVE,
+    nonlinearity=sizes(-500.0, 500.0),
+    damping=FEW,
+    slack=sizes(0.0, 0.1),
+    buffing_stiffness=st.none() | POSITIVE,
+    buffing_nonlinearity=st.none() | sizes(-500.0, 500.0),
+)
+
+
+@st.composite
+def consists(draw: Callable[..., Any]) -> Consist:
+    # Few kinds, so that equal neighbours occur.
+    kinds = draw(st.lists(VEHICLES, min_size=1, max_size=2))
+    vehicles = draw(st.lists(st.sampled_from(kinds), min_size=1, max_size=6))
+    joints = draw(st.lists(COUPLERS, min_size=1, max_size=2))
+    count = len(vehicles) - 1
+    return Consist(
+        draw(NAMES),
+        tuple(vehicles),
+        tuple(draw(st.lists(st.sampled_from(joints), min_size=count, max_size=count))),
+        brake=Brake(draw(FEW), draw(FEW)),
+        brake_propagation=draw(st.just(np.inf) | POSITIVE),
+        source=draw(st.text(max_size=8)),
+        assumed=tuple(draw(st.lists(NAMES, max_size=2))),
+    )
+
+
+CONSISTS = consists()

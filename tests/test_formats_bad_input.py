@@ -13,9 +13,12 @@ from test_formats_roundtrip import simple_line, simple_train
 
 from trainlog.errors import InputError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
+from trainlog.formats.consist import consist_from_bytes
+from trainlog.formats.files import read_bytes
 from trainlog.formats.journey import journey_from_bytes, journey_to_bytes
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
 from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
+from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
 from trainlog.formats.trajectory import trajectory_from_bytes, trajectory_to_bytes
 from trainlog.railway import (
@@ -39,6 +42,7 @@ LAYER = ConditionLayer(
 GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
     "line": (line_to_bytes(simple_line()), line_from_bytes),
     "train": (train_to_bytes(simple_train()), train_from_bytes),
+    "consist": (read_bytes(sample("paper_004_8_wagons.consist.json")), consist_from_bytes),
     "journey": (
         journey_to_bytes(Journey("J", "L", (TimingPoint(0.0, 0.0), TimingPoint(9.0, 5.0, 6.0)))),
         journey_from_bytes,
@@ -282,11 +286,30 @@ OTHER_CASES = [
 ]
 
 
+CONSIST_CASES = [
+    ("vehicles.0.mass.value", -1, "f.json, vehicles[0]: vehicle 'wagon': mass -1000.0 is not"),
+    ("vehicles.0.count", 0, "f.json, vehicles[0].count: input should be greater than 0"),
+    ("vehicles.0.count", 9, "f.json: consist 'train of paper 004, 8 wagons': 9 vehicles need 8"),
+    ("vehicles", [], "f.json, vehicles: list should have at least 1 item"),
+    (
+        "vehicles.0.length.unit",
+        "t",
+        "f.json, vehicles[0].length.unit: unit 't' cannot be read as m",
+    ),
+    ("couplers.0.stiffness.value", 0, "f.json, couplers[0]: coupler: stiffness 0.0 N/m is not"),
+    ("couplers.0.slack.value", -3, "f.json, couplers[0]: coupler: slack -0.003 is negative"),
+    ("couplers.0.stifness", 1, "f.json, couplers[0].stifness: unknown key 'stifness'"),
+    ("brake.lag.value", -1, "f.json: consist 'train of paper 004, 8 wagons': a brake with a dead"),
+    ("brake.propagation", {"value": 0, "unit": "m/s"}, "f.json: consist 'train of paper 004, 8"),
+]
+
+
 @pytest.mark.parametrize(
     ("kind", "path", "value", "message"),
     [
         *(("line", *case) for case in LINE_CASES),
         *(("train", *case) for case in TRAIN_CASES),
+        *(("consist", *case) for case in CONSIST_CASES),
         *OTHER_CASES,
     ],
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from trainlog.formats import consist
 from trainlog.formats.condition import _Layer, _MapFile
 from trainlog.formats.journey import _JourneyFile
 from trainlog.formats.line import _Geometry, _LineFile
@@ -25,6 +26,10 @@ TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
 SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
     ("## Line", (_LineFile, _Geometry)),
     ("## Train", (_TrainFile, _Axles, _Brake, _BrakingCurves)),
+    (
+        "## Consist",
+        (consist._ConsistFile, consist._Brake, consist._Vehicle, consist._Coupler),
+    ),
     ("## Journey", (_JourneyFile,)),
     ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
     ("## Trajectory", (_TrajectoryFile,)),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from format_worlds import (
+    CONSISTS,
     PARAMETER_SETS,
     TRAINS,
     assert_same,
@@ -20,6 +21,7 @@ from hypothesis import HealthCheck, given, settings
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
+from trainlog.formats.consist import consist_from_bytes, consist_to_bytes
 from trainlog.formats.files import read_json
 from trainlog.formats.journey import (
     journey_from_bytes,
@@ -52,6 +54,7 @@ from trainlog.railway import (
     Train,
     Trajectory,
 )
+from trainlog.railway.consist import Consist
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.trip import Trip
 
@@ -67,6 +70,15 @@ def test_lines_survive(line: Line) -> None:
     found = line_from_bytes(data)
     assert_same(found, line, ROUNDING)
     assert line_to_bytes(found) == data
+
+
+@quick
+@given(CONSISTS)
+def test_consists_survive(consist: Consist) -> None:
+    data = consist_to_bytes(consist)
+    found = consist_from_bytes(data)
+    assert_same(found, consist, ROUNDING)
+    assert consist_to_bytes(found) == data
 
 
 @quick

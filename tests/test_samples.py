@@ -29,6 +29,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return output
 
 
+def test_the_consists_are_made_again(tmp_path: Path) -> None:
+    runpy.run_path(str(CHECKOUT / "sample_logs" / "make_consists.py"))["make"](tmp_path)
+    made = sorted(path.name for path in tmp_path.iterdir())
+    assert made == [name for name in names() if name.endswith(".consist.json")]
+    for name in made:
+        assert (tmp_path / name).read_bytes() == (folder() / name).read_bytes()
+
+
 @pytest.mark.parametrize("name", MADE)
 def test_the_command_in_the_readme_makes_them_again(made: Path, name: str) -> None:
     assert (made / name).read_bytes() == (folder() / name).read_bytes()

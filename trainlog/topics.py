@@ -12,6 +12,9 @@ from typing import Literal
 Interpolation = Literal["linear", "previous", "none"]
 """How a value between two samples is found: on a line, held since the last, or not at all."""
 
+Each = Literal["", "powered axle", "vehicle", "coupler"]
+"""What a field has one value for, if not for the whole train."""
+
 SCHEMA_VERSION = 1
 """Raised when a field changes its meaning; new fields are added without raising it."""
 
@@ -29,15 +32,20 @@ class Field:
     meaning : str
         What it is, in the field's words.
     interpolation : {"linear", "previous", "none"}
-    per_axle : bool
-        One value for each powered axle; the frame has columns ``name_1 … name_n``.
+    each : {"", "powered axle", "vehicle", "coupler"}
+        What has a value of its own: the frame then has columns ``name_1 … name_n``, front first.
     """
 
     name: str
     unit: str
     meaning: str
     interpolation: Interpolation = "linear"
-    per_axle: bool = False
+    each: Each = ""
+
+    @property
+    def per_axle(self) -> bool:
+        """Whether there are several values: one for each powered axle, vehicle or coupler."""
+        return bool(self.each)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +111,39 @@ TRAIN_AXLES = Topic(
     "trainlog.TrainAxles",
     "The powered axles, one value each.",
     (
-        Field("wheel_speed", "m/s", "circumferential speed of the wheels", per_axle=True),
+        Field("wheel_speed", "m/s", "circumferential speed of the wheels", each="powered axle"),
         Field(
             "wheel_effort",
             "N",
             "motor torque over wheel radius, positive in traction, negative in braking",
-            per_axle=True,
+            each="powered axle",
+        ),
+    ),
+)
+
+TRAIN_VEHICLES = Topic(
+    "/train/vehicles",
+    "trainlog.TrainVehicles",
+    "The vehicles of a consist from front to rear, one value each.",
+    (
+        Field("chainage", "m", "chainage of the vehicle's middle", each="vehicle"),
+        Field("speed", "m/s", "speed over ground", each="vehicle"),
+        Field("tractive_effort", "N", "tractive effort at the wheel rims", each="vehicle"),
+        Field("braking_effort", "N", "braking effort at the wheel rims", each="vehicle"),
+    ),
+)
+
+TRAIN_COUPLERS = Topic(
+    "/train/couplers",
+    "trainlog.TrainCouplers",
+    "The couplers of a consist from front to rear, one value each.",
+    (
+        Field("force", "N", "in-train force, positive when pulled apart", each="coupler"),
+        Field(
+            "stretch",
+            "m",
+            "how far the vehicles are apart over rest, negative when pushed together",
+            each="coupler",
         ),
     ),
 )
@@ -195,8 +230,8 @@ ESTIMATED_ADHESION = Topic(
     "trainlog.EstimatedAdhesion",
     "Adhesion in use and slip of each powered axle.",
     (
-        Field("adhesion", "1", "force between wheel and rail over axle load", per_axle=True),
-        Field("slip_speed", "m/s", "wheel speed minus train speed", per_axle=True),
+        Field("adhesion", "1", "force between wheel and rail over axle load", each="powered axle"),
+        Field("slip_speed", "m/s", "wheel speed minus train speed", each="powered axle"),
     ),
 )
 
@@ -246,6 +281,8 @@ TOPICS: dict[str, Topic] = {
         TRAIN_STATE,
         TRAIN_CONTROLS,
         TRAIN_AXLES,
+        TRAIN_VEHICLES,
+        TRAIN_COUPLERS,
         GNSS_FIX,
         GNSS_MOTION,
         ENVIRONMENT,

@@ -28,21 +28,32 @@ from trainlog.terminal import (
 
 app = typer.Typer()
 
+LogsOrConsists = Annotated[
+    list[Path], typer.Argument(help="Logs (.mcap), folders of logs, or consists (.consist.json).")
+]
+
 PIECE = 200_000
 """Rows that a replay holds at a time, over all topics."""
 
 
 @app.command(rich_help_panel="Look")
-def info(logs: Logs) -> None:
+def info(logs: LogsOrConsists) -> None:
     """Tell what is in a log: topics, units, rates, time and position span, gaps, provenance.
+
+    Of a consist (.consist.json) its vehicles, couplers and brake.
 
     Example: trainlog info results/trips/trip-01.mcap
     """
+    from analysis.report_consist import consist_tables
+    from trainlog.formats.consist import read_consist
     from trainlog.mcap import describe
     from trainlog.mcap.show import render
 
     for log in logs_in(logs):
-        console.print(render(describe(log)))
+        if log.name.endswith(".consist.json"):
+            console.print(consist_tables(read_consist(log)))
+        else:
+            console.print(render(describe(log)))
 
 
 @app.command(rich_help_panel="Look")

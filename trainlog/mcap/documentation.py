@@ -20,7 +20,7 @@ def _section(topic: Topic) -> str:
         "|---|---|---|---|",
     ]
     for field in topic.fields:
-        name = f"`{field.name}`, one for each powered axle" if field.per_axle else f"`{field.name}`"
+        name = f"`{field.name}`, one for each {field.each}" if field.each else f"`{field.name}`"
         meaning = field.meaning.replace("|", "\\|")
         rows.append(f"| {name} | {field.unit or '–'} | {meaning} | {field.interpolation} |")
     return "\n".join(rows) + "\n"

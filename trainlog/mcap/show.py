@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from trainlog.mcap.describe import LogDescription, TopicDescription
-from trainlog.topics import EVENTS
+from trainlog.topics import EVENTS, TOPICS
 
 _LONGEST = 160
 """Metadata values are cut to this many characters."""
@@ -102,7 +102,11 @@ def _fields(description: LogDescription) -> Table:
 def _field(topic: TopicDescription, name: str) -> str:
     unit = topic.units[name]
     told = name if unit in ("", "1") else f"{name} [{unit}]"
-    return f"{told} of {topic.axles[name]} axles" if name in topic.axles else told
+    if name not in topic.axles:
+        return told
+    known = TOPICS.get(topic.name)
+    each = {field.name: field.each for field in known.fields} if known else {}
+    return f"{told} of {topic.axles[name]} {each.get(name, 'axle').split()[-1]}s"
 
 
 def _pairs(heading: str, pairs: dict[str, str]) -> Table:

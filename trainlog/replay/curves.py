@@ -16,6 +16,7 @@ from trainlog.topics import (
     GNSS_MOTION,
     REFERENCE,
     TRAIN_CONTROLS,
+    TRAIN_COUPLERS,
     TRAIN_STATE,
     TRUTH,
     Topic,
@@ -61,7 +62,7 @@ TRIPS: tuple[Colour, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """One field of a topic as a line; a field ``per_axle`` gives one line an axle.
+    """One field of a topic as a line; a field ``per_axle`` gives one line an axle or coupler.
 
     Attributes
     ----------
@@ -160,6 +161,7 @@ CURVES: tuple[Curve, ...] = (
             Stroke("pneumatic_braking_effort", "friction braking", FRICTION_BRAKING, -KILO),
         ),
     ),
+    Curve("couplers", TRAIN_COUPLERS, (Stroke("force", "coupler {}", AXLES[0], KILO),), width=1.0),
     Curve("slip", ESTIMATED_ADHESION, (Stroke("slip_speed", "axle {}", AXLES[0], KMH),), width=1.0),
     Curve(
         "adhesion/used",
@@ -218,6 +220,7 @@ class Panel:
 PANELS: tuple[Panel, ...] = (
     Panel("speed", "Speed [km/h]", 2.4, from_zero=True),
     Panel("efforts", "Efforts at the wheel rims [kN], braking downwards", 2.0),
+    Panel("couplers", "In-train forces [kN], draft upwards, buff downwards", 2.0),
     Panel("slip", "Slip: wheel less train speed [km/h]", 2.0),
     Panel("adhesion", "Adhesion in use and maximum adhesion [1]", 1.7, from_zero=True),
     Panel("resistance", "Running resistance [kN]", 1.1, from_zero=True),
