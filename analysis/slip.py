@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from estimators.adhesion import SlipDetector, smoothed_force
+from estimators.adhesion import smoothed_force
+from estimators.slip import SlipDetector
 from estimators.train_speed import (
     SLOPE_RATE,
     SLOPE_RATE_WITHOUT_BRAKE,

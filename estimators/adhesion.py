@@ -1,9 +1,8 @@
-"""Wheel slip and adhesion of the powered axles, sample by sample.
+"""Adhesion of the powered axles, sample by sample.
 
-Two recursive estimators with the same small interface (`reset`, `update`, `result`): a slip
-detector with hysteresis, and a disturbance observer that sees the force between wheel and rail as
-the unknown load of a known rotating mass. `smoothed_force` is the observer run forwards and
-backwards over a recorded trip: no lag, for analyses that need not be causal.
+A disturbance observer sees the force between wheel and rail as the unknown load of a known
+rotating mass. `smoothed_force` is the observer run forwards and backwards over a recorded trip: no
+lag, for analyses that need not be causal.
 
 Everything is referred to the wheel rim: a powered axle is a mass ``J`` [kg] (its inertia over the
 wheel radius squared) that moves at the circumferential speed ``w`` [m/s], driven by the effort
@@ -13,25 +12,29 @@ wheel radius squared) that moves at the circumferential speed ``w`` [m/s], drive
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from estimators.interface import (
+    CALIBRATED,
+    array_of,
+    check_state,
+    count_of,
+    number_of,
+    saved_state,
+)
+from estimators.slip import samples_of
 from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
-SLIP_THRESHOLD = 1.5
-"""Slip speed [m/s] above which an axle is said to slip, when the noise allows."""
-
-NOISE_MULTIPLE = 5.0
-"""The threshold is at least this many standard deviations of the slip speed."""
-
-CONFIRMATION = 2
-"""Samples in a row above the threshold before an axle is said to slip."""
+STATE_KIND, STATE_VERSION = "trainlog/adhesion_observer", 1
+"""Of a saved state; the version is raised when its meaning changes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,58 +45,32 @@ class AdhesionForce:
     std: FloatArray
 
 
-class SlipDetector:
-    """Says of each axle whether it slips: above the threshold twice running, until below half.
-
-    Parameters
-    ----------
-    axles : int
-    slip_std : float [m/s]
-        Standard deviation of the slip speed; the threshold is
-        ``max(1.5 m/s, 5 slip_std)``.
+@dataclass(frozen=True, eq=False)
+class AdhesionResult:
+    """What the observer knows after the samples so far.
 
     Attributes
     ----------
-    threshold : float [m/s]
+    estimate : (axles,) array [N]
+        Force between wheel and rail of each axle, signed like the effort.
+    covariance : (axles, axles) array [N²]
+        NaN on the diagonal before the first sample.
+    valid : bool
+        Whether the wheel speeds determine the force of every axle: a speed that is missing for
+        long leaves its force unknown.
+    excitation : float
+        Share of the standard deviation that the force began with which the wheel speeds removed,
+        of the axle that they tell least about.
+    samples, resets : int
+        Samples since the last reset; resets so far.
     """
 
-    def __init__(self, axles: int, slip_std: float) -> None:
-        if axles < 1 or not slip_std >= 0.0:
-            raise InputError(
-                f"slip detector: needs axles and a noise of at least 0, got {axles}, {slip_std}"
-            )
-        self.threshold = max(SLIP_THRESHOLD, NOISE_MULTIPLE * slip_std)
-        self._axles = axles
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything: no axle slips."""
-        self._above = np.zeros(self._axles, dtype=np.int64)
-        self._slipping = np.zeros(self._axles, dtype=np.bool_)
-
-    def update(self, slip_speed: FloatArray) -> BoolArray:
-        """Take the next samples in.
-
-        Parameters
-        ----------
-        slip_speed : (n, axles) array [m/s]
-            Wheel speed less train speed; NaN changes nothing.
-
-        Returns
-        -------
-        (n, axles) bool array
-            Whether the axle slips, as known at each sample: slip is confirmed one sample after
-            the first above the threshold.
-        """
-        block = _block("slip speed", slip_speed, self._axles)
-        return np.asarray(
-            _detect(block, self.threshold, CONFIRMATION, self._above, self._slipping), np.bool_
-        )
-
-    @property
-    def result(self) -> BoolArray:
-        """Whether each axle slips now."""
-        return self._slipping.copy()
+    estimate: FloatArray
+    covariance: FloatArray
+    valid: bool
+    excitation: float
+    samples: int
+    resets: int
 
 
 class AdhesionObserver:
@@ -119,29 +96,35 @@ class AdhesionObserver:
         self, axles: int, rotating_mass: float, speed_std: float, force_rate: float
     ) -> None:
         check_observer(rotating_mass, speed_std, force_rate)
+        if axles < 1:
+            raise InputError(f"adhesion observer: needs axles, got {axles}")
         self._axles = axles
-        self._model = (rotating_mass, speed_std, force_rate)
+        self._model = (float(rotating_mass), float(speed_std), float(force_rate))
+        self._resets = -1
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next sample starts anew."""
         self._mean = np.zeros((self._axles, 2))
         self._covariance = np.full((self._axles, 3), np.nan)
+        self._prior_variance = np.full(self._axles, np.nan)
         self._time = np.nan
         self._effort = np.zeros(self._axles)
+        self._samples = 0
+        self._resets += 1
 
     def update(
-        self, time: FloatArray, wheel_speed: FloatArray, wheel_effort: FloatArray
+        self, time: ArrayLike, wheel_speed: ArrayLike, wheel_effort: ArrayLike
     ) -> AdhesionForce:
-        """Take the next samples in.
+        """Take one sample or the next samples in.
 
         Parameters
         ----------
-        time : (n,) array [s]
+        time : (n,) array or float [s]
             Increasing, also from call to call.
-        wheel_speed : (n, axles) array [m/s]
+        wheel_speed : (n, axles) or (axles,) array [m/s]
             NaN where missing: the state is then only predicted.
-        wheel_effort : (n, axles) array [N]
+        wheel_effort : (n, axles) or (axles,) array [N]
             Missing efforts are held.
 
         Returns
@@ -154,22 +137,73 @@ class AdhesionObserver:
         InputError
             If shapes do not fit or time does not increase.
         """
-        speed = _block("wheel speed", wheel_speed, self._axles)
-        effort = _block("wheel effort", wheel_effort, self._axles).copy()
+        speed = samples_of("wheel speed", wheel_speed, self._axles)
+        effort = samples_of("wheel effort", wheel_effort, self._axles).copy()
         clock = _clock(time, speed, effort, self._time)
-        if clock.size:
-            means, covariances = _filter(
-                clock, speed, effort, *self._model,
-                self._time, self._effort, self._mean, self._covariance,
-            )  # fmt: skip
-            self._time = float(clock[-1])
-            return AdhesionForce(means[:, :, 1], np.sqrt(covariances[:, :, 2]))
-        return AdhesionForce(np.empty((0, self._axles)), np.empty((0, self._axles)))
+        if clock.size == 0:
+            return AdhesionForce(np.empty((0, self._axles)), np.empty((0, self._axles)))
+        means, covariances = _filter(
+            clock, speed, effort, *self._model,
+            self._time, self._effort, self._mean, self._covariance,
+        )  # fmt: skip
+        if self._samples == 0:
+            self._prior_variance = covariances[0, :, 2].copy()
+        self._time = float(clock[-1])
+        self._samples += clock.size
+        return AdhesionForce(means[:, :, 1], np.sqrt(covariances[:, :, 2]))
 
-    @property
-    def result(self) -> AdhesionForce:
-        """Force of each axle now; NaN deviation before the first sample."""
-        return AdhesionForce(self._mean[:, 1].copy(), np.sqrt(self._covariance[:, 2]))
+    def result(self) -> AdhesionResult:
+        """Force of each axle now."""
+        excitation = 0.0
+        if self._samples:
+            left = np.sqrt(np.max(self._covariance[:, 2] / self._prior_variance))
+            excitation = float(np.clip(1.0 - left, 0.0, 1.0))
+        return AdhesionResult(
+            estimate=self._mean[:, 1].copy(),
+            covariance=np.diag(self._covariance[:, 2]),
+            valid=excitation >= CALIBRATED,
+            excitation=excitation,
+            samples=self._samples,
+            resets=self._resets,
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on later, bit for bit; plain values that JSON can hold."""
+        settings = dict(zip(_MODEL, self._model, strict=True))
+        return saved_state(
+            STATE_KIND,
+            STATE_VERSION,
+            settings | {name: getattr(self, f"_{name}") for name in (*_COUNTS, "time", *_ARRAYS)},
+        )
+
+    @classmethod
+    def resume(cls, state: Mapping[str, Any]) -> Self:
+        """The observer that `state` was taken from.
+
+        Raises
+        ------
+        InputError
+            If the state is of another kind or version, or incomplete.
+        """
+        check_state(state, STATE_KIND, STATE_VERSION, (*_MODEL, *_COUNTS, "time", *_ARRAYS))
+        axles = count_of(state, "axles")
+        observer = cls(axles, *(number_of(state, name) for name in _MODEL))
+        observer._samples = count_of(state, "samples")
+        observer._resets = count_of(state, "resets")
+        observer._time = number_of(state, "time")
+        for name, shape in _ARRAYS.items():
+            setattr(observer, f"_{name}", array_of(state, name, (axles, *shape)))
+        return observer
+
+
+_MODEL = ("rotating_mass", "speed_std", "force_rate")
+_COUNTS = ("axles", "samples", "resets")
+_ARRAYS: dict[str, tuple[int, ...]] = {
+    "mean": (2,),
+    "covariance": (3,),
+    "prior_variance": (),
+    "effort": (),
+}
 
 
 def smoothed_force(
@@ -196,8 +230,8 @@ def smoothed_force(
     """
     check_observer(rotating_mass, speed_std, force_rate)
     axles = wheel_speed.shape[1] if wheel_speed.ndim == 2 else 1
-    speed = _block("wheel speed", wheel_speed, axles)
-    held = _block("wheel effort", wheel_effort, axles).copy()
+    speed = samples_of("wheel speed", wheel_speed, axles)
+    held = samples_of("wheel effort", wheel_effort, axles).copy()
     clock = _clock(time, speed, held, np.nan)
     if clock.size == 0:
         return AdhesionForce(np.empty((0, axles)), np.empty((0, axles)))
@@ -220,15 +254,8 @@ def check_observer(rotating_mass: float, speed_std: float, force_rate: float) ->
             raise InputError(f"adhesion observer: {name} must be positive, got {value}")
 
 
-def _block(what: str, values: FloatArray, axles: int) -> FloatArray:
-    block = np.ascontiguousarray(values, dtype=np.float64)
-    if block.ndim != 2 or block.shape[1] != axles:
-        raise InputError(f"{what}: needs shape (samples, {axles}), got {block.shape}")
-    return block
-
-
-def _clock(time: FloatArray, speed: FloatArray, effort: FloatArray, last: float) -> FloatArray:
-    clock = np.ascontiguousarray(time, dtype=np.float64)
+def _clock(time: ArrayLike, speed: FloatArray, effort: FloatArray, last: float) -> FloatArray:
+    clock = np.atleast_1d(np.asarray(time, dtype=np.float64))
     if clock.shape != speed.shape[:1] or effort.shape != speed.shape:
         raise InputError(
             f"adhesion observer: time {clock.shape}, speed {speed.shape}, effort {effort.shape}"
@@ -241,24 +268,6 @@ def _clock(time: FloatArray, speed: FloatArray, effort: FloatArray, last: float)
             "adhesion observer: time must increase", place=f"row {row}", remedy="sort the samples"
         )
     return clock
-
-
-@njit(cache=True)
-def _detect(slip, threshold, confirmation, above, slipping):  # type: ignore[no-untyped-def]
-    out = np.zeros(slip.shape, dtype=np.bool_)
-    for axle in range(slip.shape[1]):
-        for k in range(slip.shape[0]):
-            size = abs(slip[k, axle])
-            if size > threshold:
-                above[axle] += 1
-                if above[axle] >= confirmation:
-                    slipping[axle] = True
-            elif not np.isnan(size):
-                above[axle] = 0
-                if size < 0.5 * threshold:
-                    slipping[axle] = False
-            out[k, axle] = slipping[axle]
-    return out
 
 
 @njit(cache=True)

@@ -374,6 +374,8 @@ class RunningResistanceFilter:
         )  # fmt: skip
 
     def _check_rows(self, rows: FloatArray) -> None:
+        if not rows.size:
+            return
         before = rows[0, 0] - 1.0 if np.isnan(self._last[0]) else self._last[0]
         wrong = ~(np.diff(rows[:, 0], prepend=before) > 0.0)
         if np.any(wrong):

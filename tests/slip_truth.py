@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.slip import SlipAnalysis, slip
-from estimators.adhesion import SlipDetector
+from estimators.slip import SlipDetector
 from trainlog.simulation.recording import recorded
 from trainlog.simulation.scenario import Scenario, drive
 from trainlog.trip import Trip

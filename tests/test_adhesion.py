@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
 
 from analysis.slip import onset
-from estimators.adhesion import AdhesionObserver, SlipDetector, smoothed_force
+from estimators.adhesion import AdhesionObserver, smoothed_force
+from estimators.slip import SlipDetector
 from estimators.train_speed import impulse, train_speed
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import DRY, WET, CreepCurve
@@ -75,11 +76,30 @@ class TestSlipDetector:
         expected = whole.update(slip)
         found = np.concatenate((parts.update(slip[:cut]), parts.update(slip[cut:])))
         np.testing.assert_array_equal(found, expected)
-        np.testing.assert_array_equal(parts.result, expected[-1])
+        np.testing.assert_array_equal(parts.result().slipping, expected[-1])
 
     def test_white_noise_alone_never_slips(self) -> None:
         noise = 0.4 * np.random.default_rng(1).standard_normal((100_000, 4))
         assert not SlipDetector(4, 0.4).update(noise).any()
+
+    def test_one_sample_of_every_axle_may_come_alone(self) -> None:
+        detector = SlipDetector(2, 0.0)
+        detector.update([2.0, 0.0])
+        assert detector.update([2.0, 0.0]).tolist() == [[True, False]]
+        assert detector.result().slipping.tolist() == [True, False]
+
+    def test_is_valid_while_every_axle_is_seen(self) -> None:
+        detector = SlipDetector(2, 0.1)
+        detector.update([0.0, 0.2])
+        assert not detector.result().valid
+        detector.update([0.1, 0.2])
+        result = detector.result()
+        assert result.valid
+        assert result.estimate.tolist() == [0.1, 0.2]
+        np.testing.assert_allclose(result.covariance, 0.01 * np.eye(2))
+        detector.update([np.nan, 0.2])
+        assert not detector.result().valid
+        assert detector.result().excitation == 0.0
 
     def test_refuses_what_is_no_detector(self) -> None:
         with pytest.raises(InputError, match="needs axles"):
@@ -97,7 +117,7 @@ class TestObserver:
         observer = AdhesionObserver(1, ROTATING_MASS, 0.01, FORCE_RATE)
         found = observer.update(time, speed[:, None], np.full((200, 1), effort))
         assert found.force[-1, 0] == pytest.approx(force, rel=1e-6)
-        assert observer.result.force[0] == found.force[-1, 0]
+        assert observer.result().estimate[0] == found.force[-1, 0]
 
     def test_an_effort_that_changes_within_a_sample_does_not_disturb(self) -> None:
         """Effort linear in time, force constant: the trapezoid is exact."""
@@ -176,12 +196,26 @@ class TestObserver:
         assert np.isfinite(found.force).all()
         assert abs(found.force[215, 0] / AXLE_LOAD - plant.adhesion[215, 0]) < 0.03
 
+    def test_a_missing_wheel_speed_makes_it_invalid_until_it_returns(self) -> None:
+        plant = run(rail(5, 0.4, bins=40))
+        observer = AdhesionObserver(AXLES, ROTATING_MASS, 0.03, FORCE_RATE)
+        told = []
+        for k in range(300):
+            speed = plant.wheel_speed[k].copy()
+            speed[0] = np.nan if 200 <= k < 230 else speed[0]
+            observer.update(plant.time[k], speed, plant.wheel_effort[k])
+            told.append(observer.result().valid)
+        assert not told[0]
+        assert all(told[50:200])
+        assert not any(told[210:230])
+        assert all(told[250:])
+
     def test_reset_forgets(self) -> None:
         observer = AdhesionObserver(1, ROTATING_MASS, 0.05, FORCE_RATE)
         time, speed, effort = np.arange(5.0), np.ones((5, 1)), np.full((5, 1), 1e4)
         first = observer.update(time, speed, effort)
         observer.reset()
-        assert np.isnan(observer.result.std[0])
+        assert np.isnan(observer.result().covariance[0, 0])
         np.testing.assert_array_equal(observer.update(time, speed, effort).force, first.force)
 
     def test_leaves_its_arguments_alone(self) -> None:

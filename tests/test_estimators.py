@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from estimators.adhesion import AdhesionObserver
 from estimators.interface import (
+    Estimator,
     array_of,
     check_state,
     count_of,
@@ -15,7 +22,11 @@ from estimators.interface import (
     number_of,
     saved_state,
 )
+from estimators.rls import RecursiveLeastSquares
+from estimators.running_resistance import RunningResistanceFilter
+from estimators.slip import SlipDetector
 from trainlog.errors import InputError
+from trainlog.railway.resistance import RunningResistance
 
 
 def test_a_saved_state_goes_through_json_and_back() -> None:
@@ -55,3 +66,111 @@ def test_excitation_is_that_of_the_worst_direction() -> None:
     along = np.array([2.0, -3.0])
     assert excitation_of(np.outer(along, along), prior) == 0.0
     assert excitation_of(np.zeros((2, 2)), prior) == 1.0
+
+
+COUNT = 400
+RNG = np.random.default_rng(1)
+TIME = 0.1 * np.arange(COUNT)
+SPEED = 20.0 + 10.0 * np.sin(TIME / 5.0)
+ROWS = np.column_stack([np.ones(COUNT), SPEED, SPEED**2])
+WHEELS = SPEED[:, None] + np.where(RNG.uniform(size=(COUNT, 2)) < 0.1, 2.0, 0.0)
+WHEELS[:-5][RNG.uniform(size=(COUNT - 5, 2)) < 0.05] = np.nan
+EFFORTS = 2e4 + 1e3 * RNG.standard_normal((COUNT, 2))
+
+
+@dataclass(frozen=True)
+class Case:
+    """How an estimator is made, and how it is fed the samples of a slice."""
+
+    make: Callable[[], Estimator]
+    feed: Callable[[Estimator, slice], object]
+
+
+def learn_resistance(estimator: Estimator, part: slice) -> None:
+    acceleration = 2.0 * np.cos(TIME[part] / 5.0)
+    effort = 350e3 * acceleration + 2_000.0 + 40.0 * SPEED[part]
+    estimator.update(TIME[part], SPEED[part], effort, np.zeros(effort.size))
+
+
+CASES = {
+    "least squares": Case(
+        lambda: RecursiveLeastSquares(
+            [100.0, 1.0, 0.1], forgetting=0.99, random_walk_std=[1e-3, 1e-5, 1e-6]
+        ),
+        lambda estimator, part: estimator.update(ROWS[part], ROWS[part] @ [2.0, 0.04, 0.0007]),
+    ),
+    "least squares, single precision": Case(
+        lambda: RecursiveLeastSquares([100.0, 1.0, 0.1], forgetting=0.95, dtype=np.float32),
+        lambda estimator, part: estimator.update(ROWS[part], ROWS[part] @ [2.0, 0.04, 0.0007]),
+    ),
+    "slip": Case(
+        lambda: SlipDetector(2, 0.05),
+        lambda estimator, part: estimator.update(WHEELS[part] - SPEED[part, None]),
+    ),
+    "adhesion": Case(
+        lambda: AdhesionObserver(2, 3e3, 0.03, 2e4),
+        lambda estimator, part: estimator.update(TIME[part], WHEELS[part], EFFORTS[part]),
+    ),
+    "running resistance": Case(
+        lambda: RunningResistanceFilter(
+            350e3, 35e3, RunningResistance(2_000.0, 40.0, 0.7), speeds=(5.0, 35.0)
+        ),
+        learn_resistance,
+    ),
+}
+"""Every estimator stands here once."""
+
+
+def same(one: NDArray[np.float64], other: NDArray[np.float64]) -> None:
+    np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@settings(max_examples=10, deadline=None)
+@given(cut=st.integers(0, COUNT))
+def test_stopped_and_resumed_it_goes_on_bit_for_bit(case: Case, cut: int) -> None:
+    whole, part = case.make(), case.make()
+    case.feed(whole, slice(0, COUNT))
+    case.feed(part, slice(0, cut))
+    saved = json.dumps(part.state(), allow_nan=False)
+    resumed = type(part).resume(json.loads(saved))
+    assert json.dumps(resumed.state(), allow_nan=False) == saved
+    same(resumed.result().estimate, part.result().estimate)
+    case.feed(resumed, slice(cut, COUNT))
+    assert resumed.state() == whole.state()
+    same(resumed.result().covariance, whole.result().covariance)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_it_says_how_far_the_data_determine_the_answer(case: Case) -> None:
+    estimator = case.make()
+    nothing = estimator.result()
+    assert (nothing.valid, nothing.samples, nothing.resets) == (False, 0, 0)
+    assert nothing.excitation == pytest.approx(0.0, abs=1e-6)
+    case.feed(estimator, slice(0, COUNT - 1))
+    result = estimator.result()
+    size = result.estimate.size
+    assert result.estimate.shape == (size,)
+    assert result.covariance.shape == (size, size)
+    assert 0.0 < result.excitation <= 1.0
+    assert result.samples == COUNT - 1
+    estimator.reset()
+    again = estimator.result()
+    assert (again.valid, again.samples, again.resets) == (False, 0, 1)
+    assert again.excitation == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_a_state_of_another_kind_or_incomplete_is_refused(case: Case) -> None:
+    estimator = case.make()
+    case.feed(estimator, slice(0, 50))
+    state, kind = estimator.state(), type(estimator)
+    with pytest.raises(InputError, match="format 'other'"):
+        kind.resume(state | {"format": "other"})
+    with pytest.raises(InputError, match="version 99"):
+        kind.resume(state | {"version": 99})
+    for name in state:
+        with pytest.raises(InputError):
+            kind.resume({key: value for key, value in state.items() if key != name})
+        with pytest.raises(InputError):
+            kind.resume(state | {name: "nonsense"})

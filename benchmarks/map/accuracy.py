@@ -17,7 +17,7 @@ import numpy as np
 from analysis.slip import SlipAnalysis, slip
 from analysis.traction_map import empty_map, evidence_of, update
 from analysis.truth import Truth, true_adhesion, truth_of
-from estimators.adhesion import SlipDetector
+from estimators.slip import SlipDetector
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
