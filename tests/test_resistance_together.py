@@ -26,8 +26,10 @@ from analysis.resistance import (
 )
 from analysis.resistance.combination import nearest_physical
 from analysis.resistance.curve import powers
+from analysis.resistance.diagnostics import Residuals
 from analysis.resistance.fit import History, WindowPoints
 from analysis.resistance.recording import SpeedScale
+from analysis.resistance.refusal import Timeline
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import read_parameters, write_parameters
@@ -75,6 +77,8 @@ def fit_of(
         windows={"used": 94, "outlier": 0},
         masked={"braking": 10.0},
         points=WindowPoints(nothing, nothing, nothing, nothing.astype(bool)),
+        residuals=Residuals(nothing, nothing, nothing, nothing),
+        timeline=Timeline(nothing, nothing, nothing, {}),
         history=History(pd.DatetimeIndex([]), nothing, np.zeros((0, 4)), np.zeros((0, 4, 4))),
     )
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from analysis.estimates import estimate_log, with_estimates
-from analysis.resistance import fit_logs
+from analysis.resistance.logs import TOPICS, fit_log
 from analysis.traction_map import update_logs
 from tests.mcap_trips import assert_same, trip_of
 from trainlog.formats.samples import folder
@@ -109,14 +109,25 @@ def test_the_map_is_nearly_that_of_the_whole(log: Path, monkeypatch: pytest.Monk
         assert np.abs(other.log_mean - layer.log_mean)[seen].max() < 0.1
 
 
-def test_a_long_log_is_fitted_as_several_observations(
-    log: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("name", ["stopping", "nonstop"])
+def test_a_log_fitted_in_stretches_gives_what_the_whole_gives(
+    name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    nonstop = folder() / "nonstop.mcap"
-    monkeypatch.setattr(module, "ROWS", 25_000)
-    count = len(list(stretches(nonstop, ["/train/state", "/train/controls", "/train/axles"])))
-    assert count > 1
-    fits = fit_logs([log, nonstop])
-    names = [fit.trip for fit in fits.trips] + list(fits.refused)
-    assert any(name.endswith(f"of {count})") for name in names)
-    assert len(names) >= 2 * count - 1
+    """Runs that cross a border are carried over it: the windows are the same."""
+    log = folder() / f"{name}.mcap"
+    whole = fit_log(log)
+    for rows in (1_500, 9_000, 25_000):
+        monkeypatch.setattr(module, "ROWS", rows)
+        assert len(list(stretches(log, TOPICS))) > 1
+        parts = fit_log(log)
+        assert parts.trip == whole.trip
+        assert parts.windows == whole.windows
+        assert parts.scale.source == whole.scale.source
+        assert parts.scale.factor == pytest.approx(whole.scale.factor, rel=1e-12)
+        assert parts.masked == pytest.approx(whole.masked, rel=1e-9, abs=1e-6)
+        np.testing.assert_allclose(parts.residuals.time, whole.residuals.time, atol=1e-9)
+        np.testing.assert_allclose(parts.beta, whole.beta, rtol=1e-8)
+        assert parts.mass == pytest.approx(whole.mass, rel=1e-9)
+        np.testing.assert_allclose(parts.covariance, whole.covariance, rtol=1e-6)
+        assert parts.max_power == whole.max_power
+        assert parts.history.time.equals(whole.history.time)

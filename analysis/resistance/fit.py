@@ -9,17 +9,19 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.power import limited_samples, power_limit
-from analysis.resistance.recording import Prepared, SpeedScale, check_recorded, prepare
-from analysis.resistance.refusal import Reason, TripRefusedError
+from analysis.resistance.diagnostics import Residuals
+from analysis.resistance.evidence import Evidence, part_of
+from analysis.resistance.power import power_limit
+from analysis.resistance.recording import SpeedScale, check_recorded, speed_scale
+from analysis.resistance.refusal import Reason, Timeline, TripRefusedError
 from analysis.resistance.regression import Regression, regress
-from analysis.resistance.windows import Windows, build_windows
+from analysis.resistance.windows import Windows
 from trainlog.formats.attached import line_of, train_of
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
-from trainlog.trip import Trip, frame_of
+from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -122,6 +124,9 @@ class TripFit:
     masked : dict of str to float [s]
         Time masked, by reason.
     points : WindowPoints
+    residuals : Residuals
+    timeline : Timeline
+        The trip at a glance, and what was masked.
     history : History
     """
 
@@ -147,6 +152,8 @@ class TripFit:
     windows: dict[str, int]
     masked: dict[str, float]
     points: WindowPoints
+    residuals: Residuals
+    timeline: Timeline
     history: History
 
     @property
@@ -199,20 +206,63 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
     """
     check_recorded(trip)
     line, train = line_of(trip), train_of(trip)
+    scale, origin = scale_of(trip), origin_of(trip)
+    evidence = Evidence.of([part_of(trip, line, train, scale, origin)])
+    return fit_evidence(evidence, trip.name, line, train, scale, origin, speeds)
+
+
+def origin_of(trip: Trip) -> pd.Timestamp:
+    """From when times of a trip count: its first sample."""
+    return pd.DatetimeIndex(trip["/train/state"].index)[0]
+
+
+def scale_of(trip: Trip) -> SpeedScale:
+    """The scale of a trip's speed."""
+    state = trip["/train/state"]
+    measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
+    return speed_scale(trip, seconds(state), measured, position)
+
+
+def fit_evidence(
+    evidence: Evidence,
+    name: str,
+    line: Line,
+    train: Train,
+    scale: SpeedScale,
+    origin: pd.Timestamp,
+    speeds: tuple[float, float] | None = None,
+) -> TripFit:
+    """Fit what a trip says; see `fit_trip`, which is this for a trip at hand.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Of the whole trip.
+    name : str
+        Of the trip.
+    line, train
+    scale : SpeedScale
+    origin : Timestamp
+        From which the times of the evidence count.
+    speeds : (float, float) [m/s], optional
+
+    Raises
+    ------
+    TripRefusedError
+        If the trip does not determine the curve.
+    """
     asked = speeds or (LOWEST_SPEED, _line_speed(line, train))
-    prepared = prepare(trip, line, train)
-    windows = build_windows(prepared.recording)
-    _check_windows(trip, windows, prepared)
+    windows, timeline = evidence.windows, evidence.timeline
+    _check_windows(name, evidence)
     mass, mass_std = mass_prior(train)
     regression = regress(windows, mass, mass_std)
-    covariance = _with_scale(regression, prepared.scale)
-    _check_curve(trip, regression, covariance, asked)
+    covariance = _with_scale(regression, scale)
+    _check_curve(name, regression, covariance, asked, timeline)
     used = windows.select(regression.kept)
     residual = regression.residual
-    everywhere = np.ones(len(prepared.index), dtype=bool)
-    limit = power_limit(limited_samples(trip, prepared, everywhere), train, prepared.scale.std)
+    limit = power_limit(evidence.limited, train, scale.std)
     return TripFit(
-        trip=trip.name,
+        trip=name,
         train=train.name,
         resistance=RunningResistance(*regression.beta[:3].tolist()),
         mass=float(regression.beta[3]),
@@ -225,7 +275,7 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
         asked=asked,
         speed_range=(float(used.mean_speed.min()), float(used.mean_speed.max())),
         condition=regression.condition,
-        scale=prepared.scale,
+        scale=scale,
         noise=dict(
             zip(("speed", "gradient", "position", "effort"), regression.noise.sizes, strict=True)
         ),
@@ -236,10 +286,17 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
             residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300)
         ),
         windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
-        masked=prepared.masked,
+        masked=evidence.masked,
         points=_points(windows, regression),
+        residuals=Residuals(
+            time=used.end,
+            position=np.interp(used.end, timeline.time, timeline.position),
+            speed=used.mean_speed,
+            value=residual,
+        ),
+        timeline=timeline,
         history=History(
-            time=prepared.index[0] + pd.to_timedelta(np.round(used.end, 3), unit="s"),
+            time=origin + pd.to_timedelta(np.round(used.end, 3), unit="s"),
             speed=used.end_speed,
             beta=regression.history,
             covariance=regression.history_covariance,
@@ -296,18 +353,19 @@ def _with_scale(regression: Regression, scale: SpeedScale) -> FloatArray:
     return np.asarray(regression.covariance + np.outer(effect, effect))
 
 
-def _check_windows(trip: Trip, windows: Windows, prepared: Prepared) -> None:
+def _check_windows(name: str, evidence: Evidence) -> None:
+    windows, masked, total = evidence.windows, evidence.masked, evidence.duration
     if windows.count >= FEWEST_WINDOWS:
         return
-    total = float(prepared.recording.time[-1])
     reasons = ", ".join(
-        f"{reason} {seconds:.0f} s" for reason, seconds in prepared.masked.items() if seconds > 0.0
+        f"{reason} {seconds:.0f} s" for reason, seconds in masked.items() if seconds > 0.0
     )
     raise TripRefusedError(
-        _masked_most(prepared.masked, total),
-        f"trip '{trip.name}': only {windows.count} windows of 10 s can be used of {total:.0f} s"
+        _masked_most(masked, total),
+        f"trip '{name}': only {windows.count} windows of 10 s can be used of {total:.0f} s"
         f" (masked: {reasons or 'nothing'})",
         remedy=f"running resistance needs {FEWEST_WINDOWS} windows free of friction braking",
+        timeline=evidence.timeline,
     )
 
 
@@ -319,15 +377,20 @@ def _masked_most(masked: dict[str, float], total: float) -> Reason:
 
 
 def _check_curve(
-    trip: Trip, regression: Regression, covariance: FloatArray, asked: tuple[float, float]
+    name: str,
+    regression: Regression,
+    covariance: FloatArray,
+    asked: tuple[float, float],
+    timeline: Timeline,
 ) -> None:
     if regression.condition > LARGEST_CONDITION:
         raise TripRefusedError(
             "condition",
-            f"trip '{trip.name}': speed and effort vary too little to tell mass and coefficients"
+            f"trip '{name}': speed and effort vary too little to tell mass and coefficients"
             f" apart (condition number {regression.condition:.0f}, at most"
             f" {LARGEST_CONDITION:.0f})",
             remedy="a trip with starts, coasting and several speeds",
+            timeline=timeline,
         )
     speed = np.linspace(*asked, 61)
     std = curve_std(covariance[:3, :3], speed)
@@ -338,9 +401,10 @@ def _check_curve(
         told = f"{100.0 * share[worst]:.0f} %" if np.isfinite(share[worst]) else "the whole"
         raise TripRefusedError(
             "excitation",
-            f"trip '{trip.name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {told}"
+            f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {told}"
             f" of itself only (standard deviation, at most {100.0 * LARGEST_STD:.0f} %)",
             remedy="ask for a narrower range of speeds, or give a longer or more varied trip",
+            timeline=timeline,
         )
 
 

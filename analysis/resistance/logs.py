@@ -4,22 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from analysis.resistance.combination import CommonFit, combine
-from analysis.resistance.fit import TripFit, fit_trip
+from analysis.resistance.evidence import Evidence, part_of, within
+from analysis.resistance.fit import TripFit, fit_evidence, fit_trip, origin_of
 from analysis.resistance.observed import COVER, LISTED, parameter_set
+from analysis.resistance.recording import (
+    ScaleSamples,
+    SpeedScale,
+    calibrated,
+    check_recorded,
+    scale_samples,
+)
 from analysis.resistance.refusal import TripRefusedError
 from analysis.resistance.summary import SOFTWARE, summarised
 from trainlog.errors import InputError, LogError, NotIdentifiableError
-from trainlog.formats.attached import train_of
+from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
+from trainlog.mcap import read_log
 from trainlog.mcap.stretches import stretches
 from trainlog.railway.configuration import ParameterSet
-from trainlog.trip import Trip
+from trainlog.trip import Trip, seconds
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
 """What is read of each log."""
@@ -61,9 +72,6 @@ def fit_logs(
 ) -> Fits:
     """Fit each log, then all of them together, with the trips of which summaries are given.
 
-    A log too long for the memory is fitted in stretches, each an observation of its own: over
-    days the load and the weather change.
-
     Parameters
     ----------
     paths : iterable of path
@@ -99,18 +107,17 @@ def fit_logs(
         if digest in held:
             known += 1
             continue
-        for stretch in stretches(path, TOPICS):
-            trip = stretch.named()
-            if trip.name in digests:
-                raise InputError(
-                    f"trip '{trip.name}' is given twice", file=path, remedy="give each trip once"
-                )
-            digests[trip.name] = digest
-            try:
-                trips.append(fit_trip(trip, speeds))
-            except TripRefusedError as error:
-                refused[trip.name] = error
-                trains[trip.name] = _train_name(trip)
+        about = read_log(path, [])
+        if about.name in digests:
+            raise InputError(
+                f"trip '{about.name}' is given twice", file=path, remedy="give each trip once"
+            )
+        digests[about.name] = digest
+        try:
+            trips.append(fit_log(path, speeds))
+        except TripRefusedError as error:
+            refused[about.name] = error
+            trains[about.name] = _train_name(about)
     rows = summarised(trips, refused, trains=trains, digests=digests)
     summaries = merged([*earlier, rows])
     if not (summaries["refused"] == "").any():
@@ -128,6 +135,67 @@ def fit_logs(
         common=combine(summaries),
         parameters=replace(parameters, provenance=_provenance(summaries)),
     )
+
+
+def fit_log(path: Path, speeds: tuple[float, float] | None = None) -> TripFit:
+    """Fit the trip of a log, of any length: the windows of all its stretches make one fit.
+
+    What comes out is what `fit_trip` makes of the whole, but for windows at the border between
+    two stretches.
+
+    Parameters
+    ----------
+    path : path
+    speeds : (float, float) [m/s], optional
+        See `fit_trip`.
+
+    Raises
+    ------
+    TripRefusedError, LogError
+        As `fit_trip`.
+    InputError
+        As `trainlog.mcap.read_log`.
+    """
+    parts = stretches(path, TOPICS)
+    first = next(parts)
+    if first.count == 1:
+        return fit_trip(first.trip, speeds)
+    line, train = line_of(first.trip), train_of(first.trip)
+    scale, origin = _calibration(path)
+    name = first.trip.name
+    evidence = Evidence.of(
+        part_of(part.trip, line, train, scale, origin, part.span)
+        for part in chain([first], parts)
+        if _has_samples(part.trip)
+    )
+    return fit_evidence(evidence, name, line, train, scale, origin, speeds)
+
+
+def _has_samples(trip: Trip) -> bool:
+    """Whether a part of a trip has anything to be fitted; a trip without any is refused before."""
+    return all(name in trip and len(trip[name]) > 1 for name in TOPICS[:2])
+
+
+def _calibration(path: Path) -> tuple[SpeedScale, pd.Timestamp]:
+    """Speed scale of a long log, and its first sample."""
+    pieces: list[ScaleSamples] = []
+    origin: pd.Timestamp | None = None
+    refusal: TripRefusedError | None = None
+    for part in stretches(path, TOPICS):
+        try:
+            check_recorded(part.trip)
+        except TripRefusedError as error:
+            refusal = error
+            continue
+        origin = origin or origin_of(part.trip)
+        state = part.trip["/train/state"]
+        measured, position = (state[n].to_numpy(np.float64) for n in ("speed", "position"))
+        inside = within(pd.DatetimeIndex(state.index), part.span)
+        time = seconds(state, origin)
+        pieces.append(scale_samples(part.trip, time, measured, position, inside, origin))
+    if origin is None:
+        raise refusal or LogError("holds no samples", file=path, remedy="record it again")
+    return calibrated(pieces), origin
 
 
 def _provenance(summaries: pd.DataFrame) -> dict[str, object]:

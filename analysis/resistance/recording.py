@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,6 +72,27 @@ class SpeedScale:
 
 
 @dataclass(frozen=True, eq=False)
+class ScaleSamples:
+    """What a part of a trip says about the scale of its speed.
+
+    Attributes
+    ----------
+    own, gnss : (n,) array [m/s]
+        Measured speed, and that of satellites at the same instants.
+    corrections : (m,) array [m]
+        Jumps of the chainage.
+    distance, travelled : float [m]
+        By the chainage, and by the measured speed.
+    """
+
+    own: FloatArray
+    gnss: FloatArray
+    corrections: FloatArray
+    distance: float
+    travelled: float
+
+
+@dataclass(frozen=True, eq=False)
 class Prepared:
     """A trip made ready for the regression.
 
@@ -79,17 +101,33 @@ class Prepared:
     recording : Recording
     index : (n,) DatetimeIndex
     scale : SpeedScale
-    masked : dict of str to float [s]
-        Time masked, by reason; reasons may overlap.
+    speed, position : (n,) array [m/s], [m]
+        Smoothed, and as recorded.
+    masks : dict of str to (n,) bool array
+        What is masked, by reason; reasons may overlap.
     """
 
     recording: Recording
     index: pd.DatetimeIndex
     scale: SpeedScale
-    masked: dict[str, float]
+    speed: FloatArray
+    position: FloatArray
+    masks: dict[str, BoolArray]
+
+    @property
+    def masked(self) -> dict[str, float]:
+        """Time masked [s], by reason."""
+        step = np.gradient(self.recording.time)
+        return {reason: float(np.sum(step[mask])) for reason, mask in self.masks.items()}
 
 
-def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
+def prepare(
+    trip: Trip,
+    line: Line,
+    train: Train,
+    scale: SpeedScale | None = None,
+    origin: pd.Timestamp | None = None,
+) -> Prepared:
     """Bring a trip's topics onto one clock and mask what the equation of motion does not cover.
 
     Parameters
@@ -99,6 +137,10 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
     line : Line
         As travelled.
     train : Train
+    scale : SpeedScale, optional
+        Of the whole trip, where this is a part of it; default: that of this trip.
+    origin : Timestamp, optional
+        Where the recording's time is 0; default: the trip's first sample.
 
     Raises
     ------
@@ -107,7 +149,8 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
     """
     state, controls = trip["/train/state"], trip["/train/controls"]
     index = pd.DatetimeIndex(state.index)
-    time = seconds(state)
+    origin = index[0] if origin is None else origin
+    time = seconds(state, origin)
     if np.any(np.diff(time) <= 0.0):
         raise LogError(
             f"trip '{trip.name}': time does not increase",
@@ -115,7 +158,7 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
             remedy="ingest the recording again; that repairs it",
         )
     measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
-    scale = speed_scale(trip, time, measured, position)
+    scale = scale or speed_scale(trip, time, measured, position)
     speed = measured / scale.factor
     smooth, acceleration = _smoothed(time, speed)
     traction, dynamic, pneumatic = (
@@ -124,7 +167,7 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
     )
     wheels = _wheel_speeds(trip, index) / scale.factor
     masks = {
-        "gap": _gaps(time, [state, controls], index) | ~np.isfinite(speed + position + traction),
+        "gap": _gaps(time, [state, controls], origin) | ~np.isfinite(speed + position + traction),
         "standstill": ~(smooth >= STANDSTILL),
         "braking": _braking(
             controls,
@@ -136,8 +179,6 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
         ),
         "slip": _slipping(time, wheels, smooth),
     }
-    step = np.gradient(time)
-    masked = {reason: float(np.sum(step[mask])) for reason, mask in masks.items()}
     bad = widened(time, np.logical_or.reduce(list(masks.values())))
     speed, position, traction = (np.nan_to_num(a) for a in (speed, position, traction))
     dynamic = np.nan_to_num(dynamic)
@@ -159,7 +200,7 @@ def prepare(trip: Trip, line: Line, train: Train) -> Prepared:
         nearest_edge=nearest,
         usable=~bad,
     )
-    return Prepared(recording, index, scale, masked)
+    return Prepared(recording, index, scale, smooth, position, masks)
 
 
 def check_recorded(trip: Trip) -> None:
@@ -193,32 +234,62 @@ def speed_scale(
     A scale error of 0.3 % shifts a well-determined curve by more than its band; it is taken out
     where it can be and charged to the band where it cannot.
     """
+    return calibrated([scale_samples(trip, time, speed, position)])
+
+
+def scale_samples(
+    trip: Trip,
+    time: FloatArray,
+    speed: FloatArray,
+    position: FloatArray,
+    inside: BoolArray | None = None,
+    origin: pd.Timestamp | None = None,
+) -> ScaleSamples:
+    """What a trip, or the samples `inside` a part of it, says about the scale of its speed."""
+    inside = np.ones(time.size, dtype=bool) if inside is None else inside
+    index = pd.DatetimeIndex(trip["/train/state"].index)
+    origin = index[0] if origin is None else origin
     known = np.isfinite(speed)
-    if "/gnss/motion" in trip and np.count_nonzero(known) > 1:
+    own = gnss = np.zeros(0)
+    if "/gnss/motion" in trip and np.count_nonzero(known) > 1 and inside.any():
         motion = trip["/gnss/motion"]
-        there = seconds(motion, pd.DatetimeIndex(trip["/train/state"].index)[0])
-        gnss = motion["speed"].to_numpy(np.float64)
+        there, gnss = seconds(motion, origin), motion["speed"].to_numpy(np.float64)
         own = np.interp(there, time[known], speed[known], left=np.nan, right=np.nan)
+        first, end = np.flatnonzero(inside)[[0, -1]]
+        until = time[end + 1] if end + 1 < time.size else np.inf
         both = (own > 5.0) & (gnss > 5.0)
-        if np.count_nonzero(both) >= 300:
-            own, gnss = own[both], gnss[both]
-            rest = own - float(np.median(own / gnss)) * gnss
-            sound = np.abs(rest) < 8.0 * np.median(np.abs(rest)) + 1e-9
-            own, gnss = own[sound], gnss[sound]
-            ratio = float(own @ gnss / (gnss @ gnss))
-            # Twice: neighbouring fixes share part of their error.
-            std = 2.0 * float(np.std(own - ratio * gnss) / np.sqrt(gnss @ gnss))
-            return SpeedScale(ratio, std, "GNSS speed")
+        if first > 0:
+            both &= there >= time[first]
+        both &= there < until
+        own, gnss = own[both], gnss[both]
     both = known & np.isfinite(position)
-    if np.count_nonzero(both) > 1:
-        t, v, s = time[both], speed[both], position[both]
-        steps = np.diff(s) - 0.5 * (v[1:] + v[:-1]) * np.diff(t)
-        corrections = steps[np.abs(steps) > 0.5]
-        distance = float(s[-1] - s[0])
-        if distance > 5000.0 and corrections.size >= 3:
-            ratio = float(np.trapezoid(v, t)) / distance
-            # What was not yet corrected at the end is about as large as one correction.
-            return SpeedScale(ratio, float(np.std(corrections)) / distance + 5e-5, "balises")
+    t, v, s = time[both], speed[both], position[both]
+    pairs = inside[both][:-1]
+    travelled = 0.5 * (v[1:] + v[:-1]) * np.diff(t)
+    steps = np.diff(s) - travelled
+    corrections = steps[(np.abs(steps) > 0.5) & pairs]
+    distance = float(np.sum(np.diff(s)[pairs]))
+    return ScaleSamples(own, gnss, corrections, distance, float(np.sum(travelled[pairs])))
+
+
+def calibrated(pieces: Sequence[ScaleSamples]) -> SpeedScale:
+    """The speed scale that the parts of a trip say together."""
+    own = np.concatenate([piece.own for piece in pieces])
+    gnss = np.concatenate([piece.gnss for piece in pieces])
+    if own.size >= 300:
+        rest = own - float(np.median(own / gnss)) * gnss
+        sound = np.abs(rest) < 8.0 * np.median(np.abs(rest)) + 1e-9
+        own, gnss = own[sound], gnss[sound]
+        ratio = float(own @ gnss / (gnss @ gnss))
+        # Twice: neighbouring fixes share part of their error.
+        std = 2.0 * float(np.std(own - ratio * gnss) / np.sqrt(gnss @ gnss))
+        return SpeedScale(ratio, std, "GNSS speed")
+    corrections = np.concatenate([piece.corrections for piece in pieces])
+    distance = sum(piece.distance for piece in pieces)
+    if distance > 5000.0 and corrections.size >= 3:
+        ratio = sum(piece.travelled for piece in pieces) / distance
+        # What was not yet corrected at the end is about as large as one correction.
+        return SpeedScale(ratio, float(np.std(corrections)) / distance + 5e-5, "balises")
     return SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
 
 
@@ -228,7 +299,8 @@ def _smoothed(time: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArr
     Masks that follow the noise would select it.
     """
     known = np.isfinite(speed)
-    block = np.floor((time - time[0]) / SMOOTHING).astype(np.int64)
+    block = np.floor(time / SMOOTHING).astype(np.int64)
+    block -= block[0]
     count = np.bincount(block[known])
     filled = count > 0
     mean_time = np.bincount(block[known], time[known])[filled] / count[filled]
@@ -297,11 +369,11 @@ def _slipping(time: FloatArray, wheels: FloatArray, smooth: FloatArray) -> BoolA
     return mask
 
 
-def _gaps(time: FloatArray, frames: list[pd.DataFrame], index: pd.DatetimeIndex) -> BoolArray:
+def _gaps(time: FloatArray, frames: list[pd.DataFrame], origin: pd.Timestamp) -> BoolArray:
     """Samples that lie in, or just after, a gap of one of the topics."""
     mask = np.zeros(time.size, dtype=bool)
     for frame in frames:
-        there = seconds(frame, index[0])
+        there = seconds(frame, origin)
         after = np.clip(np.searchsorted(there, time, side="left"), 0, there.size - 1)
         before = np.clip(np.searchsorted(there, time, side="right") - 1, 0, there.size - 1)
         mask |= (there[after] - there[before] > LONGEST_GAP) | (there[before] > time)

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trainlog.errors import NotIdentifiableError
+
+FloatArray = NDArray[np.float64]
 
 Reason = Literal[
     "not recorded", "gap", "standstill", "braking", "slip", "too short", "condition", "excitation"
@@ -18,6 +24,24 @@ is known too badly."""
 REASONS: tuple[Reason, ...] = get_args(Reason)
 
 
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """The trip at a glance, a row a second; (n,) arrays.
+
+    Attributes
+    ----------
+    time : array [s]
+    speed, position : array [m/s], [m]
+    masks : dict of str to bool array
+        What was masked, by reason.
+    """
+
+    time: FloatArray
+    speed: FloatArray
+    position: FloatArray
+    masks: dict[str, NDArray[np.bool_]]
+
+
 class TripRefusedError(NotIdentifiableError):
     """A trip that does not determine the curve.
 
@@ -25,10 +49,19 @@ class TripRefusedError(NotIdentifiableError):
     ----------
     reason : str
         One of `REASONS`.
+    timeline : Timeline or None
+        What was masked; None if nothing could be made of the recording.
     """
 
     def __init__(
-        self, reason: Reason, problem: str, *, place: str | None = None, remedy: str | None = None
+        self,
+        reason: Reason,
+        problem: str,
+        *,
+        place: str | None = None,
+        remedy: str | None = None,
+        timeline: Timeline | None = None,
     ) -> None:
         super().__init__(problem, place=place, remedy=remedy)
         self.reason: Reason = reason
+        self.timeline = timeline

@@ -226,8 +226,8 @@ def _area(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatAr
 def _by_group(
     recording: Recording, values: FloatArray, group: IntArray, start: FloatArray, end: FloatArray
 ) -> csr_array:
-    """Integral (m, k) over each window of the `values` that belong to each group present."""
-    present, member = np.unique(group, return_inverse=True)
+    """Integral (m, k) over each window of the `values` that belong to each group; k numbers it."""
+    member = np.maximum(group, 0)
     time = recording.time
     step = np.zeros(time.size)
     step[1:] += 0.5 * np.diff(time)
@@ -238,5 +238,5 @@ def _by_group(
     # Entries on the same row and column are summed.
     return csr_array(
         ((values * step)[inside], (row[inside], member[inside])),
-        shape=(start.size, present.size),
+        shape=(start.size, int(member.max(initial=0)) + 1),
     )
