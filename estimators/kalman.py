@@ -39,11 +39,30 @@ reflections that come and go."""
 WHEEL_ERROR_STD = 0.02
 """Standard deviation of the relative error of wheel speeds before it is known: worn wheels."""
 
+GRADIENT_STD = 2e-3
+"""Standard deviation of the gradient's offset from the map's: a survey's error, and what wrong
+mass and running resistance look like."""
+
+GRADIENT_TIME = 30.0
+"""Time over which a gradient offset lasts [s]: an element of the line."""
+
+ACCELEROMETER_BIAS_STD = 0.03
+"""Standard deviation of an accelerometer's constant error [m/s²]."""
+
 NO_SPEED_STD = 50.0
 """Standard deviation of the speed [m/s] before the first sample."""
 
 NO_POSITION_STD = 1e4
 """Standard deviation of the position [m] before the first one is measured."""
+
+
+STATES = 7
+"""Position [m], speed [m/s], acceleration [m/s²], gradient offset [1]; then what measurements have
+of errors that last: of the position over its standard deviation, of the wheels relative to their
+speed, of the accelerometer [m/s²]."""
+
+_MOTION = np.array([0, 1, 2, 4, 5])
+"""The states that speed, wheel speed and position tell of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +145,11 @@ def smooth_motion(
     )
     values, variances = _checked(instants, channels)
     steps = np.diff(instants, prepend=instants[0])
-    transition, noise = _model(steps, drift)
-    means, covariances = _smoothed(
+    transition, noise = (
+        matrix[:, _MOTION[:, None], _MOTION] for matrix in motion_model(steps, drift)
+    )
+    means, covariances = smoothed(
+        np.arange(steps.size),
         transition,
         noise,
         _observed(values, lasting_std),
@@ -209,18 +231,22 @@ def _start(values: FloatArray, has_position: bool) -> tuple[FloatArray, FloatArr
     return np.array([first, 0.0, 0.0, 0.0, 0.0]), np.diag(np.square(deviations))
 
 
-def _model(steps: FloatArray, drift: float) -> tuple[FloatArray, FloatArray]:
-    """Transition and process noise (n, 5, 5) over each step [s].
+def motion_model(steps: FloatArray, drift: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Transition and process noise (n, `STATES`, `STATES`) over each step [s].
 
-    The state is position, speed, acceleration, the lasting error of the position over its
-    standard deviation, the relative error of the wheels.
+    Parameters
+    ----------
+    steps : (n,) array [s]
+    drift : float [m/√s]
+        Random walk of the position beyond the integral of the speed.
     """
-    transition, noise = np.zeros((2, steps.size, 5, 5))
+    transition, noise = np.zeros((2, steps.size, STATES, STATES))
     transition[:, :3, :3], noise[:, :3, :3] = _singer(steps)
     noise[:, 0, 0] += drift**2 * steps
-    transition[:, 3, 3] = np.exp(-steps / LASTING_TIME)
-    noise[:, 3, 3] = -np.expm1(-2.0 * steps / LASTING_TIME)
-    transition[:, 4, 4] = 1.0
+    for state, std, lasts in ((3, GRADIENT_STD, GRADIENT_TIME), (4, 1.0, LASTING_TIME)):
+        transition[:, state, state] = np.exp(-steps / lasts)
+        noise[:, state, state] = -(std**2) * np.expm1(-2.0 * steps / lasts)
+    transition[:, 5, 5] = transition[:, 6, 6] = 1.0
     return transition, noise
 
 
@@ -283,7 +309,8 @@ def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _smoothed(
+def smoothed(
+    which: NDArray[np.int64],
     transition: FloatArray,
     noise: FloatArray,
     observed: FloatArray,
@@ -292,14 +319,19 @@ def _smoothed(
     mean: FloatArray,
     covariance: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Means (n, d) and covariances (n, d, d) of the states given all measurements (n, m)."""
+    """Means (n, d) and covariances (n, d, d) of the states given all measurements (n, m).
+
+    Step i has the transition and the noise of number ``which[i]``; ``observed`` (n, m, d) is what
+    of the state each measurement shows, NaN a measurement that is missing.
+    """
     count, rank = measured.shape[0], mean.size
     means, covariances = np.empty((count, rank)), np.empty((count, rank, rank))
     innovations, spreads = np.zeros(measured.shape), np.ones(measured.shape)
     gains = np.zeros((count, measured.shape[1], rank))
     for i in range(count):
-        mean = _times(transition[i], mean)
-        covariance = _turned(transition[i], covariance) + noise[i]
+        step = which[i]
+        mean = _times(transition[step], mean)
+        covariance = _turned(transition[step], covariance) + noise[step]
         for k in range(measured.shape[1]):
             if np.isnan(measured[i, k]):
                 continue
@@ -335,6 +367,6 @@ def _smoothed(
                     )
             information = updated
         covariances[i] -= _turned(covariances[i], before)
-        adjoint = _times(transition[i].T, adjoint)
-        information = _turned(transition[i].T, information)
+        adjoint = _times(transition[which[i]].T, adjoint)
+        information = _turned(transition[which[i]].T, information)
     return means, covariances

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, recording
 
 from analysis.resistance.windows import Recording
-from estimators.running_resistance import UNIT_SPEED, UNKNOWN_SPEED, RunningResistanceFilter
+from estimators.running_resistance import RunningResistanceFilter
+from estimators.running_resistance_recursion import UNIT_SPEED, UNKNOWN_SPEED
 from trainlog.errors import InputError
 from trainlog.railway import RunningResistance
 from trainlog.units import GRAVITY
