@@ -6,11 +6,13 @@ from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
 from analysis.report import new_table
+from analysis.studies.in_train_forces import ConsistRun
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.units import KMH
 
@@ -25,6 +27,55 @@ def consist_tables(consist: Consist) -> Group:
         _vehicles(consist),
         *([_couplers(consist)] if consist.couplers else []),
     )
+
+
+def forces_table(run: ConsistRun) -> Group:
+    """The largest forces of each coupler, phase by phase, and what they mean for the trip."""
+    names = [name for _, name in run.phases if name not in ("halt", "end")]
+    table = new_table(
+        "In-train forces, kN: largest in draft / in buff", "coupler", "whole run", *names
+    )
+    for coupler, forces in enumerate(run.forces.T / 1e3, start=1):
+        parts = (forces, *(forces[run.phase(name)] for name in names))
+        table.add_row(str(coupler), *(_extremes(part) for part in parts))
+    told = Table.grid(padding=(0, 2))
+    told.add_column(style="dim")
+    told.add_column(overflow="fold")
+    draft = np.unravel_index(np.argmax(run.forces), run.forces.shape)
+    buff = np.unravel_index(np.argmin(run.forces), run.forces.shape)
+    for what, (row, which) in (("largest draft", draft), ("largest buff", buff)):
+        told.add_row(
+            what,
+            f"{abs(run.forces[row, which]) / 1e3:.0f} kN in coupler {which + 1} at"
+            f" km {run.front[row] / 1e3:.3f}, {run.time[row]:.1f} s,"
+            f" {run.speeds[row, 0] * KMH:.0f} km/h",
+        )
+    told.add_row("energy unaccounted for", f"{run.residual:.1e} of all work done")
+    told.add_row("beside one particle", _beside(run))
+    return Group(table, told)
+
+
+def _beside(run: ConsistRun) -> str:
+    """Where and when the single-particle train is under the same demands."""
+    stops = []
+    for name in ("full service braking", "emergency braking"):
+        during = run.phase(name)
+        first = during.start
+        distance = run.way[during.stop] - run.way[first]
+        alone = run.alone[during.stop :, 0][0] - run.alone[first, 0]
+        stops.append(f"{name} {distance:.1f} m, {alone:.1f} m as one")
+    first = run.phase("full service braking").start
+    delay = run.time[first] - float(np.interp(run.way[first], run.alone[:, 0], run.time))
+    furthest = float(run.ahead[np.argmax(np.abs(run.ahead))])
+    return (
+        f"{'later' if delay > 0.0 else 'earlier'} by {abs(delay):.2f} s at the first braking; at"
+        f" most {abs(furthest):.2f} m {'ahead' if furthest > 0.0 else 'behind'}; {'; '.join(stops)}"
+    )
+
+
+def _extremes(forces: NDArray[np.float64]) -> str:
+    draft, buff = np.maximum([forces.max(), -forces.min()], 0.0) + 0.0  # no -0
+    return f"{draft:.0f} / {buff:.0f}"
 
 
 def _overview(consist: Consist) -> Table:

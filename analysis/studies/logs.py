@@ -1,26 +1,39 @@
-"""The runs of `analysis.studies.rls_sliding_mode` as trips."""
+"""The runs of the studies as trips."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from analysis.studies import in_train_forces
 from analysis.studies import rls_sliding_mode as study
+from analysis.studies.in_train_forces import ConsistRun
 from analysis.studies.rls_sliding_mode import Run
 from trainlog import __version__
+from trainlog.formats.consist import consist_to_bytes
 from trainlog.formats.files import sha256
 from trainlog.formats.line import line_to_bytes
 from trainlog.topics import (
     ENVIRONMENT,
     ESTIMATED_RESISTANCE,
+    EVENTS,
     REFERENCE,
     TRAIN_CONTROLS,
+    TRAIN_COUPLERS,
     TRAIN_STATE,
+    TRAIN_VEHICLES,
     TRUTH,
 )
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
 START = 1_735_689_600 * 10**9
 """When the runs begin [ns]: 2025-01-01, so that the same run gives the same bytes."""
+
+
+CONSIST_ATTACHMENT = "consist.json"
+"""The consist that a trip was simulated with."""
+
+INFO = 2
+"""Level of an event, see `trainlog.topics.EVENTS`."""
 
 
 def trip_of(run: Run, seed: int) -> Trip:
@@ -107,3 +120,70 @@ def name_of(run: Run) -> str:
     """Name of a run: its variant and whether its speed is measured."""
     name = run.variant.name.replace(" ", "-")
     return f"{name}-measured" if run.noise else name
+
+
+def consist_trip(run: ConsistRun) -> Trip:
+    """The log of a consist's run: vehicles and couplers one by one, and the train as a whole."""
+    consist, line = run.consist, run.line
+    time = START + np.round(run.time * 1e9).astype(np.int64)
+    front = np.minimum(run.front, line.length)
+    frames = (
+        frame_of(TRAIN_STATE, time, {"position": run.front, "speed": run.speeds[:, 0]}),
+        frame_of(
+            TRAIN_CONTROLS,
+            time,
+            {
+                "tractive_effort_demand": run.tractive_demand,
+                "braking_effort_demand": run.braking_demand,
+                "tractive_effort": run.tractive_efforts.sum(axis=1),
+                "dynamic_braking_effort": np.zeros(time.size),
+                "pneumatic_braking_effort": run.braking_efforts.sum(axis=1),
+            },
+        ),
+        frame_of(
+            TRAIN_VEHICLES,
+            time,
+            {
+                "chainage": run.positions,
+                "speed": run.speeds,
+                "tractive_effort": run.tractive_efforts,
+                "braking_effort": run.braking_efforts,
+            },
+        ),
+        frame_of(TRAIN_COUPLERS, time, {"force": run.forces, "stretch": run.stretches}),
+        frame_of(
+            ENVIRONMENT,
+            time,
+            {"gradient": line.gradient(front), "speed_limit": line.speed_limit(front)},
+        ),
+        frame_of(
+            EVENTS,
+            time[[first for first, _ in run.phases]],
+            {
+                "level": np.full(len(run.phases), INFO),
+                "message": np.array([name for _, name in run.phases], dtype=object),
+                "name": np.full(len(run.phases), "driver", dtype=object),
+            },
+        ),
+    )
+    attachments = {
+        LINE_ATTACHMENT: line_to_bytes(line),
+        CONSIST_ATTACHMENT: consist_to_bytes(consist),
+    }
+    metadata = {
+        "trip": consist.name,
+        "train": consist.name,
+        "line": line.name,
+        "direction": "forward",
+        "clock": "UTC, simulated",
+        "start": "2025-01-01T00:00:00+00:00",
+        "software": f"trainlog {__version__}",
+    }
+    trip = Trip({frame.attrs["topic"]: frame for frame in frames}, metadata, (), attachments)
+    return trip.with_step(
+        "study consist",
+        software=f"trainlog {__version__}",
+        speed=run.speed_to_keep,
+        integration_step=in_train_forces.STEP,
+        inputs={name: sha256(data) for name, data in attachments.items()},
+    )

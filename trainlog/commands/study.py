@@ -9,13 +9,18 @@ import typer
 
 from trainlog.commands.options import Seed
 from trainlog.formats.files import made_folder
-from trainlog.terminal import console, progress_bar, wrote
+from trainlog.terminal import console, progress_bar, working, wrote
 
 app = typer.Typer()
 study_app = typer.Typer(
-    no_args_is_help=True, help="Run a published system and compare it with its paper."
+    no_args_is_help=True,
+    help="Run a published system beside its paper, or the dynamics inside a train.",
 )
 app.add_typer(study_app, name="study", rich_help_panel="Reproduce")
+
+
+DEFAULT_CONSIST = "freight_24_wagons.consist.json"
+"""The sample that is run where none is named."""
 
 
 @study_app.command("rls-sliding-mode")
@@ -60,3 +65,45 @@ def rls_sliding_mode(
     shifted = [exact[spatial.name], *runs[2 * count :]]
     console.print(rls_sliding_mode_table(exact, measured, {spatial.name: shifted}))
     wrote(*logs, *pictures)
+
+
+@study_app.command("consist")
+def consist(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for log and picture.")],
+    file: Annotated[
+        Path | None, typer.Argument(help="Consist file; default: the freight train of the samples.")
+    ] = None,
+    line: Annotated[
+        Path | None, typer.Option(help="Line file; default: 12 km with a crest and a sag.")
+    ] = None,
+    speed: Annotated[float, typer.Option(min=1.0, help="Speed to keep [km/h].")] = 80.0,
+) -> None:
+    """Forces between the vehicles of a train: start, gradients, full and emergency braking.
+
+    Prints the largest force of each coupler, the balance of energy and what a single particle
+    would have done under the same demands; writes the run as a log and draws it.
+
+    Example: trainlog study consist freight_24_wagons.consist.json -o results/consist
+    """
+    from analysis.pictures.in_train_forces import draw_in_train_forces
+    from analysis.report_consist import forces_table
+    from analysis.studies import in_train_forces as study
+    from analysis.studies.logs import consist_trip
+    from trainlog.formats.consist import read_consist
+    from trainlog.formats.line import read_line
+    from trainlog.formats.samples import sample
+    from trainlog.mcap import write_log
+    from trainlog.units import KMH
+
+    source = sample(DEFAULT_CONSIST) if file is None else file
+    train = read_consist(source)
+    track = study.crest_and_sag() if line is None else read_line(line)
+    made_folder(output)
+    with working(f"driving {train.name}"):
+        run = study.run(train, track, speed=speed / KMH)
+    name = source.name.removesuffix(".json").removesuffix(".consist")
+    log, picture = output / f"{name}.mcap", output / f"{name}.png"
+    write_log(consist_trip(run), log)
+    draw_in_train_forces(run, picture)
+    console.print(forces_table(run))
+    wrote(log, picture)

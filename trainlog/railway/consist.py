@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import reduce
 from operator import add
 
@@ -218,6 +218,27 @@ class Consist:
     def dead_times(self) -> FloatArray:
         """Of each vehicle's brake [s]: its own, and what the demand takes from the front to it."""
         return np.asarray(self.brake.dead_time + self.middles / self.brake_propagation)
+
+    def as_one(self) -> Consist:
+        """The single-particle model (10): one vehicle with all masses, resistances and efforts.
+
+        Its brake answers after the mean dead time, weighted by the braking efforts.
+        """
+        pulling = [vehicle for vehicle in self.vehicles if vehicle.max_tractive_effort > 0.0]
+        weights = np.array([vehicle.max_braking_effort for vehicle in self.vehicles])
+        weights = weights if weights.any() else np.ones(weights.size)
+        vehicle = Vehicle(
+            self.name,
+            mass=self.mass,
+            length=self.length,
+            resistance=self.resistance,
+            rotating_mass=sum(vehicle.rotating_mass for vehicle in self.vehicles),
+            max_tractive_effort=self.max_tractive_effort,
+            max_traction_power=sum(each.max_traction_power for each in pulling) or np.inf,
+            max_braking_effort=self.max_braking_effort,
+        )
+        brake = replace(self.brake, dead_time=float(np.average(self.dead_times, weights=weights)))
+        return Consist(f"{self.name}, as one", (vehicle,), brake=brake, source=self.source)
 
     @property
     def max_tractive_effort(self) -> float:

@@ -223,17 +223,30 @@ class ConsistPlant:
 
     def coupler_forces(self, state: ConsistState) -> FloatArray:
         """Force in each coupler [N], positive when pulled apart; (n - 1,) array."""
-        stretch, rate = self.stretches(state), -np.diff(state.speeds)
-        return np.array(
-            [
-                particles.coupler_force(self._couplers, i, stretch[i], rate[i])[0]
-                for i in range(stretch.size)
-            ]
-        )
+        return np.asarray(self.forces_between(state.positions[None], state.speeds[None])[0])
+
+    def forces_between(self, positions: FloatArray, speeds: FloatArray) -> FloatArray:
+        """Force in each coupler [N], positive when pulled apart.
+
+        Parameters
+        ----------
+        positions, speeds : (m, n) array [m], [m/s]
+            Of the vehicles' middles at several instants.
+
+        Returns
+        -------
+        (m, n - 1) array
+        """
+        stretch, rate = self.stretches_between(positions), -np.diff(speeds)
+        return np.asarray(particles.coupler_forces(self._couplers, stretch, rate))
 
     def stretches(self, state: ConsistState) -> FloatArray:
         """How far each coupler is pulled apart [m], negative when pushed together; (n - 1,)."""
-        return np.asarray(-np.diff(state.positions) - self._couplers[:, particles.APART])
+        return self.stretches_between(state.positions)
+
+    def stretches_between(self, positions: FloatArray) -> FloatArray:
+        """The same for positions of the vehicles' middles [m]; (..., n) to (..., n - 1)."""
+        return np.asarray(-np.diff(positions) - self._couplers[:, particles.APART])
 
     def energy(self, state: ConsistState) -> float:
         """Kinetic energy of the vehicles and energy stored in the couplers [J]."""

@@ -99,6 +99,16 @@ def coupler_force(couplers: FloatArray, i: int, stretch: float, rate: float) -> 
     return couplers[i, spring + STIFFNESS] * hardening * beyond + damper, damper
 
 
+@njit(cache=True, error_model="numpy")
+def coupler_forces(couplers: FloatArray, stretch: FloatArray, rate: FloatArray) -> FloatArray:
+    """Force of every coupler [N] at several instants; (m, n - 1) arrays."""
+    forces = np.empty_like(stretch)
+    for row in range(stretch.shape[0]):
+        for i in range(stretch.shape[1]):
+            forces[row, i] = coupler_force(couplers, i, stretch[row, i], rate[row, i])[0]
+    return forces
+
+
 @njit(cache=True, error_model="numpy", inline="always")
 def derivative(
     y: FloatArray,

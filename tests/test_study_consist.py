@@ -1,0 +1,143 @@
+"""A consist's run over a line: what the study shows is what the train did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated_world import level_line, steps
+
+from analysis.pictures.in_train_forces import draw_in_train_forces
+from analysis.report_consist import consist_tables, forces_table
+from analysis.studies import in_train_forces as study
+from analysis.studies.logs import consist_trip
+from trainlog.cli import run as command
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.consist import consist_from_bytes, read_consist, write_consist
+from trainlog.formats.line import write_line
+from trainlog.formats.samples import names, sample
+from trainlog.mcap import read_log, write_log
+from trainlog.railway.consist import Consist
+from trainlog.simulation.consist import ConsistPlant
+from trainlog.terminal import console
+
+SHORT = replace(
+    level_line(2_400.0),
+    gradients=steps((0.0, 0.0), (600.0, 0.015), (900.0, -0.015), (1_200.0, 0.0)),
+)
+
+
+def passenger(coaches: int = 2) -> Consist:
+    whole = read_consist(sample("passenger_8_coaches.consist.json"))
+    return replace(whole, vehicles=whole.vehicles[: coaches + 1], couplers=whole.couplers[:coaches])
+
+
+@pytest.fixture(scope="module")
+def run() -> study.ConsistRun:
+    return study.run(passenger(), SHORT, speed=15.0)
+
+
+@pytest.mark.parametrize("name", [name for name in names() if name.endswith(".consist.json")])
+def test_every_sample_runs_and_accounts_for_its_energy(name: str) -> None:
+    plant = ConsistPlant(read_consist(sample(name)), study.crest_and_sag(), step=0.001)
+    state = plant.at(1_400.0, 20.0)
+    before = plant.energy(state)
+    consist = plant.consist
+    plant.advance(state, consist.max_tractive_effort, 0.0, 20_000)
+    plant.advance(state, 0.0, consist.max_braking_effort, 20_000)
+    works = state.works
+    lost = sum(work for kind, work in works.items() if kind != "traction")
+    unaccounted = plant.energy(state) - before - works["traction"] + lost
+    assert abs(unaccounted) <= 1e-9 * sum(abs(work) for work in works.values())
+    assert state.speeds.max() < 20.0
+
+
+def test_the_train_starts_brakes_halts_and_brakes_in_an_emergency(run: study.ConsistRun) -> None:
+    assert [name for _, name in run.phases] == [
+        "start and run",
+        "full service braking",
+        "halt",
+        "start again",
+        "emergency braking",
+        "end",
+    ]
+    # It keeps the speed and gains on the descent what 4.5 m of height give at most.
+    assert 14.0 < run.speeds.max() < np.sqrt(15.0**2 + 2.0 * 9.81 * 4.5)
+    for name in ("halt", "end"):
+        assert np.all(run.speeds[run.phase(name)][5:100] < 0.01)
+    assert run.residual <= 1e-9
+
+
+def test_the_couplers_carry_what_accelerates_the_vehicles_behind_them(
+    run: study.ConsistRun,
+) -> None:
+    """Newton's law for the last coach, from what is recorded alone."""
+    coach = run.consist.vehicles[-1]
+    calm = slice(200, 400)  # level, under traction
+    acceleration = np.gradient(run.speeds[:, -1], run.time)[calm]
+    needed = coach.inertia * acceleration + coach.resistance(run.speeds[calm, -1])
+    np.testing.assert_allclose(run.forces[calm, -1], needed, atol=0.05 * needed.max())
+
+
+def test_a_single_particle_goes_about_the_same_way(run: study.ConsistRun) -> None:
+    assert 0.0 < np.abs(run.ahead).max() < 0.02 * run.way[-1]
+
+
+def test_an_emergency_pushes_harder_than_full_service_braking(run: study.ConsistRun) -> None:
+    service, sudden = (
+        run.forces[run.phase(name)].min() for name in ("full service braking", "emergency braking")
+    )
+    assert sudden < service < 0.0
+
+
+def test_a_run_becomes_a_log(run: study.ConsistRun, tmp_path: Path) -> None:
+    write_log(consist_trip(run), tmp_path / "run.mcap")
+    again = read_log(tmp_path / "run.mcap")
+    np.testing.assert_array_equal(again["/train/couplers"]["force_2"], run.forces[:, 1])
+    np.testing.assert_array_equal(again["/train/vehicles"]["speed_3"], run.speeds[:, 2])
+    assert consist_from_bytes(again.attachments["consist.json"]).couplers == run.consist.couplers
+    assert "emergency braking" in set(again["/events"]["message"])
+
+
+def test_the_report_and_the_picture_are_made(run: study.ConsistRun, tmp_path: Path) -> None:
+    draw_in_train_forces(run, tmp_path / "run.png")
+    assert (tmp_path / "run.png").stat().st_size > 20_000
+    with console.capture() as captured:
+        console.print(forces_table(run), consist_tables(run.consist))
+    assert "largest draft" in captured.get()
+    assert "2 to 3" in captured.get()
+
+
+def test_the_command_runs_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "short.consist.json"
+    write_consist(passenger(1), file)
+    assert command(["info", str(file)]) == 0
+    write_line(SHORT, tmp_path / "line.json")
+    options = ["--line", str(tmp_path / "line.json"), "--speed", "60", "-o", str(tmp_path)]
+    assert command(["study", "consist", str(file), *options]) == 0
+    assert {"short.mcap", "short.png"} <= {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("consist", "speed", "words"),
+    [
+        (passenger(0), 15.0, "is a single particle: there are no forces in it"),
+        (passenger(), 0.0, "0 km/h makes no sense"),
+        (
+            read_consist(sample("freight_24_wagons.consist.json")),
+            9.0,
+            "is too short for a train of",
+        ),
+    ],
+)
+def test_what_cannot_be_driven_is_refused(consist: Consist, speed: float, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        study.run(consist, SHORT, speed=speed)
+
+
+def test_a_train_that_cannot_climb_is_told() -> None:
+    steep = replace(SHORT, gradients=steps((0.0, 0.0), (600.0, 0.19)))
+    with pytest.raises(InfeasibleError, match="does not get over line 'level': at km 0"):
+        study.run(passenger(), steep, speed=15.0)
