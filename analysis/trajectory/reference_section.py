@@ -1,0 +1,342 @@
+"""One section of a timetable, as the map-based controllers see it: from stop to stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory import reference_dynamics as dynamics
+from analysis.trajectory.reference_dynamics import GRID, Tables
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.railway import Line, StepProfile, TrackConditionMap
+from trainlog.railway.lever import NOMINAL_MASS, LeverTrain
+from trainlog.simulation.timetable import Stop, check_stops
+
+FloatArray = NDArray[np.float64]
+
+SMOOTHING = 25.0
+"""The gradient under the train is that of the track this far before and behind it [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reserves:
+    """How much of the map is used; the rest is for what no model knows.
+
+    Attributes
+    ----------
+    adhesion : float
+        Share of the map's maximum adhesion: the first axle finds the rail least clean.
+    brake : float
+        Share of the brake that the envelope counts on.
+    speed : float [m/s]
+        Kept below every speed limit.
+    """
+
+    adhesion: float = 0.9
+    brake: float = 0.85
+    speed: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("adhesion", "brake"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise InputError(f"a share of {getattr(self, name)} of the {name} makes no sense")
+
+
+DRIVING = Reserves()
+"""Of a train under way."""
+
+PLANNING = Reserves(adhesion=0.8, brake=0.75, speed=0.3)
+"""Of a reference, so that a controller has room about it."""
+
+STOPPING_TOLERANCE = 0.5
+"""epsilon_1 of eq. (8): how far beyond its stop a train may stand [m]."""
+
+RUNNING_ON = 100.0
+"""How far the tables reach beyond both ends of a section [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A train's way from one stop to the next, and what may be asked of it there.
+
+    Attributes
+    ----------
+    origin, destination : Stop
+    line : Line
+    train : LeverTrain
+    maximum_adhesion : StepProfile
+        As the map has it.
+    tables : Tables
+        Of a train under way.
+    planned : Tables
+        Of its reference: less of everything, and the ceiling of the speed limits alone, smoothed.
+    stopping : (n,) array [m²/s²]
+        Square of the speed from which a reference stops at the destination, on the grid of
+        `planned`.
+    """
+
+    origin: Stop
+    destination: Stop
+    line: Line
+    train: LeverTrain
+    maximum_adhesion: StepProfile
+    tables: Tables
+    planned: Tables
+    stopping: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Both ends."""
+        return f"{self.origin.station} - {self.destination.station}"
+
+    @property
+    def duration(self) -> float:
+        """What the timetable allows [s]."""
+        return self.destination.arrival - self.origin.departure
+
+    @property
+    def constants(self) -> dynamics.Constants:
+        """The train for the compiled code."""
+        return dynamics.constants(self.train)
+
+
+def section_of(
+    line: Line,
+    train: LeverTrain,
+    maximum_adhesion: StepProfile,
+    origin: Stop,
+    destination: Stop,
+    driving: Reserves = DRIVING,
+    planning: Reserves = PLANNING,
+) -> Section:
+    """Prepare one section.
+
+    Parameters
+    ----------
+    line : Line
+        As travelled.
+    train : LeverTrain
+    maximum_adhesion : StepProfile
+        By position; see `adhesion_profile`.
+    origin, destination : Stop
+    driving, planning : Reserves
+
+    Raises
+    ------
+    InputError
+        If the stops are not in the order of travel, or an adhesion is not between 0 and 1.
+    """
+    check_stops(line, (origin, destination))
+    _check(line, maximum_adhesion)
+    c = dynamics.constants(train)
+
+    def tables(stop: float, reserves: Reserves, last: float) -> Tables:
+        """Tables whose grid has a node at `stop`, beyond which the speed is `last`."""
+        before = int(np.ceil((stop - origin.position + RUNNING_ON) / GRID))
+        nodes = stop + GRID * np.arange(-before, RUNNING_ON / GRID + 1.0)
+        slope = line.gradients.mean(nodes - SMOOTHING, nodes + SMOOTHING)
+        sine = np.asarray(slope / np.hypot(1.0, slope))
+        grip = reserves.adhesion * _lowest(maximum_adhesion, nodes)
+        limit = np.minimum(_lowest(line.speed_limits, nodes), train.max_speed)
+        squares = np.maximum(limit - reserves.speed, 0.0) ** 2
+        squares = np.where(nodes >= stop, np.minimum(squares, last**2), squares)
+        rising = dynamics.limited_rise(squares, 1.5 * train.max_acceleration)
+        ceiling = dynamics.braking_envelope(rising, sine, grip, reserves.brake, c)
+        return Tables(float(nodes[0]), sine, grip, ceiling)
+
+    planned = tables(destination.position, planning, np.inf)
+    free = np.full(planned.sine.size, train.max_speed**2)
+    stop_at = planned.origin + GRID * np.arange(free.size) >= destination.position
+    return Section(
+        origin,
+        destination,
+        line,
+        train,
+        maximum_adhesion,
+        tables(destination.position + STOPPING_TOLERANCE, driving, 0.0),
+        planned._replace(adhesion=_smoothed(planned.adhesion), ceiling=_smoothed(planned.ceiling)),
+        dynamics.braking_envelope(
+            np.where(stop_at, 0.0, free), planned.sine, planned.adhesion, planning.brake, c
+        ),
+    )
+
+
+def sections_of(
+    line: Line, train: LeverTrain, maximum_adhesion: StepProfile, stops: tuple[Stop, ...]
+) -> tuple[Section, ...]:
+    """All sections of a timetable.
+
+    Raises
+    ------
+    InputError
+        As `section_of`.
+    """
+    check_stops(line, stops)
+    return tuple(
+        section_of(line, train, maximum_adhesion, origin, destination)
+        for origin, destination in pairwise(stops)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FastRun:
+    """A run as fast as allowed, by position; (n,) arrays.
+
+    Attributes
+    ----------
+    positions, speeds, times, levers : [m], [m/s], [s], [1]
+    """
+
+    positions: FloatArray
+    speeds: FloatArray
+    times: FloatArray
+    levers: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """From rest to rest [s]."""
+        return float(self.times[-1])
+
+
+def fastest(
+    section: Section, mass: float = NOMINAL_MASS, most: float = np.inf, step: float = 1.0
+) -> FastRun:
+    """The fastest run of a section that a reference could be.
+
+    Parameters
+    ----------
+    section : Section
+    mass : float [kg]
+    most : float [m/s]
+        Speed that is never exceeded.
+    step : float [m]
+
+    Raises
+    ------
+    InfeasibleError
+        If the train comes to a stand on the way.
+    """
+    section.train.check_mass(mass)
+    t = section.planned
+    allowed = t._replace(ceiling=np.minimum(t.ceiling, section.stopping))
+    return _fastest(section, allowed, mass, most, step)
+
+
+def _fastest(section: Section, t: Tables, mass: float, most: float, step: float) -> FastRun:
+    start, end = section.origin.position, section.destination.position
+    run = FastRun(*dynamics.fastest_run(start, end, step, most, mass, t, section.constants))
+    if run.positions[-1] < end - 1e-6:
+        place = float(run.positions[-1])
+        sine = dynamics.value(t.sine, t.origin, place)
+        grip = dynamics.value(t.adhesion, t.origin, place)
+        raise InfeasibleError(
+            f"{section.name}: a train of {mass / 1e3:g} t comes to a stand at km"
+            f" {place / 1e3:.3f}, on {1e3 * sine:.1f} per mille with a maximum adhesion of"
+            f" {grip:.3f}",
+            remedy="less load, or a better rail",
+        )
+    return run
+
+
+def least_time(section: Section, mass: float = NOMINAL_MASS) -> float:
+    """Least time [s] of a section under (7), with none of the reserves, for one mass.
+
+    A bound: the brake counts in full for that mass alone, and adhesion and limits as the map has
+    them.
+    """
+    alone = replace(section.train, mass=mass, max_load=0.0)
+    freed = section_of(
+        section.line, alone, section.maximum_adhesion, section.origin, section.destination,
+        driving=Reserves(1.0, 1.0, 0.0),
+    )  # fmt: skip
+    return _fastest(freed, freed.tables, mass, np.inf, 1.0).duration
+
+
+def check_timetable(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> None:
+    """Refuse a timetable that cannot be kept, before any solver runs.
+
+    Raises
+    ------
+    InfeasibleError
+        Names the first section whose time is below the least, and by how much.
+    """
+    for section in sections:
+        least = fastest(section, mass).duration
+        if section.duration < least:
+            raise InfeasibleError(
+                f"{section.name}: the timetable allows {section.duration:.0f} s, a train of"
+                f" {mass / 1e3:g} t needs {least:.1f} s at least",
+                remedy=f"arrive {least - section.duration:.0f} s later or more",
+            )
+
+
+def adhesion_profile(
+    track: TrackConditionMap,
+    layer: str,
+    *,
+    sigmas: float = 1.0,
+    unobserved: float | None = None,
+) -> StepProfile:
+    """Maximum adhesion along a line as a map knows it.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    layer : str
+    sigmas : float
+        How cautious: standard deviations below the estimate.
+    unobserved : float, optional
+        What to count on where the map says nothing; without it a map with holes is refused.
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer, or holes.
+    """
+    known = track.lower_bound(layer, track.centres, sigmas)
+    holes = ~np.isfinite(known)
+    if np.any(holes) and unobserved is None:
+        first = track.bin_length * int(np.argmax(holes))
+        raise InputError(
+            f"the map of line '{track.line}' has holes: layer '{layer}' was not observed in"
+            f" {np.count_nonzero(holes)} of {holes.size} bins, the first at km {first / 1e3:.3f}",
+            remedy="say what adhesion to count on where the map says nothing",
+        )
+    if unobserved is not None and not 0.0 < unobserved < 1.0:
+        raise InputError(f"an adhesion of {unobserved} is not between 0 and 1")
+    values = np.where(holes, 0.0 if unobserved is None else unobserved, known)
+    return StepProfile(track.centres - 0.5 * track.bin_length, values)
+
+
+def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:
+    """The lowest value of a profile within one step of the grid around each node."""
+    fine = nodes[:, None] + np.linspace(-GRID, GRID, 21)
+    lowest = profile(fine).min(axis=1)
+    # A step between two of the samples is met by the value on its other side.
+    inside = np.searchsorted(nodes, profile.positions[1:])
+    for i, lower in zip(inside, np.minimum(profile.values[1:], profile.values[:-1]), strict=True):
+        for j in (i - 1, i):
+            if 0 <= j < nodes.size:
+                lowest[j] = min(lowest[j], lower)
+    return np.asarray(lowest)
+
+
+def _smoothed(squares: FloatArray) -> FloatArray:
+    """Never above `squares`, with its corners rounded over 20 m."""
+    from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+    return np.asarray(uniform_filter1d(minimum_filter1d(squares, 5, mode="nearest"), 5))
+
+
+def _check(line: Line, maximum_adhesion: StepProfile) -> None:
+    values = maximum_adhesion.values
+    wrong = (values <= 0.0) | (values >= 1.0)
+    if np.any(wrong):
+        at = float(maximum_adhesion.positions[int(np.argmax(wrong))])
+        raise InputError(
+            f"line '{line.name}': maximum adhesion {values[wrong][0]} at km {at / 1e3:.3f} is not"
+            " between 0 and 1"
+        )

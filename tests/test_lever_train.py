@@ -1,0 +1,90 @@
+"""The train of paper 000 and the sample line it runs on."""
+
+from __future__ import annotations
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analysis.trajectory import reference_dynamics as dynamics
+from trainlog.errors import InputError
+from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.samples import sample
+from trainlog.railway.lever import PAPER_000
+from trainlog.units import GRAVITY
+
+LINE = "DE_Chemnitz_Cranzahl.line.json"
+CONSTANTS = dynamics.constants(PAPER_000)
+
+
+def test_the_curve_of_effort_falls_with_speed() -> None:
+    speeds = np.linspace(0.0, 30.0, 50)
+    efforts = PAPER_000.full_effort(speeds)
+    assert efforts[0] == pytest.approx(1.516e5 + 1.564e4)
+    assert np.all(np.diff(efforts) < 0.0)
+
+
+def test_resistance_on_a_gradient_by_hand() -> None:
+    sine, speed, mass = 0.01, 20.0, 78_200.0
+    cosine = np.sqrt(1.0 - sine**2)
+    by_hand = 0.5 * 1.2041 * 0.85 * 10.0 * speed**2 + mass * GRAVITY * (sine + 0.002 * cosine)
+    assert -mass * dynamics.drift(speed, sine, mass, CONSTANTS) == pytest.approx(by_hand)
+
+
+@given(
+    speed=st.floats(0.0, 33.0),
+    sine=st.floats(-0.03, 0.03),
+    grip=st.floats(0.03, 0.4),
+    share=st.floats(0.0, 1.0),
+    load=st.floats(0.0, 1.0),
+)
+def test_levers_within_the_bounds_keep_the_constraints_at_every_mass(
+    speed: float, sine: float, grip: float, share: float, load: float
+) -> None:
+    low, high = dynamics.lever_bounds(speed, sine, grip, CONSTANTS)
+    lever = low + share * (high - low)
+    mass = PAPER_000.mass + load * PAPER_000.max_load
+    gained = dynamics.acceleration(speed, lever, sine, mass, CONSTANTS)
+    held = float(PAPER_000.full_effort(speed)) * abs(lever) / mass
+    assert abs(gained) <= PAPER_000.max_acceleration + 1e-9
+    assert held <= grip * GRAVITY + 1e-9
+    assert abs(lever) <= 1.0
+
+
+def test_the_driven_axles_can_give_all_that_the_lever_asks() -> None:
+    train = PAPER_000.on_axles()
+    speeds = np.linspace(0.0, PAPER_000.max_speed, 300)
+    assert np.all(train.tractive_effort_limit(speeds) >= PAPER_000.full_effort(speeds) - 1.0)
+    assert train.axles.adhesive_mass == train.mass
+
+
+def test_a_negative_resistance_is_refused() -> None:
+    with pytest.raises(InputError, match=r"rolling_coefficient -0\.002 is negative"):
+        replace(PAPER_000, rolling_coefficient=-0.002)
+
+
+def test_a_mass_beyond_the_range_is_refused() -> None:
+    with pytest.raises(InputError, match="cannot weigh 90 t"):
+        PAPER_000.check_mass(90_000.0)
+
+
+def test_the_reconstructed_line_is_made_again_byte_for_byte() -> None:
+    script = Path(__file__).parents[1] / "sample_logs" / "make_reconstruction.py"
+    made = runpy.run_path(str(script))["reconstruction"]()
+    assert line_to_bytes(made) == sample(LINE).read_bytes()
+
+
+def test_the_reconstructed_line_says_what_it_is_and_keeps_the_published_facts() -> None:
+    line = read_line(sample(LINE))
+    assert line.source.startswith("reconstruction, not the data of paper 000")
+    altitudes = {each.name: float(line.altitudes(each.position)) for each in line.stations}
+    assert altitudes["Zschopau"] == pytest.approx(336.0, abs=0.5)
+    assert altitudes["Cranzahl"] == pytest.approx(654.0, abs=0.5)
+    assert line.speed_limits.values.max() * 3.6 == pytest.approx(100.0)
+    assert np.abs(line.gradients.values).max() < 0.018
+    assert len(line.stations) == 21

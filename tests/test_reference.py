@@ -1,0 +1,156 @@
+"""References by multiple shooting: known answers, constraints, and what no solver is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.trajectory import reference as shooting
+from analysis.trajectory import reference_dynamics as dynamics
+from analysis.trajectory.reference import node_count, reference, references
+from analysis.trajectory.reference_section import (
+    Section,
+    adhesion_profile,
+    check_timetable,
+    fastest,
+    least_time,
+    section_of,
+    sections_of,
+)
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.condition import read_map
+from trainlog.formats.samples import sample
+from trainlog.railway import Line, Station, StepProfile
+from trainlog.railway.lever import PAPER_000
+from trainlog.simulation.timetable import Stop
+
+GRIP = StepProfile(np.zeros(1), np.array([0.3]))
+
+
+def line(slope: float = 0.0, limit: float = 80.0, length: float = 3_000.0) -> Line:
+    return Line(
+        name="short",
+        length=length,
+        stations=(Station("A", 100.0), Station("B", length - 500.0)),
+        speed_limits=StepProfile(
+            np.array([0.0, 900.0, 1_300.0]), np.array([limit, 0.7 * limit, limit]) / 3.6
+        ),
+        gradients=StepProfile(np.array([0.0, 600.0, 1_500.0]), np.array([0.0, slope, 0.0])),
+    )
+
+
+def section(time: float, grip: StepProfile = GRIP, **given: Any) -> Section:
+    track = line(**given)
+    start, end = (each.position for each in track.stations)
+    stops = Stop("A", start, 0.0, 0.0), Stop("B", end, time, time)
+    return section_of(track, PAPER_000, grip, *stops)
+
+
+@pytest.fixture(scope="module")
+def solved() -> shooting.Reference:
+    slippery = StepProfile(np.array([0.0, 200.0, 300.0]), np.array([0.3, 0.07, 0.3]))
+    return reference(section(200.0, slippery, slope=0.012))
+
+
+def test_nodes_are_less_than_three_seconds_apart() -> None:
+    for duration in (60.0, 119.9, 120.0, 401.3):
+        assert duration / (node_count(duration) - 1) < 3.0
+
+
+def test_the_train_arrives_in_time_and_stands(solved: shooting.Reference) -> None:
+    assert solved.duration == 200.0
+    assert solved.fine[-1, 0] == pytest.approx(2_500.0, abs=0.3)
+    assert solved.fine[-1, 1] < 0.1
+    assert solved.rollout_error < 0.3
+
+
+def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved: shooting.Reference) -> None:
+    assert solved.worst.max() <= 0.0
+    track = solved.section.line
+    for position, speed, lever in solved.fine:
+        slope = float(track.gradient(position))
+        grip = float(solved.section.maximum_adhesion(position))
+        for mass in (PAPER_000.mass, 78_200.0, PAPER_000.max_mass):
+            pull = float(PAPER_000.full_effort(speed)) * lever / mass
+            free = dynamics.drift(speed, slope / np.hypot(1.0, slope), mass, DYNAMICS)
+            assert abs(pull) <= 9.81 * grip
+            # The controller's gradient is that of 50 m of track.
+            assert abs(pull + free) <= 1.0 + 9.81 * 0.012
+        assert speed <= float(track.speed_limit(position))
+
+
+DYNAMICS = dynamics.constants(PAPER_000)
+
+
+def test_the_optimum_spends_less_than_the_feasible_guess(solved: shooting.Reference) -> None:
+    guess = shooting.warm_start(solved.section, solved.times, solved.mass)
+    assert solved.cost < shooting._cost(solved.times, guess[2])
+
+
+def test_on_the_level_without_limits_the_answer_is_the_analytic_one() -> None:
+    """With constant effort and no resistance the lever falls on a straight line: cubic motion."""
+    train = replace(PAPER_000, k1=0.0, k3=60e3, drag_coefficient=0.0, rolling_coefficient=0.0)
+    track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
+    track = replace(track, speed_limits=StepProfile(np.zeros(1), np.array([80.0])))
+    time, way, mass = 140.0, 1_500.0, 78_200.0
+    stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 100.0 + way, time, time)
+    found = reference(section_of(track, train, GRIP, *stops), mass)
+    expected = mass / 60e3 * 6.0 * way / time**2 * (1.0 - 2.0 * found.times / time)
+    np.testing.assert_allclose(found.levers, expected, atol=2e-3)
+    assert found.cost == pytest.approx(6.0 * (mass / 60e3 * way) ** 2 / time**3, rel=1e-3)
+
+
+def test_more_time_costs_less() -> None:
+    costs = [reference(section(time)).cost for time in (170.0, 190.0)]
+    assert all(more > less for more, less in pairwise(costs))
+
+
+def test_a_timetable_that_cannot_be_kept_is_explained_before_any_solver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("a solver was asked")
+
+    monkeypatch.setattr(shooting, "_solve", never)
+    tight = section(120.0)
+    with pytest.raises(InfeasibleError, match=r"A - B: the timetable allows 120 s, .* needs") as e:
+        references((tight,))
+    assert e.value.remedy is not None
+    assert "later or more" in e.value.remedy
+
+
+def test_a_train_that_stalls_is_told_where() -> None:
+    icy = StepProfile(np.array([0.0, 650.0, 1_500.0]), np.array([0.3, 0.003, 0.3]))
+    with pytest.raises(InfeasibleError, match=r"comes to a stand at km 1\.[0-4]\d\d"):
+        check_timetable((section(600.0, icy, slope=0.03),))
+
+
+def test_least_time_bounds_every_reference_from_below() -> None:
+    planned = section(200.0, slope=0.01)
+    assert least_time(planned) < fastest(planned).duration
+    assert least_time(planned, PAPER_000.mass) <= least_time(planned, PAPER_000.max_mass)
+
+
+def test_stops_out_of_order_are_refused() -> None:
+    stops = (Stop("A", 100.0, 0.0, 0.0), Stop("B", 2_500.0, 200.0, 230.0))
+    third = Stop("C", 2_000.0, 400.0, 400.0)
+    with pytest.raises(InputError, match="'B' and 'C' are not in the order of travel"):
+        sections_of(line(), PAPER_000, GRIP, (*stops, third))
+
+
+def test_a_map_with_holes_is_refused_unless_they_are_filled() -> None:
+    track = read_map(sample("CH_StGallen_Wil.map.json"))
+    with pytest.raises(InputError, match=r"holes: layer 'wet' was not observed in \d+ of"):
+        adhesion_profile(track, "wet")
+    filled = adhesion_profile(track, "wet", unobserved=0.08)
+    assert np.isfinite(filled.values).all()
+    assert filled.values.min() > 0.0
+
+
+def test_an_adhesion_of_zero_is_refused() -> None:
+    with pytest.raises(InputError, match=r"maximum adhesion 0\.0 at km 0\.000"):
+        section(200.0, StepProfile(np.zeros(1), np.zeros(1)))
