@@ -61,22 +61,31 @@ def in_band(fit: TripFit, true: RunningResistance) -> bool:
     return bool(np.all((low <= true(speed)) & (true(speed) <= high)))
 
 
-def test_truth_of_simulated_trips_lies_in_the_band(
-    simulated: list[Trip], fitted: list[TripFit]
-) -> None:
+def test_truth_of_simulated_trips_is_found(simulated: list[Trip], fitted: list[TripFit]) -> None:
     for one, fit in zip(simulated, fitted, strict=True):
         true, mass = truth(one)
-        assert in_band(fit, true)
         assert curve_error(fit, true) < 0.05
         assert abs(fit.mass - mass) < 4.0 * fit.mass_std
         assert fit.mass_std < 0.005 * mass
+
+
+def test_truth_lies_in_the_band_of_trips_on_lines_surveyed_apart() -> None:
+    """Trips of one series share the line file's errors, so that they miss together or not at all:
+    one trip of each series, and one of six may miss what 95 of 100 hold."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    inside = []
+    for seed in range(1, 7):
+        one = simulate(draw_scenarios(line, train, 1, seed)[0])
+        inside.append(in_band(fit_trip(one), truth(one)[0]))
+    assert sum(inside) >= 5, inside
 
 
 def test_fit_describes_itself(fitted: list[TripFit]) -> None:
     for fit in fitted:
         assert fit.asked[0] == 10.0
         assert fit.asked[1] == pytest.approx(125 / 3.6)
-        assert fit.windows["used"] > 80
+        assert fit.windows["used"] > 800
         assert fit.condition < 300.0
         assert fit.scale.source == "GNSS speed"
         assert 0.8 < fit.residual_std < 1.2
@@ -86,7 +95,9 @@ def test_fit_describes_itself(fitted: list[TripFit]) -> None:
         assert 2.0 < fit.speed_range[0] < 10.0
         assert fit.speed_range[1] > 30.0
         assert fit.noise["gradient"] < 3e-4  # the simulation's map is 0.1 per mille off
-        assert fit.points.speed.size == fit.windows["used"] + fit.windows["outlier"]
+        assert np.sum(~fit.points.used) == fit.windows["outlier"]
+        assert 0.08 < np.sum(fit.points.used) / fit.windows["used"] < 0.15
+        assert np.median(np.diff(fit.history.time)) < pd.Timedelta(seconds=11)
 
 
 def test_windows_scatter_around_the_curve_as_they_say(fitted: list[TripFit]) -> None:
@@ -269,7 +280,7 @@ def test_constant_speed_is_refused() -> None:
 
 
 def test_too_short_is_refused_with_what_was_masked() -> None:
-    with pytest.raises(NotIdentifiableError, match="windows of 10 s"):
+    with pytest.raises(NotIdentifiableError, match=r"only 14\d s can be used of 150 s"):
         fit_trip(trip(duration=150.0))
 
 
@@ -304,7 +315,7 @@ def test_speeds_beyond_the_data_are_refused() -> None:
     fit = fit_trip(slow, speeds=(8.0, 18.0))
     assert in_band(fit, RESISTANCE)
     with pytest.raises(NotIdentifiableError, match="of itself only"):
-        fit_trip(trip(noise=0.3, seed=1), speeds=(0.5, 60.0))
+        fit_trip(trip(noise=1.0, seed=1), speeds=(0.5, 60.0))
 
 
 def test_bad_trips_are_refused() -> None:

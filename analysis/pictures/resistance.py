@@ -76,7 +76,7 @@ def draw_trip(fit: TripFit, path: str | Path) -> None:
         color=GREY,
         elinewidth=0.5,
         markersize=4,
-        label=f"{int(used.sum())} windows, with their noise",
+        label=f"{int(used.sum())} means over 10 s, with their noise",
     )
     if not used.all():
         left.plot(
@@ -113,7 +113,7 @@ def _together(axes: Axes, fits: Fits) -> None:
             alpha=0.35,
             markersize=3,
             markeredgewidth=0,
-            label=f"{seen.size} windows of 10 s",
+            label=f"{seen.size} means over 10 s",
         )
     accepted = fits.summaries[fits.summaries["refused"] == ""]
     curves = parameters_of(accepted)[_some(len(accepted)), :3] @ powers(speed).T

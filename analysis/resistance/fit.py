@@ -37,21 +37,21 @@ LARGEST_CONDITION = 300.0
 LARGEST_STD = 0.10
 """Standard deviation of the curve, over the curve, beyond which it is refused."""
 
-FEWEST_WINDOWS = 20
-"""Fewer windows than this are too short a trip."""
+SHORTEST_TIME = 200.0
+"""Less usable time than this [s] is too short a trip."""
 
 
 @dataclass(frozen=True, eq=False)
 class WindowPoints:
-    """The data as points of the drag curve, one a window; (n,) arrays.
+    """The data as points of the drag curve, one for every ten seconds; (n,) arrays.
 
     Attributes
     ----------
     speed : array [m/s]
     resistance, std : array [N]
-        Mean running resistance over the window, from the window alone and the fitted mass.
+        Mean running resistance over this time, from these windows alone and the fitted mass.
     used : bool array
-        False for outliers.
+        False for outliers, which stand alone.
     """
 
     speed: FloatArray
@@ -62,7 +62,7 @@ class WindowPoints:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What the recursion knew after each window.
+    """What the recursion knew, every ten seconds.
 
     Attributes
     ----------
@@ -259,6 +259,8 @@ def fit_evidence(
     covariance = _with_scale(regression, scale)
     _check_curve(name, regression, covariance, asked, timeline)
     used = windows.select(regression.kept)
+    merged = used.merged()
+    known = np.searchsorted(used.end, merged.end)
     residual = regression.residual
     limit = power_limit(evidence.limited, train, scale.std)
     return TripFit(
@@ -287,7 +289,7 @@ def fit_evidence(
         ),
         windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
         masked=evidence.masked,
-        points=_points(windows, regression),
+        points=_points(merged, windows.select(~regression.kept), regression),
         residuals=Residuals(
             time=used.end,
             position=np.interp(used.end, timeline.time, timeline.position),
@@ -296,10 +298,10 @@ def fit_evidence(
         ),
         timeline=timeline,
         history=History(
-            time=origin + pd.to_timedelta(np.round(used.end, 3), unit="s"),
-            speed=used.end_speed,
-            beta=regression.history,
-            covariance=regression.history_covariance,
+            time=origin + pd.to_timedelta(np.round(merged.end, 3), unit="s"),
+            speed=merged.end_speed,
+            beta=regression.history[known],
+            covariance=regression.history_covariance[known],
         ),
     )
 
@@ -354,17 +356,18 @@ def _with_scale(regression: Regression, scale: SpeedScale) -> FloatArray:
 
 
 def _check_windows(name: str, evidence: Evidence) -> None:
-    windows, masked, total = evidence.windows, evidence.masked, evidence.duration
-    if windows.count >= FEWEST_WINDOWS:
+    masked, total = evidence.masked, evidence.duration
+    usable = float(np.sum(evidence.windows.duration))
+    if usable >= SHORTEST_TIME:
         return
     reasons = ", ".join(
         f"{reason} {seconds:.0f} s" for reason, seconds in masked.items() if seconds > 0.0
     )
     raise TripRefusedError(
         _masked_most(masked, total),
-        f"trip '{name}': only {windows.count} windows of 10 s can be used of {total:.0f} s"
+        f"trip '{name}': only {usable:.0f} s can be used of {total:.0f} s"
         f" (masked: {reasons or 'nothing'})",
-        remedy=f"running resistance needs {FEWEST_WINDOWS} windows free of friction braking",
+        remedy=f"running resistance needs {SHORTEST_TIME:.0f} s free of friction braking",
         timeline=evidence.timeline,
     )
 
@@ -408,15 +411,15 @@ def _check_curve(
         )
 
 
-def _points(windows: Windows, regression: Regression) -> WindowPoints:
-    mass = regression.beta[3]
-    impulse = windows.x[:, 0] + regression.delay * windows.effort_change
-    impulse = impulse + (regression.brake_scale - 1.0) * windows.braking
-    sizes = regression.noise
-    variance = 2.0 * sizes.speed**2 + sizes.effort**2 * windows.effort_square / mass**2
-    return WindowPoints(
-        speed=windows.mean_speed,
-        resistance=(impulse - mass * windows.y) / windows.duration,
-        std=mass * np.sqrt(variance) / windows.duration,
-        used=regression.kept,
-    )
+def _points(used: Windows, outliers: Windows, regression: Regression) -> WindowPoints:
+    mass, sizes = regression.beta[3], regression.noise
+    parts = []
+    for windows in (used, outliers):
+        impulse = windows.x[:, 0] + regression.delay * windows.effort_change
+        impulse = impulse + (regression.brake_scale - 1.0) * windows.braking
+        variance = 2.0 * sizes.speed**2 + sizes.effort**2 * windows.effort_square / mass**2
+        resistance = (impulse - mass * windows.y) / windows.duration
+        std = mass * np.sqrt(variance) / windows.duration
+        parts.append(np.stack([windows.mean_speed, resistance, std]))
+    speed, resistance, std = np.hstack(parts)
+    return WindowPoints(speed, resistance, std, np.arange(speed.size) < used.count)

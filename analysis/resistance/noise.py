@@ -8,13 +8,19 @@ Four independent causes, each of one unknown size, make the windows' errors corr
 - noise of the recorded effort, in proportion to it.
 
 The sizes are found by restricted maximum likelihood with a weak prior, so that a trip on a
-perfect map is not charged for the map's errors, nor the other way round. Windows far apart have
-nothing in common: the covariance is banded, and all work is linear in the length of the trip.
+perfect map is not charged for the map's errors, nor the other way round.
+
+The windows are made white by a Kalman filter whose state is the error of the last end and the
+offsets of those pieces and changes of gradient that the present window shares with others. A
+piece enters the state with its first window and leaves it with its last: the filter is exact,
+its state stays small, and the work is linear in the length of the trip.
 
 References
 ----------
 Patterson, H. D., Thompson, R. (1971), Recovery of inter-block information when block sizes are
 unequal, Biometrika 58(3): restricted likelihood.
+de Jong, P. (1991), The diffuse Kalman filter, Annals of Statistics 19(2): the regressors are
+filtered beside the observations.
 """
 
 from __future__ import annotations
@@ -25,11 +31,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.sparse import hstack
 
 from analysis.resistance.windows import Windows
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 FLOOR = 1e-4
 """Smallest standard deviation of a window [m/s], so that exact data stay solvable."""
@@ -71,15 +79,36 @@ PRIOR_WIDTH = NoiseModel(speed=0.5, gradient=1.5, position=1.5, effort=1.0)
 
 @dataclass(frozen=True, eq=False)
 class NoiseParts:
-    """Covariance of the windows that each cause has at unit size, as bands.
+    """How each cause of noise enters the windows, at unit size.
 
     Attributes
     ----------
-    bands : (4, n, w) array
-        ``bands[c, k, d]`` is the covariance of windows k and k - d by cause c.
+    joined : (n,) bool array
+        Whether a window begins where the one before it ends.
+    effort : (n,) array [(m/s)²]
+        Variance by noise of the effort.
+    first_entry : (n + 1,) int array
+        Where the entries of each window begin in the four arrays that follow.
+    value : (e,) array
+        What one offset of a piece, or shift of a change of gradient, does to the window.
+    position : (e,) bool array
+        Whether it is a shift of a change of gradient.
+    slot : (e,) int array
+        Its place in the filter's state, from 1; place 0 is the error of the window's start.
+    fresh : (e,) bool array
+        Whether it enters the state with this window.
+    slots : int
+        Size of the state.
     """
 
-    bands: FloatArray
+    joined: NDArray[np.bool_]
+    effort: FloatArray
+    first_entry: IntArray
+    value: FloatArray
+    position: NDArray[np.bool_]
+    slot: IntArray
+    fresh: NDArray[np.bool_]
+    slots: int
 
     @staticmethod
     def of(windows: Windows, mass: float) -> NoiseParts:
@@ -91,27 +120,23 @@ class NoiseParts:
         mass : float [kg]
             To turn effort into acceleration; 10 % off does not matter.
         """
-        gradient = GRAVITY**2 * (windows.sections @ windows.sections.T).tocoo()
-        position = (windows.edges @ windows.edges.T).tocoo()
-        reach = max(
-            int(np.max(part.row - part.col, initial=min(1, windows.count - 1)))
-            for part in (gradient, position)
+        groups = hstack([GRAVITY * windows.sections, windows.edges], format="csr")
+        groups.eliminate_zeros()
+        groups.sort_indices()
+        column = groups.indices.astype(np.int64)
+        slot, fresh, slots = _slots(groups.indptr.astype(np.int64), column, groups.shape[1])
+        joined = np.zeros(windows.count, dtype=bool)
+        joined[1:] = windows.start[1:] - windows.end[:-1] < 1e-6
+        return NoiseParts(
+            joined=joined,
+            effort=windows.effort_square / mass**2,
+            first_entry=groups.indptr.astype(np.int64),
+            value=groups.data.astype(np.float64),
+            position=column >= windows.sections.shape[1],
+            slot=slot,
+            fresh=fresh,
+            slots=slots,
         )
-        bands = np.zeros((4, windows.count, reach + 1))
-        bands[0, :, 0] = 2.0
-        joined = np.flatnonzero(windows.start[1:] - windows.end[:-1] < 1e-6) + 1
-        bands[0, joined, 1:2] = -1.0
-        for band, part in ((bands[1], gradient), (bands[2], position)):
-            lower = part.row >= part.col
-            band[part.row[lower], (part.row - part.col)[lower]] = part.data[lower]
-        bands[3, :, 0] = windows.effort_square / mass**2
-        return NoiseParts(bands)
-
-    def covariance(self, noise: NoiseModel) -> FloatArray:
-        """Covariance of the windows (n, w) [(m/s)²] as bands, for noise of these sizes."""
-        total = np.einsum("c,cnw->nw", np.square(noise.sizes), self.bands)
-        total[:, 0] += FLOOR**2
-        return np.asarray(total)
 
     def whiten(self, noise: NoiseModel, columns: FloatArray) -> FloatArray:
         """Columns (n, c) of the regression, their noise made independent and of unit variance.
@@ -119,7 +144,23 @@ class NoiseParts:
         A whitened row depends on that window and earlier ones only, so that least squares over
         the first k rows is the answer after k windows.
         """
-        return np.asarray(_whitened(self.covariance(noise), columns)[0])
+        return self._filtered(noise, columns)[0]
+
+    def _filtered(self, noise: NoiseModel, columns: FloatArray) -> tuple[FloatArray, float]:
+        """The whitened columns, and half the logarithm of the covariance's determinant."""
+        white, logarithm = _whitened(
+            self.joined,
+            noise.effort**2 * self.effort + FLOOR**2,
+            noise.speed**2,
+            self.first_entry,
+            self.value,
+            np.where(self.position, noise.position**2, noise.gradient**2),
+            self.slot,
+            self.fresh,
+            self.slots,
+            np.ascontiguousarray(columns, dtype=np.float64),
+        )
+        return np.asarray(white), float(logarithm)
 
 
 def estimate_noise(parts: NoiseParts, columns: FloatArray, prior: FloatArray) -> NoiseModel:
@@ -137,11 +178,12 @@ def estimate_noise(parts: NoiseParts, columns: FloatArray, prior: FloatArray) ->
 
     def penalised(z: FloatArray) -> float:
         sizes = NoiseModel(*np.exp(centre + width * z).tolist())
-        whitened, log_determinant = _whitened(parts.covariance(sizes), columns)
+        white, log_determinant = parts._filtered(sizes, columns)
+        square = white.T @ white + prior.T @ prior
         # The triangle of [X y]: its last entry is the norm of the residual.
-        triangle = np.abs(np.diag(np.linalg.qr(np.vstack([whitened, prior]), mode="r")))
-        logarithms = np.log(np.maximum(triangle[:-1], np.finfo(np.float64).tiny))
-        deviance = log_determinant + np.sum(logarithms) + 0.5 * triangle[-1] ** 2
+        scale = np.sqrt(np.maximum(np.diag(square), np.finfo(np.float64).tiny))
+        triangle = scale * np.diag(np.linalg.cholesky(square / np.outer(scale, scale)))
+        deviance = log_determinant + np.sum(np.log(triangle[:-1])) + 0.5 * triangle[-1] ** 2
         return float(deviance + 0.5 * z @ z)
 
     start = np.concatenate((np.zeros((1, 4)), -0.5 * np.eye(4)))
@@ -155,26 +197,102 @@ def estimate_noise(parts: NoiseParts, columns: FloatArray, prior: FloatArray) ->
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _whitened(bands: FloatArray, columns: FloatArray) -> tuple[FloatArray, float]:
-    """Banded Cholesky factor solved against the columns, and the sum of the log diagonal."""
-    count, width = bands.shape
-    factor = np.zeros_like(bands)
-    out = columns.copy()
+def _slots(
+    first_entry: IntArray, column: IntArray, columns: int
+) -> tuple[IntArray, NDArray[np.bool_], int]:
+    """A place in the state for each column of a sparse matrix, from its first row to its last.
+
+    Returns the place of each entry, whether it is its column's first, and the number of places.
+    """
+    rows = first_entry.size - 1
+    last = np.full(columns, -1)
+    for k in range(rows):
+        for e in range(first_entry[k], first_entry[k + 1]):
+            last[column[e]] = k
+    place = np.full(columns, -1)
+    free = np.empty(columns, dtype=np.int64)
+    waiting, slots = 0, 1
+    slot = np.empty(column.size, dtype=np.int64)
+    fresh = np.zeros(column.size, dtype=np.bool_)
+    for k in range(rows):
+        for e in range(first_entry[k], first_entry[k + 1]):
+            c = column[e]
+            if place[c] < 0:
+                fresh[e] = True
+                if waiting:
+                    waiting -= 1
+                    place[c] = free[waiting]
+                else:
+                    place[c] = slots
+                    slots += 1
+            slot[e] = place[c]
+        for e in range(first_entry[k], first_entry[k + 1]):
+            if last[column[e]] == k:
+                free[waiting] = place[column[e]]
+                waiting += 1
+    return slot, fresh, slots
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _whitened(
+    joined: NDArray[np.bool_],
+    own: FloatArray,
+    speed: float,
+    first_entry: IntArray,
+    value: FloatArray,
+    variance: FloatArray,
+    slot: IntArray,
+    fresh: NDArray[np.bool_],
+    slots: int,
+    columns: FloatArray,
+) -> tuple[FloatArray, float]:
+    """Innovations over their standard deviations, and half the sum of the log variances.
+
+    The state's mean is one for each column; its covariance is the same for all.
+    """
+    out = np.empty_like(columns)
+    number = columns.shape[1]
+    mean = np.zeros((slots, number))
+    covariance = np.zeros((slots, slots))
+    gain = np.zeros(slots)
     logarithm = 0.0
-    for k in range(count):
-        first = max(0, k - width + 1)
-        for j in range(first, k + 1):
-            total = bands[k, k - j]
-            for m in range(max(first, j - width + 1), j):
-                total -= factor[k, k - m] * factor[j, j - m]
-            if j < k:
-                factor[k, k - j] = total / factor[j, 0]
-            else:
-                factor[k, 0] = np.sqrt(total)
-        logarithm += np.log(factor[k, 0])
-        for c in range(out.shape[1]):
-            value = out[k, c]
-            for m in range(first, k):
-                value -= factor[k, k - m] * out[m, c]
-            out[k, c] = value / factor[k, 0]
+    for k in range(columns.shape[0]):
+        begin, end = first_entry[k], first_entry[k + 1]
+        if not joined[k]:
+            covariance[0, :] = 0.0
+            covariance[:, 0] = 0.0
+            covariance[0, 0] = speed
+            mean[0] = 0.0
+        for e in range(begin, end):
+            if fresh[e]:
+                covariance[slot[e], :] = 0.0
+                covariance[:, slot[e]] = 0.0
+                covariance[slot[e], slot[e]] = variance[e]
+                mean[slot[e]] = 0.0
+        # The window's error: its end's less its start's, and what its pieces bring in.
+        for i in range(slots):
+            gain[i] = -covariance[i, 0]
+        for e in range(begin, end):
+            for i in range(slots):
+                gain[i] += covariance[i, slot[e]] * value[e]
+        total = own[k] + speed - gain[0]
+        for e in range(begin, end):
+            total += value[e] * gain[slot[e]]
+        logarithm += 0.5 * np.log(total)
+        root = np.sqrt(total)
+        for c in range(number):
+            innovation = columns[k, c] + mean[0, c]
+            for e in range(begin, end):
+                innovation -= value[e] * mean[slot[e], c]
+            out[k, c] = innovation / root
+            for i in range(1, slots):
+                mean[i, c] += gain[i] * innovation / total
+            mean[0, c] = speed * innovation / total
+        # The end's error takes the place of the start's.
+        for i in range(1, slots):
+            for j in range(1, slots):
+                covariance[i, j] -= gain[i] * gain[j] / total
+            covariance[0, i] = -gain[i] * speed / total
+            covariance[i, 0] = covariance[0, i]
+        covariance[0, 0] = speed - speed * speed / total
     return out, logarithm

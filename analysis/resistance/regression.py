@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from analysis.resistance.noise import NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.windows import Windows
@@ -37,11 +38,14 @@ DRAG_STD = (1.0, 0.1, 0.01)
 OUTLIER = 5.0
 """Windows whose whitened residual exceeds this many standard deviations are left out."""
 
-ROUNDS = 4
+NEIGHBOURS = 9
+"""Of so many consecutive windows only the worst is left out in one round."""
+
+ROUNDS = 6
 """Most rounds of leaving out outliers."""
 
-CLUSTER = 8
-"""Consecutive windows that form a cluster: one or two kilometres."""
+CLUSTER = 80.0
+"""Windows that begin within the same so many seconds form a cluster: one or two kilometres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +115,13 @@ def regress(windows: Windows, mass: float, mass_std: float) -> Regression:
             for after in recursion.record(rows[:, :-1], rows[:, -1])
         )
         residual = rows[:, -1] - rows[:, :-1] @ theta[-1]
-        far = np.abs(residual) > OUTLIER
+        # An outlier spoils its neighbours' whitened residuals too: only the worst goes at a time.
+        size = np.abs(residual)
+        far = (size > OUTLIER) & (size == maximum_filter1d(size, NEIGHBOURS))
         if not np.any(far):
             break
         kept[np.flatnonzero(kept)[far]] = False
-    factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, covariances[-1]))
+    factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, covariances[-1], used.start))
     beta, covariance = _physical(theta, factor * covariances)
     return Regression(
         beta=beta[-1],
@@ -141,9 +147,11 @@ def condition_number(x: FloatArray) -> float:
     return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
 
 
-def _cluster_ratio(rows: FloatArray, residual: FloatArray, covariance: FloatArray) -> float:
+def _cluster_ratio(
+    rows: FloatArray, residual: FloatArray, covariance: FloatArray, start: FloatArray
+) -> float:
     """Cluster-robust variance over the model's, averaged over the parameters."""
-    begin = np.arange(0, residual.size, CLUSTER)
+    begin = np.flatnonzero(np.diff(start // CLUSTER, prepend=-1.0))
     scores = np.add.reduceat(rows * residual[:, None], begin, axis=0)
     count = begin.size
     if count < 2:
