@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.resistance.fit import estimated_resistance, fit_trip
+from analysis.resistance.logs import fit_log
 from analysis.resistance.recording import speed_scale
 from analysis.slip import slip
 from estimators.kalman import smooth_motion
@@ -49,12 +52,19 @@ def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
     LogError
         If nothing could be estimated.
     """
+    return _estimated(trip, lambda: estimated_resistance(fit_trip(trip)))
+
+
+def _estimated(
+    trip: Trip, resistance_of: Callable[[], pd.DataFrame]
+) -> tuple[Trip, tuple[str, ...]]:
+    """`with_estimates`, with running resistance from where it is known."""
     refusals: list[str] = []
     added: list[str] = []
     result = trip
     for name, estimate in (
         ("state", _state),
-        ("running resistance", _resistance),
+        ("running resistance", lambda _, result: result.with_topic(resistance_of())),
         ("adhesion", _adhesion),
     ):
         try:
@@ -76,8 +86,9 @@ def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
 def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
     """Write a log with what can be estimated of it; see `with_estimates`.
 
-    A log too long for the memory is estimated in stretches: at each the running resistance is
-    learnt anew, and the sizes of the noise and the wheel diameters are those of the stretch.
+    A log too long for the memory is estimated in stretches: what was learnt of the running
+    resistance goes on from each to the next, as in the whole; the sizes of the noise and the wheel
+    diameters are those of the stretch.
 
     Returns
     -------
@@ -93,10 +104,14 @@ def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
         If the output cannot be written.
     """
     refusals: list[str] = []
+    resistance_of = cache(lambda: _outcome(lambda: estimated_resistance(fit_log(Path(log)))))
     with LogWriter(output) as writer:
         for stretch in stretches(log):
             try:
-                trip, refused = with_estimates(stretch.trip)
+                if stretch.count == 1:
+                    trip, refused = with_estimates(stretch.trip)
+                else:
+                    trip, refused = _estimated(stretch.trip, _part(resistance_of, stretch.span))
             except LogError as error:
                 if stretch.count == 1:
                     raise
@@ -105,6 +120,31 @@ def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
             where = "" if stretch.count == 1 else f"part {stretch.number} of {stretch.count}: "
             refusals += [f"{where}{told}" for told in refused]
     return tuple(refusals)
+
+
+def _outcome(estimate: Callable[[], pd.DataFrame]) -> pd.DataFrame | TrainlogError:
+    """What an estimate gives, or why it gives nothing: to be told to every stretch."""
+    try:
+        return estimate()
+    except TrainlogError as error:
+        return error
+
+
+def _part(
+    resistance_of: Callable[[], pd.DataFrame | TrainlogError], span: tuple[int, int]
+) -> Callable[[], pd.DataFrame]:
+    """The rows of a whole log's estimate that belong to a stretch of it."""
+
+    def rows() -> pd.DataFrame:
+        found = resistance_of()
+        if isinstance(found, TrainlogError):
+            raise found
+        times = pd.DatetimeIndex(found.index).asi8
+        part = found[(times >= span[0]) & (times <= span[1])]
+        part.attrs = found.attrs
+        return part
+
+    return rows
 
 
 def _state(trip: Trip, result: Trip) -> Trip:
@@ -139,10 +179,6 @@ def _state(trip: Trip, result: Trip) -> Trip:
         },
     )
     return result.with_topic(frame)
-
-
-def _resistance(trip: Trip, result: Trip) -> Trip:
-    return result.with_topic(estimated_resistance(fit_trip(trip)))
 
 
 def _adhesion(trip: Trip, result: Trip) -> Trip:

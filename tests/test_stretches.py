@@ -90,6 +90,17 @@ def test_motion_and_slip_have_no_seams(estimated: tuple[Trip, Trip]) -> None:
     assert off["slip_speed_1"].quantile(0.99) < 0.05
 
 
+def test_running_resistance_is_not_learnt_anew_at_a_seam(estimated: tuple[Trip, Trip]) -> None:
+    whole, parts = estimated
+    name = "/estimates/running_resistance"
+    assert len(whole[name]) > 100
+    assert parts[name].index.equals(whole[name].index)
+    np.testing.assert_allclose(parts[name]["resistance"], whole[name]["resistance"], rtol=1e-6)
+    # What is known only grows: the deviation at like speeds never jumps back up.
+    share = (parts[name]["resistance_std"] / parts[name]["resistance"]).to_numpy()
+    assert share[len(share) // 2 :].max() < 0.5 * share[:10].max()
+
+
 def test_what_was_recorded_stays_as_it_was(estimated: tuple[Trip, Trip], log: Path) -> None:
     recorded = read_log(log)
     for name in (TRAIN_STATE.name, "/train/axles", "/gnss/fix"):
