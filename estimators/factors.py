@@ -69,17 +69,20 @@ def hold(
     diagonal: FloatArray,
     gain: FloatArray,
     which: int,
-    variance: float,
+    information: float,
 ) -> None:
-    """Bierman's update by a sample of the one parameter `which` that confirms its estimate."""
+    """Bierman's update by a sample of the one parameter `which` that confirms its estimate.
+
+    `information` is one over the variance of that sample, by which all is multiplied here.
+    """
     tiny = np.finfo(diagonal.dtype).tiny
-    before = variance
-    inverse = 1.0 / before
+    before = 1.0
+    inverse = 1.0
     for i in range(which):
         gain[i] = 0.0
     for j in range(which, size):
-        f = upper[which, j]
-        weighted = diagonal[j] * f
+        f = information * upper[which, j]
+        weighted = diagonal[j] * upper[which, j]
         alpha = before + f * weighted
         slope = -f * inverse
         inverse = 1.0 / alpha
@@ -175,6 +178,15 @@ def transform(upper: FloatArray, diagonal: FloatArray, keep: FloatArray, added: 
                 wide[i, m] -= upper[i, j] * wide[j, m]
 
 
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def all_finite(values: FloatArray) -> bool:
+    """Whether every value is a finite number: one pass, nothing allocated."""
+    for value in values.flat:  # noqa: SIM110 - what is compiled is a loop
+        if not np.isfinite(value):
+            return False
+    return True
+
+
 @cache
 def recursion(size: int) -> Callable[..., FloatArray]:
     """The compiled recursion for `size` parameters, over a block in place.
@@ -216,13 +228,14 @@ def recursion(size: int) -> Callable[..., FloatArray]:
                     diagonal[i] *= inverse
             if (wanders or forgets) and trace(size, upper, diagonal, weights) > 1.0:
                 for i in range(size):
-                    if leak[i] > 0.0:
-                        hold(size, upper, diagonal, room, i, 1.0 / leak[i])
+                    hold(size, upper, diagonal, room, i, leak[i])
+            # A variance that is the same for all samples comes once.
+            variance = noise[k] if len(noise) > 1 else noise[0]
             innovation = values[k]
             for i in range(size):
                 innovation -= rows[k, i] * estimate[i]
             innovations[k] = innovation
-            measure(size, estimate, upper, diagonal, room, rows[k], innovation, noise[k])
+            measure(size, estimate, upper, diagonal, room, rows[k], innovation, variance)
             if k < estimate_after.shape[0]:
                 estimate_after[k] = estimate
                 product(size, upper, diagonal, covariance_after[k])

@@ -24,7 +24,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from estimators.factors import recursion, transform
+from estimators.factors import all_finite, recursion, transform
 from estimators.interface import (
     CALIBRATED,
     FloatArray,
@@ -285,17 +285,20 @@ class RecursiveLeastSquares:
         dtype = self._estimate.dtype
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(regressors, dtype=dtype)))
         values = np.ascontiguousarray(np.atleast_1d(np.asarray(measurements, dtype=dtype)))
-        noise = np.ascontiguousarray(
-            np.broadcast_to(np.asarray(variance, dtype=dtype), values.shape)
-        )
+        noise = np.ascontiguousarray(np.atleast_1d(np.asarray(variance, dtype=dtype)))
         if rows.shape != (values.size, self.size) or values.ndim != 1:
             raise InputError(
                 f"recursive least squares: regressors of shape {rows.shape} do not fit"
                 f" {values.size} measurements of {self.size} parameters"
             )
-        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(values))):
+        if noise.shape not in ((1,), values.shape):
+            raise InputError(
+                f"recursive least squares: {noise.shape} variances do not fit"
+                f" {values.size} measurements"
+            )
+        if not (all_finite(rows) and all_finite(values)):
             raise InputError("recursive least squares: a sample is not finite")
-        if not (np.all(np.isfinite(noise)) and np.all(noise > 0.0)):
+        if not (all_finite(noise) and np.all(noise > 0.0)):
             raise InputError("recursive least squares: a variance is not positive and finite")
         return rows, values, noise
 

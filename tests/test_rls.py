@@ -386,6 +386,8 @@ def test_bad_samples_are_refused_and_change_nothing() -> None:
         ([[1.0, 2.0, 4.0]], [np.inf], 1.0),
         ([[1.0, 2.0, 4.0]], [1.0], 0.0),
         ([[1.0, 2.0, 4.0]], [1.0, 2.0], 1.0),
+        ([[1.0, 2.0, 4.0]], [1.0], [1.0, 1.0]),
+        ([[1.0, 2.0, 4.0]], [1.0], np.nan),
     ):
         with pytest.raises(InputError):
             estimator.update(rows, values, variance)

@@ -13,6 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
+from padasip.filters import FilterRLS
+from statsmodels.regression.recursive_ls import RecursiveLS
 
 from estimators.rls import RecursiveLeastSquares
 
@@ -20,11 +22,16 @@ FloatArray = NDArray[np.float64]
 
 PRIOR = np.array([100.0, 1.0, 0.1])
 VARIANCE = 0.01
+AGREEMENT = 1e-6
+"""Relative difference of the answers up to which they are the same."""
+
+OURS, THEIRS = 200_000, 20_000
+"""Samples run by the compiled blocks and by the peers."""
 
 
-def samples(count: int) -> tuple[FloatArray, FloatArray]:
+def samples(count: int, *, constant: bool = False) -> tuple[FloatArray, FloatArray]:
     generator = np.random.default_rng(1)
-    speed = generator.uniform(0.0, 55.0, count)
+    speed = np.full(count, 30.0) if constant else generator.uniform(0.0, 55.0, count)
     rows = np.column_stack([np.ones(count), speed, speed**2])
     values = rows @ np.array([2.09, 0.039, 0.000675])
     return rows, values + np.sqrt(VARIANCE) * generator.standard_normal(count)
@@ -58,37 +65,75 @@ def filterpy_filter(rows: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(peer.x[:, 0])
 
 
-def rate(run: Callable[[FloatArray, FloatArray], FloatArray], count: int) -> float:
-    """Million updates a second: the best of three runs."""
-    rows, values = samples(count)
+def padasip_filter(rows: FloatArray, values: FloatArray) -> FloatArray:
+    """Its prior is a multiple of the unit matrix, so that the regressors are scaled."""
+    peer = FilterRLS(3, mu=1.0, eps=VARIANCE, w="zeros")
+    peer.run(values, rows * PRIOR)
+    return np.asarray(peer.w * PRIOR)
+
+
+def statsmodels_fit(rows: FloatArray, values: FloatArray) -> FloatArray:
+    """As its users call it; the prior is diffuse, which 20,000 samples outweigh."""
+    return np.asarray(RecursiveLS(values, rows).fit().params)
+
+
+def statsmodels_filter(rows: FloatArray, values: FloatArray) -> FloatArray:
+    """Its compiled filter alone, without the smoother and the results of its `fit`."""
+    found = RecursiveLS(values, rows).filter(return_ssm=True)
+    return np.asarray(found.filtered_state[:, -1])
+
+
+PEERS = (numpy_loop, filterpy_filter, padasip_filter, statsmodels_fit, statsmodels_filter)
+
+
+def rate(run: Callable[[FloatArray, FloatArray], object], count: int, *, constant: bool) -> float:
+    """Million updates a second: the best of several runs."""
+    rows, values = samples(count, constant=constant)
     run(rows[:10], values[:10])
     times = []
-    for _ in range(3):
+    for _ in range(3 if run in PEERS else 100):
         began = time.perf_counter()
         run(rows, values)
         times.append(time.perf_counter() - began)
     return count / min(times) / 1e6
 
 
-def main() -> None:
-    rows, values = samples(20_000)
+def check_answers() -> None:
+    rows, values = samples(THEIRS)
     answer = compiled(rows, values)
-    for peer in (numpy_loop, filterpy_filter):
-        difference = np.abs(peer(rows, values) / answer - 1.0).max()
+    for peer in PEERS:
+        difference = float(np.abs(peer(rows, values) / answer - 1.0).max())
         print(f"{peer.__name__}: same answer within {difference:.1e}")
-    runs: dict[str, tuple[Callable[[FloatArray, FloatArray], FloatArray], int]] = {
-        "UD, compiled blocks": (compiled, 1_000_000),
-        "  float32": (lambda x, y: compiled(x, y, dtype=np.float32), 1_000_000),
-        "  forgetting 0.99": (lambda x, y: compiled(x, y, forgetting=0.99), 1_000_000),
-        "  random walk": (lambda x, y: compiled(x, y, random_walk_std=1e-6 * PRIOR), 1_000_000),
-        "numpy loop": (numpy_loop, 20_000),
-        "filterpy KalmanFilter": (filterpy_filter, 20_000),
+        if difference > AGREEMENT:
+            raise SystemExit(f"{peer.__name__} gives another answer")
+
+
+def main() -> None:
+    check_answers()
+    walk = 1e-6 * PRIOR
+    modes: dict[str, dict[str, object]] = {
+        "plain": {},
+        "forgetting 0.99": {"forgetting": 0.99},
+        "random walk": {"random_walk_std": walk},
+        "both": {"forgetting": 0.99, "random_walk_std": walk},
     }
-    rates = {name: rate(run, count) for name, (run, count) in runs.items()}
-    best = rates["UD, compiled blocks"]
-    print(f"\n{'':26s}{'million updates/s':>18s}{'slower by':>12s}")
-    for name, found in rates.items():
-        print(f"{name:26s}{found:18.3f}{best / found:12.1f}")
+    print(f"\n{'UD, compiled blocks':34s}{'million updates/s':>18s}")
+    found: dict[str, float] = {}
+    for constant in (False, True):
+        for dtype in (np.float64, np.float32):
+            for mode, settings in modes.items():
+                name = f"{mode}, {dtype.__name__}{', constant speed' if constant else ''}"
+                found[name] = rate(
+                    lambda x, y, chosen=settings | {"dtype": dtype}: compiled(x, y, **chosen),
+                    OURS,
+                    constant=constant,
+                )
+                print(f"{name:34s}{found[name]:18.1f}")
+    best, slowest = found["plain, float64"], min(found.values())
+    print(f"\n{'peer':34s}{'million updates/s':>18s}{'plain is faster':>18s}{'slowest mode':>14s}")
+    for peer in PEERS:
+        theirs = rate(peer, THEIRS, constant=False)
+        print(f"{peer.__name__:34s}{theirs:18.4f}{best / theirs:18.0f}{slowest / theirs:14.0f}")
 
 
 if __name__ == "__main__":
