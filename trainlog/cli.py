@@ -14,7 +14,7 @@ import typer
 from typer.exceptions import TyperException
 
 from trainlog import __version__
-from trainlog.commands import learn, look, plan, portion, record, study
+from trainlog.commands import coast_down, learn, look, plan, portion, record, study
 from trainlog.errors import TrainlogError
 from trainlog.terminal import complain, complaints, console, wrote
 
@@ -49,7 +49,7 @@ def _main(
     """
 
 
-for _panel in (record, portion, look, learn, plan, study):
+for _panel in (record, portion, look, learn, coast_down, plan, study):
     app.add_typer(_panel.app)
 
 

@@ -1,0 +1,127 @@
+"""Pictures of the coast-down: where the train coasted, and the curve with its band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from analysis.coast_down import CoastDown
+from analysis.coast_down.fit import TripCoastDown
+from analysis.pictures.style import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SKY,
+    dress,
+    new_figure,
+    write_figure,
+)
+from trainlog.units import KMH
+
+SHOWN = 4
+"""Trips whose speed is drawn."""
+
+
+def draw_coast_down(found: CoastDown, path: str | Path) -> None:
+    """Draw the coasting segments over speed and distance, the curve, its band and the windows."""
+    shown = sorted(found.trips, key=lambda fit: -fit.coasted)[:SHOWN]
+    figure = new_figure(12.0, max(5.2, 1.5 * len(shown) + 1.0))
+    grid = figure.add_gridspec(len(shown), 2, width_ratios=(3, 2))
+    for row, fit in enumerate(shown):
+        axes = figure.add_subplot(grid[row, 0])
+        _segments(axes, fit)
+        dress(
+            axes,
+            x="chainage [km]" if row == len(shown) - 1 else "",
+            y="speed [km/h]",
+            title=f"{fit.trip}: coasting for {fit.coasted:.0f} s",
+        )
+        if row == 0:
+            axes.legend(fontsize=8, frameon=False, loc="lower left", ncols=3)
+    _curve(figure.add_subplot(grid[:, 1]), found)
+    refused = f", {len(found.refused)} refused" if found.refused else ""
+    count = len(found.trips)
+    figure.suptitle(
+        f"{found.train or 'train'}: running resistance from the coasting of"
+        f" {count} trip{'s' if count > 1 else ''}{refused}",
+        x=0.01,
+        ha="left",
+        fontsize=11,
+        color=INK,
+    )
+    write_figure(figure, path)
+
+
+def _segments(axes: Axes, fit: TripCoastDown) -> None:
+    motion = fit.motion
+    kilometre, speed = motion.position / 1e3, KMH * motion.speed
+    axes.plot(kilometre, speed, color=GREY, linewidth=0.7, label="speed")
+    for segments, colour, label in (
+        (fit.segments, BLUE, "coasting"),
+        (fit.strays, RED, "left out: contradicts the others"),
+    ):
+        for number, segment in enumerate(segments):
+            inside = (motion.time >= segment.start) & (motion.time <= segment.end)
+            axes.plot(
+                kilometre[inside],
+                speed[inside],
+                color=colour,
+                linewidth=2.2,
+                label=label if number == 0 else None,
+            )
+    axes.set_ylim(bottom=0.0)
+
+
+def _curve(axes: Axes, found: CoastDown) -> None:
+    curve = found.curve
+    _windows(axes, found.trips)
+    low, high = curve.covered
+    speed = np.linspace(low, high, 120)
+    below, above = curve.band(speed)
+    axes.fill_between(
+        KMH * speed, below, above, color=BLUE, alpha=0.25, linewidth=0, label="95 % band of it all"
+    )
+    axes.plot(KMH * speed, curve(speed), color=SKY, linewidth=1.2, linestyle="--")
+    if curve.supported is not None:
+        known = np.linspace(*curve.supported, 120)
+        axes.plot(
+            KMH * known,
+            curve(known),
+            color=BLUE,
+            linewidth=2.0,
+            label=f"curve, supported {KMH * known[0]:.0f} to {KMH * known[-1]:.0f} km/h",
+        )
+    axes.set_ylim(0.0, 1.6 * float(np.max(curve(speed))))
+    ratio = found.ratio
+    dress(
+        axes,
+        x="speed [km/h]",
+        y="running resistance over inertia [m/s²]",
+        title=f"mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f} ({ratio.source})",
+    )
+    axes.legend(fontsize=8, frameon=False, loc="upper left")
+
+
+def _windows(axes: Axes, trips: Sequence[TripCoastDown]) -> None:
+    speed, value, std, used = (
+        np.concatenate([getattr(fit.points, name) for fit in trips])
+        for name in ("speed", "deceleration", "std", "used")
+    )
+    axes.errorbar(
+        KMH * speed[used],
+        value[used],
+        yerr=std[used],
+        fmt=".",
+        color=GREY,
+        elinewidth=0.4,
+        markersize=3,
+        alpha=0.6 if len(trips) < 4 else 0.3,
+        label=f"{int(used.sum())} windows of 10 s, with the speed's noise",
+    )
+    if not np.all(used):
+        axes.plot(KMH * speed[~used], value[~used], "x", color=ORANGE, label="outliers, left out")

@@ -1,0 +1,309 @@
+"""Running resistance from coasting: known answers, simulated trips, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.coast_down import CoastDown, coast_down, coast_down_logs
+from analysis.coast_down.fit import Curve, MassRatio, with_ratio
+from analysis.coast_down.motion import motion_of, smoothed_over
+from analysis.truth import truth_of
+from tests.coasting_trips import (
+    HILLY,
+    LEVEL,
+    RATIO,
+    coasting_down,
+    driven,
+    line_of_gradients,
+    recorded,
+)
+from trainlog.cli import run
+from trainlog.errors import InputError, LogError, NotIdentifiableError
+from trainlog.formats.attached import train_of
+from trainlog.formats.coast_down import (
+    coast_down_from_bytes,
+    coast_down_to_bytes,
+    read_coast_down,
+)
+from trainlog.formats.samples import sample
+from trainlog.mcap import read_log, write_log
+from trainlog.topics import GNSS_MOTION
+from trainlog.trip import Trip, frame_of, seconds
+
+CURVE = (0.014, 4e-4, 6e-5)
+
+DRIVE = [
+    *((60.0, 0.5), (70.0, 0.0), (40.0, 0.35), (20.0, np.nan), (80.0, 0.0), (25.0, -0.2)),
+    *((60.0, 0.45), (30.0, 0.07), (90.0, 0.0), (20.0, 0.3), (40.0, np.nan), (60.0, 0.0)),
+]
+"""Durations [s] and efforts over inertia [m/s²]; NaN holds the speed."""
+
+
+def c(curve: tuple[float, float, float], speed: np.ndarray) -> np.ndarray:
+    return curve[0] + curve[1] * speed + curve[2] * speed**2
+
+
+def inside(found: CoastDown, curve: tuple[float, float, float]) -> bool:
+    assert found.curve.supported is not None
+    speed = np.linspace(*found.curve.supported, 31)
+    low, high = found.curve.band(speed)
+    return bool(np.all((low <= c(curve, speed)) & (c(curve, speed) <= high)))
+
+
+def error(found: CoastDown, curve: tuple[float, float, float]) -> float:
+    assert found.curve.supported is not None
+    speed = np.linspace(*found.curve.supported, 31)
+    return float(np.sqrt(np.mean((found.curve(speed) / c(curve, speed) - 1.0) ** 2)))
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [(0.012, 1e-4, 2.5e-5), (0.012, 1.5e-3, 2.0e-5), (0.012, 1.2e-3, 3.0e-5)],
+    ids=["negative discriminant", "positive discriminant", "no discriminant"],
+)
+def test_closed_form_of_coasting_down_is_found_again(curve: tuple[float, float, float]) -> None:
+    time = np.arange(0.0, 250.0, 0.1)
+    down = coasting_down(time, 40.0, curve)
+    up = np.linspace(down[-1], 40.0, 600)
+    speed = np.concatenate((up, down, up, down))
+    at = 0.1 * np.arange(speed.size)
+    position = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
+    found = coast_down([recorded(at, position, speed, line=LEVEL, every=1, noise=0.02)])
+    assert error(found, curve) < 0.01
+    assert inside(found, curve)
+    z = (found.curve.theta[1:] - curve) / np.sqrt(np.diag(found.curve.covariance)[1:])
+    assert np.all(np.abs(z) < 4.0)
+    # On level track the rotating mass makes no difference and cannot be told.
+    assert found.ratio.source == "any train"
+    assert found.ratio.std == pytest.approx(0.02, rel=0.01)
+
+
+def test_good_speeds_give_the_curve_to_a_thousandth() -> None:
+    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
+    found = coast_down([recorded(time, position, speed, line=HILLY, every=1, noise=0.005)])
+    assert error(found, CURVE) < 2e-3
+    assert found.ratio.value == pytest.approx(RATIO, abs=3e-3)
+
+
+def test_gradients_that_vary_tell_the_rotating_mass() -> None:
+    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
+    found = coast_down([recorded(time, position, speed, line=HILLY, every=1, noise=0.02)])
+    assert found.ratio.source == "data"
+    assert abs(found.ratio.value - RATIO) < 3.0 * found.ratio.std < 0.03
+    weight, std = found.curve.per_weight(25.0)
+    assert abs(weight - c(CURVE, 25.0) / RATIO / 9.81) < 4.0 * std
+
+
+def test_coasting_is_found_and_nothing_else() -> None:
+    time, position, speed, effort = driven(HILLY, CURVE, DRIVE)
+    found = coast_down([recorded(time, position, speed, line=HILLY)])
+    marked = np.zeros(time.size, dtype=bool)
+    for segment in found.trips[0].segments:
+        marked |= (time >= segment.start) & (time <= segment.end)
+    coasting = (effort == 0.0) & (speed > 5.0)
+    assert np.mean(marked[coasting]) > 0.9
+    assert np.mean(coasting[marked]) > 0.95
+    assert inside(found, CURVE)
+
+
+@pytest.mark.parametrize("efforts", [(0.05, 0.09), (-0.05, -0.02), (0.03, -0.04), (np.nan, np.nan)])
+def test_a_train_that_never_coasts_is_refused(efforts: tuple[float, float]) -> None:
+    drive = [(50.0, 0.5), (60.0, efforts[0]), (30.0, -0.3), (40.0, 0.4), (90.0, efforts[1])]
+    time, position, speed, _ = driven(HILLY, CURVE, [*drive, (30.0, -0.2)], speed=12.0)
+    with pytest.raises(NotIdentifiableError, match="coasting"):
+        coast_down([recorded(time, position, speed, line=HILLY)])
+
+
+def test_constant_speed_is_refused() -> None:
+    time, position, speed, _ = driven(LEVEL, CURVE, [(600.0, np.nan)], speed=25.0)
+    with pytest.raises(NotIdentifiableError):
+        coast_down([recorded(time, position, speed, line=LEVEL)])
+
+
+def test_one_speed_only_is_refused() -> None:
+    """Down a gradient on which the train keeps its speed without any effort."""
+    slope = -c(CURVE, np.array(25.0)) / (9.81 * RATIO)
+    line = line_of_gradients([float(slope)] * 100)
+    time, position, speed, _ = driven(line, CURVE, [(900.0, 0.0)], speed=25.0)
+    with pytest.raises(NotIdentifiableError, match=r"one speed only|no coasting"):
+        coast_down([recorded(time, position, speed, line=line)])
+
+
+def test_speeds_beyond_those_coasted_are_refused() -> None:
+    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
+    trip = recorded(time, position, speed, line=HILLY)
+    with pytest.raises(NotIdentifiableError, match="asked for 18 to 216 km/h"):
+        coast_down([trip], speeds=(5.0, 60.0))
+
+
+def test_what_is_missing_is_named() -> None:
+    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
+    trip = recorded(time, position, speed, line=HILLY)
+    fixes = replace(trip, topics={"/estimates/state": trip["/estimates/state"]})
+    with pytest.raises(NotIdentifiableError, match="no speed was recorded"):
+        coast_down([fixes])
+    unplaced = replace(trip, topics={"/gnss/motion": trip["/gnss/motion"]})
+    with pytest.raises(NotIdentifiableError, match=r"where on the line .* ingest"):
+        coast_down([unplaced])
+    with pytest.raises(LogError, match=r"carries no line\.json"):
+        coast_down([replace(trip, attachments={})])
+    rare = recorded(time, position, speed, line=HILLY, every=50)
+    with pytest.raises(NotIdentifiableError, match=r"a speed every 5\.0 s only"):
+        coast_down([rare])
+    with pytest.raises(InputError, match="'made' is given twice"):
+        coast_down([trip, trip])
+    other = replace(trip, metadata={"trip": "b", "train": "b"})
+    with pytest.raises(InputError, match="different trains: a, b"):
+        coast_down([replace(trip, metadata={"trip": "a", "train": "a"}), other])
+    back = frame_of(GNSS_MOTION, [2, 3, 3, 4], {"speed": [1.0, 2.0, 3.0, 4.0]})
+    with pytest.raises(LogError, match="time does not increase"):
+        coast_down([trip.with_topic(back)])
+    with pytest.raises(NotIdentifiableError, match="no trip was given"):
+        coast_down([])
+
+
+def test_a_line_may_be_given_and_is_turned_round_for_the_way_back() -> None:
+    back = HILLY.reversed()
+    time, position, speed, _ = driven(back, CURVE, DRIVE)
+    own = coast_down([recorded(time, position, speed, line=HILLY, direction="reverse")])
+    given = coast_down([recorded(time, position, speed, direction="reverse")], HILLY)
+    assert own.curve.theta == pytest.approx(given.curve.theta, rel=1e-9)
+    assert error(own, CURVE) < 0.03
+
+
+def test_several_trips_are_sharper_than_one_and_come_in_any_order() -> None:
+    trips = []
+    for number in range(3):
+        time, position, speed, _ = driven(HILLY, CURVE, DRIVE, start=5_000.0 * number)
+        trips.append(
+            recorded(time, position, speed, line=HILLY, seed=number, name=f"trip-{number}")
+        )
+    together = coast_down(trips)
+    assert np.array_equal(together.curve.theta, coast_down(trips[::-1]).curve.theta)
+    assert inside(together, CURVE)
+    assert error(together, CURVE) < 0.02
+
+
+def test_an_average_keeps_straight_lines() -> None:
+    time = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.3, 200))
+    averaged = smoothed_over(time, 3.0 - 0.1 * time, 1.0)
+    middle = (time > time[0] + 1.0) & (time < time[-1] - 1.0)
+    assert averaged[middle] == pytest.approx((3.0 - 0.1 * time)[middle], abs=1e-9)
+
+
+def test_knowing_the_rotating_mass_sharpens_what_goes_with_it() -> None:
+    covariance = np.diag([0.04, 1e-4, 1e-8, 1e-10])
+    covariance[0, 1] = covariance[1, 0] = 1e-3
+    theta = np.array([0.8, 0.01, 1e-3, 1e-5])
+    told, left, ratio = with_ratio(theta, covariance, MassRatio(0.92, 0.01, "train file"))
+    assert ratio.source == "train file"
+    assert ratio.value == pytest.approx(0.92, abs=1e-3)
+    assert left[1, 1] < covariance[1, 1]
+    assert told[1] == pytest.approx(0.01 + 1e-3 / 0.0401 * 0.12)
+
+
+def test_a_curve_is_supported_where_it_is_known() -> None:
+    covariance = np.zeros((4, 4))
+    covariance[1:, 1:] = np.diag([1e-6, 1e-12, 1e-14])
+    known = Curve(np.array([0.92, *CURVE]), covariance, 20.0, (10.0, 30.0))
+    assert known.supported == (10.0, 30.0)
+    unknown = Curve(np.array([0.92, *CURVE]), 10.0 * covariance, 20.0, (10.0, 30.0))
+    assert unknown.supported is not None
+    assert unknown.supported[0] > 11.0
+    assert Curve(np.array([0.92, *CURVE]), 1e4 * covariance, 20.0, (10.0, 30.0)).supported is None
+
+
+# ------------------------------------------------------------------------ recorded and simulated
+
+
+@cache
+def sample_trip(name: str) -> Trip:
+    return read_log(sample(name))
+
+
+def satellites_only(trip: Trip) -> Trip:
+    """Without what the train itself recorded but its chainage."""
+    state = trip["/train/state"].assign(speed=np.nan)
+    state.attrs = trip["/train/state"].attrs
+    kept = {"/gnss/motion": trip["/gnss/motion"], "/train/state": state}
+    return replace(trip, topics=kept)
+
+
+@pytest.mark.parametrize("satellites", [False, True], ids=["wheels", "satellites"])
+def test_a_simulated_trip_gives_its_true_curve(satellites: bool) -> None:
+    trip = sample_trip("nonstop.mcap")
+    found = coast_down([satellites_only(trip) if satellites else trip])
+    truth = truth_of(trip)
+    assert truth is not None
+    inertia = truth.mass + train_of(trip).rotating_mass
+    speed = np.linspace(*(found.curve.supported or (0.0, 0.0)), 31)
+    true = truth.resistance(speed) / inertia
+    low, high = found.curve.band(speed)
+    assert np.sqrt(np.mean((found.curve(speed) / true - 1.0) ** 2)) < 0.05
+    assert np.all((low < true) & (true < high))
+
+
+def test_efforts_are_not_looked_at() -> None:
+    trip = sample_trip("nonstop.mcap")
+    kept = {name: trip[name] for name in ("/train/state", "/gnss/motion")}
+    assert np.array_equal(
+        coast_down([trip]).curve.theta, coast_down([replace(trip, topics=kept)]).curve.theta
+    )
+
+
+def test_segments_of_a_simulated_trip_are_where_it_truly_coasted() -> None:
+    trip = sample_trip("nonstop.mcap")
+    fit = coast_down([trip]).trips[0]
+    controls = trip["/train/controls"]
+    time = seconds(controls, motion_of(trip).start)
+    names = ["tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort"]
+    coasting = np.all(controls[names].to_numpy() < 1.0, axis=1)
+    marked = np.zeros(time.size, dtype=bool)
+    for segment in fit.segments:
+        marked |= (time >= segment.start) & (time <= segment.end)
+    assert np.mean(coasting[marked]) > 0.9
+    assert marked.sum() > 0.8 * np.count_nonzero(coasting & (trip["/truth"]["speed"] > 5.0))
+
+
+def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    write_log(satellites_only(sample_trip("nonstop.mcap")), log)
+    found = coast_down_logs([log])
+    data = coast_down_to_bytes(found.result)
+    assert coast_down_to_bytes(coast_down_from_bytes(data)) == data
+    assert coast_down_to_bytes(coast_down_logs([log]).result) == data
+    result = found.result
+    assert result["c0"].value == found.found.curve.theta[1]
+    assert result["mass_ratio"].reason in (None, "expected: train file")
+    assert len(result.provenance["inputs"]["trip-01"]) == 64
+    assert result.trips[0]["segments"]
+    with pytest.raises(KeyError):
+        result["r0"]
+    with pytest.raises(InputError, match="covariance: needs 4 rows of 4"):
+        coast_down_from_bytes(data.replace(b'"covariance": [\n    [', b'"covariance": [\n    [0, '))
+
+
+def test_the_command_writes_result_and_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "coast-down.json"
+    assert run(["coast-down", str(sample("nonstop.mcap")), "-o", str(output)]) == 0
+    told = capsys.readouterr().out
+    assert "Running resistance of the coasting train" in told
+    assert read_coast_down(output).gradient == "line"
+    assert output.with_suffix(".png").stat().st_size > 20_000
+
+
+def test_the_command_tells_in_one_line_why_not(tmp_path: Path) -> None:
+    trip = sample_trip("nonstop.mcap").between("2024-10-07T06:00:00Z", "2024-10-07T06:01:00Z")
+    log = tmp_path / "short.mcap"
+    write_log(trip, log)
+    with pytest.raises(NotIdentifiableError, match="coasting") as refusal:
+        run(["coast-down", str(log), "-o", str(tmp_path / "r.json")])
+    assert len(str(refusal.value).splitlines()) == 1
+    assert not (tmp_path / "r.json").exists()

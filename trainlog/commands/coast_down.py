@@ -1,0 +1,48 @@
+"""The command that learns running resistance from coasting."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trainlog.commands.options import Logs
+from trainlog.terminal import console, destination, logs_in, progress_bar, working, wrote
+
+app = typer.Typer()
+
+
+@app.command("coast-down", rich_help_panel="Learn")
+def coast_down(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Result (JSON).")],
+    line: Annotated[
+        Path | None, typer.Option(help="Line file for logs that carry no line.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+) -> None:
+    """Learn running resistance from where the train coasts; no efforts are needed.
+
+    Finds the coasting by itself from speed, chainage and the line's gradient, and tells the
+    resistance over the train's inertia, with its band. Recordings that do not show it are refused
+    with the reason.
+
+    Example: trainlog coast-down results/recorded -o results/coast-down.json
+    """
+    from analysis.coast_down.logs import coast_down_logs
+    from analysis.pictures.coast_down import draw_coast_down
+    from analysis.report_coast_down import coast_down_table
+    from trainlog.formats.coast_down import write_coast_down
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    with progress_bar() as progress:
+        found = coast_down_logs(progress.track(logs_in(logs), description="coasting"), line)
+    write_coast_down(found.result, output)
+    with working("drawing"):
+        draw_coast_down(found.found, shown)
+    console.print(coast_down_table(found.found))
+    wrote(output, shown)
