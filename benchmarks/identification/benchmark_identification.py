@@ -2,6 +2,10 @@
 
     python benchmarks/identification/benchmark_identification.py [--trips 100]
 
+The filter for use while the train runs (`estimators.running_resistance`) is told the sizes of the
+noise, which the integral methods estimate. It runs twice: with next to nothing known of the curve,
+and with a weak prior: each coefficient drawn 100 % off the truth, and taken to be.
+
 Peers in the same run: recursive least squares on differenced speed with the mass fixed (paper
 004, eqs. 21-24) and ordinary least squares on the same integral windows. The error is the root
 mean square over 5 to 55 m/s of the curve's relative error.
@@ -19,9 +23,12 @@ from numpy.typing import NDArray
 
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import LARGEST_CONDITION
+from analysis.resistance.recording import POSITION_STEP
 from analysis.resistance.regression import Regression, regress
 from analysis.resistance.windows import Windows, build_windows
 from estimators.rls import RecursiveLeastSquares
+from estimators.running_resistance import RunningResistanceFilter, RunningResistanceResult
+from trainlog.railway import RunningResistance
 
 FloatArray = NDArray[np.float64]
 
@@ -58,6 +65,78 @@ def together(fits: list[Regression]) -> FloatArray:
     information = [np.linalg.inv(fit.covariance[:3, :3]) for fit in fits]
     weighted = [w @ fit.beta[:3] for w, fit in zip(information, fits, strict=True)]
     return np.asarray(np.linalg.solve(np.sum(information, axis=0), np.sum(weighted, axis=0)))
+
+
+WEAK = 1.0
+"""Relative standard deviation of each coefficient of the weak prior."""
+
+NOTHING = (1.0, 0.1, 0.01)
+"""Standard deviation of r0, r1 and r2 over mass where next to nothing is known."""
+
+
+def online(trip: Drawn, study: Study, seed: int, weak: bool) -> RunningResistanceResult:
+    """What the extended Kalman filter knows at the end of a trip."""
+    r = study.resistance
+    true = np.array([r.r0, r.r1, r.r2])
+    drawn = true * (1.0 + WEAK * np.random.default_rng([seed, 1]).standard_normal(3))
+    known = recording(trip)
+    estimator = RunningResistanceFilter(
+        study.mass,
+        0.1 * study.mass,
+        RunningResistance(*drawn.tolist()) if weak else RunningResistance(0.0, 0.0, 0.0),
+        WEAK * true if weak else study.mass * np.array(NOTHING),
+        speeds=(float(SPEEDS[0]), float(SPEEDS[-1])),
+        speed_std=float(np.hypot(study.speed_noise, study.speed_resolution / np.sqrt(12.0))),
+        gradient_std=0.5e-3,
+        chainage_std=20.0 / np.sqrt(3.0),
+        reach=POSITION_STEP,
+    )
+    estimator.update(
+        known.time,
+        known.speed,
+        known.effort,
+        known.track,
+        known.track_slope,
+        known.section,
+        known.usable,
+    )
+    return estimator.result()
+
+
+def online_rows(study: Study, trips: int) -> None:
+    """Print the errors of the filter, its coverage, and how many trips it calls valid."""
+    truth = study.resistance(SPEEDS)
+    for name, weak in (("nothing known", False), ("weak prior", True)):
+        found = [online(draw(study, seed), study, seed, weak) for seed in range(trips)]
+        cells = [cell([error(each.estimate[:3], study) for each in found]), "-", "-"]
+        if not weak:
+            betas = [each.estimate[:3] for each in found]
+            information = [np.linalg.inv(each.covariance[:3, :3]) for each in found]
+            cells[1:] = [
+                cell(
+                    [
+                        error(
+                            np.linalg.solve(
+                                np.sum([information[k] for k in group], axis=0),
+                                np.sum([information[k] @ betas[k] for k in group], axis=0),
+                            ),
+                            study,
+                        )
+                        for group in groups(betas, n)
+                    ]
+                )
+                for n in (10, 100)
+            ]
+        off = [np.abs(powers(SPEEDS) @ each.estimate[:3] - truth) for each in found]
+        std = [curve_std(each.covariance[:3, :3], SPEEDS) for each in found]
+        covered = np.mean(np.array(off) < 1.96 * np.array(std))
+        print(
+            f"{f'EKF, online ({name})':46s}"
+            + "".join(f"{text:>14s}" for text in cells)
+            + f"   covers {covered:.3f}, valid {sum(each.valid for each in found)}"
+        )
+    held = [online(draw(CONSTANT, seed), CONSTANT, seed, True).valid for seed in range(20)]
+    print(f"{'EKF, online, at one speed':46s}   valid {sum(held)} of {len(held)}")
 
 
 def groups(betas: list[FloatArray], size: int) -> list[list[int]]:
@@ -133,6 +212,7 @@ def main() -> None:
     print(f"{'estimator':46s}{'1 trip':>14s}{'10 trips':>14s}{'100 trips':>14s}")
     for name, cells in table.items():
         print(f"{name:46s}" + "".join(f"{text:>14s}" for text in cells))
+    online_rows(study, trips)
     single, whole, bias = coverage(fits, study)
     print(f"\ncoverage of the 95 % band: single speeds {single:.3f}, whole curves {whole:.3f}")
     print(f"bias of r1, all trips together: {bias:.1f} %")
