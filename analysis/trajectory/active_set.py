@@ -6,16 +6,19 @@ lower bound for some is one for all. Few are ever active: the slowest, and those
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, count
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.minimax import Solution, minimise
-from analysis.trajectory.pace import cell_times, paced_run, realise, ride_along
+from analysis.trajectory.pace import capped_run, cell_times, realise, ride_along
 from analysis.trajectory.problem import Plan, Problem
-from analysis.trajectory.relaxation import Relaxation, Relaxed
+from analysis.trajectory.relaxation import Relaxation
 from trainlog.errors import InfeasibleError
 from trainlog.units import KMH
 
@@ -24,11 +27,43 @@ FloatArray = NDArray[np.float64]
 _LATE = 5e-5
 """Lateness that makes a configuration active [s]."""
 
-_FAR_BEHIND = 0.5
-"""Lateness that makes a configuration active before the optimum is refined [s]."""
-
 _OVER = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
+
+_COARSE = 1e-4
+"""Tolerance of a search that only prepares another, relative; of lateness 15 times that [s]."""
+
+_IDLE = 1e-3
+"""Switching function below which a configuration has no say, and leaves a prepared set."""
+
+_SHORT = 0.05
+"""Price of time over the highest, from which a configuration counts as short of it."""
+
+_MANY = 40
+"""Configurations above which only those that stand out are scouted with."""
+
+_CLOSE = 0.1
+"""Gap, times the number of cells, above which a better bound is looked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Where a search begins: some configurations, their plan, and what a second is worth to each.
+
+    Attributes
+    ----------
+    rows : tuple of int
+    plan : Plan
+        Of these configurations, as the price.
+    price : (rows,) array [J/(kg s)]
+    statuses : tuple of str
+        The solver's words on the way here.
+    """
+
+    rows: tuple[int, ...]
+    plan: Plan
+    price: FloatArray
+    statuses: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,65 +75,183 @@ class Answer:
     plan : Plan
     active : tuple of int
         Rows of the configurations that it was optimised for.
-    bound : float [J/kg]
-        Lower bound of the worst-case energy, per unit reference inertia.
-    bound_status : str
     solution : Solution
         Of the active configurations.
     turns : int
         How often configurations were added, and once more.
+    statuses : tuple of str
+        The solver's word on every program.
     """
 
     plan: Plan
     active: tuple[int, ...]
-    bound: float
-    bound_status: str
     solution: Solution
     turns: int
+    statuses: tuple[str, ...]
 
 
-def search(problem: Problem, least_times: FloatArray, running_time: float) -> Answer:
+def outstanding(problem: Problem, least_times: FloatArray) -> list[int]:
+    """Rows of the configurations that may decide: the extreme ones by every pair of properties.
+
+    Whoever decides all the same shows when everybody rides along; here few are looked at.
+    """
+    q = problem.shape[0]
+    speed = float(problem.step.sum()) / float(np.median(least_times))
+    drag = np.column_stack(
+        (
+            problem.mean_drag0 @ problem.step / problem.step.sum(),
+            problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2,
+            problem.power,
+            problem.gain,
+            least_times,
+        )
+    )
+    spread = np.ptp(drag, axis=0)
+    unit = (drag - drag.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    found = set()
+    for a, b in combinations(range(unit.shape[1]), 2):
+        for sign in (1.0, -1.0):
+            both = unit[:, a] + sign * unit[:, b]
+            found |= {int(np.argmax(both)), int(np.argmin(both))}
+    return sorted(found) if q > _MANY else list(range(q))
+
+
+def first_guess(problem: Problem, speeds: FloatArray, running_time: float) -> Guess:
+    """The slowest and the dearest configuration, and their fastest run cut off.
+
+    Parameters
+    ----------
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
+    """
+    times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
+    rows = {int(np.argmax(times)), _dearest(problem, times)}
+    if problem.common:
+        rows |= {int(np.argmin(times)), int(np.argmin(problem.power))}
+    chosen = tuple(sorted(rows))
+    part = problem.select(chosen)
+    return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
+
+
+def finer_guess(answer: Answer, coarse: FloatArray, problem: Problem, rows: Sequence[int]) -> Guess:
+    """What was found on one grid, on another one.
+
+    Parameters
+    ----------
+    answer : Answer
+        For the configurations `rows` of `problem`.
+    coarse : (m + 1,) array [m]
+        Its grid.
+    problem : Problem
+    """
+    solution, positions = answer.solution, problem.positions
+    influence = np.abs(solution.multipliers.pull / np.diff(coarse)).max(axis=1)
+    active = np.flatnonzero(influence > _IDLE)
+    if active.size == 0 or problem.common:
+        active = np.arange(len(answer.active))
+    plan = solution.plan
+    cell = np.searchsorted(coarse, 0.5 * (positions[1:] + positions[:-1])) - 1
+    cell = np.clip(cell, 0, coarse.size - 2)
+    z = np.array([np.interp(positions, coarse, plan.z[row]) for row in active])
+    guess = Plan(
+        z, plan.traction[cell], *(e[active][:, cell] for e in (plan.braking, plan.dynamic))
+    )
+    chosen = tuple(rows[answer.active[row]] for row in active)
+    return Guess(chosen, guess, solution.time_price[active], answer.statuses)
+
+
+def search(
+    problem: Problem, guess: Guess, speeds: FloatArray, running_time: float, *, coarse: bool = False
+) -> Answer:
     """The robust optimum.
 
     Parameters
     ----------
     problem : Problem
         With all configurations.
-    least_times : (q,) array [s]
-        Of each configuration by itself.
+    guess : Guess
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
     running_time : float [s]
+    coarse : bool
+        Whether it only prepares another search: its tolerances are wider.
 
     Raises
     ------
     InfeasibleError
         If there is no such trajectory; with the figures.
     """
-    active = {int(np.argmax(least_times)), _dearest(problem, least_times)}
-    if problem.common:
-        active |= {int(np.argmin(least_times)), int(np.argmin(problem.power))}
-    turns = 0
-    while True:
-        turns += 1
-        rows = sorted(active)
+    rows, plan, price = list(guess.rows), guess.plan, guess.price
+    wider, statuses = (_COARSE / 2e-6 if coarse else 1.0), list(guess.statuses)
+    for turns in count(1):
         part = problem.select(rows)
-        relaxed = _relaxed(part, running_time)
-        late = cell_times(problem, _all_ride(problem, rows, part, relaxed.plan)).sum(axis=1)
-        if late.max() > max(running_time, late[rows].max()) + _FAR_BEHIND:
-            active |= _worst(late, running_time)
-            continue
-        solution = _optimum(part, relaxed, running_time)
-        plan = _all_ride(problem, rows, part, solution.plan)
-        new = _violators(problem, plan, running_time, rows)
+        solution = _optimum(part, plan, price, speeds[rows], running_time, 2e-6 * wider)
+        statuses.extend(solution.statuses)
+        everyone = _all_ride(problem, rows, part, solution.plan)
+        new = _violators(problem, everyone, running_time, rows, wider) - set(rows)
         if not new:
-            # The bound's time is that of constant acceleration in a cell; where the true time is
-            # shorter the bound pays for the difference.
-            model = _model_times(part, realise(part, solution.plan))
-            spare = np.maximum(
-                model - cell_times(part, realise(part, solution.plan)).sum(axis=1), 0
-            )
-            bound = relaxed.bound - float(relaxed.time_price @ spare)
-            return Answer(plan, tuple(rows), bound, relaxed.status, solution, turns)
-        active |= new
+            return Answer(everyone, tuple(rows), solution, turns, tuple(statuses))
+        price = np.append(solution.time_price, np.zeros(len(new)))
+        late, plan = sorted(new), solution.plan
+        plan = Plan(
+            np.concatenate((plan.z, everyone.z[late])),
+            plan.traction,
+            np.concatenate((plan.braking, everyone.braking[late])),
+            np.concatenate((plan.dynamic, everyone.dynamic[late])),
+        )
+        rows += late
+    raise AssertionError  # for ever is long enough
+
+
+def best_bound(
+    problem: Problem, answer: Answer, speeds: FloatArray, running_time: float
+) -> tuple[float, str]:
+    """Lower bound of the worst-case energy [J/kg], and how it was found.
+
+    The multipliers of the optimum give it; or those of an optimum for the configurations alone to
+    which time is worth something, for the bound cannot hold the power of others; or, if none of
+    this comes close, the cone relaxation.
+    """
+    part, solution = problem.select(answer.active), answer.solution
+    close = 1.0 - _CLOSE / problem.shape[1]
+    bound = _bounded(part, solution, running_time)
+    if bound >= close * solution.energy:
+        return bound, "multipliers"
+    priced = np.flatnonzero(solution.time_price > _SHORT * solution.time_price.max()).tolist()
+    rows, plan = [answer.active[row] for row in priced], solution.plan
+    if len(priced) < len(answer.active):
+        part = problem.select(rows)
+        alone = Plan(plan.z[priced], plan.traction, plan.braking[priced], plan.dynamic[priced])
+        try:
+            solution = minimise(part, alone, solution.time_price[priced], running_time, rounds=2)
+            bound = max(bound, _bounded(part, solution, running_time))
+        except NoSolutionError:
+            solution = answer.solution
+        if bound >= close * answer.solution.energy:
+            return bound, "multipliers of those short of time"
+    try:
+        relaxed = Relaxation(part, speeds[rows]).least_energy(running_time)
+    except NoSolutionError:
+        return bound, "multipliers"
+    spare = _spare(part, solution.plan)
+    relaxation = relaxed.bound - float(relaxed.time_price @ spare)
+    return max(bound, relaxation), f"cone relaxation: {relaxed.status}"
+
+
+def _bounded(problem: Problem, solution: Solution, running_time: float) -> float:
+    allowed = running_time + _spare(problem, solution.plan)
+    return lower_bound(problem, solution.multipliers, np.sqrt(2.0 * solution.plan.z), allowed)
+
+
+def _spare(problem: Problem, plan: Plan) -> FloatArray:
+    """By how much the true times are shorter than those by the mean speeds of the cells [s].
+
+    The bounds take the latter; they pay for the difference.
+    """
+    driven = realise(problem, plan)
+    speed = np.sqrt(2.0 * driven.z)
+    model = (2.0 * problem.step / (speed[:, :-1] + speed[:, 1:])).sum(axis=1)
+    return np.asarray(np.maximum(model - cell_times(problem, driven).sum(axis=1), 0.0))
 
 
 def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -> Plan:
@@ -110,7 +263,9 @@ def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -
     return riding
 
 
-def _violators(problem: Problem, plan: Plan, running_time: float, active: list[int]) -> set[int]:
+def _violators(
+    problem: Problem, plan: Plan, running_time: float, active: list[int], wider: float
+) -> set[int]:
     """The worst of the others of each kind: late, short of power or brake, too fast, too dear."""
     fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge))
     by_power = problem.dynamic_power / np.maximum(fastest, 1e-6)
@@ -128,7 +283,7 @@ def _violators(problem: Problem, plan: Plan, running_time: float, active: list[i
     found: set[int] = set()
     for excess in excesses:
         excess[active] = -np.inf
-        found |= _worst(excess, _OVER)
+        found |= _worst(excess, wider * _OVER)
     return found
 
 
@@ -141,11 +296,6 @@ def _worst(amounts: FloatArray, limit: float) -> set[int]:
     return {int(first), int(second)} if excess[second] > 0.4 * excess[first] else {int(first)}
 
 
-def _model_times(problem: Problem, plan: Plan) -> FloatArray:
-    speed = np.sqrt(2.0 * plan.z)
-    return np.asarray((2.0 * problem.step / (speed[:, :-1] + speed[:, 1:])).sum(axis=1))
-
-
 def _dearest(problem: Problem, least_times: FloatArray) -> int:
     """The configuration of the highest resistance at the mean speed of the fastest runs."""
     speed = float(problem.step.sum()) / float(np.median(least_times))
@@ -154,43 +304,49 @@ def _dearest(problem: Problem, least_times: FloatArray) -> int:
     return int(np.argmax(drag / problem.gain))
 
 
-def _relaxed(problem: Problem, running_time: float) -> Relaxed:
-    """The relaxation for these configurations.
+def _optimum(
+    problem: Problem,
+    plan: Plan,
+    price: FloatArray,
+    speeds: FloatArray,
+    running_time: float,
+    tolerance: float,
+) -> Solution:
+    """The optimum for these configurations, from a plan, or else from their relaxation.
 
     Raises
     ------
     InfeasibleError
         With what is missing: time, or with common braking a higher speed at the end.
     """
-    relaxation = Relaxation(problem, paced_run(problem, running_time))
+    late = max(_LATE, 15.0 * tolerance)
     try:
-        return relaxation.least_energy(running_time)
+        solution = minimise(problem, plan, price, running_time, rounds=12, tolerance=tolerance)
+        if solution.settled and solution.lateness <= late:
+            return solution
+    except NoSolutionError:
+        pass
+    relaxation = Relaxation(problem, speeds)
+    try:
+        relaxed = relaxation.least_energy(running_time)
     except NoSolutionError as word:
         if problem.common:
-            raise _brakes_explained(problem, running_time) from None
+            raise _brakes_explained(problem, speeds, running_time) from None
         raise _time_explained(problem, relaxation, running_time, str(word)) from None
-
-
-def _optimum(problem: Problem, relaxed: Relaxed, running_time: float) -> Solution:
-    """The optimum for these configurations, from their relaxation.
-
-    Raises
-    ------
-    InfeasibleError
-        As `_relaxed`, where the relaxation has a solution and the problem none.
-    """
     try:
-        solution = minimise(problem, relaxed.plan, relaxed.time_price, running_time)
-        word = f"{solution.lateness:.2f} s are missing"
+        solution = minimise(
+            problem, relaxed.plan, relaxed.time_price, running_time, tolerance=tolerance
+        )
+        if solution.lateness <= late:
+            return replace(solution, statuses=(relaxed.status, *solution.statuses))
+        why = f"{solution.lateness:.2f} s are missing"
     except NoSolutionError as failure:
-        solution, word = None, f"a convex step is {failure}"
-    if solution is not None and solution.lateness <= _LATE:
-        return solution
+        why = f"a convex step is {failure}"
     if problem.common:
-        raise _brakes_explained(problem, running_time)
+        raise _brakes_explained(problem, speeds, running_time)
     raise InfeasibleError(
         f"{running_time:.2f} s are not enough for {_names(problem)} under one common traction on"
-        f" {problem.shape[1]} cells: {word}",
+        f" {problem.shape[1]} cells: {why}",
         remedy="allow more time or more cells",
     )
 
@@ -214,14 +370,14 @@ def _time_explained(
     )
 
 
-def _brakes_explained(problem: Problem, running_time: float) -> InfeasibleError:
+def _brakes_explained(problem: Problem, speeds: FloatArray, running_time: float) -> InfeasibleError:
     """The lowest speed to which one braking effort brings them all, to 0.05 m/s."""
     names = _names(problem)
 
     def reached(speed: float) -> bool:
         trial = replace(problem, final=0.5 * speed**2)
         try:
-            relaxed = Relaxation(trial, paced_run(trial, running_time)).least_energy(running_time)
+            relaxed = Relaxation(trial, speeds).least_energy(running_time)
             solution = minimise(trial, relaxed.plan, relaxed.time_price, running_time, rounds=12)
         except NoSolutionError:
             return False

@@ -1,6 +1,6 @@
 """Independent audit: every configuration driven along the trajectory's efforts on a fine grid.
 
-It shares nothing with the optimiser but the line, the train and the configurations. Forces are in
+It shares no model with the optimiser, only line, train and configurations. Forces are in
 newtons, evaluated along the line itself; the efforts are applied as they stand, without feedback.
 """
 
@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from analysis.trajectory.dynamics import in_parts
 from analysis.trajectory.problem import Run, inside
 from trainlog.units import GRAVITY
 
@@ -132,9 +133,12 @@ def audit(run: Run, positions: FloatArray, traction: FloatArray, braking: FloatA
             train.max_pneumatic_braking_effort,
         ]
     )
-    speeds, times, found = _roll(
-        run.initial_speed, step, traction, braking, constants, brakes, track, tunnel, limit,
-        adhesion,
+    speeds, times, found = in_parts(
+        len(run.configurations),
+        lambda part: _roll(
+            run.initial_speed, step, traction, braking[part], constants[part], brakes, track,
+            tunnel, limit, adhesion,
+        ),
     )  # fmt: skip
     wheel = np.full(len(run.configurations), float(traction @ step))
     regained = train.efficiency_regeneration * found[:, 6]
@@ -158,7 +162,7 @@ def _force(v: float, r0: float, r1: float, r2: float) -> float:
     return r0 + (r1 + r2 * v) * v
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _roll(
     initial_speed: float, step: FloatArray, traction: FloatArray, braking: FloatArray,
     constants: FloatArray, brakes: FloatArray, track: FloatArray, tunnel: FloatArray,

@@ -9,6 +9,11 @@ the whole and once over its halves, extrapolated to order four.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -18,8 +23,31 @@ FloatArray = NDArray[np.float64]
 SUBSTEPS = 4
 """Runge-Kutta sub-steps a cell; the audit takes many more."""
 
+_FEWEST_ROWS = 16
+"""Configurations for which a second thread pays."""
+
 _CRAWL = 0.5 * 0.3**2
 """``z`` that a common brake leaves to the slowest configuration between the stops [m²/s²]."""
+
+
+def in_parts(rows: int, work: Callable[[slice], tuple[FloatArray, ...]]) -> tuple[FloatArray, ...]:
+    """What `work` makes of all configurations, done in parts on every core.
+
+    Parameters
+    ----------
+    rows : int
+        Number of configurations.
+    work : callable
+        From some configurations to arrays whose first axis counts them; must leave Python's lock
+        to the others while it computes.
+    """
+    threads = min(os.cpu_count() or 1, rows // _FEWEST_ROWS)
+    if threads < 2:
+        return work(slice(0, rows))
+    edges = np.linspace(0, rows, threads + 1).astype(int).tolist()
+    with ThreadPoolExecutor(threads) as pool:
+        parts = list(pool.map(work, (slice(*pair) for pair in pairwise(edges))))
+    return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -74,7 +102,7 @@ def landing(
     return float(effort)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def traverse(
     z: FloatArray,
     effort: FloatArray,
@@ -106,7 +134,7 @@ def traverse(
     return end, time
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def brake_backwards(
     ceiling: FloatArray, final: float, traction: FloatArray, gain: FloatArray,
     braking: FloatArray, friction: FloatArray, dynamic: FloatArray, dynamic_power: float,
@@ -166,7 +194,7 @@ def _pull(
     return float(gain * traction - drag0 - drag1 * v - 2.0 * drag2 * z)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def pull_forwards(
     curve: FloatArray, initial: float, traction: FloatArray, gain: FloatArray, power: FloatArray,
     drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
@@ -266,7 +294,7 @@ def follow_plan(
     return z, brake
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def ride_late(
     curves: FloatArray, traction: FloatArray, initial: float, gain: FloatArray,
     drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.dynamics import brake_backwards, pull_forwards, speed_of
+from analysis.trajectory.dynamics import brake_backwards, in_parts, pull_forwards, speed_of
 from analysis.trajectory.problem import Problem, Run, discretise
 from trainlog.errors import InfeasibleError
 from trainlog.units import KMH
@@ -38,6 +38,14 @@ class Envelope:
     positions: FloatArray
     speeds: FloatArray
     times: FloatArray
+
+    def at(self, positions: FloatArray) -> FloatArray:
+        """Speeds at other positions, (q, n + 1) [m/s]."""
+        right = np.clip(np.searchsorted(self.positions, positions), 1, self.positions.size - 1)
+        left = right - 1
+        share = (positions - self.positions[left]) / (self.positions[right] - self.positions[left])
+        squares = self.speeds[:, left] ** 2 * (1.0 - share) + self.speeds[:, right] ** 2 * share
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
 def fastest_run(run: Run) -> Envelope:
@@ -66,9 +74,13 @@ def fastest_run(run: Run) -> Envelope:
                 f" {KMH * float(speed_of(curve[a, 0])):.1f} km/h",
                 remedy="begin the run slower or end it faster",
             )
-    z, stalled = pull_forwards(
-        curve, problem.initial, problem.traction, problem.gain, problem.power,
-        problem.mean_drag0, problem.drag1, problem.drag2, problem.step,
+    z, stalled = in_parts(
+        problem.shape[0],
+        lambda part: pull_forwards(
+            curve[part], problem.initial, problem.traction, problem.gain[part],
+            problem.power[part], problem.mean_drag0[part], problem.drag1[part],
+            problem.drag2[part], problem.step,
+        ),
     )  # fmt: skip
     for a, configuration in enumerate(run.configurations):
         if stalled[a] >= 0:
@@ -104,12 +116,16 @@ def braking_curves(problem: Problem, traction: FloatArray | None = None) -> Floa
         highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
         ceiling[:, :-1] = np.minimum(ceiling[:, :-1], highest)
         ceiling[:, 1:] = np.minimum(ceiling[:, 1:], highest)
-    curve = brake_backwards(
-        ceiling, problem.final, traction, problem.gain, problem.braking, problem.friction,
-        problem.dynamic, problem.dynamic_power, problem.drag0, problem.drag1, problem.drag2,
-        problem.step,
-    )  # fmt: skip
-    return np.asarray(curve)
+    return in_parts(
+        problem.shape[0],
+        lambda part: (
+            brake_backwards(
+                ceiling[part], problem.final, traction, problem.gain[part], problem.braking[part],
+                problem.friction[part], problem.dynamic[part], problem.dynamic_power,
+                problem.drag0[part], problem.drag1[part], problem.drag2[part], problem.step,
+            ),
+        ),
+    )[0]  # fmt: skip
 
 
 def _fine_grid(run: Run) -> FloatArray:

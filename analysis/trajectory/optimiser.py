@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.active_set import Answer, search
+from analysis.trajectory.active_set import (
+    Answer,
+    best_bound,
+    finer_guess,
+    first_guess,
+    outstanding,
+    search,
+)
 from analysis.trajectory.audit import SUBSTEPS, Audit, audit
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.mesh import graded_mesh
@@ -23,6 +30,9 @@ FloatArray = NDArray[np.float64]
 
 FEWEST_CELLS, MOST_CELLS = 20, 20_000
 """Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
+
+SCOUTING_CELLS = 120
+"""Of the coarse grid on which the active configurations are found."""
 
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
@@ -120,9 +130,10 @@ def optimise(
     _check_time(run, fastest, running_time)
 
     problem, answer, rollout = _audited(run, fastest, running_time, cells)
+    bound = best_bound(problem, answer, fastest.at(problem.positions), running_time)
     traction = answer.plan.traction * problem.reference
     brakes = answer.plan.braking * problem.reference
-    certificate = _certificate(problem, answer, fastest, rollout, running_time)
+    certificate = _certificate(problem, answer, bound, fastest, rollout, running_time)
     if referee:
         certificate["referee"] = _refereed(problem, answer, running_time)
     speeds = rollout.speeds
@@ -163,12 +174,19 @@ def _audited(
 
     A grid too coarse for the line shows in the audit; then it is made finer.
     """
-    slowest = int(np.argmax(fastest.times))
+    speeds = fastest.speeds[int(np.argmax(fastest.times))]
+    sketch = graded_mesh(run.breakpoints, fastest.positions, speeds, SCOUTING_CELLS)
+    found = None
     finer = [cells * 2**times for times in range(REFINEMENTS + 1)]
     for count in [each for each in finer if each <= MOST_CELLS]:
-        positions = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[slowest], count)
-        problem = discretise(run, positions)
-        answer = search(problem, fastest.times, running_time)
+        positions = graded_mesh(run.breakpoints, fastest.positions, speeds, count)
+        problem, envelope = discretise(run, positions), fastest.at(positions)
+        if found is None and sketch.size < 0.6 * positions.size:
+            found = _scouted(run, fastest, sketch, running_time)
+        guess = first_guess(problem, envelope, running_time)
+        if found is not None:
+            guess = finer_guess(found, sketch, problem, range(problem.shape[0]))
+        answer = search(problem, guess, envelope, running_time)
         traction = answer.plan.traction * problem.reference
         rollout = audit(run, positions, traction, answer.plan.braking * problem.reference)
         failures = rollout.failures(run, running_time)
@@ -179,6 +197,27 @@ def _audited(
         + (f" and {len(failures) - 1} more" if len(failures) > 1 else ""),
         remedy="more cells, or more reserve",
     )
+
+
+def _scouted(
+    run: Run, fastest: Envelope, positions: FloatArray, running_time: float
+) -> Answer | None:
+    """The optimum on a coarse grid: first for the configurations that stand out, then for all.
+
+    None if it has no optimum: that of the fine grid may have one, and else it explains itself.
+    """
+    problem, speeds = discretise(run, positions), fastest.at(positions)
+    rows = outstanding(problem, fastest.times)
+    some = problem.select(rows)
+    try:
+        guess = first_guess(some, speeds[rows], running_time)
+        answer = search(some, guess, speeds[rows], running_time, coarse=True)
+        if len(rows) == problem.shape[0]:
+            return answer
+        guess = finer_guess(answer, positions, problem, rows)
+        return search(problem, guess, speeds, running_time, coarse=True)
+    except InfeasibleError:
+        return None
 
 
 def _check_arguments(running_time: float | None, reserve: float, cells: int) -> None:
@@ -219,12 +258,17 @@ def _check_time(run: Run, fastest: Envelope, running_time: float) -> None:
 
 
 def _certificate(
-    problem: Problem, answer: Answer, fastest: Envelope, rollout: Audit, running_time: float
+    problem: Problem,
+    answer: Answer,
+    lower: tuple[float, str],
+    fastest: Envelope,
+    rollout: Audit,
+    running_time: float,
 ) -> dict[str, Any]:
     """What was found, how, and how good it is; plain numbers, energies in joules."""
     run, solution = problem.run, answer.solution
     energies = rollout.line_energy if run.objective == "line" else rollout.wheel_energy
-    energy, bound = float(energies.max()), answer.bound * problem.reference
+    energy, bound = float(energies.max()), lower[0] * problem.reference
     gap = energy / bound - 1.0
     names = [configuration.name for configuration in run.configurations]
     return {
@@ -252,10 +296,9 @@ def _certificate(
             "adhesion": float(rollout.adhesion.max()),
         },
         "solver": {
-            "name": "CLARABEL",
-            "statuses": list(solution.statuses),
-            "relaxation": answer.bound_status,
-            "iterations": len(solution.statuses),
+            "statuses": list(answer.statuses),
+            "bound": lower[1],
+            "iterations": len(answer.statuses),
             "turns": answer.turns,
         },
         "active": [names[row] for row in answer.active],

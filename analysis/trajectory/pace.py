@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.dynamics import follow_plan, keep_pace, ride_late, traverse
+from analysis.trajectory.dynamics import follow_plan, in_parts, keep_pace, ride_late, traverse
 from analysis.trajectory.envelope import braking_curves
 from analysis.trajectory.problem import Plan, Problem
 
@@ -23,7 +23,7 @@ def paced_run(problem: Problem, running_time: float) -> Plan:
     plan = _run_at(problem, curves, fast)
     if duration(problem, plan) >= running_time:
         return plan
-    for _ in range(24):
+    for _ in range(12):
         middle = 0.5 * (slow + fast)
         trial = _run_at(problem, curves, middle)
         if duration(problem, trial) > running_time:
@@ -31,6 +31,57 @@ def paced_run(problem: Problem, running_time: float) -> Plan:
         else:
             fast, plan = middle, trial
     return plan
+
+
+def capped_run(
+    problem: Problem, speeds: FloatArray, running_time: float
+) -> tuple[Plan, FloatArray]:
+    """The fastest run cut off at a cruising speed, and about what a second of it is worth.
+
+    It keeps the running time and the speed limits, and takes what efforts that needs: where the
+    rounds of the optimiser begin.
+
+    Parameters
+    ----------
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
+    running_time : float [s]
+
+    Returns
+    -------
+    plan : Plan
+    price : (q,) array [J/(kg s)]
+        That of the slowest configuration; 0 for the others.
+    """
+
+    def times(cruising: float) -> FloatArray:
+        v = np.minimum(speeds, cruising)
+        return np.asarray((2.0 * problem.step / (v[:, :-1] + v[:, 1:])).sum(axis=1))
+
+    slow, fast = 0.5, float(speeds.max())
+    for _ in range(40):
+        middle = 0.5 * (slow + fast)
+        slow, fast = (middle, fast) if times(middle).max() > running_time else (slow, middle)
+    slowest = int(np.argmax(times(fast)))
+    plan = _plan_of(problem, np.minimum(speeds, fast), slowest)
+    slower = _plan_of(problem, np.minimum(speeds, 0.98 * fast), slowest)
+    saved = float(problem.step @ (plan.traction - slower.traction))
+    price = np.zeros(problem.shape[0])
+    price[slowest] = max(saved, 0.0) / (times(0.98 * fast) - times(fast))[slowest]
+    return plan, price
+
+
+def _plan_of(problem: Problem, speeds: FloatArray, row: int) -> Plan:
+    """The efforts that given speeds take, the common traction after the configuration `row`."""
+    z, mean = 0.5 * speeds**2, 0.5 * (speeds[:, :-1] + speeds[:, 1:])
+    drag = problem.mean_drag0 + problem.drag1[:, None] * mean
+    drag += problem.drag2 * (z[:, :-1] + z[:, 1:])
+    net = (np.diff(z, axis=1) / problem.step + drag) / problem.gain[:, None]
+    traction = np.clip(net[row], 0.0, problem.traction)
+    braking = np.clip(traction - net, 0.0, problem.braking)
+    if problem.common:
+        braking = np.broadcast_to(braking[row], braking.shape)
+    return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
 
 def duration(problem: Problem, plan: Plan) -> float:
@@ -46,10 +97,14 @@ def cell_times(problem: Problem, plan: Plan) -> FloatArray:
 def cross(problem: Problem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Each cell by itself: ``z`` at its end, and the time in it [s]; (q, n)."""
     effort = problem.gain[:, None] * (plan.traction - plan.braking)
-    reached, times = traverse(
-        plan.z, effort, problem.drag0, problem.drag1, problem.drag2, problem.step
-    )
-    return np.asarray(reached), np.asarray(times)
+    reached, times = in_parts(
+        problem.shape[0],
+        lambda part: traverse(
+            plan.z[part], effort[part], problem.drag0[part], problem.drag1[part],
+            problem.drag2[part], problem.step,
+        ),
+    )  # fmt: skip
+    return reached, times
 
 
 def drive(problem: Problem, plan: Plan) -> Plan:
@@ -99,9 +154,13 @@ def ride_along(problem: Problem, traction: FloatArray, braking: FloatArray | Non
         z = np.broadcast_to(problem.ceiling, (q, n + 1)).copy()
         z[:, 0] = problem.initial
         return drive(problem, Plan(z, traction, everyone, np.minimum(everyone, problem.dynamic)))
-    z, braking = ride_late(
-        braking_curves(problem, traction), traction, problem.initial, problem.gain, problem.drag0,
-        problem.drag1, problem.drag2, problem.step,
+    curves = braking_curves(problem, traction)
+    z, braking = in_parts(
+        q,
+        lambda part: ride_late(
+            curves[part], traction, problem.initial, problem.gain[part], problem.drag0[part],
+            problem.drag1[part], problem.drag2[part], problem.step,
+        ),
     )  # fmt: skip
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 

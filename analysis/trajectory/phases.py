@@ -33,6 +33,9 @@ class Phase(IntEnum):
         return self.name.replace("_", " ").lower()
 
 
+_LETTERS = np.array([phase.letter for phase in Phase], dtype="S1")
+
+
 def phases_by_control(
     traction: FloatArray,
     braking: FloatArray,
@@ -95,4 +98,4 @@ def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
 
 def spelled(phases: NDArray[np.int64]) -> str:
     """The phases as letters, one a cell."""
-    return "".join(Phase(code).letter for code in phases)
+    return _LETTERS[phases].tobytes().decode("ascii")

@@ -19,19 +19,21 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.convex import (
     SLOW,
-    effort,
-    effort_rules,
+    Found,
+    Rows,
+    Unknowns,
+    bounded,
+    brake_limits,
+    energy_cost,
     power_cells,
     solve,
-    tells_dynamic,
-    worst_energy,
 )
 from analysis.trajectory.pace import dynamic_share
 from analysis.trajectory.problem import Plan, Problem
 
 FloatArray = NDArray[np.float64]
 
-_MEAN_SPEED = 0.1
+MEAN_SPEED = 0.1
 """By which a cell's mean speed may exceed the mean of its ends [m/s]; the brake absorbs it."""
 
 
@@ -57,33 +59,36 @@ class Relaxed:
 
 
 class Relaxation:
-    """The relaxed problem, scaled by a plan.
+    """The relaxed problem, scaled by speeds.
 
     Parameters
     ----------
     problem : Problem
-    plan : Plan
-        Any plan with plausible speeds; it scales the variables and changes no result.
+    speeds : (q, n + 1) array [m/s]
+        Anything plausible; it scales the variables and changes no result.
     """
 
-    def __init__(self, problem: Problem, plan: Plan) -> None:
+    def __init__(self, problem: Problem, speeds: FloatArray) -> None:
         q, n = problem.shape
         self.problem = problem
-        speed = np.sqrt(2.0 * plan.z)
-        self.scale = np.maximum(speed, SLOW)
+        self.scale = np.maximum(speeds, SLOW)
         self.total = self.scale[:, :-1] + self.scale[:, 1:]
-        self.square = cp.Variable((q, n + 1))  # z over scale² / 2
-        self.w = cp.Variable((q, n + 1))  # speed over scale
-        self.tau = cp.Variable((q, n))  # time per metre, times the mean of the scales
-        self.traction = cp.Variable(n)
-        self.braking = cp.Variable((1 if problem.common else q, n))
-        self.dynamic = cp.Variable((q, n)) if tells_dynamic(problem) else None
-        self.time = cp.sum(cp.multiply(2.0 * problem.step / self.total, self.tau), axis=1)
+        self.unknowns = Unknowns(problem)  # z over scale² / 2
+        self.w = self.unknowns.more((q, n + 1))  # speed over scale
+        self.tau = self.unknowns.more((q, n))  # time per metre, times the mean of the scales
+        self.longest = int(self.unknowns.more((1,))[0])
+        self.equal, self.below = Rows(), Rows()
+        self._motion()
         # The resistance acts on the mean of a cell's end speeds, which the true mean exceeds by a
         # trifle; the brake gets that much more room, so that no trajectory is excluded.
-        spare = _MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
-        efforts = effort_rules(problem, self.traction, self.braking, self.dynamic, spare)
-        self.rules = [*self._motion(), *self._cones(), *efforts, *self._power()]
+        spare = MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
+        brake_limits(problem, self.unknowns, self.below, spare)
+        self._power()
+        self.cost, _ = energy_cost(problem, self.unknowns, self.below)
+        last = np.full(q, self.longest)
+        self.arrival = self.below.add(
+            np.zeros(q), (self.tau, 2.0 * problem.step / self.total), (last, -1.0)
+        )
 
     def least_energy(self, running_time: float) -> Relaxed:
         """Minimise the worst-case energy within `running_time` [s].
@@ -93,16 +98,15 @@ class Relaxation:
         NoSolutionError
             If there is no such trajectory, which proves that the problem has none either.
         """
-        problem = self.problem
-        arrival = self.time <= running_time
-        energy = worst_energy(problem, self.traction, self.dynamic)
-        program, status = solve(energy, [*self.rules, arrival])
-        z = np.maximum(0.5 * self.scale**2 * self.square.value, 0.0)
-        traction = np.maximum(self.traction.value, 0.0)
-        braking = np.broadcast_to(np.maximum(self.braking.value, 0.0), problem.shape).copy()
-        price = np.asarray(arrival.dual_value, dtype=np.float64).reshape(-1)
+        problem, unknowns = self.problem, self.unknowns
+        unknowns.high[self.longest] = running_time
+        found = self._solved(self.cost)
+        z = np.maximum(0.5 * self.scale**2 * found.unknowns[unknowns.z], 0.0)
+        traction = np.maximum(found.unknowns[unknowns.traction], 0.0)
+        braking = np.maximum(found.unknowns[unknowns.braking], 0.0)
         plan = Plan(z, traction, braking, dynamic_share(problem, z, braking))
-        return Relaxed(float(program.value), plan, price, status)
+        price = np.maximum(found.below[self.arrival], 0.0)
+        return Relaxed(found.value, plan, price, found.status)
 
     def least_time(self) -> float:
         """No trajectory takes less time than this [s], whatever its energy.
@@ -112,72 +116,74 @@ class Relaxation:
         NoSolutionError
             If no trajectory exists for any time.
         """
-        program, _ = solve(cp.max(self.time), self.rules)
-        return float(program.value)
+        self.unknowns.high[self.longest] = np.inf
+        time = np.zeros(self.unknowns.size)
+        time[self.longest] = 1.0
+        return self._solved(time).value
 
-    def _motion(self) -> list[Any]:
+    def _solved(self, cost: FloatArray) -> Found:
+        x = bounded(self.unknowns)
+        cones = self._cones(x)
+        return solve(self.unknowns, cost, self.equal, self.below, cones=cones, variable=x)
+
+    def _motion(self) -> None:
         """Eq. (2) over a cell, exact for the quadratic resistance; rows scaled by the speed."""
-        problem, step = self.problem, self.problem.step
+        problem, step, unknowns = self.problem, self.problem.step, self.unknowns
+        z, w = unknowns.z, self.w
         decay = 2.0 * problem.drag2 * step
         mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
         row = 1.0 / self.scale[:, 1:]
         push, half = step * mean * row, 0.5 * self.scale**2
         ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
-        linear = 0.5 * push * problem.drag1[:, None]
-        return [
-            cp.multiply(half[:, 1:] * row, self.square[:, 1:])
-            - cp.multiply(half[:, :-1] * np.exp(-decay) * row, self.square[:, :-1])
-            - cp.multiply(
-                push * problem.gain[:, None], effort(problem, self.traction, self.braking)
-            )
-            + cp.multiply(linear * self.scale[:, :-1], self.w[:, :-1])
-            + cp.multiply(linear * self.scale[:, 1:], self.w[:, 1:])
-            == -push * problem.mean_drag0,
-            self.square[:, 0] == problem.initial / half[:, 0],
-            self.w[:, 0] == np.sqrt(2.0 * problem.initial) / self.scale[:, 0],
-            self.square[:, 1:] <= (ceiling / half)[:, 1:],
-        ]
-
-    def _cones(self) -> list[Any]:
-        n = self.problem.shape[1]
-        # At standstill the cone has no inside; such a node has speed 0 instead.
-        stops = self.problem.final_ceiling == 0.0 and not self.problem.common
-        last = n if stops else n + 1
-        mean = cp.multiply(self.scale[:, :-1] / self.total, self.w[:, :-1]) + cp.multiply(
-            self.scale[:, 1:] / self.total, self.w[:, 1:]
+        linear, pull = 0.5 * push * problem.drag1[:, None], push * problem.gain[:, None]
+        self.equal.add(
+            -push * problem.mean_drag0,
+            (z[:, 1:], half[:, 1:] * row),
+            (z[:, :-1], -half[:, :-1] * np.exp(-decay) * row),
+            (np.broadcast_to(unknowns.traction, push.shape), -pull),
+            (unknowns.braking, pull),
+            (w[:, :-1], linear * self.scale[:, :-1]),
+            (w[:, 1:], linear * self.scale[:, 1:]),
         )
-        cones = [
-            _below_root(self.square[:, 1:last], self.w[:, 1:last]),
-            _above_inverse(self.tau, mean),
+        unknowns.high[z[:, 1:]] = (ceiling / half)[:, 1:]
+        unknowns.low[z[:, 0]] = unknowns.high[z[:, 0]] = problem.initial / half[:, 0]
+        speed = np.sqrt(2.0 * problem.initial) / self.scale[:, 0]
+        unknowns.low[w[:, 0]] = unknowns.high[w[:, 0]] = speed
+        if self._stops:
+            unknowns.low[z[:, -1]] = unknowns.low[w[:, -1]] = unknowns.high[w[:, -1]] = 0.0
+
+    @property
+    def _stops(self) -> bool:
+        """At standstill the cone has no inside; such a node has speed 0 instead."""
+        return self.problem.final_ceiling == 0.0 and not self.problem.common
+
+    def _cones(self, x: cp.Variable) -> list[Any]:
+        """``w² <= z`` at the nodes, and ``tau`` times the mean speed of a cell at least 1."""
+        n = self.problem.shape[1]
+        last = n if self._stops else n + 1
+        squares = x[self.unknowns.z[:, 1:last].ravel()]
+        speeds = x[self.w[:, 1:last].ravel()]
+        q = self.w.shape[0]
+        mean = Rows()
+        mean.add(
+            np.zeros((q, n)),
+            (self.w[:, :-1], self.scale[:, :-1] / self.total),
+            (self.w[:, 1:], self.scale[:, 1:] / self.total),
+        )
+        means, taus = mean.matrix(self.unknowns.size) @ x, x[self.tau.ravel()]
+        return [
+            cp.SOC(squares + 1.0, cp.vstack([2.0 * speeds, squares - 1.0]), axis=0),
+            cp.SOC(taus + means, cp.vstack([taus - means, np.full(q * n, 2.0)]), axis=0),
         ]
-        return [*cones, self.square[:, n] >= 0.0, self.w[:, n] == 0.0] if stops else cones
 
-    def _power(self) -> list[Any]:
+    def _power(self) -> None:
         """Eq. (5), with the cell's time per metre in the place of ``1 / v``."""
-        problem, rules = self.problem, []
-        inverse = 2.0 / self.total
-        for row, power in enumerate(problem.power):
-            at = power_cells(problem, power, problem.traction)
-            rules.append(
-                self.traction[at] <= cp.multiply(power * inverse[row, at], self.tau[row, at])
-            )
-            if self.dynamic is not None:
-                power = problem.dynamic_power
-                at = power_cells(problem, power, problem.dynamic[row])
-                rules.append(
-                    self.dynamic[row, at]
-                    <= cp.multiply(power * inverse[row, at], self.tau[row, at])
-                )
-        return rules
-
-
-def _below_root(square: Any, w: Any) -> Any:
-    """``w² <= square``, elementwise."""
-    t, x = cp.vec(square, order="C"), cp.vec(w, order="C")
-    return cp.SOC(t + 1.0, cp.vstack([2.0 * x, t - 1.0]), axis=0)
-
-
-def _above_inverse(a: Any, b: Any) -> Any:
-    """``a b >= 1``, elementwise."""
-    x, y = cp.vec(a, order="C"), cp.vec(b, order="C")
-    return cp.SOC(x + y, cp.vstack([x - y, np.full(x.size, 2.0)]), axis=0)
+        problem, unknowns, inverse = self.problem, self.unknowns, 2.0 / self.total
+        for a, power in enumerate(problem.power):
+            limits = [(unknowns.traction, float(power), problem.traction)]
+            if unknowns.dynamic is not None:
+                limits.append((unknowns.dynamic[a], problem.dynamic_power, problem.dynamic[a]))
+            for effort, most, ceiling in limits:
+                at = power_cells(problem, most, ceiling)
+                slope = -most * inverse[a, at]
+                self.below.add(np.zeros(at.size), (effort[at], 1.0), (self.tau[a, at], slope))
