@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from estimators.rls import RecursiveLeastSquares
     from estimators.running_resistance import RunningResistanceFilter
     from estimators.slip import SlipDetector
+    from estimators.train_state import TrainStateFilter
 
     # That each of them has the interface is a matter of types, not of running.
     _ESTIMATORS: tuple[type[Estimator], ...] = (
@@ -15,4 +16,5 @@ if TYPE_CHECKING:
         RecursiveLeastSquares,
         RunningResistanceFilter,
         SlipDetector,
+        TrainStateFilter,
     )

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import trainlog
 from analysis.adhesion_evidence import evidence_of
+from analysis.coast_down import coast_down
 from analysis.compare import trip_cost
 from analysis.estimates import with_estimates
 from analysis.resistance.fit import fit_trip
@@ -28,6 +29,7 @@ from estimators.resets import edges_crossed, record_with_resets
 from estimators.rls import RecursiveLeastSquares
 from estimators.running_resistance import RunningResistanceFilter
 from estimators.slip import SlipDetector
+from estimators.train_state import TrainStateFilter
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.samples import folder
 from trainlog.trip import Trip, seconds
@@ -112,6 +114,25 @@ def running_resistance(trip: Trip) -> Figures:
     return {"course": track.estimate} | told(estimator.result())
 
 
+def train_state(trip: Trip) -> Figures:
+    """From the wheels and the satellites' speed, forwards and in both directions."""
+    time, speed, _ = wheels(trip)
+    motion = trip["/gnss/motion"]
+    instants = seconds(motion, trip["/train/axles"].index[0])
+    told_speed = np.full(time.size, np.nan)
+    told_speed[np.clip(np.searchsorted(time, instants), 0, time.size - 1)] = motion["speed"]
+    estimator = TrainStateFilter(speed.shape[1], position=0.0, position_std=1.0)
+    z = estimator.measurements(time, speed=told_speed, wheel_speed=speed)
+    smooth = TrainStateFilter(speed.shape[1], position=0.0, position_std=1.0).smooth(z, time)
+    course = estimator.update(z, time)
+    return {
+        "course": course.means,
+        "std": course.std,
+        "smooth": smooth.means,
+        "smooth_std": smooth.std,
+    } | told(estimator.result())
+
+
 def wheels(trip: Trip) -> tuple[Array, Array, Array]:
     """Time, wheel speeds and wheel efforts of the powered axles."""
     axles = trip["/train/axles"]
@@ -187,13 +208,26 @@ def cost(trip: Trip) -> Figures:
     return {"cost": [value for value in astuple(trip_cost(trip)) if not isinstance(value, str)]}
 
 
+def coasting(trip: Trip) -> Figures:
+    found = coast_down([trip])
+    return {
+        "coefficients": found.curve.theta,
+        "std": np.sqrt(np.diag(found.curve.covariance)),
+        "covered": found.curve.covered,
+        "ratio": found.ratio.value,
+        "evidence": found.evidence,
+    }
+
+
 REPLAYS: dict[str, Replay] = {
     "least squares": Replay(least_squares),
     "running resistance": Replay(running_resistance),
+    "train state": Replay(train_state),
     "slip detector": Replay(slip_detector),
     "adhesion observer": Replay(adhesion_observer),
     "estimates": Replay(estimates, 1e-4),
     "fit": Replay(fit, 1e-3),
+    "coast-down": Replay(coasting, 1e-3),
     "slip events": Replay(slip_events, 1e-4),
     "map update": Replay(map_update, 1e-4),
     "cost": Replay(cost),

@@ -25,6 +25,7 @@ from estimators.interface import (
 from estimators.rls import RecursiveLeastSquares
 from estimators.running_resistance import RunningResistanceFilter
 from estimators.slip import SlipDetector
+from estimators.train_state import TrainStateFilter
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
 
@@ -92,6 +93,12 @@ def learn_resistance(estimator: Estimator, part: slice) -> None:
     estimator.update(TIME[part], SPEED[part], effort, np.zeros(effort.size))
 
 
+def follow_motion(estimator: Estimator, part: slice) -> None:
+    assert isinstance(estimator, TrainStateFilter)
+    z = estimator.measurements(TIME[part], speed=SPEED[part], wheel_speed=WHEELS[part])
+    estimator.update(z, TIME[part])
+
+
 CASES = {
     "least squares": Case(
         lambda: RecursiveLeastSquares(
@@ -117,6 +124,7 @@ CASES = {
         ),
         learn_resistance,
     ),
+    "train state": Case(lambda: TrainStateFilter(2), follow_motion),
 }
 """Every estimator stands here once."""
 
