@@ -8,6 +8,7 @@ from rich.table import Table
 
 from analysis.coast_down import CoastDown
 from analysis.report import new_table
+from trainlog.formats.coast_down import CoastDownResult
 from trainlog.units import GRAVITY, KMH, PER_MILLE
 
 
@@ -44,6 +45,24 @@ def coast_down_table(found: CoastDown) -> Group:
     return Group(table, _curve(found), *words)
 
 
+def without_gradient_table(result: CoastDownResult) -> Group:
+    """What is identified with the gradient unknown, and why the rest is not."""
+    table = new_table(
+        "Running resistance over inertia, gradient unknown", "quantity", "unit", "value", ""
+    )
+    for each in result.quantities:
+        told = "not identified"
+        if each.value is not None and each.std is not None:
+            told = f"{each.value:.3g} ± {1.96 * each.std:.2g}"
+        table.add_row(each.name, each.unit, told, each.reason or "")
+    words = [f"{len(result.pieces)} pieces of track were coasted more than once."]
+    words += [f"refused: {trip['reason']}" for trip in result.trips if not trip["accepted"]]
+    if result.curve is not None:
+        low, high = (KMH * float(result.curve.speeds[end]) for end in (0, -1))
+        words.append(f"The whole curve is supported from {low:.0f} to {high:.0f} km/h.")
+    return Group(table, *words)
+
+
 def _curve(found: CoastDown) -> Table:
     """The common curve at rounded speeds."""
     curve = found.curve
@@ -60,11 +79,12 @@ def _curve(found: CoastDown) -> Table:
         value, (below, above) = float(curve(speed)), curve.band(speed)
         weight, std = (float(part) for part in curve.per_weight(speed))
         reach = 0.5 * float(above - below)
+        factor = reach / float(curve.std(speed))
         table.add_row(
             f"{KMH * speed:.0f}",
             f"{value:.4f} ± {reach:.4f}",
-            f"{PER_MILLE * weight:.2f} ± {PER_MILLE * 1.96 * std:.2f}",
-            f"{1e3 * GRAVITY * weight:.1f} ± {1e3 * GRAVITY * 1.96 * std:.1f}",
+            f"{PER_MILLE * weight:.2f} ± {PER_MILLE * factor * std:.2f}",
+            f"{1e3 * GRAVITY * weight:.1f} ± {1e3 * GRAVITY * factor * std:.1f}",
         )
     return table
 
@@ -77,6 +97,6 @@ def _ratio(found: CoastDown) -> str:
         "any train": "assumed, as no train file is there; the data do not tell it better",
     }[ratio.source]
     return (
-        f"Mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f}: {origin}. The column over"
-        " inertia needs it next to not at all, the other two go with it."
+        f"Mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f}: {origin}. The columns over"
+        " weight and over mass rest on it."
     )

@@ -9,9 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.coast_down import CoastDown, coast_down, coast_down_logs
+from analysis.coast_down import (
+    CoastDown,
+    coast_down,
+    coast_down_logs,
+    coast_down_without_gradient,
+)
 from analysis.coast_down.fit import Curve, MassRatio, with_ratio
 from analysis.coast_down.motion import motion_of, smoothed_over
+from analysis.coast_down.unknown_gradient import lever_at_rest
+from analysis.pictures.coast_down import draw_without_gradient
+from analysis.report_coast_down import without_gradient_table
 from analysis.truth import truth_of
 from tests.coasting_trips import (
     HILLY,
@@ -31,6 +39,7 @@ from trainlog.formats.coast_down import (
     read_coast_down,
 )
 from trainlog.formats.samples import sample
+from trainlog.ingest import ingest_each
 from trainlog.mcap import read_log, write_log
 from trainlog.topics import GNSS_MOTION
 from trainlog.trip import Trip, frame_of, seconds
@@ -307,3 +316,119 @@ def test_the_command_tells_in_one_line_why_not(tmp_path: Path) -> None:
         run(["coast-down", str(log), "-o", str(tmp_path / "r.json")])
     assert len(str(refusal.value).splitlines()) == 1
     assert not (tmp_path / "r.json").exists()
+
+
+# ------------------------------------------------------------------------------ gradient unknown
+
+
+def coasting_over(
+    count: int, *, both: bool
+) -> tuple[list[Trip], dict[str, list[tuple[float, float]]]]:
+    """Trips that coast over the same track from different speeds, and when."""
+    trips, spans = [], {}
+    back = HILLY.reversed()
+    for number in range(count):
+        turned = both and number % 2 == 1
+        line, start = (back, HILLY.length - 47_000.0) if turned else (HILLY, 40_000.0)
+        speed = (38.0, 33.0, 28.0, 24.0)[(number // 2 if both else number) % 4]
+        time, position, told, _ = driven(
+            line, CURVE, [(200.0, 0.0)], start=start + 90.0 * number, speed=speed
+        )
+        trip = recorded(
+            time,
+            position,
+            told,
+            seed=number,
+            name=f"trip-{number}",
+            direction="reverse" if turned else "forward",
+        )
+        trips.append(trip)
+        spans[trip.name] = [(0.0, float(time[-1]))]
+    return trips, spans
+
+
+def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more() -> None:
+    trips, spans = coasting_over(4, both=False)
+    result = coast_down_without_gradient(trips, spans=spans)
+    assert result["c0"].value is None
+    assert result["c0"].reason is not None
+    assert "merged with the gradient" in result["c0"].reason
+    assert result.curve is None
+    change = np.array([33.0 - 20.0, 33.0**2 - 20.0**2])
+    told = change @ [result["c1"].value, result["c2"].value]
+    std = np.sqrt(change @ result.covariance @ change)
+    true = change @ CURVE[1:]
+    assert abs(told - true) < 3.0 * std < 0.3 * true
+    sums = np.array([piece["deceleration"] for piece in result.pieces])
+    stds = np.array([piece["std"] for piece in result.pieces])
+    ends = np.array([piece["position"] for piece in result.pieces])
+    true_sums = CURVE[0] + RATIO * 9.81 * HILLY.gradients.mean(ends[:, 0], ends[:, 1])
+    assert np.all(np.abs(sums - true_sums) < 4.0 * stds)
+    assert coast_down_from_bytes(coast_down_to_bytes(result))["c0"] == result["c0"]
+
+
+def test_both_ways_over_unknown_gradients_tell_all_of_it() -> None:
+    trips, spans = coasting_over(8, both=True)
+    result = coast_down_without_gradient(trips, HILLY, spans)
+    assert result.curve is not None
+    true = c(CURVE, result.curve.speeds)
+    assert np.all((result.curve.low < true) & (true < result.curve.high))
+    assert np.max(np.abs(result.curve.deceleration / true - 1.0)) < 0.05
+    assert {piece["quantity"] for piece in result.pieces} == {"gradient"}
+    with pytest.raises(NotIdentifiableError, match="over a piece coasted more than once"):
+        # Without the line's length the way back cannot be laid over the way there.
+        coast_down_without_gradient([trips[0], trips[1]], spans=spans)
+
+
+def test_unknown_gradients_are_not_guessed() -> None:
+    trips, spans = coasting_over(1, both=False)
+    with pytest.raises(NotIdentifiableError, match="0 of them over a piece coasted more than once"):
+        coast_down_without_gradient(trips, spans=spans)
+    with pytest.raises(NotIdentifiableError, match="0 passages"):
+        coast_down_without_gradient(trips)
+    with pytest.raises(NotIdentifiableError, match="no lever was recorded"):
+        lever_at_rest(trips[0], motion_of(trips[0]))
+    same, spans = coasting_over(4, both=False)
+    same = [replace(same[0], metadata={"trip": f"trip-{k}"}) for k in range(4)]
+    with pytest.raises(NotIdentifiableError, match="at one and the same speed"):
+        coast_down_without_gradient(same[:2], spans=spans)
+
+
+def test_the_lever_tells_when_a_trip_coasted() -> None:
+    trip = sample_trip("nonstop.mcap")
+    spans = lever_at_rest(trip, motion_of(trip))
+    pull = trip["/train/controls"]["tractive_effort"].to_numpy()
+    time = seconds(trip["/train/controls"], motion_of(trip).start)
+    assert spans
+    for begin, end in spans:
+        assert np.all(pull[(time >= begin) & (time <= end)] < 1.0)
+
+
+def test_the_command_refuses_one_trip_over_unknown_gradients(tmp_path: Path) -> None:
+    arguments = ["coast-down", str(sample("nonstop.mcap")), "-o", str(tmp_path / "r.json")]
+    with pytest.raises(NotIdentifiableError, match="with the gradient unknown"):
+        run([*arguments, "--gradient", "unknown"])
+
+
+def test_the_picture_of_unknown_gradients_is_drawn(tmp_path: Path) -> None:
+    for both in (False, True):
+        trips, spans = coasting_over(8, both=both)
+        result = coast_down_without_gradient(trips, HILLY, spans)
+        draw_without_gradient(result, tmp_path / f"{both}.png")
+        assert (tmp_path / f"{both}.png").stat().st_size > 10_000
+        assert without_gradient_table(result).renderables
+
+
+# ---------------------------------------------------------------------------------- real phones
+
+
+AALTO = Path(__file__).parents[2] / "shared" / "data" / "aalto"
+
+
+@pytest.mark.skipif(not AALTO.is_dir(), reason="the Aalto recordings are not here")
+def test_phones_that_tell_no_speed_are_refused_with_the_reason() -> None:
+    trips = [
+        trip for _, trip in zip(range(3), ingest_each(AALTO / "device_data.csv"), strict=False)
+    ]
+    with pytest.raises(NotIdentifiableError, match="no speed was recorded"):
+        coast_down(trips)

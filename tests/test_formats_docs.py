@@ -8,6 +8,7 @@ import pytest
 from pydantic import BaseModel
 
 from trainlog.formats import consist
+from trainlog.formats.coast_down import _CoastDownFile, _CurvePart, _QuantityPart
 from trainlog.formats.condition import _Layer, _MapFile
 from trainlog.formats.journey import _JourneyFile
 from trainlog.formats.line import _Geometry, _LineFile
@@ -33,6 +34,7 @@ SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
     ("## Journey", (_JourneyFile,)),
     ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
     ("## Trajectory", (_TrajectoryFile,)),
+    ("## Coast-down", (_CoastDownFile, _QuantityPart, _CurvePart)),
     ("## Track-condition map", (_MapFile, _Layer)),
 ]
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from analysis.coast_down.motion import TOPICS
 from analysis.coast_down.results import result_of
 from analysis.coast_down.together import CoastDown, coast_down
+from analysis.coast_down.unknown_gradient import coast_down_without_gradient
 from trainlog import __version__
 from trainlog.formats.coast_down import CoastDownResult
 from trainlog.formats.files import sha256_of
@@ -17,8 +19,7 @@ from trainlog.mcap.stretches import stretches
 from trainlog.trip import Trip
 
 
-@dataclass(frozen=True, eq=False)
-class CoastDowns:
+class CoastDowns(NamedTuple):
     """What a set of logs shows by coasting.
 
     Attributes
@@ -59,13 +60,39 @@ def coast_down_logs(
     return CoastDowns(found, with_origin(result_of(found), digests, line))
 
 
-def trips_of(logs: Iterable[Path]) -> tuple[list[Trip], dict[str, str]]:
+def coast_down_logs_without_gradient(
+    logs: Iterable[Path], line: Path | None = None
+) -> CoastDownResult:
+    """What logs tell by coasting where the line's gradients are not known.
+
+    Coasting is where the recorded lever was at rest; see `coast_down_without_gradient`.
+
+    Parameters
+    ----------
+    logs : iterable of path
+        Of one train.
+    line : path, optional
+        Line file for logs that carry no line.
+
+    Raises
+    ------
+    NotIdentifiableError, InputError, LogError
+        As `coast_down_without_gradient`, and if a file is not a log or not a line.
+    """
+    given = None if line is None else read_line(line)
+    trips, digests = trips_of(logs, (*TOPICS, "/train/controls"))
+    return with_origin(coast_down_without_gradient(trips, given), digests, line)
+
+
+def trips_of(
+    logs: Iterable[Path], topics: tuple[str, ...] = TOPICS
+) -> tuple[list[Trip], dict[str, str]]:
     """The trips of logs, and the SHA-256 of the log that each came from."""
     trips: list[Trip] = []
     digests: dict[str, str] = {}
     for path in logs:
         digest = sha256_of(path)
-        for stretch in stretches(path, TOPICS):
+        for stretch in stretches(path, topics):
             trip = stretch.named()
             trips.append(trip)
             digests[trip.name] = digest

@@ -21,6 +21,7 @@ from analysis.pictures.style import (
     new_figure,
     write_figure,
 )
+from trainlog.formats.coast_down import CoastDownResult
 from trainlog.units import KMH
 
 SHOWN = 4
@@ -55,6 +56,47 @@ def draw_coast_down(found: CoastDown, path: str | Path) -> None:
         color=INK,
     )
     write_figure(figure, path)
+
+
+def draw_without_gradient(result: CoastDownResult, path: str | Path) -> None:
+    """Draw what is identified with the gradient unknown: each piece's sum, and the curve if any."""
+    figure = new_figure(11.0, 5.2)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    for way, colour in (("forward", BLUE), ("reverse", ORANGE)):
+        pieces = [piece for piece in result.pieces if piece["direction"] == way]
+        if pieces:
+            left.errorbar(
+                [np.mean(piece["position"]) / 1e3 for piece in pieces],
+                [piece["deceleration"] for piece in pieces],
+                yerr=[1.96 * piece["std"] for piece in pieces],
+                fmt=".",
+                color=colour,
+                elinewidth=0.8,
+                label=f"{pieces[0]['quantity']}, {way}, 95 %",
+            )
+    dress(left, x="chainage [km]", y="deceleration [m/s²]", title="of each piece of track")
+    left.legend(fontsize=8, frameon=False, loc="upper left")
+    _told(right, result)
+    figure.suptitle("Coasting with the gradient unknown", x=0.01, ha="left", fontsize=11, color=INK)
+    write_figure(figure, path)
+
+
+def _told(axes: Axes, result: CoastDownResult) -> None:
+    """The curve, or what it is without its constant part."""
+    curve = result.curve
+    if curve is not None:
+        speed, value, low, high = curve.speeds, curve.deceleration, curve.low, curve.high
+        what = "running resistance over inertia [m/s²]"
+    else:
+        c1, c2 = result["c1"].value or 0.0, result["c2"].value or 0.0
+        speed = np.linspace(0.0, 40.0, 81)
+        value, basis = (c1 + c2 * speed) * speed, np.stack([speed, speed**2], axis=-1)
+        std = np.sqrt(np.einsum("ni,ij,nj->n", basis, result.covariance, basis))
+        low, high, what = value - 1.96 * std, value + 1.96 * std, "c1 v + c2 v² [m/s²]"
+    axes.fill_between(KMH * speed, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 %")
+    axes.plot(KMH * speed, value, color=BLUE, linewidth=1.8)
+    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    dress(axes, x="speed [km/h]", y=what, title=result.quantities[0].reason or "")
 
 
 def _segments(axes: Axes, fit: TripCoastDown) -> None:

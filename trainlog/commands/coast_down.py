@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from trainlog.commands.options import Logs
-from trainlog.terminal import console, destination, logs_in, progress_bar, working, wrote
+from trainlog.terminal import console, destination, logs_in, progress_bar, wrote
 
 app = typer.Typer()
 
@@ -20,6 +20,10 @@ def coast_down(
     line: Annotated[
         Path | None, typer.Option(help="Line file for logs that carry no line.")
     ] = None,
+    gradient: Annotated[
+        Literal["line", "unknown"],
+        typer.Option(help="'unknown': trust no gradients; the lever tells where the train coasts."),
+    ] = "line",
     picture: Annotated[
         Path | None, typer.Option(help="Picture; default: beside the output, .png.")
     ] = None,
@@ -27,22 +31,30 @@ def coast_down(
     """Learn running resistance from where the train coasts; no efforts are needed.
 
     Finds the coasting by itself from speed, chainage and the line's gradient, and tells the
-    resistance over the train's inertia, with its band. Recordings that do not show it are refused
-    with the reason.
+    resistance over the train's inertia, with its band. With the gradient unknown it tells what is
+    left: mostly how resistance grows with speed. Recordings that do not show it are refused with
+    the reason.
 
     Example: trainlog coast-down results/recorded -o results/coast-down.json
     """
-    from analysis.coast_down.logs import coast_down_logs
-    from analysis.pictures.coast_down import draw_coast_down
-    from analysis.report_coast_down import coast_down_table
+    from analysis.coast_down import coast_down_logs, coast_down_logs_without_gradient
+    from analysis.pictures.coast_down import draw_coast_down, draw_without_gradient
+    from analysis.report_coast_down import coast_down_table, without_gradient_table
     from trainlog.formats.coast_down import write_coast_down
 
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
     with progress_bar() as progress:
-        found = coast_down_logs(progress.track(logs_in(logs), description="coasting"), line)
-    write_coast_down(found.result, output)
-    with working("drawing"):
-        draw_coast_down(found.found, shown)
-    console.print(coast_down_table(found.found))
+        every = progress.track(logs_in(logs), description="coasting")
+        if gradient == "unknown":
+            result = coast_down_logs_without_gradient(every, line)
+        else:
+            found, result = coast_down_logs(every, line)
+    write_coast_down(result, output)
+    if gradient == "unknown":
+        draw_without_gradient(result, shown)
+        console.print(without_gradient_table(result))
+    else:
+        draw_coast_down(found, shown)
+        console.print(coast_down_table(found))
     wrote(output, shown)

@@ -1,0 +1,228 @@
+"""Coast-down of simulated trips without efforts against their truth, beside a usual way to do it.
+
+    python benchmarks/identification/benchmark_coast_down.py [--seeds 2] [--trips 20]
+
+FLIRT on St.Gallen-Wil, drivers who coast now and then and hold their speed otherwise; loads,
+resistances, drivers differ from trip to trip, the map's gradients are 0.1 per mille off. Error is
+that of the curve over inertia against the mean of the true ones, root mean square over the speeds
+that the result supports; "in band" the share of results whose whole true curve lies in the 95 %
+band. Recall is the time found of all coasting of 8 s and more, precision the time without effort of
+all that was found; in brackets with less than 0.005 m/s² of effort.
+
+The peer fits the closed form of coasting down (scipy's least_squares, one curve, a free initial
+speed and the mean gradient for each segment) to the speeds of the same segments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from analysis.coast_down import CoastDown, coast_down
+from analysis.coast_down.fit import TripCoastDown
+from trainlog.errors import NotIdentifiableError
+from trainlog.formats.attached import line_of
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_train
+from trainlog.simulation.scenario import Scenario, draw_scenarios, simulate
+from trainlog.topics import GNSS_MOTION
+from trainlog.trip import Trip, frame_of, seconds
+
+FloatArray = NDArray[np.float64]
+Trips = list[tuple[Scenario, Trip]]
+
+RATIO = 0.917
+"""Mass over inertia that the peer is told: that of the half-loaded train."""
+
+
+def wheels(trip: Trip, _: int) -> Trip:
+    """As recorded, without the efforts."""
+    kept = ("/train/state", "/gnss/motion", "/truth", "/train/controls")
+    return replace(trip, topics={name: trip[name] for name in kept})
+
+
+def satellites(rate: int) -> Callable[[Trip, int], Trip]:
+    """No speed but a receiver's, so many a second, noise 0.08 m/s."""
+
+    def change(trip: Trip, seed: int) -> Trip:
+        truth = trip["/truth"].iloc[:: 10 // rate]
+        noise = 0.08 * np.random.default_rng(seed).standard_normal(len(truth))
+        speed = np.round(np.abs(truth["speed"].to_numpy() + noise), 3)
+        motion = frame_of(GNSS_MOTION, truth.index, {"speed": speed})
+        state = trip["/train/state"].assign(speed=np.nan)
+        state.attrs = trip["/train/state"].attrs
+        topics = {name: trip[name] for name in ("/truth", "/train/controls")}
+        return replace(trip, topics={**topics, "/gnss/motion": motion, "/train/state": state})
+
+    return change
+
+
+def true_curve(scenario: Scenario, speed: FloatArray) -> FloatArray:
+    return scenario.resistance(speed) / (scenario.mass + scenario.rotating_mass)
+
+
+def davis(time_: FloatArray, start: float, c0: float, c1: float, c2: float) -> FloatArray:
+    """Speed while coasting, dv/dt = -(c0 + c1 v + c2 v²), for any sign of the discriminant."""
+    root = np.sqrt(complex(c1**2 - 4.0 * c0 * c2)) + 1e-12
+    y, turn = 2.0 * c2 * start + c1, np.tanh(0.5 * root * time_)
+    return np.asarray(((root * (y + root * turn) / (root + y * turn)).real - c1) / (2.0 * c2))
+
+
+def peer(fits: tuple[TripCoastDown, ...], trips: Trips) -> FloatArray:
+    """c0, c1, c2 of the closed form that fits all segments best."""
+    lines = {scenario.name: line_of(trip) for scenario, trip in trips}
+    pieces = []
+    for fit in fits:
+        motion = fit.motion
+        for segment in fit.segments:
+            inside = (motion.time >= segment.start) & (motion.time <= segment.end)
+            inside &= motion.usable
+            if np.count_nonzero(inside) < 5:
+                continue
+            slope = RATIO * float(
+                np.mean(lines[fit.trip].track_acceleration(motion.position[inside]))
+            )
+            pieces.append((motion.time[inside] - segment.start, motion.speed[inside], slope))
+
+    def residual(p: FloatArray) -> FloatArray:
+        c0, c1, c2 = p[:3] * (1e-2, 1e-3, 1e-4)
+        return np.concatenate(
+            [
+                v - davis(t, start, c0 + slope, c1, c2)
+                for (t, v, slope), start in zip(pieces, p[3:], strict=True)
+            ]
+        )
+
+    first = np.concatenate(([1.4, 0.5, 0.5], [v[0] for _, v, _ in pieces]))
+    low = np.concatenate(([0.0, 0.0, 1e-3], np.zeros(len(pieces))))
+    found = least_squares(residual, first, bounds=(low, np.inf), loss="soft_l1", f_scale=0.1)
+    return np.asarray(found.x[:3] * (1e-2, 1e-3, 1e-4))
+
+
+@dataclass
+class Tally:
+    """Results of one variant and number of trips."""
+
+    errors: list[float] = field(default_factory=list)
+    inside: list[bool] = field(default_factory=list)
+    peers: list[float] = field(default_factory=list)
+    found: FloatArray = field(default_factory=lambda: np.zeros(5))
+    refused: int = 0
+    seconds: float = 0.0
+
+    def add(self, trips: Trips) -> None:
+        """Judge one series."""
+        began = time.process_time()
+        try:
+            result = coast_down([trip for _, trip in trips])
+        except NotIdentifiableError:
+            self.refused += 1
+            return
+        finally:
+            self.seconds += time.process_time() - began
+        assert result.curve.supported is not None
+        speed = np.linspace(*result.curve.supported, 41)
+        names = {fit.trip for fit in result.trips}
+        used = [(scenario, trip) for scenario, trip in trips if scenario.name in names]
+        true = np.mean([true_curve(scenario, speed) for scenario, _ in used], axis=0)
+        low, high = result.curve.band(speed)
+        self.errors.append(rms(result.curve(speed), true))
+        self.inside.append(bool(np.all((low <= true) & (true <= high))))
+        c = peer(result.trips, used)
+        self.peers.append(rms(c[0] + (c[1] + c[2] * speed) * speed, true))
+        self.detected(result, used)
+
+    def detected(self, result: CoastDown, trips: Trips) -> None:
+        """Count time that coasted and was found, coasted, was found and had no, little effort."""
+        by_name = {fit.trip: fit for fit in result.trips}
+        for scenario, trip in trips:
+            fit, controls = by_name[scenario.name], trip["/train/controls"]
+            at = seconds(controls, fit.motion.start)
+            columns = ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
+            pull, *brakes = (controls[name].to_numpy() for name in columns)
+            effort = np.abs(pull - sum(brakes)) / (scenario.mass + scenario.rotating_mass)
+            coasting = (effort < 1e-3) & (trip["/truth"]["speed"].to_numpy() > 5.0)
+            marked = np.zeros(at.size, dtype=bool)
+            for segment in fit.segments:
+                marked |= (at >= segment.start) & (at <= segment.end)
+            lasting = runs(coasting, at, 8.0)
+            self.found += [
+                np.sum(marked & lasting),
+                np.sum(lasting),
+                np.sum(marked & coasting),
+                np.sum(marked & (effort < 5e-3)),
+                np.sum(marked),
+            ]
+
+    def line(self) -> str:
+        """One row of the table."""
+        total = self.refused + len(self.errors)
+        if not self.errors:
+            return f"all {total} refused"
+        found, long, right, little, marked = self.found
+        return (
+            f"{np.median(self.errors):8.2f}{np.max(self.errors):8.2f}{np.mean(self.inside):9.2f}"
+            f"{np.median(self.peers):9.2f}{np.max(self.peers):8.2f}{found / long:9.2f}"
+            f"{right / marked:8.2f} ({little / marked:.2f}){self.refused:6d}/{total}"
+            f"{self.seconds / total:8.2f}"
+        )
+
+
+def rms(found: FloatArray, true: FloatArray) -> float:
+    """Relative error, root mean square [%]."""
+    return float(100.0 * np.sqrt(np.mean((found / true - 1.0) ** 2)))
+
+
+def runs(mask: NDArray[np.bool_], at: FloatArray, least: float) -> NDArray[np.bool_]:
+    """The mask without its runs shorter than `least` [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    kept = np.zeros(mask.size, dtype=bool)
+    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
+        kept[first : last + 1] = at[last] - at[first] >= least
+    return kept
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--trips", type=int, default=20)
+    arguments = parser.parse_args()
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    variants = {
+        "wheels, 10 Hz": wheels,
+        "satellites, 10 Hz": satellites(10),
+        "satellites, 5 Hz": satellites(5),
+        "satellites, 1 Hz": satellites(1),
+    }
+    sizes = [size for size in (1, 5, 20) if size <= arguments.trips]
+    tallies = {(name, size): Tally() for name in variants for size in sizes}
+    for seed in range(1, arguments.seeds + 1):
+        drawn = draw_scenarios(line, train, arguments.trips, seed)
+        trips = [simulate(scenario) for scenario in drawn]
+        for name, change in variants.items():
+            changed = [
+                (scenario, change(trip, number))
+                for number, (scenario, trip) in enumerate(zip(drawn, trips, strict=True))
+            ]
+            for size in sizes:
+                for first in range(0, arguments.trips - size + 1, size):
+                    tallies[name, size].add(changed[first : first + size])
+    print(f"{'':31s}{'error [%]':>16s}{'in':>9s}{'peer [%]':>17s}{'':>9s}")
+    print(
+        f"{'':25s}{'trips':>6s}{'median':>8s}{'max':>8s}{'band':>9s}{'median':>9s}{'max':>8s}"
+        f"{'recall':>9s}{'precision':>15s}{'refused':>9s}{'CPU s':>8s}"
+    )
+    for (name, size), tally in tallies.items():
+        print(f"{name:25s}{size:6d}{tally.line()}")
+
+
+if __name__ == "__main__":
+    main()
