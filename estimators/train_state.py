@@ -17,7 +17,7 @@ effort it holds, as a gradient, what is wrong with mass and resistance, too.
 An axle that slips is left out: whose speed departs from the expected one by more than it may, or
 changes faster than any train, so that all axles slipping together are noticed. It is taken back
 when it keeps to the expected speed again, and when nothing else has told a speed for long.
-Meanwhile the efforts that its motors make are not believed either.
+Meanwhile the efforts of its motors are believed less.
 
 References
 ----------

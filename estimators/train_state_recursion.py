@@ -39,17 +39,21 @@ QUICK = 1.0
 """A wheel whose acceleration departs by more than this from the train's [m/s²] slips: between
 them lies all that adhesion can do to a train in half a second."""
 
-SLIP_CREEP = 1.0
+SLIP_CREEP = 2.0
 """Standard deviation of creep [m/s] within `SLIP_MEMORY` of a slip: the rail is at its limit."""
 
-SLIP_MEMORY = 5.0
-"""Time after a slip [s] over which wheels that hold again are believed less."""
+SLIP_MEMORY = 20.0
+"""Time after a slip [s] over which wheels that hold again, and efforts, are believed less."""
 
 HELD = 3
 """Samples in a row that a wheel must keep to the expected speed to be taken back."""
 
-SLIP_EFFORT_STD = 0.5
-"""How wrong the expected acceleration is while axles slip [m/s²]."""
+SLIP_EFFORT_STD = 0.2
+"""How wrong the expected acceleration is where axles slip [m/s²]: what the motors give turns the
+wheels, and comes back when they are caught."""
+
+SLIP_EFFORT_TIME = 1.0
+"""For how long it is wrong in the same way [s]."""
 
 PATIENCE = 20.0
 """When no speed, or no position, was taken for so long [s] though some were measured, it is the
@@ -188,7 +192,8 @@ def run_block(
         observe(observed, z[k : k + 1], lasting)
         if np.any(wheels[:, SLIPPING] > 0.0):
             clocks[SLIP_TIME] = 0.0
-            variances[k, 2] += SLIP_EFFORT_STD**2 * 2.0 * CREEP_TIME / max(step, 0.01)
+        if clocks[SLIP_TIME] < SLIP_MEMORY:
+            variances[k, 2] += SLIP_EFFORT_STD**2 * 2.0 * SLIP_EFFORT_TIME / max(step, 0.01)
         for i in range(4):
             if np.isnan(z[k, i]):
                 continue
