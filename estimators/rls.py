@@ -151,9 +151,19 @@ class RecursiveLeastSquares:
             Which ones; default all.
         keep_estimate : bool
             Whether the estimate stays (as in the paper) or returns to the prior mean.
+
+        Raises
+        ------
+        InputError
+            If there is no such parameter.
         """
         chosen = np.ones(self.size, dtype=bool)
         if parameters is not None:
+            if not all(0 <= which < self.size for which in parameters):
+                raise InputError(
+                    f"recursive least squares: cannot reset parameters {list(parameters)} of"
+                    f" {self.size}, counted from 0"
+                )
             chosen[:] = False
             chosen[list(parameters)] = True
         transform(

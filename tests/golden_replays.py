@@ -210,8 +210,9 @@ def cost(trip: Trip) -> Figures:
 
 def coasting(trip: Trip) -> Figures:
     found = coast_down([trip])
+    powers = np.linspace(*found.curve.covered, 7)[:, None] ** np.arange(3)
     return {
-        "coefficients": found.curve.theta,
+        "curve": powers @ found.curve.theta[1:],
         "std": np.sqrt(np.diag(found.curve.covariance)),
         "covered": found.curve.covered,
         "ratio": found.ratio.value,

@@ -391,4 +391,7 @@ def test_bad_samples_are_refused_and_change_nothing() -> None:
     ):
         with pytest.raises(InputError):
             estimator.update(rows, values, variance)
+    for nowhere in ([3], [-1], [0, 7]):
+        with pytest.raises(InputError, match="cannot reset"):
+            estimator.reset(nowhere)
     assert estimator.state() == before
