@@ -384,6 +384,7 @@ def _pieces(
                 "position": [PIECE * piece, PIECE * (piece + 1)],
                 "direction": "forward" if way > 0.0 or parted else "reverse",
                 "passages": int(np.count_nonzero(here)),
+                "speed": [float(rows.speed[here].min()), float(rows.speed[here].max())],
                 "quantity": "gradient" if parted else "c0 and gradient",
                 "deceleration": float(pick @ estimate),
                 "std": float(np.sqrt(pick @ covariance @ pick)),

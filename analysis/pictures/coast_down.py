@@ -86,17 +86,22 @@ def _told(axes: Axes, result: CoastDownResult) -> None:
     curve = result.curve
     if curve is not None:
         speed, value, low, high = curve.speeds, curve.deceleration, curve.low, curve.high
-        what = "running resistance over inertia [m/s²]"
+        what, title = "running resistance over inertia [m/s²]", "pieces coasted both ways tell all"
     else:
         c1, c2 = result["c1"].value or 0.0, result["c2"].value or 0.0
-        speed = np.linspace(0.0, 40.0, 81)
-        value, basis = (c1 + c2 * speed) * speed, np.stack([speed, speed**2], axis=-1)
+        ends = np.array([piece["speed"] for piece in result.pieces])
+        lowest = float(ends.min())
+        speed = np.linspace(lowest, float(ends.max()), 81)
+        basis = np.stack([speed - lowest, speed**2 - lowest**2], axis=-1)
+        value = basis @ [c1, c2]
         std = np.sqrt(np.einsum("ni,ij,nj->n", basis, result.covariance, basis))
-        low, high, what = value - 1.96 * std, value + 1.96 * std, "c1 v + c2 v² [m/s²]"
+        low, high = value - 1.96 * std, value + 1.96 * std
+        what = f"more than at {KMH * lowest:.0f} km/h [m/s²]"
+        title = "growth with speed; c0 is merged with the gradient"
     axes.fill_between(KMH * speed, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 %")
     axes.plot(KMH * speed, value, color=BLUE, linewidth=1.8)
     axes.legend(fontsize=8, frameon=False, loc="upper left")
-    dress(axes, x="speed [km/h]", y=what, title=result.quantities[0].reason or "")
+    dress(axes, x="speed [km/h]", y=what, title=title)
 
 
 def _segments(axes: Axes, fit: TripCoastDown) -> None:
