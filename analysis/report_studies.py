@@ -46,6 +46,37 @@ def rls_sliding_mode_table(
     return table
 
 
+def eight_wagons_table(exact: Mapping[str, Run], coupled: Sequence[Run]) -> Table:
+    """The multi-particle train under the paper's control, beside the single particle.
+
+    Parameters
+    ----------
+    exact : mapping of str to Run
+        Of the single particle, by name of the variant.
+    coupled : sequence of Run
+        Of the eight wagons.
+    """
+    table = new_table(
+        "Paper 004, eqs. (2)-(9): eight wagons; the same errors, and the couplers' forces (kN)",
+        "estimator",
+        "traction",
+        "one particle",
+        "eight wagons",
+        "largest draft / buff",
+    )
+    for run in coupled:
+        alone = any(vehicle.max_tractive_effort == 0.0 for vehicle in run.train.vehicles)
+        forces = run.coupler_forces / 1e3
+        table.add_row(
+            run.variant.name,
+            "first wagon" if alone else "every wagon",
+            _shown(exact[run.variant.name].figures),
+            _shown(run.figures),
+            f"{forces.max():.1f} / {-forces.min():.1f}",
+        )
+    return table
+
+
 def _published(figures: Figures) -> str:
     if figures == (None, None, None):
         return "not tried"

@@ -50,6 +50,31 @@ def test_running_times_of_trainruns(train: str, path: str) -> None:
 
 
 @SHARED
+@pytest.mark.parametrize(("train", "path"), CASES)
+def test_what_a_step_gains_is_in_proportion_to_it(train: str, path: str) -> None:
+    """Why converged times differ from the published ones: those have the error of a 20 m step."""
+    _, formations = read_rolling_stock(DATA / "trainruns" / "trains" / f"{train}.yaml")
+    line = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")[path]
+    formation = next(iter(formations.values()))
+    steps = (20.0, 5.0, 1.25, 0.3125)
+    times = [shortest_run(line, formation, step=step).running_time for step in steps]
+    converged = times[3] + (times[3] - times[2]) / 3.0
+    gained = converged - np.array(times[:3])
+    # A quarter of the step leaves a quarter of the error, here and there a node falls otherwise.
+    np.testing.assert_allclose(gained[1:] / gained[:-1], 0.25, atol=0.1)
+    # What the published times lack to the converged ones is that error.
+    assert published(train, path) + gained[0] == pytest.approx(converged, rel=2e-3)
+
+
+@SHARED
+def test_a_step_that_is_too_coarse_is_refused() -> None:
+    _, formations = read_rolling_stock(DATA / "trainruns" / "trains" / "local.yaml")
+    line = read_running_paths(DATA / "trainruns" / "paths" / "const.yaml")["const"]
+    with pytest.raises(InputError, match=r"step of 500 m is too coarse.*use at most \d+ m"):
+        shortest_run(line, next(iter(formations.values())), step=500.0)
+
+
+@SHARED
 @pytest.mark.parametrize(
     "file", sorted((DATA / "railtoolkit_schema" / "test").glob("*/invalid/*.yaml")), ids=str
 )

@@ -73,6 +73,48 @@ def test_with_measured_speed_keeping_a1_and_a2_is_what_helps() -> None:
     assert part.figures[0] < 0.3 * full.figures[0]
 
 
+def test_the_samples_are_the_trains_of_the_paper() -> None:
+    for train in (study.consist(), study.eight_wagons()):
+        assert train.mass == study.MASS
+        assert train.max_tractive_effort == train.max_braking_effort == study.EFFORT_LIMIT
+        whole, paper = train.resistance, study.RESISTANCE
+        assert (whole.r0, whole.r1, whole.r2) == pytest.approx((paper.r0, paper.r1, paper.r2))
+    coupler = study.eight_wagons().couplers[0]
+    assert (coupler.stiffness, coupler.damping, coupler.nonlinearity) == (10e6, 200e3, 200.0)
+
+
+def test_eight_wagons_are_controlled_as_closely_as_one_particle(
+    runs: dict[str, study.Run],
+) -> None:
+    """An edge that passes under 200 m of train is met more gently than one under a point."""
+    every, first = (
+        study.run(BY_NAME["scalar"], train=study.eight_wagons(first_pulls=alone))
+        for alone in (False, True)
+    )
+    for run in (every, first):
+        position, speed, stop = run.figures
+        assert position < runs["scalar"].figures[0]
+        # The first wagon also swings in its coupler.
+        assert speed < 1.01 * runs["scalar"].figures[1]
+        assert stop <= 0.01
+    # Where each wagon pulls itself, the couplers carry only what the edges make.
+    assert np.abs(every.coupler_forces).max() < 40e3 < first.coupler_forces.max()
+    # A first wagon that pulls 43.75 of 350 t itself passes on seven eighths of its effort.
+    calm = (first.time > 60.0) & (first.time < 100.0)
+    passed_on = first.coupler_forces[calm, 0] / first.effort[calm]
+    assert passed_on == pytest.approx(7.0 / 8.0, abs=0.01)
+    log = trip_of(first, seed=1)
+    assert log["/train/couplers"].shape[1] == 7
+
+
+def test_the_slope_acts_from_the_front_to_the_rear() -> None:
+    run = study.run(BY_NAME["spatial reset"], train=study.eight_wagons())
+    halfway = int(np.argmin(np.abs(run.position - 42_100.0)))
+    share = (run.position[halfway] - 42_000.0) / 200.0
+    expected = study.MASS * 9.81 * (share * 0.020 - (1.0 - share) * 0.007)
+    assert run.slope_force[halfway] == pytest.approx(expected, rel=2e-3)
+
+
 def test_a_run_becomes_a_log(runs: dict[str, study.Run], tmp_path: Path) -> None:
     run = runs["spatial reset"]
     trip = trip_of(run, seed=1)

@@ -31,12 +31,18 @@ PICTURES = (
     "figures-06-09-spatial-reset.png",
     "figures-10-14-scalar.png",
     "measured-speed.png",
+    "eight-wagons.png",
 )
 
 SECONDS = "time [s]"
 
 
-def draw_study(runs: Mapping[str, Run], measured: Mapping[str, Run], folder: Path) -> list[Path]:
+def draw_study(
+    runs: Mapping[str, Run],
+    measured: Mapping[str, Run],
+    coupled: Sequence[Run],
+    folder: Path,
+) -> list[Path]:
     """Draw the paper's figures, and what it could not show; returns the pictures' paths.
 
     Parameters
@@ -45,15 +51,18 @@ def draw_study(runs: Mapping[str, Run], measured: Mapping[str, Run], folder: Pat
         With exact speed, by name of the variant.
     measured : mapping of str to Run
         The same with measured speed.
+    coupled : sequence of Run
+        With eight wagons.
     folder : path
     """
     paths = [folder / name for name in PICTURES]
-    profile, timed, spatial, scalar, compared = paths
+    profile, timed, spatial, scalar, compared, wagons = paths
     _draw_profile(runs["spatial reset"], profile)
     _draw_learning(runs["time reset"], timed, ("Fig. 4", "Fig. 5", "", ""))
     _draw_learning(runs["spatial reset"], spatial, ("Fig. 6", "Fig. 7", "Fig. 8", "Fig. 9"))
     _draw_scalar(runs["scalar"], scalar)
     _draw_measured(runs, measured, compared)
+    _draw_wagons(runs, coupled, wagons)
     return paths
 
 
@@ -123,6 +132,29 @@ def _draw_measured(runs: Mapping[str, Run], measured: Mapping[str, Run], path: P
         dress(axes, x="", y="position error [m]", title=title)
         axes.legend(frameon=False, fontsize=8, ncols=4)
     second.set_xlabel(SECONDS)
+    write_figure(figure, path)
+
+
+def _draw_wagons(runs: Mapping[str, Run], coupled: Sequence[Run], path: Path) -> None:
+    """Position error beside that of the single particle, and the range of the couplers' forces."""
+    figure = new_figure(9.0, 3.2 * len(coupled))
+    places = figure.subplots(2 * len(coupled), 1, sharex=True)
+    for run, above, below in zip(coupled, places[::2], places[1::2], strict=True):
+        name = run.variant.name
+        alone = any(vehicle.max_tractive_effort == 0.0 for vehicle in run.train.vehicles)
+        what = f"{name}, {'the first wagon pulls' if alone else 'every wagon pulls'}"
+        single = runs[name]
+        above.plot(single.time, single.position_error, color=GREY, label="one particle")
+        above.plot(run.time, run.position_error, color=COLOURS[name], label="eight wagons")
+        above.legend(frameon=False, fontsize=8, ncols=2, loc="lower right")
+        dress(above, x="", y="m", title=f"Position error: {what}")
+        forces = run.coupler_forces / 1e3
+        below.fill_between(
+            run.time, forces.min(axis=1), forces.max(axis=1), color=COLOURS[name], alpha=0.6,
+            linewidth=0.0,
+        )  # fmt: skip
+        dress(below, x="", y="kN", title="From the least to the largest of the couplers' forces")
+    places[-1].set_xlabel(SECONDS)
     write_figure(figure, path)
 
 

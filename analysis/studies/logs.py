@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from analysis.studies import in_train_forces
 from analysis.studies import rls_sliding_mode as study
@@ -53,7 +54,7 @@ def trip_of(run: Run, seed: int) -> Trip:
     running = run.resistance - run.slope_force
     targets = [study.target(now) for now in run.time]
     needed = study.MASS * np.array([each.acceleration for each in targets]) + run.resistance
-    frames = (
+    frames: tuple[pd.DataFrame, ...] = (
         frame_of(TRAIN_STATE, time, {"position": run.position, "speed": run.measured_speed}),
         frame_of(
             TRAIN_CONTROLS,
@@ -90,10 +91,15 @@ def trip_of(run: Run, seed: int) -> Trip:
             {"position": run.position, "speed": run.speed, "running_resistance": running},
         ),
     )
-    track = line_to_bytes(slopes)
+    if run.train.couplers:
+        frames += (frame_of(TRAIN_COUPLERS, time, {"force": run.coupler_forces}),)
+    attachments = {
+        LINE_ATTACHMENT: line_to_bytes(slopes),
+        CONSIST_ATTACHMENT: consist_to_bytes(run.train),
+    }
     metadata = {
         "trip": name_of(run),
-        "train": study.consist().name,
+        "train": run.train.name,
         "line": slopes.name,
         "direction": "forward",
         "clock": "UTC, simulated",
@@ -102,9 +108,7 @@ def trip_of(run: Run, seed: int) -> Trip:
         "seed": str(seed),
         "study": "paper 004, section 5",
     }
-    trip = Trip({frame.attrs["topic"]: frame for frame in frames}, metadata, (), {
-        LINE_ATTACHMENT: track
-    })  # fmt: skip
+    trip = Trip({frame.attrs["topic"]: frame for frame in frames}, metadata, (), attachments)
     return trip.with_step(
         "study rls-sliding-mode",
         software=f"trainlog {__version__}",
@@ -112,13 +116,16 @@ def trip_of(run: Run, seed: int) -> Trip:
         variant=run.variant.name,
         speed_noise=run.noise,
         slope_shift=run.shift,
-        inputs={LINE_ATTACHMENT: sha256(track)},
+        inputs={name: sha256(data) for name, data in attachments.items()},
     )
 
 
 def name_of(run: Run) -> str:
-    """Name of a run: its variant and whether its speed is measured."""
+    """Name of a run: its variant, whether its train has couplers, and whether speed is measured."""
     name = run.variant.name.replace(" ", "-")
+    if run.train.couplers:
+        alone = any(each.max_tractive_effort == 0.0 for each in run.train.vehicles)
+        name += "-8-wagons-first-pulls" if alone else "-8-wagons"
     return f"{name}-measured" if run.noise else name
 
 

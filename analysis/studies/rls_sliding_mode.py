@@ -1,15 +1,16 @@
 """Paper 004, section 5: a train learns its resistance while it follows a profile.
 
 The plant is the single-particle train of eq. (10), integrated continuously between the samples;
-the estimators are those of eqs. (22)-(25), the controller is that of eq. (34). The paper's profile
-is lost: its speed, distance and time fix a trapezoid, with 300 s each of gaining and losing speed
-chosen here.
+the estimators are those of eqs. (22)-(25), the controller is that of eq. (34). The same system also
+drives the multi-particle train of eqs. (7)-(9), which the paper derives and does not run. The
+paper's profile is lost: its speed, distance and time fix a trapezoid, with 300 s each of gaining
+and losing speed chosen here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -19,8 +20,10 @@ from numpy.typing import NDArray
 from analysis.control.sliding_mode import SlidingModeController, Target
 from estimators.resets import edges_crossed, periods_elapsed
 from estimators.rls import RecursiveLeastSquares
-from trainlog.railway import Brake, Line, RunningResistance, Station, StepProfile
-from trainlog.railway.consist import Consist, Vehicle
+from trainlog.formats.consist import read_consist
+from trainlog.formats.samples import sample
+from trainlog.railway import Line, RunningResistance, Station, StepProfile
+from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant, Variation
 from trainlog.units import GRAVITY
 
@@ -105,12 +108,13 @@ class Run:
     Attributes
     ----------
     variant : Variant
+    train : Consist
     noise : float [m/s]
         Standard deviation of the measured speed.
     shift : float [m]
         By which the slopes lie further ahead than in Table 1.
     time, position, speed : [s], [m], [m/s]
-        True motion.
+        True motion, of a consist's front.
     measured_speed : [m/s]
     target_position, target_speed : [m], [m/s]
     effort : [N]
@@ -120,9 +124,12 @@ class Run:
     theta_std : array of the same shape
     estimate : [N]
         All resistances together, as estimated.
+    coupler_forces : (n, couplers) array [N]
+        Positive when pulled apart.
     """
 
     variant: Variant
+    train: Consist
     noise: float
     shift: float
     time: FloatArray
@@ -135,6 +142,7 @@ class Run:
     theta: FloatArray
     theta_std: FloatArray
     estimate: FloatArray
+    coupler_forces: FloatArray
 
     @property
     def position_error(self) -> FloatArray:
@@ -169,9 +177,18 @@ class Run:
 
     @cached_property
     def slope_force(self) -> FloatArray:
-        """True f2 [N]: the slope under the train, eq. (6)."""
-        slope = line(self.shift).gradient(self.position)
-        return np.asarray(MASS * GRAVITY * slope / np.hypot(1.0, slope))
+        """True f2 [N]: the slope under the train, eq. (6), from its front to its rear."""
+        slopes = line(self.shift).gradients
+        sine = slopes.values / np.hypot(1.0, slopes.values)
+        if len(self.train.vehicles) == 1:
+            row = np.searchsorted(slopes.positions, self.position, side="right") - 1
+            return np.asarray(MASS * GRAVITY * sine[row])
+        # Before its first and beyond its last edge the line goes on as there.
+        edges = np.concatenate(([-self.train.length], slopes.positions[1:], [2.0 * DISTANCE]))
+        height = np.concatenate(([0.0], np.cumsum(sine * np.diff(edges))))
+        ends = (self.position, self.position - self.train.length)
+        front, rear = (np.interp(end, edges, height) for end in ends)
+        return np.asarray(MASS * GRAVITY * (front - rear) / self.train.length)
 
     @property
     def resistance(self) -> FloatArray:
@@ -204,24 +221,37 @@ def line(shift: float = 0.0) -> Line:
 
 
 def consist() -> Consist:
-    """The paper's train as a single particle."""
-    train = Vehicle(
-        "train",
-        mass=MASS,
-        length=1.0,  # a point, as the paper has it: slopes begin at once
-        resistance=RESISTANCE,
-        max_tractive_effort=EFFORT_LIMIT,
-        max_braking_effort=EFFORT_LIMIT,
+    """The paper's train as a single particle: a point, so that slopes begin at once."""
+    return read_consist(sample("paper_004.consist.json"))
+
+
+def eight_wagons(*, first_pulls: bool = False) -> Consist:
+    """The paper's train in eight wagons of 43.75 t, eqs. (2)-(9).
+
+    Parameters
+    ----------
+    first_pulls : bool
+        Whether the first wagon gives all the traction, as a locomotive does; else each an eighth.
+    """
+    train = read_consist(sample("paper_004_8_wagons.consist.json"))
+    if not first_pulls:
+        return train
+    locomotive, wagon = (
+        replace(train.vehicles[0], max_tractive_effort=effort) for effort in (EFFORT_LIMIT, 0.0)
     )
-    return Consist(
-        "train of paper 004",
-        (train,),
-        brake=Brake(0.0, 0.0),  # acts at once in the paper's simulation
-        source="paper 004, section 5",
+    return replace(
+        train, name=f"{train.name}, the first pulls", vehicles=(locomotive, *(wagon,) * 7)
     )
 
 
-def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int = 1) -> Run:
+def run(
+    variant: Variant,
+    *,
+    noise: float = 0.0,
+    shift: float = 0.0,
+    seed: int = 1,
+    train: Consist | None = None,
+) -> Run:
     """Drive the profile once.
 
     Parameters
@@ -233,11 +263,16 @@ def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int =
         Of the slopes; moves the instant of their change between two samples.
     seed : int
         Of the noise.
+    train : Consist, optional
+        Default: the single particle. Of a consist, position and speed of the front are controlled.
     """
     random = np.random.default_rng(seed)
     slopes = line(shift)
-    plant = ConsistPlant(consist(), slopes, variation=VARIATION, step=STEP)
-    state = plant.at(float(plant.consist.middles[0]))
+    plant = ConsistPlant(train or consist(), slopes, variation=VARIATION, step=STEP)
+    # A point is where its middle is, a consist where its front is.
+    lead = float(plant.consist.middles[0])
+    point = len(plant.consist.vehicles) == 1
+    state = plant.at(lead if point else 0.0)
     learner = RecursiveLeastSquares(PRIOR_STD[: variant.parameters], forgetting=variant.forgetting)
     controller = SlidingModeController(MASS, effort_limit=EFFORT_LIMIT)
     count = round(DURATION / PERIOD) + 1
@@ -245,14 +280,19 @@ def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int =
     rows = np.empty((count, 7))
     theta = np.empty((count, variant.parameters))
     spread = np.empty_like(theta)
+    forces = np.empty((count, len(plant.consist.couplers)))
     theta[0], spread[0] = 0.0, PRIOR_STD[: variant.parameters]
     effort, before = 0.0, 0.0
     for k in range(count):
         now = k * PERIOD
         position, speed = float(state.positions[0]), float(state.speeds[0])
+        position += 0.0 if point else lead
+        forces[k] = plant.coupler_forces(state)
         measured = speed + errors[k]
         if k:
-            crossed = edges_crossed(slopes.gradients.positions, position, rows[k - 1, 0])
+            # While an edge passes under a train, its slope keeps changing.
+            since = rows[k - 1, 0] if point else max(position - plant.consist.length, 0.0)
+            crossed = edges_crossed(slopes.gradients.positions, position, since)
             _reset(learner, variant, now, moved_on=bool(crossed[0]))
             # (22): the rate of change of speed less the effort that was at work.
             output = MASS / PERIOD * (measured - before) - effort
@@ -266,6 +306,7 @@ def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int =
         plant.advance(state, max(effort, 0.0), max(-effort, 0.0), round(PERIOD / STEP))
     return Run(
         variant=variant,
+        train=plant.consist,
         noise=noise,
         shift=shift,
         time=PERIOD * np.arange(count, dtype=np.float64),
@@ -278,6 +319,7 @@ def run(variant: Variant, *, noise: float = 0.0, shift: float = 0.0, seed: int =
         theta=theta,
         theta_std=spread,
         estimate=rows[:, 6],
+        coupler_forces=forces,
     )
 
 

@@ -31,13 +31,13 @@ def rls_sliding_mode(
     """Learn resistance by recursive least squares under sliding-mode control (paper 004).
 
     Runs the paper's three estimators and one that resets in part, with exact and with measured
-    speed, and one with the slopes shifted within a sample. Writes every run as a log, draws the
-    paper's figures and prints them beside the published ones.
+    speed, with the slopes shifted within a sample, and with eight coupled wagons. Writes the runs
+    as logs, draws the paper's figures and prints them beside the published ones.
 
     Example: trainlog study rls-sliding-mode -o results/rls-sliding-mode
     """
     from analysis.pictures.rls_sliding_mode import draw_study
-    from analysis.report_studies import rls_sliding_mode_table
+    from analysis.report_studies import eight_wagons_table, rls_sliding_mode_table
     from analysis.studies import rls_sliding_mode as study
     from analysis.studies.logs import name_of, trip_of
     from trainlog.mcap import write_log
@@ -58,12 +58,19 @@ def rls_sliding_mode(
     count = len(study.VARIANTS)
     exact = {run.variant.name: run for run in runs[:count]}
     measured = {run.variant.name: run for run in runs[count : 2 * count]}
-    logs = [output / f"{name_of(run)}.mcap" for run in runs[: 2 * count]]
-    for run, log in zip(runs, logs, strict=False):
+    coupled = [
+        study.run(variant, train=study.eight_wagons(first_pulls=alone), seed=seed)
+        for variant in (study.VARIANTS[0], spatial)
+        for alone in (False, True)
+    ]
+    kept = [*runs[: 2 * count], *coupled]
+    logs = [output / f"{name_of(run)}.mcap" for run in kept]
+    for run, log in zip(kept, logs, strict=True):
         write_log(trip_of(run, seed), log)
-    pictures = draw_study(exact, measured, output)
+    pictures = draw_study(exact, measured, coupled, output)
     shifted = [exact[spatial.name], *runs[2 * count :]]
     console.print(rls_sliding_mode_table(exact, measured, {spatial.name: shifted}))
+    console.print(eight_wagons_table(exact, coupled))
     wrote(*logs, *pictures)
 
 

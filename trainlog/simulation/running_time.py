@@ -18,6 +18,10 @@ from trainlog.units import GRAVITY
 FloatArray = NDArray[np.float64]
 
 
+COARSEST = 0.005
+"""Change of the running time by half the step, relative, beyond which a step is too coarse."""
+
+
 @dataclass(frozen=True, eq=False)
 class ShortestRun:
     """A run at full effort; (n,) arrays.
@@ -59,7 +63,8 @@ def shortest_run(
     Raises
     ------
     InputError
-        If the step or the share makes no sense.
+        If the step or the share makes no sense, or the step is too coarse: half of it would change
+        the running time by more than `COARSEST`.
     InfeasibleError
         If the formation cannot start, or comes to a stand on the line.
     """
@@ -67,6 +72,19 @@ def shortest_run(
         raise InputError(f"a step of {step} m makes no sense")
     if not 0.0 <= loaded <= 1.0:
         raise InputError(f"a share of {loaded} of the load makes no sense", remedy="give 0 to 1")
+    run, finer = (_run_with(line, formation, loaded, each) for each in (step, 0.5 * step))
+    change = abs(finer.running_time / run.running_time - 1.0)
+    if change > COARSEST:
+        raise InputError(
+            f"step of {step:g} m is too coarse for formation '{formation.name}': half of it changes"
+            f" the running time by {100.0 * change:.1f} %",
+            remedy=f"use at most {step * COARSEST / change:.0f} m",
+        )
+    return run
+
+
+def _run_with(line: Line, formation: Formation, loaded: float, step: float) -> ShortestRun:
+    """The run with one step."""
     mass = formation.mass(loaded)
     positions = _grid(line, formation.length, step)
     limits = np.minimum(permitted_speeds(line, formation.length, positions), formation.max_speed)
