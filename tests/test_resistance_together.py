@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
 
-from analysis.pictures.resistance import draw_fits, draw_trip
+from analysis.pictures.resistance import draw_fits
+from analysis.pictures.resistance_trip import draw_trip
 from analysis.resistance import (
     TripFit,
     TripRefusedError,
