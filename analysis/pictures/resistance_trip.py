@@ -96,14 +96,12 @@ def draw_refused(trip: str, refusal: TripRefusedError, path: str | Path) -> None
     """Draw why a trip was refused: the reason, and what was masked over the trip."""
     figure = new_figure(11.0, 4.2)
     axes = figure.add_subplot()
-    message = textwrap.fill(str(refusal), 130)
     if refusal.timeline is None or not refusal.timeline.time.size:
         axes.set_axis_off()
-        axes.text(0.0, 0.5, title, color=INK, fontsize=10, va="center")
     else:
         draw_timeline(axes, refusal.timeline)
-        axes.set_title(title, loc="left", fontsize=9, color=INK)
-    figure.suptitle(f"{trip}: refused, {refusal.reason}", x=0.01, ha="left", fontsize=11, color=RED)
+    title = f"{trip}: refused, {refusal.reason}\n{textwrap.fill(str(refusal), 130)}"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=RED)
     write_figure(figure, path)
 
 

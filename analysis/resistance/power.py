@@ -26,8 +26,8 @@ AVERAGED = 2.0
 """Efforts are averaged over this time [s]."""
 
 LASTING = 6.0
-"""Averages that lie so far apart [s] count as independent: then 39 of 40 simulated limits lie within
-their 95 % band."""
+"""Averages that lie so far apart [s] count as independent: then 39 of 40 simulated limits lie
+within their 95 % band."""
 
 PLATEAU = 0.03
 """Power within this share of the highest counts as the same limit."""
