@@ -196,7 +196,6 @@ def recursion(size: int) -> Callable[..., FloatArray]:
     two arrays have rows.
     """
 
-    @njit(cache=True)  # type: ignore[untyped-decorator]
     def run(
         estimate: FloatArray,
         upper: FloatArray,
@@ -241,5 +240,8 @@ def recursion(size: int) -> Callable[..., FloatArray]:
                 product(size, upper, diagonal, covariance_after[k])
         return innovations
 
-    compiled: Callable[..., FloatArray] = run
+    # Numba knows a cached function by its name: two sizes of one name, compiled by two processes,
+    # are taken for each other in a third.
+    run.__name__ = run.__qualname__ = f"recursion_{size}"
+    compiled: Callable[..., FloatArray] = njit(cache=True)(run)
     return compiled

@@ -233,7 +233,7 @@ def _slots(
     return slot, fresh, slots
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _whitened(
     joined: NDArray[np.bool_],
     own: FloatArray,
@@ -278,21 +278,24 @@ def _whitened(
         total = own[k] + speed - gain[0]
         for e in range(begin, end):
             total += value[e] * gain[slot[e]]
-        logarithm += 0.5 * np.log(total)
-        root = np.sqrt(total)
+        logarithm += np.log(total)
+        precision = 1.0 / total
+        root = np.sqrt(precision)
         for c in range(number):
             innovation = columns[k, c] + mean[0, c]
             for e in range(begin, end):
                 innovation -= value[e] * mean[slot[e], c]
-            out[k, c] = innovation / root
+            out[k, c] = innovation * root
+            innovation *= precision
             for i in range(1, slots):
-                mean[i, c] += gain[i] * innovation / total
-            mean[0, c] = speed * innovation / total
+                mean[i, c] += gain[i] * innovation
+            mean[0, c] = speed * innovation
         # The end's error takes the place of the start's.
         for i in range(1, slots):
+            weight = gain[i] * precision
             for j in range(1, slots):
-                covariance[i, j] -= gain[i] * gain[j] / total
-            covariance[0, i] = -gain[i] * speed / total
+                covariance[i, j] -= weight * gain[j]
+            covariance[0, i] = -weight * speed
             covariance[i, 0] = covariance[0, i]
-        covariance[0, 0] = speed - speed * speed / total
-    return out, logarithm
+        covariance[0, 0] = speed - speed * speed * precision
+    return out, 0.5 * logarithm

@@ -1,231 +1,267 @@
 """The identification study: error of the drag curve by estimator and number of trips.
 
-    python benchmarks/identification/benchmark_identification.py [--trips 100]
+    python benchmarks/identification/benchmark_identification.py [--trips 400] [--picture study.png]
 
-The filter for use while the train runs (`estimators.running_resistance`) is told the sizes of the
-noise, which the integral methods estimate. It runs twice: with next to nothing known of the curve,
-and with a weak prior: each coefficient drawn 100 % off the truth, and taken to be.
-
-Peers in the same run: recursive least squares on differenced speed with the mass fixed (paper
-004, eqs. 21-24) and ordinary least squares on the same integral windows. The error is the root
-mean square over 5 to 55 m/s of the curve's relative error.
+Trips are drawn, fitted and combined as the product does it (`study.py`). Peers in the same run:
+recursive least squares on differenced speed with the mass fixed (paper 004, eqs. 21-24) and
+ordinary least squares on integral windows of ten seconds. The error is the root mean square over
+5 to 55 m/s of the curve's relative error; the bound is that of Cramér and Rao (`bound.py`), below
+which no unbiased estimator comes. Medians of few groups scatter: beside the bound stands the range
+in which half of the groups would lie if nothing at all were lost.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from monte_carlo import CONSTANT, PERFECT, Drawn, Study, draw, recording
+from monte_carlo import CONSTANT, PERFECT, Study
 from numpy.typing import NDArray
+from study import (
+    ASKED,
+    SPEEDS,
+    Outcome,
+    at_the_bound,
+    beta_of,
+    common,
+    covered,
+    error,
+    excess,
+    grouped,
+    known_to,
+    processes,
+    run,
+)
 
-from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.fit import LARGEST_CONDITION
-from analysis.resistance.recording import POSITION_STEP
-from analysis.resistance.regression import Regression, regress
-from analysis.resistance.windows import Windows, build_windows
-from estimators.rls import RecursiveLeastSquares
-from estimators.running_resistance import RunningResistanceFilter, RunningResistanceResult
-from trainlog.railway import RunningResistance
+from analysis.resistance.curve import curve_std, powers
+from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
-SPEEDS = np.linspace(5.0, 55.0, 101)
+SIZES = (1, 10, 100)
+
+TARGETS = {1: 4.8, 10: 1.2, 100: 0.35}
+"""Largest median errors that are asked for [%]."""
+
+FINE = replace(Study(), pieces=(50.0, 50.001))
+"""A map of elements of 50 m, each wrong for itself."""
+
+FINE_SLOW = replace(FINE, speeds=(3.0, 58.0))
+"""The same, and speeds down to walking pace."""
+
+LONG = replace(Study(), pieces=(300.0, 2000.0))
+"""Pieces as a line's longitudinal section has them: fifty errors on a trip instead of 400."""
+
+STOPPING = replace(Study(), limits=(800.0, 3000.0))
+"""Speed changes every two kilometres; more is braked."""
+
+Combination = Callable[[list[Outcome]], FloatArray]
 
 
-def error(beta: FloatArray, study: Study) -> float:
-    """Relative error of the curve, RMS over `SPEEDS` [%]."""
-    truth = study.resistance(SPEEDS)
-    return float(100.0 * np.sqrt(np.mean((powers(SPEEDS) @ beta / truth - 1.0) ** 2)))
-
-
-def differenced(trip: Drawn, study: Study) -> FloatArray:
-    """Paper 004, eqs. (21)-(24), with the mass as told and the map's gradient taken off."""
-    speed = trip.speed
-    known = ~trip.braking[:-1]
-    track = trip.line.track_acceleration(trip.position[:-1])
-    left = study.mass * (np.diff(speed) / np.diff(trip.time) + track) - trip.effort[:-1]
-    right = -np.column_stack([np.ones(speed.size - 1), speed[:-1], speed[:-1] ** 2])
-    recursion = RecursiveLeastSquares([1e6, 1e5, 1e4])
-    recursion.update(right[known], left[known], 1e8)
-    return np.asarray(recursion.result().estimate, dtype=np.float64)
-
-
-def ordinary(windows: Windows) -> FloatArray:
-    """Ordinary least squares on the windows."""
-    scale = np.linalg.norm(windows.x, axis=0)
-    theta = np.linalg.lstsq(windows.x / scale, windows.y, rcond=None)[0] / scale
-    return np.asarray(theta[1:] / theta[0])
-
-
-def together(fits: list[Regression]) -> FloatArray:
-    """Trips of one and the same train, in information form."""
-    information = [np.linalg.inv(fit.covariance[:3, :3]) for fit in fits]
-    weighted = [w @ fit.beta[:3] for w, fit in zip(information, fits, strict=True)]
+def online(group: list[Outcome]) -> FloatArray:
+    """The online filter that knew nothing before, in information form."""
+    ends = [one.online[0] for one in group]
+    information = [np.linalg.inv(end.covariance) for end in ends]
+    weighted = [w @ end.beta for w, end in zip(information, ends, strict=True)]
     return np.asarray(np.linalg.solve(np.sum(information, axis=0), np.sum(weighted, axis=0)))
 
 
-WEAK = 1.0
-"""Relative standard deviation of each coefficient of the weak prior."""
-
-NOTHING = (1.0, 0.1, 0.01)
-"""Standard deviation of r0, r1 and r2 over mass where next to nothing is known."""
-
-
-def online(trip: Drawn, study: Study, seed: int, weak: bool) -> RunningResistanceResult:
-    """What the extended Kalman filter knows at the end of a trip."""
-    r = study.resistance
-    true = np.array([r.r0, r.r1, r.r2])
-    drawn = true * (1.0 + WEAK * np.random.default_rng([seed, 1]).standard_normal(3))
-    known = recording(trip)
-    estimator = RunningResistanceFilter(
-        study.mass,
-        0.1 * study.mass,
-        RunningResistance(*drawn.tolist()) if weak else RunningResistance(0.0, 0.0, 0.0),
-        WEAK * true if weak else study.mass * np.array(NOTHING),
-        speeds=(float(SPEEDS[0]), float(SPEEDS[-1])),
-        speed_std=float(np.hypot(study.speed_noise, study.speed_resolution / np.sqrt(12.0))),
-        gradient_std=0.5e-3,
-        chainage_std=20.0 / np.sqrt(3.0),
-        reach=POSITION_STEP,
-    )
-    estimator.update(
-        known.time,
-        known.speed,
-        known.effort,
-        known.track,
-        known.track_slope,
-        known.section,
-        known.usable,
-    )
-    return estimator.result()
+ESTIMATORS: dict[str, Combination] = {
+    "differenced, mass fixed (RLS)": lambda group: np.mean([o.differenced for o in group], axis=0),
+    "windows of 10 s (OLS)": lambda group: np.mean([o.ordinary for o in group], axis=0),
+    "EKF, online, nothing known before": online,
+    "fit_trip and combine": lambda group: beta_of(common(group)),
+}
 
 
-def online_rows(study: Study, trips: int) -> None:
-    """Print the errors of the filter, its coverage, and how many trips it calls valid."""
-    truth = study.resistance(SPEEDS)
-    for name, weak in (("nothing known", False), ("weak prior", True)):
-        found = [online(draw(study, seed), study, seed, weak) for seed in range(trips)]
-        cells = [cell([error(each.estimate[:3], study) for each in found]), "-", "-"]
-        if not weak:
-            betas = [each.estimate[:3] for each in found]
-            information = [np.linalg.inv(each.covariance[:3, :3]) for each in found]
-            cells[1:] = [
-                cell(
-                    [
-                        error(
-                            np.linalg.solve(
-                                np.sum([information[k] for k in group], axis=0),
-                                np.sum([information[k] @ betas[k] for k in group], axis=0),
-                            ),
-                            study,
-                        )
-                        for group in groups(betas, n)
-                    ]
-                )
-                for n in (10, 100)
-            ]
-        off = [np.abs(powers(SPEEDS) @ each.estimate[:3] - truth) for each in found]
-        std = [curve_std(each.covariance[:3, :3], SPEEDS) for each in found]
-        covered = np.mean(np.array(off) < 1.96 * np.array(std))
-        print(
-            f"{f'EKF, online ({name})':46s}"
-            + "".join(f"{text:>14s}" for text in cells)
-            + f"   covers {covered:.3f}, valid {sum(each.valid for each in found)}"
-        )
-    held = [online(draw(CONSTANT, seed), CONSTANT, seed, True).valid for seed in range(20)]
-    print(f"{'EKF, online, at one speed':46s}   valid {sum(held)} of {len(held)}")
+def cells(outcomes: list[Outcome], study: Study, estimate: Combination) -> list[str]:
+    """Median error of groups of each size, and the 90th percentile."""
+    out = []
+    for size in SIZES:
+        errors = [error(estimate(group), study) for group in grouped(outcomes, size)]
+        told = f"{np.median(errors):.2f}" if errors else "-"
+        out.append(told + (f" ({np.quantile(errors, 0.9):.1f})" if len(errors) > 9 else ""))
+    return out
 
 
-def groups(betas: list[FloatArray], size: int) -> list[list[int]]:
-    return [list(range(k, k + size)) for k in range(0, len(betas) - size + 1, size)]
+def bound_cells(outcomes: list[Outcome], study: Study) -> list[str]:
+    """Median at the bound, and between what half of the groups would lie."""
+    bounds = [one.bound for one in outcomes if one.bound is not None]
+    out = []
+    for size in SIZES:
+        low, middle, high = np.quantile(at_the_bound(bounds, study, size), [0.25, 0.5, 0.75])
+        out.append(f"{middle:.2f} [{low:.2f}, {high:.2f}]")
+    return out
 
 
-def rows(study: Study, trips: int) -> tuple[dict[str, list[str]], list[Regression]]:
-    """Errors by estimator, for 1, 10 and 100 trips together."""
-    betas: dict[str, list[FloatArray]] = {"differenced, mass fixed (RLS)": [], "integral (OLS)": []}
-    fits: list[Regression] = []
-    for seed in range(trips):
-        trip = draw(study, seed)
-        windows = build_windows(recording(trip))
-        betas["differenced, mass fixed (RLS)"].append(differenced(trip, study))
-        betas["integral (OLS)"].append(ordinary(windows))
-        fits.append(regress(windows, study.mass, 0.1 * study.mass))
-    table = {}
-    for name, found in betas.items():
-        table[name] = [
-            cell(
-                [
-                    error(np.mean([found[k] for k in group], axis=0), study)
-                    for group in groups(found, n)
-                ]
-            )
-            for n in (1, 10, 100)
-        ]
-    table["integral, offsets random, mass free (UD-RLS)"] = [
-        cell([error(together([fits[k] for k in group]), study) for group in groups(fits, n)])
-        for n in (1, 10, 100)
-    ]
-    return table, fits
+def row(name: str, cells_: list[str]) -> str:
+    return f"{name:44s}" + "".join(f"{cell:>20s}" for cell in cells_)
 
 
-def cell(errors: list[float]) -> str:
-    if not errors:
-        return "-"
-    if len(errors) == 1:
-        return f"{errors[0]:.2f}"
-    return f"{np.median(errors):.2f} ({np.quantile(errors, 0.9):.1f})"
+def show_study(outcomes: list[Outcome], study: Study) -> None:
+    """The table of the study as it is asked for."""
+    print(row("asked for", [f"{TARGETS[size]:.2f}" for size in SIZES]))
+    for name, estimate in ESTIMATORS.items():
+        print(row(name, cells(outcomes, study, estimate)))
+    weak = np.median([error(one.online[1].beta, study) for one in outcomes])
+    print(row("EKF, online, weak prior", [f"{weak:.2f}", "-", "-"]))
+    alone = np.median([error(one.beta, study) for one in outcomes])
+    print(row("fit_trip alone, negative coefficients let be", [f"{alone:.2f}", "-", "-"]))
+    print(row("Cramér-Rao bound [half of the groups]", bound_cells(outcomes, study)))
+    bounds = [one.bound for one in outcomes if one.bound is not None]
+    shares = [np.mean(at_the_bound(bounds, study, size) <= TARGETS[size]) for size in SIZES]
+    print(row("groups within what is asked, at the bound", [f"{s:.0%}" for s in shares]))
+    print(f"\nvariance of single trips over the bound's: {excess(outcomes, study):.2f}")
 
 
-def coverage(fits: list[Regression], study: Study) -> tuple[float, float, float]:
-    """Share covered: single speeds by 1.96 sigma, whole curves by the band; bias of r1 [%]."""
-    truth = study.resistance(SPEEDS)
-    single, whole = [], []
-    for fit in fits:
-        covariance = fit.covariance[:3, :3]
-        z = np.abs(powers(SPEEDS) @ fit.beta[:3] - truth) / curve_std(covariance, SPEEDS)
-        single.append(np.mean(z < 1.96))
-        whole.append(np.all(z < band_factor(covariance, (5.0, 55.0), fit.residual.size - 4)))
-    bias = 100.0 * (together(fits)[1] / study.resistance.r1 - 1.0)
-    return float(np.mean(single)), float(np.mean(whole)), float(bias)
-
-
-def refused(study: Study, trips: int) -> int:
-    """How many trips the condition number refuses."""
+def show_coverage(outcomes: list[Outcome], study: Study) -> list[tuple[int, float, float]]:
+    """Coverage by number of trips, and the bias."""
     found = [
-        regress(build_windows(recording(draw(study, seed))), study.mass, 0.1 * study.mass)
-        for seed in range(trips)
+        (
+            1,
+            float(np.mean([o.single for o in outcomes])),
+            float(np.mean([o.whole for o in outcomes])),
+        )
     ]
-    return sum(fit.condition > LARGEST_CONDITION for fit in found)
+    for size in SIZES[1:]:
+        inside = [covered(common(group), study) for group in grouped(outcomes, size)]
+        if inside:
+            found.append((size, *np.mean(inside, axis=0).tolist()))
+    for size, single, whole in found:
+        print(
+            f"coverage of the 95 % band, {size:3d} trips: single speeds {single:.3f},"
+            f" whole curves {whole:.3f} of {len(outcomes) // size}"
+        )
+    truth = study.resistance(SPEEDS)
+    for number, name in enumerate(("nothing known before", "weak prior")):
+        ends = [one.online[number] for one in outcomes]
+        z = [
+            np.abs(powers(SPEEDS) @ end.beta - truth) / curve_std(end.covariance, SPEEDS)
+            for end in ends
+        ]
+        print(
+            f"EKF, online, {name}: single speeds {np.mean(np.array(z) < 1.96):.3f},"
+            f" {sum(end.valid for end in ends)} of {len(ends)} valid"
+        )
+    r1 = study.resistance.r1
+    every = common(outcomes)
+    sets = grouped(outcomes, min(100, len(outcomes)))
+    biases = [100.0 * (common(g).resistance.r1 / r1 - 1.0) for g in sets]
+    std = 100.0 * np.sqrt(every.covariance[1, 1]) / r1
+    print(
+        f"bias of r1: {np.mean(biases):+.1f} % (mean of {len(biases)} groups of {len(sets[0])},"
+        f" one of which scatters by {np.sqrt(len(outcomes) / len(sets[0])) * std:.1f} %);"
+        f" all {len(outcomes)} together {every.resistance.r1 / r1 * 100.0 - 100.0:+.1f} %"
+    )
+    print(f"error of all {len(outcomes)} together: {error(beta_of(every), study):.2f} %")
+    return found
+
+
+def show_refusals(outcomes: list[Outcome], constant: list[Outcome], study: Study) -> None:
+    told = {one.refused for one in constant if one.refused}
+    print(
+        f"refused, asked from {KMH * ASKED[0]:.0f} to {KMH * ASKED[1]:.0f} km/h:"
+        f" {sum(bool(o.refused) for o in constant)} of {len(constant)} at one speed"
+        f" ({', '.join(sorted(told))}),"
+        f" {sum(bool(o.refused) for o in outcomes)} of {len(outcomes)} varied"
+    )
+    held = sum(one.online[1].valid for one in constant)
+    print(f"EKF, online: {held} of {len(constant)} at one speed valid")
+    kept = [one for one in outcomes if not one.refused]
+    vague = np.mean(known_to(kept, 10.0, study) > 0.1)
+    print(f"known to worse than 10 % at 36 km/h: {100.0 * vague:.0f} % of the varied")
+
+
+def draw_study(
+    outcomes: list[Outcome],
+    study: Study,
+    coverage: list[tuple[int, float, float]],
+    path: Path,
+) -> None:
+    """Draw error over number of trips, with the bound, and the coverage."""
+    from analysis.pictures.style import (
+        BLUE,
+        GREEN,
+        GREY,
+        INK,
+        ORANGE,
+        RED,
+        dress,
+        new_figure,
+        write_figure,
+    )
+
+    figure = new_figure(10.0, 4.4)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    sizes = [n for n in (1, 2, 5, 10, 20, 50, 100, 200) if 2 * n <= len(outcomes)]
+    colours = dict(zip(ESTIMATORS, (GREY, ORANGE, GREEN, BLUE), strict=True))
+    for name, estimate in ESTIMATORS.items():
+        errors = [[error(estimate(g), study) for g in grouped(outcomes, n)] for n in sizes]
+        left.plot(sizes, [np.median(e) for e in errors], "o-", color=colours[name], label=name)
+    bounds = [one.bound for one in outcomes if one.bound is not None]
+    at_bound = [np.quantile(at_the_bound(bounds, study, n), [0.25, 0.5, 0.75]) for n in sizes]
+    low, middle, high = np.transpose(at_bound)
+    left.fill_between(sizes, low, high, color=INK, alpha=0.12, linewidth=0)
+    left.plot(sizes, middle, "--", color=INK, label="Cramér-Rao bound, half of the groups")
+    left.plot(list(TARGETS), list(TARGETS.values()), "x", color=RED, label="asked for")
+    left.set_xscale("log")
+    left.set_yscale("log")
+    dress(left, x="trips of 60 km together", y="error of the curve [%]", title="median error")
+    left.legend(fontsize=8, frameon=False)
+    for column, (label, colour) in enumerate((("single speeds", ORANGE), ("whole curve", BLUE))):
+        right.plot(
+            [str(c[0]) for c in coverage],
+            [100.0 * c[1 + column] for c in coverage],
+            "o-",
+            color=colour,
+            label=label,
+        )
+    right.axhline(95.0, color=INK, linestyle="--", linewidth=1.0)
+    right.axhline(90.0, color=RED, linewidth=1.0, label="asked for, at least")
+    right.set_ylim(80.0, 101.0)
+    dress(right, x="trips together", y="share [%]", title="truth inside the 95 % band")
+    right.legend(fontsize=8, frameon=False, loc="lower left")
+    write_figure(figure, path)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trips", type=int, default=100)
-    trips = parser.parse_args().trips
+    parser.add_argument("--trips", type=int, default=400)
+    parser.add_argument("--picture", type=Path, help="draw the study into this PNG")
+    arguments = parser.parse_args()
+    trips = max(arguments.trips, 20)
+    few = min(trips, 40)
     began = time.perf_counter()
     study = Study()
-    table, fits = rows(study, trips)
+    pool = processes()
+    outcomes = run(pool, study, trips, bounds=few, peers=True)
     print(f"error of the drag curve [%]: median of {trips} trips of 60 km (90th percentile)\n")
-    print(f"{'estimator':46s}{'1 trip':>14s}{'10 trips':>14s}{'100 trips':>14s}")
-    for name, cells in table.items():
-        print(f"{name:46s}" + "".join(f"{text:>14s}" for text in cells))
-    online_rows(study, trips)
-    single, whole, bias = coverage(fits, study)
-    print(f"\ncoverage of the 95 % band: single speeds {single:.3f}, whole curves {whole:.3f}")
-    print(f"bias of r1, all trips together: {bias:.1f} %")
-    perfect, _ = rows(PERFECT, min(trips, 20))
-    name = "integral, offsets random, mass free (UD-RLS)"
-    print(f"perfect map, edges and mass: {perfect[name][0]} % for one trip")
-    print(
-        f"condition over {LARGEST_CONDITION:.0f}: {refused(CONSTANT, 20)} of 20 at one speed,",
-        end=" ",
-    )
-    print(f"{sum(fit.condition > LARGEST_CONDITION for fit in fits)} of {trips} varied")
-    rougher = replace(study, pieces=(300.0, 2000.0))
-    print(f"longer pieces of gradient, 0.3 to 2 km: {rows(rougher, min(trips, 50))[0][name]}")
+    print(row("", ["1 trip", "10 trips", "100 trips"]))
+    show_study(outcomes, study)
+    coverage = show_coverage(outcomes, study)
+    show_refusals(outcomes, run(pool, CONSTANT, 20, peers=True), study)
+    seconds = 1e3 * np.median([one.seconds for one in outcomes])
+    print(f"one fit of {3600 / 100 * 1e3:.0f} samples and less: {seconds:.0f} ms")
+    print("\nwhat the study does not say of its trips, and what it changes\n")
+    product = ESTIMATORS["fit_trip and combine"]
+    for name, other, count in (
+        ("map of 50 m elements", FINE, trips // 2),
+        ("map of 50 m elements, speeds from 3 m/s", FINE_SLOW, trips // 2),
+        ("pieces of 0.3 to 2 km", LONG, few),
+        ("speed changes every 0.8 to 3 km", STOPPING, few),
+        ("perfect map and mass (asked for: 0.50)", PERFECT, few),
+    ):
+        found = run(pool, other, count, bounds=20)
+        print(row(f"{name}, {count} trips", cells(found, other, product)))
+        if other is not PERFECT:
+            print(row("  Cramér-Rao bound", bound_cells(found, other)))
+    pool.shutdown()
+    if arguments.picture:
+        draw_study(outcomes, study, coverage, arguments.picture)
     print(f"\n{time.perf_counter() - began:.0f} s")
 
 

@@ -3,8 +3,8 @@
 A train of paper 004 (350 t, eq. 35 without its slow variation) runs 60 km on lines and at speeds
 drawn anew for each trip, holding speed or powering and coasting, braking for lower limits.
 Recorded at 10 Hz: speed with 0.03 m/s of noise in steps of 0.01 m/s, effort, chainage summed up
-from that speed. What the estimator is told is wrong as in practice: each gradient of the map by
-0.5 per mille, each change of gradient by up to 20 m, the mass by up to 10 %.
+from that speed, and satellites' speed. What the estimator is told is wrong as in practice: each
+gradient of the map by 0.5 per mille, each change of gradient by up to 20 m, the mass by up to 10 %.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.resistance.recording import POSITION_STEP, gradient_pieces, widened
-from analysis.resistance.windows import Recording
-from trainlog.railway import Line, RunningResistance, Station, StepProfile
+from trainlog.formats.line import line_to_bytes
+from trainlog.formats.train import train_to_bytes
+from trainlog.railway import Line, RunningResistance, Station, StepProfile, Train
+from trainlog.topics import GNSS_MOTION, TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -90,20 +92,25 @@ class Drawn:
     Attributes
     ----------
     time, speed, position, effort, braking : array
-        Braking is only known to be on or off.
+        Braking effort is only known to be on or off.
     line : Line
         The estimator's map.
     mass : float [kg]
         The true one.
+    true_speed : array [m/s]
+    gradients : StepProfile
+        The true ones.
     """
 
     time: FloatArray
     speed: FloatArray
     position: FloatArray
     effort: FloatArray
-    braking: NDArray[np.bool_]
+    braking: FloatArray
     line: Line
     mass: float
+    true_speed: FloatArray
+    gradients: StepProfile
 
 
 def draw(study: Study, seed: int) -> Drawn:
@@ -143,7 +150,7 @@ def draw(study: Study, seed: int) -> Drawn:
         position=np.concatenate(([0.0], np.cumsum(PERIOD * recorded[:-1]))),
         # Held over the step that follows; the mean of two neighbours is what holds at the sample.
         effort=np.concatenate(([0.0], 0.5 * (effort[1:] + effort[:-1]))),
-        braking=braking > 0.0,
+        braking=braking,
         line=Line(
             "drawn",
             study.length + 100.0,
@@ -152,27 +159,53 @@ def draw(study: Study, seed: int) -> Drawn:
             StepProfile(mapped[order], gradients[order]),
         ),
         mass=mass,
+        true_speed=speed,
+        gradients=StepProfile(starts, slopes),
     )
 
 
-def recording(trip: Drawn) -> Recording:
-    """The trip as the regression wants it."""
-    track = trip.line.track_acceleration
-    smooth = np.convolve(np.pad(trip.speed, 5, mode="edge"), np.ones(11) / 11.0, mode="valid")
-    section, nearest = gradient_pieces(trip.line, trip.position)
-    nothing = np.zeros(trip.time.size)
-    return Recording(
-        time=trip.time,
-        speed=trip.speed,
-        effort=trip.effort,
-        braking=nothing,
-        rotating_momentum=nothing,
-        track=track(trip.position),
-        track_slope=(track(trip.position + POSITION_STEP) - track(trip.position - POSITION_STEP))
-        / (2.0 * POSITION_STEP),
-        section=section,
-        nearest_edge=nearest,
-        usable=~widened(trip.time, trip.braking | (smooth < 2.0)),
+def trip_of(drawn: Drawn, study: Study, seed: int) -> Trip:
+    """The trip as a log holds it: nothing in it is true that a train does not know."""
+    stamps = np.int64(1_700_000_000_000_000_000) + np.round(drawn.time * 1e9).astype(np.int64)
+    nothing = np.zeros(drawn.time.size)
+    train = Train(
+        name="study",
+        # The prior of the mass is the mass with half the largest load, give or take all of it.
+        mass=0.9 * study.mass,
+        max_load=0.2 * study.mass,
+        rotating_mass_factor=0.0,
+        resistance=study.resistance,
+        max_tractive_effort=study.max_effort,
+        max_traction_power=study.max_power,
+        max_dynamic_braking_effort=0.0,
+        max_dynamic_braking_power=0.0,
+        max_speed=60.0,
+    )
+    noise = np.random.default_rng([seed, 1]).standard_normal(drawn.time[::5].size)
+    frames = [
+        frame_of(TRAIN_STATE, stamps, {"position": drawn.position, "speed": drawn.speed}),
+        frame_of(
+            TRAIN_CONTROLS,
+            stamps,
+            {
+                "tractive_effort": drawn.effort,
+                "dynamic_braking_effort": nothing,
+                "pneumatic_braking_effort": drawn.braking,
+            },
+        ),
+        frame_of(
+            GNSS_MOTION,
+            stamps[::5],
+            {"speed": drawn.true_speed[::5] + study.speed_noise * noise},
+        ),
+    ]
+    return Trip(
+        topics={str(frame.attrs["topic"]): frame for frame in frames},
+        metadata={"trip": f"drawn-{seed:04d}", "train": train.name, "direction": "forward"},
+        attachments={
+            LINE_ATTACHMENT: line_to_bytes(drawn.line),
+            TRAIN_ATTACHMENT: train_to_bytes(train),
+        },
     )
 
 

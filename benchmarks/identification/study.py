@@ -1,0 +1,281 @@
+"""Trips of the identification study run through the product's own path, two at a time.
+
+A drawn trip becomes a `Trip`, `fit_trip` fits it, its summary is kept, `combine` combines
+summaries: nothing of the estimate is made here. Beside it stand the peers' estimates, the bound,
+and whether the truth was in the band.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing import get_context
+
+import numpy as np
+import pandas as pd
+from bound import information
+from monte_carlo import Drawn, Study, draw, trip_of
+from numpy.typing import NDArray
+
+from analysis.resistance import combine, fit_trip
+from analysis.resistance.combination import CommonFit
+from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.evidence import Evidence, part_of
+from analysis.resistance.fit import TripFit, origin_of, scale_of
+from analysis.resistance.recording import POSITION_STEP, prepare
+from analysis.resistance.refusal import TripRefusedError
+from analysis.resistance.summary import summarised
+from estimators.rls import RecursiveLeastSquares
+from estimators.running_resistance import RunningResistanceFilter
+from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.summaries import covariances_of
+from trainlog.railway import RunningResistance
+from trainlog.trip import Trip
+
+FloatArray = NDArray[np.float64]
+
+SPEEDS = np.linspace(5.0, 55.0, 101)
+"""Where the error of the curve is judged [m/s]."""
+
+ASKED = (20.0, 45.0)
+"""Speeds for which the curve must be known to 10 %, or the trip is refused [m/s]."""
+
+PROCESSES = 2
+
+
+WEAK = 1.0
+"""Relative standard deviation of each coefficient of the online filter's weak prior."""
+
+NOTHING = (1.0, 0.1, 0.01)
+"""Standard deviation of r0, r1 and r2 over mass where next to nothing is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Online:
+    """What the online filter knows at the end of a trip; of r0, r1, r2."""
+
+    beta: FloatArray
+    covariance: FloatArray
+    valid: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one trip.
+
+    Attributes
+    ----------
+    refused : str
+        Why the trip does not determine the curve; empty if it does.
+    summary : DataFrame
+        One row, or none.
+    beta : (3,) array
+        Of the trip alone; no coefficient is held from being negative.
+    differenced, ordinary : (3,) array
+        The peers'.
+    online : tuple of Online
+        The filter for use while the train runs: nothing known before, and a weak prior.
+    bound : (3, 3) array or None
+        Information that the trip holds, where it was asked for.
+    single, whole : float, bool
+        Share of speeds within 1.96 standard deviations; whether all of the curve is in the band.
+    seconds : float
+        Processor time of the fit.
+    """
+
+    refused: str
+    summary: pd.DataFrame
+    beta: FloatArray
+    differenced: FloatArray
+    ordinary: FloatArray
+    online: tuple[Online, ...]
+    bound: FloatArray | None
+    single: float
+    whole: bool
+    seconds: float
+
+
+def processes() -> ProcessPoolExecutor:
+    """Processes of low priority that `run` shares its trips among."""
+    return ProcessPoolExecutor(
+        PROCESSES, mp_context=get_context("spawn"), initializer=os.nice, initargs=(10,)
+    )
+
+
+def run(
+    pool: ProcessPoolExecutor, study: Study, trips: int, *, bounds: int = 0, peers: bool = False
+) -> list[Outcome]:
+    """Draw and fit trips; the bound of the first `bounds`, the peers' estimates if asked for."""
+    tasks = [(study, seed, seed < bounds, peers) for seed in range(trips)]
+    return list(pool.map(_one, tasks, chunksize=5))
+
+
+def error(beta: FloatArray, study: Study) -> float:
+    """Relative error of the curve, root mean square over `SPEEDS` [%]."""
+    truth = study.resistance(SPEEDS)
+    return float(100.0 * np.sqrt(np.mean((powers(SPEEDS) @ beta / truth - 1.0) ** 2)))
+
+
+def grouped(outcomes: list[Outcome], size: int) -> list[list[Outcome]]:
+    """Trips in groups, as many as there are whole ones."""
+    return [outcomes[k : k + size] for k in range(0, len(outcomes) - size + 1, size)]
+
+
+def common(group: list[Outcome]) -> CommonFit:
+    """A group as the product combines it."""
+    return _combined(tuple(group))
+
+
+@cache
+def _combined(group: tuple[Outcome, ...]) -> CommonFit:
+    return combine(pd.concat([one.summary for one in group], ignore_index=True))
+
+
+def beta_of(fit: CommonFit | TripFit) -> FloatArray:
+    """r0, r1, r2."""
+    return np.array([fit.resistance.r0, fit.resistance.r1, fit.resistance.r2])
+
+
+def covered(fit: CommonFit | TripFit, study: Study) -> tuple[float, bool]:
+    """Share of `SPEEDS` within 1.96 standard deviations; whether all are in the whole band."""
+    off = np.abs(fit.resistance(SPEEDS) - study.resistance(SPEEDS))
+    covariance = fit.covariance[:3, :3]
+    z = off / curve_std(covariance, SPEEDS)
+    reach = band_factor(covariance, (float(SPEEDS[0]), float(SPEEDS[-1])), fit.freedom)
+    return float(np.mean(z < 1.96)), bool(np.all(z < reach))
+
+
+def at_the_bound(bounds: list[FloatArray], study: Study, size: int) -> FloatArray:
+    """Errors [%] of groups of trips, were they known as well as the bound allows."""
+    generator = np.random.default_rng(size)
+    # One trip is as well known as it is itself; many are as well known as their mean.
+    kinds = bounds if size == 1 else [size * np.mean(bounds, axis=0)]
+    found = []
+    for kind in kinds:
+        root = np.linalg.cholesky(np.linalg.inv(kind))
+        off = powers(SPEEDS) @ root @ generator.standard_normal((3, 20_000 // len(kinds)))
+        off /= study.resistance(SPEEDS)[:, None]
+        found.append(100.0 * np.sqrt(np.mean(off**2, axis=0)))
+    return np.concatenate(found)
+
+
+def excess(outcomes: list[Outcome], study: Study) -> float:
+    """Variance of single trips over the bound's: 1 if nothing is lost."""
+    r = study.resistance
+    truth = np.array([r.r0, r.r1, r.r2])
+    return float(
+        np.mean(
+            [
+                (one.beta - truth) @ one.bound @ (one.beta - truth) / 3.0
+                for one in outcomes
+                if one.bound is not None
+            ]
+        )
+    )
+
+
+def known_to(outcomes: list[Outcome], speed: float, study: Study) -> FloatArray:
+    """Standard deviation of each trip's curve at a speed, over the curve."""
+    rows = pd.concat([one.summary for one in outcomes], ignore_index=True)
+    truth = float(study.resistance(np.array(speed)))
+    return np.array([curve_std(c[:3, :3], speed) for c in covariances_of(rows)]) / truth
+
+
+def _one(task: tuple[Study, int, bool, bool]) -> Outcome:
+    study, seed, with_bound, peers = task
+    drawn = draw(study, seed)
+    trip = trip_of(drawn, study, seed)
+    began = time.process_time()
+    try:
+        fit = fit_trip(trip, ASKED)
+    except TripRefusedError as refusal:
+        nothing = np.full(3, np.nan)
+        return Outcome(
+            refused=refusal.reason,
+            summary=summarised([]),
+            beta=nothing,
+            differenced=nothing,
+            ordinary=nothing,
+            online=_online(trip, study, seed) if peers else (),
+            bound=None,
+            single=np.nan,
+            whole=False,
+            seconds=np.nan,
+        )
+    seconds = time.process_time() - began
+    nothing = np.full(3, np.nan)
+    single, whole = covered(fit, study)
+    return Outcome(
+        refused="",
+        summary=summarised([fit]),
+        beta=beta_of(fit),
+        differenced=_differenced(drawn, study) if peers else nothing,
+        ordinary=_ordinary(trip) if peers else nothing,
+        online=_online(trip, study, seed) if peers else (),
+        bound=information(drawn, study) if with_bound else None,
+        single=single,
+        whole=whole,
+        seconds=seconds,
+    )
+
+
+def _differenced(trip: Drawn, study: Study) -> FloatArray:
+    """Paper 004, eqs. (21)-(24), with the mass as told and the map's gradient taken off."""
+    speed = trip.speed
+    known = trip.braking[:-1] == 0.0
+    track = trip.line.track_acceleration(trip.position[:-1])
+    left = study.mass * (np.diff(speed) / np.diff(trip.time) + track) - trip.effort[:-1]
+    right = -np.column_stack([np.ones(speed.size - 1), speed[:-1], speed[:-1] ** 2])
+    recursion = RecursiveLeastSquares([1e6, 1e5, 1e4])
+    recursion.update(right[known], left[known], 1e8)
+    return np.asarray(recursion.result().estimate, dtype=np.float64)
+
+
+def _ordinary(trip: Trip) -> FloatArray:
+    """Ordinary least squares on windows of ten seconds."""
+    scale, origin = scale_of(trip), origin_of(trip)
+    parts = [part_of(trip, line_of(trip), train_of(trip), scale, origin)]
+    windows = Evidence.of(parts).windows.merged()
+    size = np.linalg.norm(windows.x, axis=0)
+    theta = np.linalg.lstsq(windows.x / size, windows.y, rcond=None)[0] / size
+    return np.asarray(theta[1:] / theta[0])
+
+
+def _online(trip: Trip, study: Study, seed: int) -> tuple[Online, ...]:
+    """The extended Kalman filter, told the sizes of the noise.
+
+    Its weak prior has each coefficient drawn 100 % off the truth, and taken to be.
+    """
+    r = study.resistance
+    true = np.array([r.r0, r.r1, r.r2])
+    drawn = true * (1.0 + WEAK * np.random.default_rng([seed, 2]).standard_normal(3))
+    prepared = prepare(trip, line_of(trip), train_of(trip), scale_of(trip), origin_of(trip))
+    known = prepared.recording
+    found = []
+    for expected, spread in ((np.zeros(3), study.mass * np.array(NOTHING)), (drawn, WEAK * true)):
+        estimator = RunningResistanceFilter(
+            study.mass,
+            0.1 * study.mass,
+            RunningResistance(*expected.tolist()),
+            spread,
+            speeds=(float(SPEEDS[0]), float(SPEEDS[-1])),
+            speed_std=float(np.hypot(study.speed_noise, study.speed_resolution / np.sqrt(12.0))),
+            gradient_std=0.5e-3,
+            chainage_std=20.0 / np.sqrt(3.0),
+            reach=POSITION_STEP,
+        )
+        estimator.update(
+            known.time,
+            known.speed,
+            known.effort,
+            known.track,
+            known.track_slope,
+            known.section,
+            known.usable,
+        )
+        result = estimator.result()
+        found.append(Online(result.estimate[:3], result.covariance[:3, :3], result.valid))
+    return tuple(found)
