@@ -14,6 +14,7 @@ from rich.table import Table
 
 from analysis.compare import JOULES_PER_KWH, Saving, savings
 from analysis.resistance import Fits
+from analysis.resistance.diagnostics import diagnosed
 from analysis.traction_map import summary
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.errors import InputError
@@ -73,7 +74,9 @@ def fit_table(fits: Fits) -> Group:
             fit.trip,
             *(_pm(b, s) for b, s in zip(fit.beta, np.sqrt(np.diag(fit.covariance)), strict=False)),
             f"{fit.mass / 1e3:.1f} ± {1.96 * fit.mass_std / 1e3:.1f} t",
-            "-" if fit.max_power is None else f"{fit.max_power / 1e3:.0f} kW",
+            "-"
+            if fit.max_power is None or fit.max_power_std is None
+            else _pm(fit.max_power / 1e3, fit.max_power_std / 1e3, " kW"),
             _pm(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3, " kN"),
             f"{fit.windows['used']}",
         )
@@ -94,7 +97,9 @@ def fit_table(fits: Fits) -> Group:
         f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
         " correlated: trust the curve.",
     ]
-    words += [f"refused: {reason}" for reason in fits.refused.values()]
+    for fit in fits.trips:
+        words += [f"{fit.trip}: {doubt}" for doubt in diagnosed(fit.residuals).doubts]
+    words += [f"refused, {error.reason}: {error}" for error in fits.refused.values()]
     words += _set_told(fits)
     return Group(table, *words)
 

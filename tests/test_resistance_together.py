@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
 
-from analysis.pictures.resistance import draw_fits, draw_trip
+from analysis.pictures.resistance import draw_fits
+from analysis.pictures.resistance_trip import draw_refused, draw_trip
 from analysis.resistance import (
     TripFit,
     TripRefusedError,
@@ -202,7 +203,8 @@ def test_parameter_set_is_physical_and_complete() -> None:
         *fits[2:],
     ]
     powers_given = [c.max_power for c in parameter_set(seen).configurations]
-    assert powers_given == pytest.approx([2.3e6, 2.5e6, 2.4e6, 2.4e6, 2.4e6, 2.4e6])
+    assert powers_given[:2] == [2.3e6, 2.5e6]
+    assert set(powers_given[2:]) <= {2.3e6, 2.5e6}
     assert parameters.speed_range == (3.0, 34.0)
     assert json.loads(json.dumps(parameters.details)) == parameters.details
 
@@ -259,6 +261,9 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
     for number, draw in enumerate((draw_fits, draw_fits)):
         draw(fits, tmp_path / f"fits-{number}.png")
     draw_trip(fits.trips[0], tmp_path / "trip.png")
+    draw_refused("dull", fits.refused["dull"], tmp_path / "dull.png")
+    draw_refused("blind", TripRefusedError("not recorded", "nothing"), tmp_path / "blind.png")
+    assert (tmp_path / "dull.png").stat().st_size > (tmp_path / "blind.png").stat().st_size > 1000
     first, second = ((tmp_path / f"fits-{k}.png").read_bytes() for k in (0, 1))
     assert first == second
     assert first[:8] == b"\x89PNG\r\n\x1a\n"

@@ -14,7 +14,6 @@ from analysis.pictures.style import (
     INK,
     ORANGE,
     PALE,
-    RED,
     SKY,
     dress,
     new_figure,
@@ -62,45 +61,10 @@ def draw_fits(fits: Fits, path: str | Path) -> None:
     write_figure(figure, path)
 
 
-def draw_trip(fit: TripFit, path: str | Path) -> None:
-    """Draw one trip: windows, curve with its band, what was learnt as the trip went on."""
-    figure = new_figure(11.0, 5.2)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    speed = _speeds(fit.asked)
-    points, used = fit.points, fit.points.used
-    left.errorbar(
-        KMH * points.speed[used],
-        points.resistance[used] / KILONEWTON,
-        yerr=points.std[used] / KILONEWTON,
-        fmt=".",
-        color=GREY,
-        elinewidth=0.5,
-        markersize=4,
-        label=f"{int(used.sum())} means over 10 s, with their noise",
-    )
-    if not used.all():
-        left.plot(
-            KMH * points.speed[~used],
-            points.resistance[~used] / KILONEWTON,
-            "x",
-            color=RED,
-            label=f"{int((~used).sum())} outliers, left out",
-        )
-    _curve(left, fit, speed, BLUE, "fitted, 95 % band of the whole curve")
-    left.set_ylim(*_limits(fit.resistance(speed), points.resistance[used]))
-    dress(left, x="speed [km/h]", y="running resistance [kN]", title=_summary(fit))
-    left.legend(fontsize=8, frameon=False, loc="upper left")
-    _learning(right, fit)
-    figure.suptitle(
-        f"{fit.train}, {fit.trip}: running resistance", x=0.01, ha="left", fontsize=11, color=INK
-    )
-    write_figure(figure, path)
-
-
 def _together(axes: Axes, fits: Fits) -> None:
     """Windows of the trips fitted now, each trip's curve, the common one with its band."""
     common = fits.common
-    speed = _speeds(common.asked)
+    speed = speeds_to_draw(common.asked)
     drag = common.resistance(speed)
     if fits.trips:
         seen = np.concatenate([fit.points.speed[fit.points.used] for fit in fits.trips])
@@ -119,8 +83,8 @@ def _together(axes: Axes, fits: Fits) -> None:
     curves = parameters_of(accepted)[_some(len(accepted)), :3] @ powers(speed).T
     lines = axes.plot(KMH * speed, curves.T / KILONEWTON, color=SKY, linewidth=0.8)
     lines[0].set_label(_counted("each trip", len(curves), len(accepted)))
-    _curve(axes, common, speed, BLUE, "all trips: mean and its 95 % band")
-    axes.set_ylim(*_limits(common.resistance(speed), drag))
+    draw_curve(axes, common, speed, BLUE, "all trips: mean and its 95 % band")
+    axes.set_ylim(*resistance_limits(common.resistance(speed), drag))
     dress(axes, x="speed [km/h]", y="running resistance [kN]")
     axes.legend(fontsize=8, frameon=False, loc="upper left", markerscale=2)
 
@@ -128,7 +92,7 @@ def _together(axes: Axes, fits: Fits) -> None:
 def _observed(axes: Axes, fits: Fits) -> None:
     """The configurations' curves over the common one, and those of all trips."""
     common, found = fits.common, fits.parameters
-    speed = _speeds(common.asked)
+    speed = speeds_to_draw(common.asked)
     mean = common.resistance(speed)
     spread = 100.0 * common.spread(speed) / mean
     axes.fill_between(
@@ -218,38 +182,10 @@ def _counted(what: str, drawn: int, count: int) -> str:
     return what if drawn == count else f"{what} ({drawn} of {count} drawn)"
 
 
-def _learning(axes: Axes, fit: TripFit) -> None:
-    """Resistance at the highest speed asked for and mass, as the recursion learnt them."""
-    top = fit.asked[1]
-    basis = np.array([1.0, top, top**2])
-    history = fit.history
-    minutes = np.asarray((history.time - history.time[0]).total_seconds()) / 60.0
-    drag = history.beta[:, :3] @ basis
-    std = np.sqrt(np.einsum("i,nij,j->n", basis, history.covariance[:, :3, :3], basis))
-    final = float(fit.resistance(top))
-    axes.fill_between(
-        minutes,
-        (drag - 2.0 * std) / final,
-        (drag + 2.0 * std) / final,
-        color=BLUE,
-        alpha=0.2,
-        linewidth=0,
-    )
-    axes.plot(minutes, drag / final, color=BLUE, label=f"resistance at {KMH * top:.0f} km/h, ±2σ")
-    axes.plot(
-        minutes,
-        history.beta[:, 3] / fit.mass,
-        color=ORANGE,
-        label=f"mass ({fit.mass / TONNE:.1f} t)",
-    )
-    axes.set_ylim(0.7, 1.3)
-    dress(axes, x="time [min]", y="over the final estimate", title="learnt as the trip went on")
-    axes.legend(fontsize=8, frameon=False, loc="upper right")
-
-
-def _curve(
+def draw_curve(
     axes: Axes, fit: TripFit | CommonFit, speed: FloatArray, colour: str, label: str
 ) -> None:
+    """A drag curve over the speed with its band."""
     low, high = fit.band(speed)
     axes.fill_between(
         KMH * speed, low / KILONEWTON, high / KILONEWTON, color=colour, alpha=0.25, linewidth=0
@@ -259,21 +195,13 @@ def _curve(
     )
 
 
-def _summary(fit: TripFit) -> str:
-    r = fit.resistance
-    return (
-        f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²,"
-        f" mass {fit.mass / TONNE:.1f} ± {fit.mass_std / TONNE:.1f} t"
-    )
-
-
-def _limits(curve: FloatArray, points: FloatArray) -> tuple[float, float]:
+def resistance_limits(curve: FloatArray, points: FloatArray) -> tuple[float, float]:
     """Range of the axis [kN]: the curve and nearly all points."""
     low, high = np.quantile(points, [0.02, 0.98])
     top = max(float(high), 1.15 * float(curve.max()))
     return min(float(low), 0.0) / KILONEWTON, top / KILONEWTON
 
 
-def _speeds(asked: tuple[float, float]) -> FloatArray:
+def speeds_to_draw(asked: tuple[float, float]) -> FloatArray:
     """From standstill to the highest speed asked for [m/s]."""
     return np.linspace(0.0, asked[1], 120)

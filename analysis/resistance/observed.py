@@ -54,6 +54,12 @@ DIRECTIONS = 1024
 CANDIDATES = 20_000
 """Most trips among which configurations are looked for; of more, evenly spaced ones."""
 
+BLOCK = 32
+"""Directions that are looked along at a time."""
+
+AIMS = 6
+"""Shares aimed at, from the one asked for up to all: directions not seen are reached a bit less."""
+
 NEGLIGIBLE = 0.002
 """Features that differ by less than this share of themselves are taken to be equal."""
 
@@ -92,8 +98,9 @@ def parameter_set(
     Parameters
     ----------
     trips : DataFrame of summaries, or sequence of TripFit
-        Refused trips are told in the details. A trip that was not at its power limit, while
-        others were, gets their mean; where none was, the train's file gives the power.
+        Refused trips are told in the details. A trip that never was at its power limit, while
+        others were, has the power of the one nearest in mass: so all of them together have the
+        powers that were seen. Where none was, the train's file gives the power.
     cover : float
         Share of trips whose running times and energies the set is to bound; as many
         configurations as that takes.
@@ -113,9 +120,9 @@ def parameter_set(
     masses = _masses_given(rows, betas)
     limits = rows["max_power"].to_numpy(np.float64)
     seen = np.isfinite(limits)
-    usual = float(limits[seen].mean()) if seen.any() else np.nan
-    stated = rows["train_power"].to_numpy(np.float64)
-    power = np.where(seen, limits, usual if seen.any() else stated)
+    power = np.where(seen, limits, rows["train_power"].to_numpy(np.float64))
+    if seen.any():
+        power = np.where(seen, limits, _of_nearest(masses, seen, limits))
     inertia = masses + rows["rotating_mass"].to_numpy(np.float64)
     speeds = np.linspace(0.0, common.asked[1], 3)
     drag = betas @ powers(speeds).T / inertia[:, None]
@@ -135,7 +142,7 @@ def parameter_set(
                 max_power=float(power[row]),
             )
         )
-        source = "power-limited stretches" if seen[row] else "other trips"
+        source = "power-limited stretches" if seen[row] else "trip nearest in mass"
         details.append(
             {"configuration": names[row], "stands_for": weight}
             | _detail(
@@ -177,69 +184,68 @@ def choose(features: FloatArray, cover: float, most: int | None = None) -> Chose
     """
     points = _whitened(features)
     count, size = points.shape
-    generator = np.random.default_rng(0)
-    train, judges = generator.standard_normal((2, DIRECTIONS, max(size, 1)))
-    most = count if most is None else most
     if size == 0:
-        rows = np.zeros(1, dtype=np.int64)
-        return Chosen(rows, np.array([count]), count / (count + 1))
-    wanted = np.ceil(cover * (count + 1))
-    if wanted > count and count <= most:
-        rows = np.arange(count)
+        return Chosen(np.zeros(1, dtype=np.int64), np.array([count]), count / (count + 1))
+    seen, judges = np.random.default_rng(0).standard_normal((2, DIRECTIONS, size))
+    limit = count if most is None else most
+    candidates = _evenly(count, CANDIDATES)
+    for share in 1.0 - (1.0 - cover) * np.linspace(1.0, 0.0, AIMS):
+        found = _few(points[candidates], seen, float(share), limit)
+        rows = candidates[found]
+        if rows.size == limit or _level(points[candidates], found, judges) >= cover:
+            break
     else:
-        rows = _hitting(points, train, int(min(wanted, count)), most)
+        # So few trips cannot promise that much; then each of them counts.
+        rows = np.arange(count) if count <= limit else rows
     return Chosen(rows, _nearest(points, rows), _level(points, rows, judges))
 
 
-def _hitting(points: FloatArray, directions: FloatArray, rank: int, most: int) -> IntArray:
-    """Few rows, at most `most`, that reach the `rank`-th smallest projection in each direction.
+def _few(points: FloatArray, directions: FloatArray, share: float, most: int) -> IntArray:
+    """Few rows, at most `most`, of which one reaches a share of the points in each direction.
 
-    With too few rows for that rank, the highest rank that they do reach.
+    Where so few cannot, those of the largest share that they can reach.
     """
-    spaced = np.linspace(0, len(points) - 1, min(len(points), CANDIDATES))
-    candidates: IntArray = np.unique(np.round(spaced).astype(np.int64))
-    low, found = 1, _greedy(points, candidates, directions, rank)
-    if found.size <= most:
-        return found
-    found, high = np.zeros(0, dtype=np.int64), rank
-    while high - low > max(1, rank // 1000):
-        middle = (low + high) // 2
-        fewer = _greedy(points, candidates, directions, middle)
+    count = len(points)
+    along = points @ directions.T
+    order = np.sort(along, axis=0)
+    rank = min(int(np.ceil(share * (count + 1))), count)
+    found = _greedy(along >= order[rank - 1])
+    low, high = 0, rank
+    while found.size > most and high - low > max(1, rank // 500):
+        middle = (low + high + 1) // 2
+        fewer = _greedy(along >= order[middle - 1])
         if fewer.size <= most:
-            low, found = middle, fewer
+            low = middle
         else:
             high = middle
-    if not found.size:
-        # Not even the least: those that reach farthest.
-        found = _greedy(points, candidates, directions, low)[:most]
+        if high - low <= max(1, rank // 500):
+            found = _greedy(along >= order[max(low, 1) - 1])[:most]
     return np.sort(found)
 
 
-def _greedy(
-    points: FloatArray, candidates: IntArray, directions: FloatArray, rank: int
-) -> IntArray:
-    """Rows chosen one by one, each for the most directions that none before it reaches."""
-    reach = np.empty((candidates.size, len(directions)), dtype=bool)
-    for number, direction in enumerate(directions):
-        along = points @ direction
-        own = along[candidates]
-        threshold = min(float(np.partition(along, rank - 1)[rank - 1]), float(own.max()))
-        reach[:, number] = own >= threshold
+def _evenly(count: int, most: int) -> IntArray:
+    """At most `most` of `count` rows, evenly spaced."""
+    return np.unique(np.round(np.linspace(0, count - 1, min(count, most))).astype(np.int64))
+
+
+def _greedy(reach: NDArray[np.bool_]) -> IntArray:
+    """Rows of `reach` (n, directions) one by one, each for most of the directions still open."""
     rows: list[int] = []
-    open_ones = np.ones(len(directions), dtype=bool)
+    open_ones = np.ones(reach.shape[1], dtype=bool)
     while open_ones.any():
         best = int(np.argmax(np.count_nonzero(reach[:, open_ones], axis=1)))
-        rows.append(int(candidates[best]))
+        rows.append(best)
         open_ones &= ~reach[best]
-    return np.sort(np.array(rows, dtype=np.int64))
+    return np.array(rows, dtype=np.int64)
 
 
 def _level(points: FloatArray, rows: IntArray, directions: FloatArray) -> float:
     """Least share of the points, over the directions, that the rows reach."""
     fewest = len(points)
-    for direction in directions:
-        along = points @ direction
-        fewest = min(fewest, int(np.count_nonzero(along <= along[rows].max())))
+    for block in np.array_split(directions, max(len(directions) // BLOCK, 1)):
+        along = points @ block.T
+        reached = np.count_nonzero(along <= along[rows].max(axis=0), axis=0)
+        fewest = min(fewest, int(reached.min()))
     return fewest / (len(points) + 1)
 
 
@@ -287,6 +293,17 @@ def _masses_given(rows: pd.DataFrame, betas: FloatArray) -> FloatArray:
     scaled = covariance[:, :3, :3] / (scale[:, :, None] * scale[:, None, :])
     slope = np.linalg.solve(scaled, (covariance[:, :3, 3] / scale)[..., None])[..., 0]
     return np.asarray(fitted[:, 3] + np.sum(slope * shift / scale, axis=1))
+
+
+def _of_nearest(masses: FloatArray, seen: NDArray[np.bool_], limits: FloatArray) -> FloatArray:
+    """The limit of the trip nearest in mass of those where it was seen, for each trip."""
+    order = np.argsort(masses[seen], kind="stable")
+    known, values = masses[seen][order], limits[seen][order]
+    after = np.clip(np.searchsorted(known, masses), 1, max(known.size - 1, 1))
+    if known.size == 1:
+        return np.full(masses.size, values[0])
+    closer = masses - known[after - 1] <= known[after] - masses
+    return np.asarray(np.where(closer, values[after - 1], values[after]))
 
 
 def _names(rows: pd.DataFrame) -> list[str]:

@@ -42,6 +42,13 @@ def fit(
     picture: Annotated[
         Path | None, typer.Option(help="Picture; default: beside the output, .png.")
     ] = None,
+    per_trip: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for a picture of each trip fitted: residuals, what was masked, and why one"
+            " was refused."
+        ),
+    ] = None,
 ) -> None:
     """Fit running resistance by recursive least squares, per trip and together.
 
@@ -52,6 +59,7 @@ def fit(
     Example: trainlog fit results/trips -o results/parameters.json
     """
     from analysis.pictures.resistance import draw_fits
+    from analysis.pictures.resistance_trip import draw_each
     from analysis.report import fit_table
     from analysis.resistance import fit_logs
     from trainlog.formats.parameters import write_parameters
@@ -72,6 +80,8 @@ def fit(
     draw_fits(fits, shown)
     console.print(fit_table(fits))
     wrote(output, kept, shown)
+    if per_trip is not None:
+        wrote(*draw_each(fits, made_folder(per_trip)))
 
 
 @app.command(rich_help_panel="Learn")

@@ -1,0 +1,94 @@
+"""Residuals that are not what they are taken for are told; refusals say why in a word."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from resistance_trips import changed, constant_speed, trip
+
+from analysis.resistance import TripRefusedError, fit_trip
+from analysis.resistance.diagnostics import Residuals, diagnosed
+from analysis.resistance.refusal import REASONS
+from trainlog.trip import Trip
+
+Array = NDArray[np.float64]
+
+
+def residuals(value: Array, speed: Array | None = None) -> Residuals:
+    time = np.arange(value.size, dtype=np.float64)
+    return Residuals(time, 20.0 * time, np.sin(time) if speed is None else speed, value)
+
+
+def test_good_residuals_raise_no_doubt() -> None:
+    doubtful = 0
+    for seed in range(200):
+        noise = np.random.default_rng(seed).standard_normal(150)
+        doubtful += bool(diagnosed(residuals(noise)).doubts)
+    assert doubtful <= 4
+
+
+def test_each_defect_is_told() -> None:
+    noise = np.random.default_rng(1).standard_normal(300)
+    wind = np.convolve(noise, np.ones(5) / np.sqrt(5.0), mode="same")
+    assert "err together" in " ".join(diagnosed(residuals(wind)).doubts)
+    assert "misjudged" in " ".join(diagnosed(residuals(2.0 * noise)).doubts)
+    spiky = noise.copy()
+    spiky[::60] += 7.0
+    assert "not normal" in " ".join(diagnosed(residuals(spiky)).doubts)
+    speed = np.linspace(5.0, 35.0, 300)
+    tilted = noise + (speed - 20.0) / 15.0
+    assert "change with speed" in " ".join(diagnosed(residuals(tilted, speed)).doubts)
+
+
+def test_a_fit_gives_its_residuals_their_place() -> None:
+    fit = fit_trip(trip(noise=0.03, duration=900.0))
+    found = fit.residuals
+    assert found.value.size == found.time.size == found.speed.size == found.position.size
+    assert np.all(np.diff(found.time) > 0.0)
+    assert np.all(np.diff(found.position) > 0.0)
+    assert diagnosed(found).std == pytest.approx(1.0, abs=0.15)
+
+
+def blind(made: Trip) -> Trip:
+    return changed(made, "/train/controls", tractive_effort=np.nan)
+
+
+def braked(made: Trip) -> Trip:
+    return changed(made, "/train/controls", pneumatic_braking_effort=30e3)
+
+
+def full_of_gaps(made: Trip) -> Trip:
+    """A sample a second: nothing but gaps."""
+    rows = slice(None, None, 10)
+    topics = {name: frame.iloc[rows] for name, frame in made.topics.items()}
+    return replace(made, topics=topics)
+
+
+def test_refusals_say_why_in_a_word_and_show_where() -> None:
+    made = trip(noise=0.03)
+    cases = {
+        "not recorded": blind(made),
+        "gap": full_of_gaps(made),
+        "braking": braked(made),
+        "standstill": trip(lambda time: np.zeros(time.size), noise=0.0, duration=600.0),
+        "too short": trip(duration=150.0),
+        "condition": trip(constant_speed, noise=0.03),
+    }
+    for reason, bad in cases.items():
+        with pytest.raises(TripRefusedError) as caught:
+            fit_trip(bad)
+        assert caught.value.reason == reason
+        assert reason in REASONS
+        timeline = caught.value.timeline
+        if reason == "not recorded":
+            assert timeline is None
+            continue
+        assert timeline is not None
+        if reason in timeline.masks:
+            assert timeline.masks[reason].mean() > 0.9
+    with pytest.raises(TripRefusedError) as caught:
+        fit_trip(trip(noise=1.0, seed=1), speeds=(0.5, 60.0))
+    assert caught.value.reason == "excitation"
