@@ -5,9 +5,10 @@
 Kilometres and altitudes of the stations are those of the lines 6258 (to Flöha), 6644 (to
 Annaberg-Buchholz) and 6623 (to Cranzahl) in de.wikipedia.org, "Bahnstrecke Dresden-Werdau",
 "Annaberg-Buchholz unt Bf-Flöha" and "Vejprty-Annaberg-Buchholz unt Bf"; altitudes that are
-not published there are interpolated, and so is the place of Niederwiesa. The highest speeds
-(100, 80 and 60 km/h) and the steepest gradients (15.4 and 18 per mille) are the lines' own; where
-lower speeds hold, and how the gradient is spread between two stations, is made up.
+not published there are interpolated, and the places of Hilbersdorf and Niederwiesa are rough. The
+highest speeds (100, 80 and 60 km/h) and the steepest gradients (15.4 and 18 per mille) are the
+lines' own; where lower speeds hold, and how the gradient is spread between two stations, is made
+up.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ NAME = "DE_Chemnitz_Cranzahl.line.json"
 # Chainage [m] from Chemnitz Hbf, altitude [m].
 STATIONS = (
     ("Chemnitz Hbf", 0.0, 309.0),
+    ("Chemnitz-Hilbersdorf", 2_900.0, 303.0),
     ("Niederwiesa", 8_300.0, 291.0),
     ("Flöha", 12_300.0, 278.0),
     ("Flöha-Plaue", 13_700.0, 282.0),

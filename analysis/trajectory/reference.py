@@ -32,10 +32,6 @@ FINE = 60
 SAMPLING = 1.0
 """Of what a controller tracks [s]."""
 
-COMFORT_MARGIN = 0.03
-"""Kept in the program from comfort [m/s²], so that what lies between two of its steps has room."""
-
-
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 """Words of IPOPT that make an answer."""
 
@@ -234,8 +230,9 @@ def _solve(
         }},
     )  # fmt: skip
     positions = (guess[0] - base) / length
-    lowest = np.concatenate([np.full(count, -0.01), np.zeros(count), -np.ones(count)])
-    highest = np.concatenate([np.full(count, 1e3), np.full(count, 60.0), np.ones(count)])
+    most = np.full(count, section.planning.lever)
+    lowest = np.concatenate([np.full(count, -0.01), np.zeros(count), -most])
+    highest = np.concatenate([np.full(count, 1e3), np.full(count, 60.0), most])
     final = (section.destination.position - base) / length
     for index, exactly in ((0, 0.0), (count - 1, final), (count, 0.0), (2 * count - 1, 0.0)):
         lowest[index] = highest[index] = exactly
@@ -262,7 +259,7 @@ def _interval(
     """
     import casadi as ca
 
-    c, t = section.constants, section.planned
+    c, t = section.planning_constants, section.planned
     nodes = (t.origin + dynamics.GRID * np.arange(t.sine.size) - section.origin.position) / 1e3
     sine = ca.interpolant("sine", "bspline", [nodes], t.sine)
     grip = ca.interpolant("grip", "bspline", [nodes], t.adhesion)
@@ -304,7 +301,7 @@ def _interval(
         x = x + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         w = w + h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
     shoot = ca.Function("shoot", [p, v, u0, u1], [ca.vertcat(x, w), ca.vertcat(*kept)])
-    room = c.comfort - COMFORT_MARGIN
+    room = c.comfort
     low = np.array([-room, -np.inf, -np.inf, -np.inf, -np.inf, 0.0])
     high = np.array([room, 0.0, 0.0, 0.0, 0.0, np.inf])
     return shoot, STEPS, low, high

@@ -26,7 +26,10 @@ GRID = 5.0
 
 
 class Constants(NamedTuple):
-    """A `LeverTrain` for the compiled code; `light` and `heavy` are the ends of eq. (6)."""
+    """A `LeverTrain` for the compiled code.
+
+    `light` and `heavy` are the ends of eq. (6), `lever` is the largest that is used.
+    """
 
     drag: float
     rolling: float
@@ -36,6 +39,7 @@ class Constants(NamedTuple):
     light: float
     heavy: float
     comfort: float
+    lever: float = 1.0
 
 
 class Tables(NamedTuple):
@@ -115,12 +119,12 @@ def constraint_values(
 
 @njit(cache=True)
 def lever_bounds(v: float, sine: float, adhesion: float, c: Constants) -> tuple[float, float]:
-    """Lowest and highest lever that (4), (5) and [-1, 1] allow for every mass.
+    """Lowest and highest lever that (4), (5) and the range of the lever allow for every mass.
 
     The constraints are affine in 1/m, so that both ends of the mass imply all between them.
     """
     full = full_effort(v, c)
-    low, high = -1.0, 1.0
+    low, high = -c.lever, c.lever
     for m in (c.light, c.heavy):
         free = drift(v, sine, m, c)
         grip = adhesion * GRAVITY * m / full

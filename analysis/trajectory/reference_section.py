@@ -32,15 +32,19 @@ class Reserves:
     brake : float
         Share of the brake that the envelope counts on.
     speed : float [m/s]
-        Kept below every speed limit.
+        Kept below every speed limit: efforts follow their demand with a lag.
+    lever, comfort : float
+        Share of the lever and of a_max: a heavier train needs more of both than a reference does.
     """
 
     adhesion: float = 0.9
-    brake: float = 0.85
-    speed: float = 0.05
+    brake: float = 0.8
+    speed: float = 0.15
+    lever: float = 1.0
+    comfort: float = 0.97
 
     def __post_init__(self) -> None:
-        for name in ("adhesion", "brake"):
+        for name in ("adhesion", "brake", "lever", "comfort"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(f"a share of {getattr(self, name)} of the {name} makes no sense")
 
@@ -48,7 +52,7 @@ class Reserves:
 DRIVING = Reserves()
 """Of a train under way."""
 
-PLANNING = Reserves(adhesion=0.8, brake=0.75, speed=0.3)
+PLANNING = Reserves(adhesion=0.75, brake=0.7, speed=0.4, lever=0.75, comfort=0.8)
 """Of a reference, so that a controller has room about it."""
 
 STOPPING_TOLERANCE = 0.5
@@ -76,6 +80,7 @@ class Section:
     stopping : (n,) array [m²/s²]
         Square of the speed from which a reference stops at the destination, on the grid of
         `planned`.
+    driving, planning : Reserves
     """
 
     origin: Stop
@@ -86,6 +91,8 @@ class Section:
     tables: Tables
     planned: Tables
     stopping: FloatArray
+    driving: Reserves
+    planning: Reserves
 
     @property
     def name(self) -> str:
@@ -101,6 +108,16 @@ class Section:
     def constants(self) -> dynamics.Constants:
         """The train for the compiled code."""
         return dynamics.constants(self.train)
+
+    @property
+    def planning_constants(self) -> dynamics.Constants:
+        """The same with the lever and the comfort that a reference uses."""
+        return _reserved(self.constants, self.planning)
+
+    @property
+    def driving_constants(self) -> dynamics.Constants:
+        """The same with the comfort that is used under way."""
+        return _reserved(self.constants, self.driving)
 
 
 def section_of(
@@ -144,7 +161,8 @@ def section_of(
         squares = np.maximum(limit - reserves.speed, 0.0) ** 2
         squares = np.where(nodes >= stop, np.minimum(squares, last**2), squares)
         rising = dynamics.limited_rise(squares, 1.5 * train.max_acceleration)
-        ceiling = dynamics.braking_envelope(rising, sine, grip, reserves.brake, c)
+        kept = _reserved(c, reserves)
+        ceiling = dynamics.braking_envelope(rising, sine, _around(grip), reserves.brake, kept)
         return Tables(float(nodes[0]), sine, grip, ceiling)
 
     planned = tables(destination.position, planning, np.inf)
@@ -159,8 +177,14 @@ def section_of(
         tables(destination.position + STOPPING_TOLERANCE, driving, 0.0),
         planned._replace(adhesion=_smoothed(planned.adhesion), ceiling=_smoothed(planned.ceiling)),
         dynamics.braking_envelope(
-            np.where(stop_at, 0.0, free), planned.sine, planned.adhesion, planning.brake, c
+            np.where(stop_at, 0.0, free),
+            planned.sine,
+            _around(planned.adhesion),
+            planning.brake,
+            _reserved(c, planning),
         ),
+        driving,
+        planning,
     )
 
 
@@ -222,12 +246,14 @@ def fastest(
     section.train.check_mass(mass)
     t = section.planned
     allowed = t._replace(ceiling=np.minimum(t.ceiling, section.stopping))
-    return _fastest(section, allowed, mass, most, step)
+    return _fastest(section, allowed, section.planning_constants, mass, most, step)
 
 
-def _fastest(section: Section, t: Tables, mass: float, most: float, step: float) -> FastRun:
+def _fastest(
+    section: Section, t: Tables, c: dynamics.Constants, mass: float, most: float, step: float
+) -> FastRun:
     start, end = section.origin.position, section.destination.position
-    run = FastRun(*dynamics.fastest_run(start, end, step, most, mass, t, section.constants))
+    run = FastRun(*dynamics.fastest_run(start, end, step, most, mass, t, c))
     if run.positions[-1] < end - 1e-6:
         place = float(run.positions[-1])
         sine = dynamics.value(t.sine, t.origin, place)
@@ -250,9 +276,9 @@ def least_time(section: Section, mass: float = NOMINAL_MASS) -> float:
     alone = replace(section.train, mass=mass, max_load=0.0)
     freed = section_of(
         section.line, alone, section.maximum_adhesion, section.origin, section.destination,
-        driving=Reserves(1.0, 1.0, 0.0),
+        driving=Reserves(1.0, 1.0, 0.0, 1.0, 1.0),
     )  # fmt: skip
-    return _fastest(freed, freed.tables, mass, np.inf, 1.0).duration
+    return _fastest(freed, freed.tables, freed.driving_constants, mass, np.inf, 1.0).duration
 
 
 def check_timetable(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> None:
@@ -322,6 +348,17 @@ def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:
             if 0 <= j < nodes.size:
                 lowest[j] = min(lowest[j], lower)
     return np.asarray(lowest)
+
+
+def _reserved(c: dynamics.Constants, reserves: Reserves) -> dynamics.Constants:
+    return c._replace(lever=reserves.lever, comfort=reserves.comfort * c.comfort)
+
+
+def _around(adhesion: FloatArray) -> FloatArray:
+    """The least within 40 m: a lever is held for a second, and looks ahead."""
+    from scipy.ndimage import minimum_filter1d
+
+    return np.asarray(minimum_filter1d(adhesion, 17, mode="nearest"))
 
 
 def _smoothed(squares: FloatArray) -> FloatArray:

@@ -1,0 +1,272 @@
+"""The compiled part of the tracking controllers: linearisation, condensing, and the guard."""
+
+# The decorator of numba carries no types.
+# mypy: disable-error-code="untyped-decorator, no-any-return"
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from analysis.trajectory.reference_dynamics import (
+    Constants,
+    Tables,
+    acceleration,
+    full_effort,
+    lever_bounds,
+    rate,
+    value,
+)
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+SUBSTEPS = 10
+"""Of the prediction in one sampling period, and of the guard's look ahead."""
+
+AHEAD = 0.5
+"""The rail is looked at this much further on [s]: efforts follow their demand with a lag."""
+
+
+BELOW = 0.05
+"""The program stays this far below the ceiling [m/s], so that the guard has little to do."""
+
+
+@njit(cache=True)
+def exact_step(a21: float, a22: float, b2: float, span: float) -> tuple[Any, ...]:
+    """Eq. (10): A and b of the sampled system, by the exponential of ``[[A, b], [0, 0]] span``.
+
+    Scaling by 2^-6, the series until it no longer changes, and squaring.
+    """
+    h = span / 64.0
+    m = np.zeros((3, 3))
+    m[0, 1], m[1, 0], m[1, 1], m[1, 2] = h, a21 * h, a22 * h, b2 * h
+    found, term = np.eye(3), np.eye(3)
+    for k in range(1, 13):
+        term = term @ m / k
+        found += term
+    for _ in range(6):
+        found = found @ found
+    return found[:2, :2].copy(), found[:2, 2].copy()
+
+
+@njit(cache=True)
+def step(p: float, v: float, u: float, span: float, m: float, t: Tables, c: Constants) -> Any:
+    """One sampling period under a held lever; a train that comes to rest does not roll back."""
+    h = span / SUBSTEPS
+    for _ in range(SUBSTEPS):
+        a1 = acceleration(v, u, value(t.sine, t.origin, p), m, c)
+        w = max(v + 0.5 * h * a1, 0.0)
+        a2 = acceleration(w, u, value(t.sine, t.origin, p + 0.5 * h * v), m, c)
+        p += h * w
+        v = max(v + h * a2, 0.0)
+    return p, v
+
+
+@njit(cache=True)
+def bounds_over(
+    p: float, v: float, q: float, w: float, t: Tables, c: Constants
+) -> tuple[float, float]:
+    """Lever that (4), (5) and its range allow at every mass from a state (p, v) to (q, w)."""
+    low, high = -1.0, 1.0
+    for k in range(5):
+        x, speed = p + 0.25 * k * (q - p), v + 0.25 * k * (w - v)
+        grip = min(value(t.adhesion, t.origin, x), value(t.adhesion, t.origin, x + AHEAD * speed))
+        least, most = lever_bounds(speed, value(t.sine, t.origin, x), grip, c)
+        low, high = max(low, least), min(high, most)
+    return low, high
+
+
+@njit(cache=True)
+def predicted(
+    p: float, v: float, levers: FloatArray, span: float, m: float, t: Tables, c: Constants
+) -> tuple[Any, ...]:
+    """States under levers that are kept within their bounds, and those levers."""
+    n = levers.size
+    states, kept = np.empty((n + 1, 2)), levers.copy()
+    states[0, 0], states[0, 1] = p, v
+    for k in range(n):
+        p, v = states[k, 0], states[k, 1]
+        low, high = bounds_over(p, v, p + v * span, v, t, c)
+        kept[k] = min(max(levers[k], low), high)
+        states[k + 1, 0], states[k + 1, 1] = step(p, v, kept[k], span, m, t, c)
+    return states, kept
+
+
+@njit(cache=True)
+def terminal_weight(a: FloatArray, b: FloatArray, weight: float, lever: float) -> FloatArray:
+    """Cost to go of the unconstrained regulator, by iterating Riccati's equation."""
+    p = np.zeros((2, 2))
+    p[0, 0] = weight
+    for _ in range(60):
+        pb = p @ b
+        gain = (a.T @ pb) / (lever + b @ pb)
+        new = a.T @ p @ a - np.outer(gain, a.T @ pb)
+        new[0, 0] += weight
+        if np.abs(new - p).max() < 1e-9 * np.abs(new).max():
+            break
+        p = 0.5 * (new + new.T)
+    return p
+
+
+@njit(cache=True)
+def condensed(
+    states: FloatArray, levers: FloatArray, deviation: FloatArray, target: FloatArray,
+    aim: FloatArray, weight: float, effort: float, span: float, m: float, t: Tables, c: Constants,
+) -> tuple[Any, ...]:  # fmt: skip
+    """The program (11) in the changes of the lever alone.
+
+    Parameters
+    ----------
+    states, levers : (n + 1, 2), (n,) arrays
+        About which the motion is linearised.
+    deviation : (2,) array
+        Of the measured state from the first of them.
+    target, aim : (n + 1, 2), (n,) arrays
+        Positions and speeds, and levers, of the reference.
+    weight, effort : float
+        Q and R.
+
+    Returns
+    -------
+    H, f : (n, n), (n,) arrays
+    A : (2n, n) array
+        Rows of the ceiling of the speed, then of standing or going forward.
+    upper, lower : (3n,) arrays
+        Bounds of the changes, then of the rows.
+    """
+    n = levers.size
+    response = np.zeros((n + 1, 2, n))
+    free = np.zeros((n + 1, 2))
+    free[0] = deviation
+    last_a, last_b = np.eye(2), np.zeros(2)
+    upper, lower = np.empty(3 * n), np.full(3 * n, -1e30)
+    for k in range(n):
+        p, v, u = states[k, 0], states[k, 1], levers[k]
+        full = full_effort(v, c)
+        a22 = -(2.0 * c.drag * v + c.k2 * (full - c.k3) * u) / m
+        a21 = -GRAVITY * rate(t.sine, t.origin, p)
+        last_a, last_b = exact_step(a21, a22, full / m, span)
+        free[k + 1] = last_a @ free[k]
+        for j in range(k):
+            response[k + 1, 0, j] = (
+                last_a[0, 0] * response[k, 0, j] + last_a[0, 1] * response[k, 1, j]
+            )
+            response[k + 1, 1, j] = (
+                last_a[1, 0] * response[k, 0, j] + last_a[1, 1] * response[k, 1, j]
+            )
+        response[k + 1, :, k] = last_b
+        least, most = bounds_over(p, v, states[k + 1, 0], states[k + 1, 1], t, c)
+        lower[k], upper[k] = least - u, most - u
+    h, f = np.zeros((n, n)), np.zeros(n)
+    for k in range(1, n + 1):
+        gone = states[k, 0] + free[k, 0] - target[k, 0]
+        for i in range(n):
+            x = weight * response[k, 0, i]
+            f[i] += x * gone
+            for j in range(i + 1):
+                h[i, j] += x * response[k, 0, j]
+    end = terminal_weight(last_a, last_b, weight, effort)
+    end[0, 0] -= weight
+    gap = states[n] + free[n] - target[n]
+    last = response[n]
+    for i in range(n):
+        x = end[0, 0] * last[0, i] + end[0, 1] * last[1, i]
+        y = end[1, 0] * last[0, i] + end[1, 1] * last[1, i]
+        f[i] += x * gap[0] + y * gap[1] + effort * (levers[i] - aim[i])
+        h[i, i] += effort
+        for j in range(i + 1):
+            h[i, j] += x * last[0, j] + y * last[1, j]
+            h[j, i] = h[i, j]
+    rows = np.empty((2 * n, n))
+    for k in range(1, n + 1):
+        p, v = states[k, 0], states[k, 1]
+        slope = rate(t.ceiling, t.origin, p)
+        room = value(t.ceiling, t.origin, p) - v * v - 2.0 * v * BELOW
+        for j in range(n):
+            rows[k - 1, j] = 2.0 * v * response[k, 1, j] - slope * response[k, 0, j]
+            rows[n + k - 1, j] = response[k, 1, j]
+        upper[n + k - 1] = room - 2.0 * v * free[k, 1] + slope * free[k, 0]
+        upper[2 * n + k - 1] = 1e30
+        lower[2 * n + k - 1] = -(v + free[k, 1])
+    return h, f, rows, upper, lower
+
+
+@njit(cache=True)
+def stays_below(
+    p: float, v: float, u: float, span: float, traction: bool, t: Tables, c: Constants
+) -> bool:
+    """Whether the constraints that a lower lever helps hold for the period, at both masses."""
+    # A train that is too fast already may take the period to become slow enough.
+    over = max(v - math.sqrt(value(t.ceiling, t.origin, p)), 0.0)
+    for m in (c.light, c.heavy):
+        x, w = p, v
+        for k in range(SUBSTEPS + 1):
+            if k > 0:
+                x, w = step(x, w, u, span / SUBSTEPS, m, t, c)
+            if traction:
+                most = bounds_over(x, w, x, w, t, c)[1]
+                if u > most + 1e-9:
+                    return False
+            else:
+                allowed = math.sqrt(value(t.ceiling, t.origin, x))
+                if w > allowed + over * (1.0 - k / SUBSTEPS) + 1e-9:
+                    return False
+    return True
+
+
+@njit(cache=True)
+def stays_above(p: float, v: float, u: float, span: float, t: Tables, c: Constants) -> bool:
+    """Whether the constraints that a higher lever helps hold for the period, at both masses."""
+    for m in (c.light, c.heavy):
+        x, w = p, v
+        for k in range(SUBSTEPS + 1):
+            if k > 0:
+                x, w = step(x, w, u, span / SUBSTEPS, m, t, c)
+            if u < bounds_over(x, w, x, w, t, c)[0] - 1e-9:
+                return False
+    return True
+
+
+@njit(cache=True)
+def guarded(p: float, v: float, u: float, span: float, t: Tables, c: Constants) -> float:
+    """The lever next to `u` that keeps (7) until the next sample whatever the train weighs.
+
+    Comfort and adhesion come first: full braking beyond them stops no train sooner.
+    """
+    low, high = bounds_over(p, v, p, v, t, c)
+    low, high = min(low, 0.0), max(high, 0.0)
+    u = min(max(u, low), high)
+    if u > 0.0 and not stays_below(p, v, u, span, True, t, c):
+        u = _highest(p, v, 0.0, u, span, True, t, c)
+    if not stays_below(p, v, u, span, False, t, c):
+        u = _highest(p, v, low, u, span, False, t, c)
+    if u < 0.0 and not stays_above(p, v, u, span, t, c):
+        good, bad = 0.0, u
+        for _ in range(20):
+            middle = 0.5 * (good + bad)
+            if stays_above(p, v, middle, span, t, c):
+                good = middle
+            else:
+                bad = middle
+        u = good
+    return u
+
+
+@njit(cache=True)
+def _highest(
+    p: float, v: float, good: float, bad: float, span: float, traction: bool,
+    t: Tables, c: Constants,
+) -> float:  # fmt: skip
+    """The highest lever of an interval that stays below; its lower end if none does."""
+    for _ in range(20):
+        middle = 0.5 * (good + bad)
+        if stays_below(p, v, middle, span, traction, t, c):
+            good = middle
+        else:
+            bad = middle
+    return good

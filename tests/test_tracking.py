@@ -1,0 +1,168 @@
+"""The tracking MPC of paper 000: exact steps, a program that is solved right, constraints kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from analysis.control import tracking_kernels as kernels
+from analysis.control.tracking import TrackingController, Tuning, solve
+from analysis.trajectory import reference_dynamics as dynamics
+from analysis.trajectory.reference import Reference, reference
+from analysis.trajectory.reference_section import section_of
+from trainlog.errors import InputError
+from trainlog.railway import Line, Station, StepProfile
+from trainlog.railway.lever import PAPER_000
+from trainlog.simulation.timetable import Stop
+
+LIGHT, NOMINAL, HEAVY = PAPER_000.mass, 78_200.0, PAPER_000.max_mass
+
+
+@pytest.fixture(scope="module")
+def plan() -> Reference:
+    track = Line(
+        name="short",
+        length=2_600.0,
+        stations=(Station("A", 100.0), Station("B", 2_000.0)),
+        speed_limits=StepProfile(np.array([0.0, 1_000.0]), np.array([70.0, 55.0]) / 3.6),
+        gradients=StepProfile(np.array([0.0, 500.0, 900.0]), np.array([0.0, 0.01, 0.0])),
+    )
+    rail = StepProfile(np.array([0.0, 150.0, 250.0]), np.array([0.3, 0.08, 0.3]))
+    stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 2_000.0, 180.0, 180.0)
+    return reference(section_of(track, PAPER_000, rail, *stops))
+
+
+def driven(
+    plan: Reference, mass: float, about: str = "prediction", delay: float = 0.0, *, guard: bool
+) -> np.ndarray:
+    """Rows of time, position, speed, lever ten times a second of the model of eq. (3)."""
+    controller = TrackingController(plan, about)
+    t, c = plan.section.tables, plan.section.constants
+    p, v, now = plan.section.origin.position, 0.0, delay
+    rows = []
+    while now < plan.duration + delay + 60.0:
+        lever = controller.lever(now, p, v)
+        if guard:
+            lever = controller.guarded(lever, p, v)
+        for _ in range(10):
+            rows.append((now, p, v, lever))
+            p, v = kernels.step(p, v, lever, 0.1, mass, t, c)
+            now += 0.1
+        if v == 0.0 and p > plan.section.destination.position - 0.5:
+            break
+    assert controller.unsolved == 0
+    return np.array(rows)
+
+
+def worst(plan: Reference, rows: np.ndarray) -> np.ndarray:
+    """Largest comfort, traction, speed and lever constraint, without any reserve."""
+    section = plan.section
+    found = []
+    for _, p, v, u in rows[rows[:, 2] > 0.0]:
+        sine = dynamics.value(section.tables.sine, section.tables.origin, p)
+        grip, limit = float(section.maximum_adhesion(p)), float(section.line.speed_limit(p))
+        c = section.constants
+        found.append((*dynamics.constraint_values(v, u, sine, grip, limit, c), abs(u) - 1.0))
+    return np.max(np.array(found), axis=0)
+
+
+@settings(deadline=None)
+@given(a21=st.floats(-0.02, 0.02), a22=st.floats(-0.6, 0.6), b2=st.floats(0.0, 3.0))
+def test_the_sampled_system_is_the_matrix_exponential(a21: float, a22: float, b2: float) -> None:
+    whole = np.array([[0.0, 1.0, 0.0], [a21, a22, b2], [0.0, 0.0, 0.0]])
+    exact = expm(whole)
+    a, b = kernels.exact_step(a21, a22, b2, 1.0)
+    np.testing.assert_allclose(a, exact[:2, :2], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(b, exact[:2, 2], rtol=1e-12, atol=1e-14)
+
+
+def test_the_condensed_program_is_the_sum_of_the_costs(plan: Reference) -> None:
+    """Stage by stage with the linear model; the terminal cost is what the regulator would pay."""
+    controller = TrackingController(plan, "reference")
+    program = controller.program(40.0, plan.at(40.0)[0] - 3.0, plan.at(40.0)[1] + 0.2)
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(2, program.levers.size)) * 0.05
+
+    def cost(change: np.ndarray) -> float:
+        return 0.5 * change @ program.hessian @ change + program.gradient @ change
+
+    # Convex, and the answer is where the gradient vanishes if no bound is met.
+    assert cost(0.5 * (x + y)) < 0.5 * (cost(x) + cost(y))
+    assert np.linalg.eigvalsh(program.hessian).min() >= 0.01 - 1e-9
+    free = np.linalg.solve(program.hessian, -program.gradient)
+    assert cost(free) <= min(cost(x), cost(y))
+
+
+def test_terminal_cost_is_the_fixed_point_of_riccati() -> None:
+    a, b = kernels.exact_step(0.0, -0.02, 0.6, 1.0)
+    p = kernels.terminal_weight(a, b, 1.0, 0.01)
+    q, r = np.diag([1.0, 0.0]), 0.01
+    gain = (b @ p @ a) / (r + b @ p @ b)
+    np.testing.assert_allclose(p, q + a.T @ p @ a - np.outer(a.T @ p @ b, gain), rtol=1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_the_solver_meets_the_conditions_of_optimality(plan: Reference, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    now = float(rng.integers(2, 150))
+    p, v, _ = plan.at(now)
+    controller = TrackingController(plan)
+    program = controller.program(now, p + rng.normal() * 5.0, max(v + rng.normal() * 0.5, 0.0))
+    change, status = solve(program)
+    assert status > 0
+    n = change.size
+    assert np.all(change <= program.upper[:n] + 1e-6)
+    assert np.all(change >= program.lower[:n] - 1e-6)
+    moved = program.rows @ change
+    over = np.maximum(moved - program.upper[n:], 0.0) - np.maximum(program.lower[n:] - moved, 0.0)
+    slope = program.hessian @ change + program.gradient + program.rows.T @ over / 1e-7
+    inside = (change < program.upper[:n] - 1e-6) & (change > program.lower[:n] + 1e-6)
+    scale = 1.0 + np.abs(program.gradient).max()
+    assert np.all(np.abs(slope[inside]) < 0.05 * scale)
+
+
+def test_on_time_both_linearisations_stay_within_a_metre(plan: Reference) -> None:
+    for about in ("reference", "prediction"):
+        rows = driven(plan, NOMINAL, about, guard=False)
+        errors = rows[:, 1] - [plan.at(float(now))[0] for now in rows[:, 0]]
+        assert np.abs(errors).max() < 1.0
+
+
+@pytest.mark.parametrize("mass", [LIGHT, NOMINAL, HEAVY])
+@pytest.mark.parametrize("delay", [0.0, 30.0])
+def test_every_constraint_is_kept_at_every_mass_on_time_and_late(
+    plan: Reference, mass: float, delay: float
+) -> None:
+    rows = driven(plan, mass, delay=delay, guard=True)
+    assert worst(plan, rows).max() <= 1e-6
+    assert abs(rows[-1, 1] - 2_000.0) < 0.6
+
+
+def test_after_a_delay_only_the_real_time_iteration_keeps_comfort(plan: Reference) -> None:
+    """The paper's own linearisation takes the bounds of where the train ought to be."""
+    paper = driven(plan, NOMINAL, "reference", delay=30.0, guard=False)
+    iterated = driven(plan, NOMINAL, "prediction", delay=30.0, guard=False)
+    assert worst(plan, paper)[0] > 0.1
+    assert worst(plan, iterated)[0] <= 1e-6
+
+
+def test_the_guard_leaves_a_safe_lever_alone_and_cuts_an_unsafe_one(plan: Reference) -> None:
+    controller = TrackingController(plan)
+    assert controller.guarded(0.1, 600.0, 10.0) == pytest.approx(0.1)
+    assert controller.guarded(1.0, 145.0, 5.0) < 0.5  # a slippery place begins at 150 m
+    ceiling = np.sqrt(dynamics.value(plan.section.tables.ceiling, plan.section.tables.origin, 700))
+    assert controller.guarded(1.0, 700.0, float(ceiling)) < 0.4  # what holds on the climb
+
+
+def test_a_tuning_that_makes_no_sense_is_refused() -> None:
+    with pytest.raises(InputError, match="lever 0"):
+        Tuning(lever=0.0)
+
+
+def test_an_unknown_linearisation_is_refused(plan: Reference) -> None:
+    with pytest.raises(InputError, match="about 'nothing' is unknown"):
+        TrackingController(plan, "nothing")
