@@ -38,8 +38,8 @@ BoolArray = NDArray[np.bool_]
 PERIOD = 0.1
 """Between two demands [s]."""
 
-SAMPLES = 2
-"""Recorded in each period."""
+SAMPLES = 1
+"""Recorded in each period, as the sensors do."""
 
 STEP = 0.005
 """Of the integration [s]."""
