@@ -99,8 +99,8 @@ def parameter_set(
     ----------
     trips : DataFrame of summaries, or sequence of TripFit
         Refused trips are told in the details. A trip that never was at its power limit, while
-        others were, has the power of the one nearest in mass: so all of them together have the
-        powers that were seen. Where none was, the train's file gives the power.
+        others were, has the lower power of the two next in mass: so the set has the powers that
+        were seen, and a few low ones more. Where none was, the train's file gives the power.
     cover : float
         Share of trips whose running times and energies the set is to bound; as many
         configurations as that takes.
@@ -122,7 +122,7 @@ def parameter_set(
     seen = np.isfinite(limits)
     power = np.where(seen, limits, rows["train_power"].to_numpy(np.float64))
     if seen.any():
-        power = np.where(seen, limits, _of_nearest(masses, seen, limits))
+        power = np.where(seen, limits, _of_neighbours(masses, seen, limits))
     inertia = masses + rows["rotating_mass"].to_numpy(np.float64)
     speeds = np.linspace(0.0, common.asked[1], 3)
     drag = betas @ powers(speeds).T / inertia[:, None]
@@ -142,7 +142,7 @@ def parameter_set(
                 max_power=float(power[row]),
             )
         )
-        source = "power-limited stretches" if seen[row] else "trip nearest in mass"
+        source = "power-limited stretches" if seen[row] else "trips next in mass"
         details.append(
             {"configuration": names[row], "stands_for": weight}
             | _detail(
@@ -164,6 +164,7 @@ def parameter_set(
             "asked": cover,
             "level": chosen.level,
             "trips": len(rows),
+            "powers_seen": int(np.count_nonzero(seen)),
             "refused": {str(k): int(n) for k, n in refused["refused"].value_counts().items()},
             "between": common.between.tolist(),
         },
@@ -295,15 +296,12 @@ def _masses_given(rows: pd.DataFrame, betas: FloatArray) -> FloatArray:
     return np.asarray(fitted[:, 3] + np.sum(slope * shift / scale, axis=1))
 
 
-def _of_nearest(masses: FloatArray, seen: NDArray[np.bool_], limits: FloatArray) -> FloatArray:
-    """The limit of the trip nearest in mass of those where it was seen, for each trip."""
+def _of_neighbours(masses: FloatArray, seen: NDArray[np.bool_], limits: FloatArray) -> FloatArray:
+    """The lower limit of those seen on trips next in mass, a lighter and a heavier, for each trip."""
     order = np.argsort(masses[seen], kind="stable")
     known, values = masses[seen][order], limits[seen][order]
     after = np.clip(np.searchsorted(known, masses), 1, max(known.size - 1, 1))
-    if known.size == 1:
-        return np.full(masses.size, values[0])
-    closer = masses - known[after - 1] <= known[after] - masses
-    return np.asarray(np.where(closer, values[after - 1], values[after]))
+    return np.asarray(np.minimum(values[after - 1], values[np.minimum(after, known.size - 1)]))
 
 
 def _names(rows: pd.DataFrame) -> list[str]:
