@@ -297,7 +297,7 @@ def _masses_given(rows: pd.DataFrame, betas: FloatArray) -> FloatArray:
 
 
 def _of_neighbours(masses: FloatArray, seen: NDArray[np.bool_], limits: FloatArray) -> FloatArray:
-    """The lower limit of those seen on trips next in mass, a lighter and a heavier, for each trip."""
+    """The lower limit of the two trips next in mass of those where it was seen, for each trip."""
     order = np.argsort(masses[seen], kind="stable")
     known, values = masses[seen][order], limits[seen][order]
     after = np.clip(np.searchsorted(known, masses), 1, max(known.size - 1, 1))
