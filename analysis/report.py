@@ -67,7 +67,9 @@ def total_saved(pairs: Sequence[Saving]) -> tuple[float, float]:
 def fit_table(fits: Fits) -> Group:
     """Running resistance of each trip and of all together, with what it rests on."""
     title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
-    table = new_table(title, "trip", "r0", "r1", "r2", "mass", "power", "at 80 km/h", "windows")
+    table = new_table(
+        title, "trip", "r0", "r1", "r2", "mass", "power, kW", "kN at 80 km/h", "windows"
+    )
     at = 80.0 / KMH
     for fit in fits.trips:
         table.add_row(
@@ -76,8 +78,8 @@ def fit_table(fits: Fits) -> Group:
             f"{fit.mass / 1e3:.1f} ± {1.96 * fit.mass_std / 1e3:.1f} t",
             "-"
             if fit.max_power is None or fit.max_power_std is None
-            else _pm(fit.max_power / 1e3, fit.max_power_std / 1e3, " kW"),
-            _pm(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3, " kN"),
+            else _pm(fit.max_power / 1e3, fit.max_power_std / 1e3),
+            _pm(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3),
             f"{fit.windows['used']}",
         )
     common = fits.common
@@ -88,7 +90,7 @@ def fit_table(fits: Fits) -> Group:
         *(_pm(b, s) for b, s in zip(beta, np.sqrt(np.diag(common.covariance)), strict=True)),
         "",
         "",
-        _pm(float(common.resistance(at)) / 1e3, float(common.std(at)) / 1e3, " kN"),
+        _pm(float(common.resistance(at)) / 1e3, float(common.std(at)) / 1e3),
         f"{sum(fit.windows['used'] for fit in fits.trips)}",
     )
     low, high = common.speed_range
