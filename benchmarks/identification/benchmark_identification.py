@@ -238,12 +238,13 @@ def main() -> None:
     began = time.perf_counter()
     study = Study()
     pool = processes()
-    outcomes = run(pool, study, trips, bounds=few, peers=True)
+    varied = run(pool, study, trips, bounds=few, peers=True)
+    outcomes = [one for one in varied if not one.refused]
     print(f"error of the drag curve [%]: median of {trips} trips of 60 km (90th percentile)\n")
     print(row("", ["1 trip", "10 trips", "100 trips"]))
     show_study(outcomes, study)
     coverage = show_coverage(outcomes, study)
-    show_refusals(outcomes, run(pool, CONSTANT, 20, peers=True), study)
+    show_refusals(varied, run(pool, CONSTANT, 20, peers=True), study)
     seconds = 1e3 * np.median([one.seconds for one in outcomes])
     print(f"one fit of {3600 / 100 * 1e3:.0f} samples and less: {seconds:.0f} ms")
     print("\nwhat the study does not say of its trips, and what it changes\n")
@@ -255,8 +256,8 @@ def main() -> None:
         ("speed changes every 0.8 to 3 km", STOPPING, few),
         ("perfect map and mass (asked for: 0.50)", PERFECT, few),
     ):
-        found = run(pool, other, count, bounds=20)
-        print(row(f"{name}, {count} trips", cells(found, other, product)))
+        found = [one for one in run(pool, other, count, bounds=20) if not one.refused]
+        print(row(f"{name}, {len(found)} trips", cells(found, other, product)))
         if other is not PERFECT:
             print(row("  Cramér-Rao bound", bound_cells(found, other)))
     pool.shutdown()
