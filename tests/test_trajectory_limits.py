@@ -12,7 +12,7 @@ from trajectory_world import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, o
 from analysis.trajectory import optimise
 from trainlog.errors import InputError
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
-from trainlog.railway import Trajectory
+from trainlog.railway import Line, TrackConditionMap, Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +163,42 @@ def test_same_question_same_answer(tmp_path: Path) -> None:
     assert again.certificate["gap"] == found.certificate["gap"]
 
 
+def senseless(line: Line) -> TrackConditionMap:
+    """A map that says of a bin that it was observed, and not what."""
+    condition = slippery(line)
+    layer = condition.layers["wet"]
+    log_mean = layer.log_mean.copy()
+    log_mean[5] = np.nan
+    return replace(condition, layers={"wet": replace(layer, log_mean=log_mean)})
+
+
+def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs() -> None:
+    line = level_line(8_000.0, (0.0, 80.0), (3_000.0, 0.04), (4_000.0, 80.0))
+    with pytest.raises(InputError, match=r"0\.04 km/h permitted at km 3\.000 is no speed"):
+        optimise(line, FLIRT, observed(FLIRT, 1.0))
+
+
+def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
+    options = {"reserve": 0.1, "cells": 120}
+    configurations = observed(FLIRT, 0.9, 1.0, 1.1)
+    found = {
+        weights: optimise(
+            hilly_line(), FLIRT, configurations, objective="expected", weights=weights, **options
+        )  # type: ignore[arg-type]
+        for weights in ((), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    }
+    energies = {key: np.array(each.certificate["line_energy"]) for key, each in found.items()}
+    for weights, answer in found.items():
+        share = np.array(weights or np.ones(3)) / (sum(weights) or 3.0)
+        least = share @ energies[weights]
+        assert answer.certificate["energy"] == pytest.approx(least)
+        assert all(share @ other >= least * (1.0 - 1e-6) for other in energies.values())
+        assert answer.certificate["gap"] <= 2e-3
+        assert answer.certificate["audit"]["passed"]
+    worst = optimise(hilly_line(), FLIRT, configurations, objective="line", **options)  # type: ignore[arg-type]
+    assert worst.certificate["energy"] <= energies[()].max() * (1.0 + 1e-6)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -187,6 +223,14 @@ def test_same_question_same_answer(tmp_path: Path) -> None:
             "belongs to a line of 5.000 km",
         ),
         ({"condition_map": slippery(hilly_line()), "layer": "icy"}, "no layer 'icy'"),
+        ({"condition_map": slippery(hilly_line()), "sigmas": np.nan}, "nan standard deviations"),
+        ({"condition_map": slippery(hilly_line()), "sigmas": -2.0}, "off the map make no sense"),
+        ({"condition_map": senseless(hilly_line())}, r"tells no adhesion at km 0\.\d+, which it"),
+        ({"protected_length": -1.0}, "a protected length of -1.0 m makes no sense"),
+        ({"running_time": 1e9}, r"is 3\.\d+e\+06 times the least, .*let it wait at a station"),
+        ({"objective": "expected", "weights": [1.0, 2.0]}, "2 weights for 1 configurations"),
+        ({"objective": "expected", "weights": [-1.0]}, "none negative"),
+        ({"objective": "expected", "weights": [0.0]}, "the weights add up to 0"),
     ],
 )
 def test_senseless_questions_are_refused(changes: dict[str, object], words: str) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.minimax import Solution, minimise
-from analysis.trajectory.pace import capped_run, cell_times, realise, ride_along
+from analysis.trajectory.pace import capped_run, cell_times, delays, realise, ride_along
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
 from trainlog.errors import InfeasibleError
@@ -113,11 +113,14 @@ def outstanding(problem: Problem, least_times: FloatArray) -> list[int]:
         for sign in (1.0, -1.0):
             both = unit[:, a] + sign * unit[:, b]
             found |= {int(np.argmax(both)), int(np.argmin(both))}
-    return sorted(found) if q > _MANY else list(range(q))
+    some = q > _MANY and problem.run.objective != "expected"
+    return sorted(found) if some else list(range(q))
 
 
 def first_guess(problem: Problem, speeds: FloatArray, running_time: float) -> Guess:
     """The slowest and the dearest configuration, and their fastest run cut off.
+
+    Where a window of time opens on the way, the fastest too; all, where all have a say.
 
     Parameters
     ----------
@@ -128,7 +131,11 @@ def first_guess(problem: Problem, speeds: FloatArray, running_time: float) -> Gu
     rows = {int(np.argmax(times)), _dearest(problem, times)}
     if problem.common:
         rows |= {int(np.argmin(times)), int(np.argmin(problem.power))}
+    if np.isfinite(problem.earliest).any():
+        rows |= {int(np.argmin(times))}
     chosen = tuple(sorted(rows))
+    if problem.run.objective == "expected":
+        chosen = tuple(range(problem.shape[0]))
     part = problem.select(chosen)
     return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
 
@@ -147,7 +154,7 @@ def finer_guess(answer: Answer, coarse: FloatArray, problem: Problem, rows: Sequ
     solution, positions = answer.solution, problem.positions
     influence = np.abs(solution.multipliers.pull / np.diff(coarse)).max(axis=1)
     active = np.flatnonzero(influence > _IDLE)
-    if active.size == 0 or problem.common:
+    if active.size == 0 or problem.common or problem.run.objective == "expected":
         active = np.arange(len(answer.active))
     plan = solution.plan
     cell = np.searchsorted(coarse, 0.5 * (positions[1:] + positions[:-1])) - 1
@@ -219,6 +226,8 @@ def best_bound(
         return bound, "multipliers"
     priced = np.flatnonzero(solution.time_price > _SHORT * solution.time_price.max()).tolist()
     rows, plan = [answer.active[row] for row in priced], solution.plan
+    if problem.run.objective == "expected":
+        priced, rows = list(range(len(answer.active))), list(answer.active)
     if len(priced) < len(answer.active):
         part = problem.select(rows)
         alone = Plan(plan.z[priced], plan.traction, plan.braking[priced], plan.dynamic[priced])
@@ -239,8 +248,8 @@ def best_bound(
 
 
 def _bounded(problem: Problem, solution: Solution, running_time: float) -> float:
-    allowed = running_time + _spare(problem, solution.plan)
-    return lower_bound(problem, solution.multipliers, np.sqrt(2.0 * solution.plan.z), allowed)
+    speeds, spare = np.sqrt(2.0 * solution.plan.z), _spare(problem, solution.plan)
+    return lower_bound(problem, solution.multipliers, speeds, running_time, spare)
 
 
 def _spare(problem: Problem, plan: Plan) -> FloatArray:
@@ -250,8 +259,9 @@ def _spare(problem: Problem, plan: Plan) -> FloatArray:
     """
     driven = realise(problem, plan)
     speed = np.sqrt(2.0 * driven.z)
-    model = (2.0 * problem.step / (speed[:, :-1] + speed[:, 1:])).sum(axis=1)
-    return np.asarray(np.maximum(model - cell_times(problem, driven).sum(axis=1), 0.0))
+    model = 2.0 * problem.step / (speed[:, :-1] + speed[:, 1:])
+    ahead = np.cumsum(model - cell_times(problem, driven), axis=1)
+    return np.asarray(np.maximum(ahead.max(axis=1), 0.0))
 
 
 def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -> Plan:
@@ -271,13 +281,16 @@ def _violators(
     by_power = problem.dynamic_power / np.maximum(fastest, 1e-6)
     brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
+    late, soon = delays(problem, plan, running_time)
     excesses = [
-        (cell_times(problem, plan).sum(axis=1) - running_time) * (_OVER / _LATE),
+        late * (_OVER / _LATE),
+        soon * (_OVER / _LATE),
+        ((problem.floor - plan.z) / problem.ceiling.max()).max(axis=1),
         (plan.traction * fastest).max(axis=1) / problem.power - 1.0,
         ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
         ((plan.z - ceiling) / problem.ceiling.max()).max(axis=1),
     ]
-    if problem.run.objective == "line":
+    if problem.run.at_line:
         spent = -(plan.dynamic @ problem.step)
         excesses.append((spent - np.median(spent)) / (plan.traction @ problem.step))
     found: set[int] = set()

@@ -53,6 +53,10 @@ class Audit:
     power, effort, braking, adhesion : largest use of the limit, 1 is all of it
     wheel_energy, line_energy : [J]
         Traction at the wheel rims; taken from the line less what the dynamic brake returns.
+    early, tardy : [s]
+        By how much it passes a point on the way outside its window of time, at worst.
+    slow : [m/s]
+        By how much it passes such a point too slowly or too fast.
     """
 
     speeds: FloatArray
@@ -66,6 +70,9 @@ class Audit:
     adhesion: FloatArray
     wheel_energy: FloatArray
     line_energy: FloatArray
+    early: FloatArray
+    tardy: FloatArray
+    slow: FloatArray
 
     @property
     def arrival(self) -> FloatArray:
@@ -76,6 +83,9 @@ class Audit:
         """Every test that a configuration did not pass, in words."""
         checks = (
             ("arrives late by [s]", self.arrival - running_time, ARRIVAL_TOLERANCE),
+            ("passes too early by [s]", self.early, ARRIVAL_TOLERANCE),
+            ("passes too late by [s]", self.tardy, ARRIVAL_TOLERANCE),
+            ("passes too slowly or too fast by [m/s]", self.slow, SPEED_TOLERANCE),
             ("stops short by [m]", self.shortfall, STOPPING_TOLERANCE),
             ("is too fast at the end by [m/s]", self.end_speed - run.final_speed, END_TOLERANCE),
             ("exceeds the permitted speed by [m/s]", self.overspeed, SPEED_TOLERANCE),
@@ -140,6 +150,7 @@ def audit(run: Run, positions: FloatArray, traction: FloatArray, braking: FloatA
             tunnel, limit, adhesion,
         ),
     )  # fmt: skip
+    early, tardy, slow = _passed(run, positions, speeds, times)
     wheel = np.full(len(run.configurations), float(traction @ step))
     regained = train.efficiency_regeneration * found[:, 6]
     return Audit(
@@ -154,7 +165,28 @@ def audit(run: Run, positions: FloatArray, traction: FloatArray, braking: FloatA
         adhesion=found[:, 5],
         wheel_energy=wheel,
         line_energy=wheel / train.efficiency_traction - regained,
+        early=early,
+        tardy=tardy,
+        slow=slow,
     )
+
+
+def _passed(
+    run: Run, positions: FloatArray, speeds: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How far each configuration leaves the windows of the passing points, at worst."""
+    early, tardy, slow = (np.full(speeds.shape[0], -np.inf) for _ in range(3))
+    for point in run.windows:
+        node = int(np.argmin(np.abs(positions - point.position)))
+        if point.earliest is not None:
+            early = np.maximum(early, point.earliest - times[:, node])
+        if point.latest is not None:
+            tardy = np.maximum(tardy, times[:, node] - point.latest)
+        fastest, slowest = point.highest_speed, point.lowest_speed
+        slow = np.maximum(slow, (slowest or 0.0) - speeds[:, node])
+        if fastest is not None:
+            slow = np.maximum(slow, speeds[:, node] - fastest)
+    return early, tardy, slow
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

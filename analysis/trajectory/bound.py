@@ -24,7 +24,11 @@ _NEWTON_STEPS = 60
 
 
 def lower_bound(
-    problem: Problem, multipliers: Multipliers, speeds: FloatArray, running_time: FloatArray
+    problem: Problem,
+    multipliers: Multipliers,
+    speeds: FloatArray,
+    running_time: float,
+    spare: FloatArray,
 ) -> float:
     """No trajectory of the discretised problem has less worst-case energy than this [J/kg].
 
@@ -35,8 +39,9 @@ def lower_bound(
         Of any plan; those of the optimum give the highest bound.
     speeds : (q, n + 1) array [m/s]
         Where the search for the least value of the speeds begins.
-    running_time : (q,) array [s]
-        By the cells' mean speeds.
+    running_time : float [s]
+    spare : (q,) array [s]
+        By how much the cells' mean speeds may make a configuration seem later than it is.
 
     Returns
     -------
@@ -51,7 +56,7 @@ def lower_bound(
     power, dynamic_power, tau = _time_left(problem, multipliers)
 
     price, regained = step, np.zeros(problem.shape)
-    if problem.run.objective == "line":
+    if problem.run.at_line:
         price = step / train.efficiency_traction
         share = multipliers.share / max(float(multipliers.share.sum()), 1e-300)
         regained = train.efficiency_regeneration * share[:, None] * step
@@ -59,7 +64,10 @@ def lower_bound(
     total = float((problem.traction * np.minimum(effort, 0.0)).sum())
     total += _brakes(problem, multipliers.pull, dynamic_power - regained)
     total += float((motion * push * problem.mean_drag0).sum())
-    total -= float(multipliers.time @ running_time)
+    total -= float(multipliers.time @ (running_time + spare))
+    for price, latest in zip(multipliers.passing.T, problem.latest.tolist(), strict=True):
+        if latest < np.inf:
+            total -= float(price @ (latest + spare))
 
     square = np.zeros(speeds.shape)
     square[:, 1:] += motion
@@ -70,6 +78,7 @@ def lower_bound(
     linear[:, :-1] += half
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     low, high = np.zeros(speeds.shape), np.tile(np.sqrt(2.0 * ceiling), (problem.shape[0], 1))
+    low[:] = np.minimum(np.sqrt(2.0 * problem.floor), high)
     low[:, 0] = high[:, 0] = np.sqrt(2.0 * problem.initial)
     # A negative weight of z drives it to its limit, a positive one down to the square of w.
     total += float((np.minimum(square, 0.0)[:, 1:] * ceiling[1:]).sum())
@@ -90,7 +99,7 @@ def _time_left(
 
     Returns them and what is left of the time's multiplier for each cell, (q, n) arrays.
     """
-    time = multipliers.time[:, None] * problem.step
+    time = multipliers.cell_prices(problem) * problem.step
     allowed, braked = np.zeros(problem.shape), np.zeros(problem.shape)
     for a, power in enumerate(problem.power.tolist()):
         at = power_cells(problem, power, problem.traction)

@@ -103,8 +103,8 @@ class Unknowns:
         rows = (1 if problem.common else q, n)
         self.braking = np.broadcast_to(self.more(rows, 0.0), (q, n))
         self.dynamic = self.more((q, n), 0.0, problem.dynamic) if tells_dynamic(problem) else None
-        line = problem.run.objective == "line"
-        self.regained = int(self.more((1,))[0]) if line else None
+        worst = problem.run.objective == "line"
+        self.regained = int(self.more((1,))[0]) if worst else None
 
     @property
     def size(self) -> int:
@@ -187,7 +187,7 @@ def bounded(unknowns: Unknowns) -> cp.Variable:
 
 
 def energy_cost(problem: Problem, unknowns: Unknowns, below: Rows) -> tuple[FloatArray, Any]:
-    """Eq. (9), energy at the wheel; or at the line, of the worst configuration, eq. (1).
+    """Eq. (9), energy at the wheel; or at the line: the expected, or the worst, eq. (1).
 
     Returns
     -------
@@ -197,9 +197,13 @@ def energy_cost(problem: Problem, unknowns: Unknowns, below: Rows) -> tuple[Floa
     """
     train, cost = problem.run.train, np.zeros(unknowns.size)
     cost[unknowns.traction] = problem.step
-    if unknowns.regained is None:
+    if not problem.run.at_line:
         return cost, None
     cost[unknowns.traction] /= train.efficiency_traction
+    if unknowns.regained is None:
+        shares = problem.weights[:, None] * problem.step
+        cost[unknowns.dynamic] = -train.efficiency_regeneration * shares
+        return cost, None
     cost[unknowns.regained] = -train.efficiency_regeneration
     everyone = np.full(problem.shape[0], unknowns.regained)
     assert unknowns.dynamic is not None
@@ -226,7 +230,7 @@ def brake_limits(problem: Problem, unknowns: Unknowns, below: Rows, spare: Float
 
 def tells_dynamic(problem: Problem) -> bool:
     """Whether the dynamic brake must be told apart: for its energy, or for its power limit."""
-    return problem.run.objective == "line" or bool(np.any(problem.friction < problem.braking))
+    return problem.run.at_line or bool(np.any(problem.friction < problem.braking))
 
 
 def power_cells(problem: Problem, power: float, most: FloatArray) -> NDArray[np.int64]:

@@ -7,6 +7,7 @@ trajectory's, so no trajectory is faster.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,13 @@ class Envelope:
         share = (positions - self.positions[left]) / (self.positions[right] - self.positions[left])
         squares = self.speeds[:, left] ** 2 * (1.0 - share) + self.speeds[:, right] ** 2 * share
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+    def times_at(self, positions: Sequence[float]) -> FloatArray:
+        """Time of the fastest run from the start to other positions, (q, p) [s]."""
+        mean = 0.5 * (self.speeds[:, :-1] + self.speeds[:, 1:])
+        times = np.cumsum(np.diff(self.positions) / mean, axis=1)
+        times = np.column_stack((np.zeros(times.shape[0]), times))
+        return np.array([np.interp(positions, self.positions, row) for row in times])
 
 
 def fastest_run(run: Run) -> Envelope:

@@ -23,7 +23,7 @@ from analysis.trajectory.convex import (
     power_cells,
     solve,
 )
-from analysis.trajectory.pace import cross, duration, realise
+from analysis.trajectory.pace import cross, delays, realise
 from analysis.trajectory.problem import Plan, Problem
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +50,10 @@ It damps configurations whose speed the optimum leaves open; at the fixed point 
 """
 
 
+_LEAST_POWER = 0.02
+"""The same over the mean power; where a timetable is so slack that time is worth nothing."""
+
+
 @dataclass(frozen=True, eq=False)
 class Multipliers:
     """Lagrange multipliers of an optimum, per unit reference inertia.
@@ -61,6 +65,10 @@ class Multipliers:
         of effort is worth in the cell. Its sum over the configurations is ``step · switching``.
     time : (q,) array [J/(kg s)]
         Of the running time.
+    passing : (q, p) array [J/(kg s)]
+        Of the latest times at the passing points.
+    opening : (q, p) array [J/(kg s)]
+        Of the earliest times there.
     power, dynamic_power : (q, n) array
         Of the limits of power, both ends of a cell together.
     share : (q,) array
@@ -69,9 +77,16 @@ class Multipliers:
 
     pull: FloatArray
     time: FloatArray
+    passing: FloatArray
+    opening: FloatArray
     power: FloatArray
     dynamic_power: FloatArray
     share: FloatArray
+
+    def cell_prices(self, problem: Problem) -> FloatArray:
+        """What a second in each cell is worth: that of all it makes late, (q, n) [J/(kg s)]."""
+        before = np.arange(problem.shape[1]) < problem.passed[:, None]
+        return np.asarray(self.time[:, None] + self.passing @ before)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +104,9 @@ class Solution:
         configurations; above 1 traction pays, below 0 braking does.
     lateness : float [s]
         By which the timetable cannot be kept; 0 in a feasible run.
+    moved : float [J/kg]
+        What the last round's changes weigh by the curvature of the time: the round after it would
+        gain far less.
     statuses : tuple of str
         The solver's word on each round.
     settled : bool
@@ -100,13 +118,19 @@ class Solution:
     multipliers: Multipliers
     switching: FloatArray
     lateness: float
+    moved: float = np.inf
     statuses: tuple[str, ...] = ()
     settled: bool = False
 
     @property
     def time_price(self) -> FloatArray:
-        """What a second is worth to each configuration, (q,) [J/(kg s)]."""
-        return self.multipliers.time
+        """What a second less on the way costs each configuration, (q,) [J/(kg s)]."""
+        return np.asarray(self.multipliers.time + self.multipliers.passing.sum(axis=1))
+
+    @property
+    def departure_price(self) -> FloatArray:
+        """What a second later departure costs; less where windows of time open on the way."""
+        return np.asarray(self.time_price - self.multipliers.opening.sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,18 +193,20 @@ def minimise(
     NoSolutionError
         If the solver finds a round infeasible, or fails.
     """
-    plan, price, motion = start, time_price, Motion.about(problem, start)
+    plan, motion = start, Motion.about(problem, start)
+    price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
         solution = _Round(problem, plan, motion, price).solve(running_time, radius, lateness_price)
         statuses.extend(solution.statuses)
-        plan, price = solution.plan, solution.time_price
+        plan, price = solution.plan, solution.multipliers.cell_prices(problem)
         motion = Motion.about(problem, plan)
-        late = duration(problem, realise(problem, plan)) - running_time - solution.lateness
-        settled = abs(solution.energy - energy) <= tolerance * abs(energy)
-        settled = settled and late <= 15.0 * tolerance
+        late, early = delays(problem, realise(problem, plan), running_time)
+        off = max(float(late.max()), float(early.max())) - solution.lateness
+        changed = min(abs(solution.energy - energy), solution.moved)
+        settled = changed <= tolerance * abs(solution.energy) and off <= 15.0 * tolerance
         if settled or len(statuses) == rounds:
             return replace(solution, statuses=tuple(statuses), settled=settled)
         energy = solution.energy
@@ -208,10 +234,18 @@ class _Round:
         q, n = problem.shape
         weight = 1.0 / self.scale[:, 1:]
         motion = self._motion(weight)
-        gradient, curvature = self._time()
-        left = running_time - self.motion.times.sum(axis=1)
-        late = np.full(q, self.late)
-        arrival = self.below.add(left, (unknowns.z, gradient), (late, -1.0))
+        gradient, curvature = self._time(running_time)
+        arrival = self._not_after(n, running_time, gradient)
+        passing = [
+            (number, self._not_after(int(problem.passed[number]), latest, gradient))
+            for number, latest in enumerate(problem.latest.tolist())
+            if latest < np.inf
+        ]
+        opening = [
+            (number, self._not_before(int(problem.passed[number]), earliest, gradient))
+            for number, earliest in enumerate(problem.earliest.tolist())
+            if earliest > -np.inf
+        ]
         cost, shares = energy_cost(problem, unknowns, self.below)
         brake_limits(problem, unknowns, self.below, np.zeros((q, 1)))
         power, dynamic = self._power()
@@ -227,9 +261,11 @@ class _Round:
         multipliers = Multipliers(
             pull=found.equal[motion] * weight * self.motion.push,
             time=np.maximum(duals[arrival], 0.0),
+            passing=_by_point(duals, passing, (q, problem.passed.size)),
+            opening=_by_point(duals, opening, (q, problem.passed.size)),
             power=_gathered(duals, power, (q, n)),
             dynamic_power=_gathered(duals, dynamic, (q, n)),
-            share=np.zeros(q) if shares is None else np.maximum(duals[shares], 0.0),
+            share=problem.weights if shares is None else np.maximum(duals[shares], 0.0),
         )
         return Solution(
             plan=Plan(
@@ -242,8 +278,23 @@ class _Round:
             multipliers=multipliers,
             switching=multipliers.pull.sum(axis=0) / problem.step,
             lateness=float(max(x[self.late], 0.0)),
+            moved=float(0.5 * (x @ (curvature @ x))),
             statuses=(found.status,),
         )
+
+    def _not_after(self, node: int, latest: float, gradient: FloatArray) -> NDArray[np.int64]:
+        """Eq. (3) and (8), linearised: no configuration passes `node` later than it may."""
+        left = latest - self.motion.times[:, :node].sum(axis=1)
+        late = np.full(left.shape, self.late)
+        slopes = (self.unknowns.z[:, : node + 1], _until(gradient, node))
+        return self.below.add(left, slopes, (late, -1.0))
+
+    def _not_before(self, node: int, earliest: float, gradient: FloatArray) -> NDArray[np.int64]:
+        """Nor earlier: the tangent of a constraint that is not convex."""
+        over = self.motion.times[:, :node].sum(axis=1) - earliest
+        late = np.full(over.shape, self.late)
+        slopes = (self.unknowns.z[:, : node + 1], -_until(gradient, node))
+        return self.below.add(over, slopes, (late, -1.0))
 
     def _motion(self, weight: FloatArray) -> NDArray[np.int64]:
         """Eq. (2), linearised about the plan; its dual is the costate."""
@@ -258,8 +309,8 @@ class _Round:
             (unknowns.braking, push),
         )
 
-    def _time(self) -> tuple[FloatArray, sp.csc_array]:
-        """Gradient of the running time by the changes, and its priced second derivatives.
+    def _time(self, running_time: float) -> tuple[FloatArray, sp.csc_array]:
+        """Gradient of each cell's time by the changes, and the priced second derivatives.
 
         With ``t = 2 ds / (v + v')`` a cell: the gradient is ``-t / (v + v')`` by either speed, the
         Hessian a square of the sum of both changes plus, as ``v`` is concave in ``z``, a square
@@ -270,12 +321,15 @@ class _Round:
         slope = 2.0 * step / total**2
         # A fixed node at standstill does not move; elsewhere dv = dz / v.
         ratio = np.where(speed > 0.25 * SLOW, self.scale / np.maximum(speed, 0.25 * SLOW), 0.0)
+        spent = float(self.problem.step @ self.plan.traction) / running_time
+        highest = float(self.price.max())
+        least = max(_LEAST_SHARE * highest, _LEAST_POWER * spent)
+        price = np.maximum(self.price, least)
         both = np.zeros_like(speed)
-        both[:, :-1] += slope
-        both[:, 1:] += slope
-        price = np.maximum(self.price, _LEAST_SHARE * self.price.max())[:, None]
+        both[:, :-1] += price * slope
+        both[:, 1:] += price * slope
         pair = price * 2.0 * slope / total
-        bend = price * both / np.maximum(speed, 0.25 * SLOW)
+        bend = both / np.maximum(speed, 0.25 * SLOW)
         bend[:, :-1] += pair
         bend[:, 1:] += pair
         cross_terms = (pair * ratio[:, :-1] * ratio[:, 1:]).ravel()
@@ -283,7 +337,8 @@ class _Round:
         values = np.concatenate(((bend * ratio**2).ravel(), cross_terms, cross_terms))
         rows = np.concatenate((z.ravel(), here, there))
         columns = np.concatenate((z.ravel(), there, here))
-        return -both * ratio, sp.csc_array((values, (rows, columns)), shape=(size, size))
+        gradient = np.stack((-slope * ratio[:, :-1], -slope * ratio[:, 1:]))
+        return gradient, sp.csc_array((values, (rows, columns)), shape=(size, size))
 
     def _speeds(self, radius: float) -> None:
         """Speed limits, initial and final speed, and the region where the model is trusted."""
@@ -291,6 +346,7 @@ class _Round:
         nearer = np.maximum(self.speed - radius * self.scale, 0.5 * self.speed)
         low = np.maximum(0.5 * nearer**2, _FLOOR)
         high = np.minimum(problem.ceiling, 0.5 * (self.speed + radius * self.scale) ** 2)
+        low = np.maximum(low, problem.floor)
         low[:, 0] = high[:, 0] = problem.initial
         low[:, -1], high[:, -1] = 0.0, problem.final_ceiling
         self.unknowns.low[self.unknowns.z] = (low - z) / self.scale
@@ -319,6 +375,24 @@ class _Round:
         slope = power * (self.scale[a, nodes] / v**3)[at]
         change = self.unknowns.z[a, nodes][at]
         return a, at, self.below.add(power / v[at], (effort[at], 1.0), (change, slope))
+
+
+def _until(gradient: FloatArray, node: int) -> FloatArray:
+    """Gradient of the time up to a node by the changes up to there, from that of every cell."""
+    found = np.zeros((gradient.shape[1], node + 1))
+    found[:, :-1] += gradient[0, :, :node]
+    found[:, 1:] += gradient[1, :, :node]
+    return found
+
+
+def _by_point(
+    duals: FloatArray, told: list[tuple[int, NDArray[np.int64]]], shape: tuple[int, int]
+) -> FloatArray:
+    """Duals of the rows by configuration and passing point."""
+    found = np.zeros(shape)
+    for number, rows in told:
+        found[:, number] = np.maximum(duals[rows], 0.0)
+    return found
 
 
 def _gathered(duals: FloatArray, told: list[_Limited], shape: tuple[int, int]) -> FloatArray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import asdict
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,16 @@ from analysis.trajectory.phases import phases_by_control, spelled
 from analysis.trajectory.problem import Braking, Objective, Problem, Run, discretise
 from analysis.trajectory.referee import second_opinion
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
-from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
+from trainlog.railway import Configuration, Line, TimingPoint, TrackConditionMap, Train, Trajectory
+from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
 FEWEST_CELLS, MOST_CELLS = 20, 20_000
 """Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
+
+SLACKEST = 5.0
+"""Times the least time, beyond which a timetable is refused."""
 
 SCOUTING_CELLS = 120
 """Of the coarse grid on which the active configurations are found."""
@@ -58,6 +63,9 @@ def optimise(
     layer: str = "wet",
     sigmas: float = 2.0,
     protected_length: float = 0.0,
+    weights: Sequence[float] = (),
+    windows: Sequence[TimingPoint] = (),
+    direction: Literal["forward", "reverse"] = "forward",
     cells: int = 500,
     referee: bool = False,
 ) -> Trajectory:
@@ -80,9 +88,13 @@ def optimise(
     initial_speed, final_speed : float [m/s]
     braking : {"recourse", "common"}
         Each configuration brakes for itself, or all brake alike as the paper has it.
-    objective : {"wheel", "line"}
+    objective : {"wheel", "line", "expected"}
         Energy at the wheel rims without regeneration, as the paper has it; or energy from the
-        line with the train's efficiencies and its dynamic brake.
+        line with the train's efficiencies and its dynamic brake, of the worst configuration or as
+        expected with `weights`. All configurations then have a say: it takes as long as they are
+        many.
+    weights : sequence of float
+        Of the configurations, for the expected energy; equal without them.
     condition_map : TrackConditionMap, optional
         Limits efforts to the adhesion that the map cautiously promises where it was observed.
     layer : str
@@ -91,6 +103,12 @@ def optimise(
         Standard deviations taken off the map's estimate.
     protected_length : float [m]
         Length of train that a speed limit protects: 0 for its front, ``train.length`` for all.
+    windows : sequence of TimingPoint
+        When and how fast it may pass points on the way; times count from the start of the run.
+        Earlier than asked is not convex: a bound leaves it out, and is lower where it decides.
+    direction : {"forward", "reverse"}
+        Of travel against the chainage of the line's file. `line` is given in the direction of
+        travel all the same (`Line.reversed`), and so is every position here.
     cells : int
         Cells of the grid, about; a line with many breakpoints gets more.
     referee : bool
@@ -120,7 +138,8 @@ def optimise(
     run = Run(
         line, train, tuple(configurations), start, line.length if end is None else end,
         initial_speed, final_speed, braking, objective,
-        condition_map, layer, sigmas, protected_length,
+        condition_map, layer, sigmas, protected_length, tuple(windows),
+        tuple(weights),
     )  # fmt: skip
     fastest = fastest_run(run)
     slowest = int(np.argmax(fastest.times))
@@ -149,6 +168,7 @@ def optimise(
         tractive_effort=traction,
         braking_effort=brakes,
         running_time=running_time,
+        direction=direction,
         certificate=certificate,
         provenance={
             "method": "cone relaxation and sequential quadratic programs, paper 002",
@@ -159,8 +179,10 @@ def optimise(
                 "final_speed": final_speed,
                 "braking": braking,
                 "objective": objective,
+                "weights": list(run.weights),
                 "adhesion": None if condition_map is None else {"layer": layer, "sigmas": sigmas},
                 "protected_length": protected_length,
+                "windows": [asdict(point) for point in run.windows],
                 "cells": cells,
             },
         },
@@ -242,6 +264,13 @@ def _check_time(run: Run, fastest: Envelope, running_time: float) -> None:
     """Refuse a timetable that the slowest configuration cannot keep by itself."""
     slowest = int(np.argmax(fastest.times))
     least = float(fastest.times[slowest])
+    if running_time > SLACKEST * least:
+        raise InputError(
+            f"trajectory: a running time of {running_time:.1f} s is"
+            f" {running_time / least:.3g} times the least, {least:.1f} s: a train that slow would"
+            " stand on the way",
+            remedy=f"give at most {SLACKEST * least:.0f} s, and let it wait at a station",
+        )
     if running_time < least:
         late = [
             configuration.name
@@ -255,6 +284,40 @@ def _check_time(run: Run, fastest: Envelope, running_time: float) -> None:
             f" ({len(late)} of {len(run.configurations)} configurations would be late)",
             remedy=f"allow at least {np.ceil(least):.0f} s",
         )
+    _check_windows(run, fastest, running_time)
+
+
+def _check_windows(run: Run, fastest: Envelope, running_time: float) -> None:
+    """Refuse windows that a configuration cannot keep even on its fastest run."""
+    times = fastest.times_at([point.position for point in run.windows])
+    for point, found in zip(run.windows, times.T, strict=True):
+        slowest = int(np.argmax(found))
+        name, place = run.configurations[slowest].name, f"km {point.position / 1e3:.3f}"
+        if point.latest is not None and found[slowest] > point.latest:
+            raise InfeasibleError(
+                f"configuration '{name}' passes {place} after {found[slowest]:.1f} s at the"
+                f" earliest, {found[slowest] - point.latest:.1f} s after its window closes",
+                remedy=f"let it pass until {np.ceil(found[slowest]):.0f} s after departure",
+            )
+        left = running_time - (point.earliest or 0.0) - (fastest.times - found)
+        slowest = int(np.argmin(left))
+        if left[slowest] < 0.0:
+            raise InfeasibleError(
+                f"configuration '{run.configurations[slowest].name}' needs at least"
+                f" {fastest.times[slowest] - found[slowest]:.1f} s from {place} to the end;"
+                f" passed after {point.earliest or 0.0:.1f} s or later, {-left[slowest]:.1f} s are"
+                " missing",
+                remedy="let it pass earlier, or arrive later",
+            )
+        speeds = fastest.at(np.array([point.position]))[:, 0]
+        slowest = int(np.argmin(speeds))
+        if point.lowest_speed is not None and speeds[slowest] < point.lowest_speed:
+            raise InfeasibleError(
+                f"configuration '{run.configurations[slowest].name}' passes {place} at"
+                f" {KMH * speeds[slowest]:.1f} km/h at most, {KMH * point.lowest_speed:.1f} km/h"
+                " are asked for",
+                remedy="lower what is asked for",
+            )
 
 
 def _certificate(
@@ -267,8 +330,10 @@ def _certificate(
 ) -> dict[str, Any]:
     """What was found, how, and how good it is; plain numbers, energies in joules."""
     run, solution = problem.run, answer.solution
-    energies = rollout.line_energy if run.objective == "line" else rollout.wheel_energy
+    energies = rollout.line_energy if run.at_line else rollout.wheel_energy
     energy, bound = float(energies.max()), lower[0] * problem.reference
+    if run.objective == "expected":
+        energy = float(problem.weights @ energies)
     gap = energy / bound - 1.0
     names = [configuration.name for configuration in run.configurations]
     return {
@@ -276,7 +341,8 @@ def _certificate(
         "lower_bound": bound,
         "gap": gap,
         "certified": gap <= GAP_TOLERANCE,
-        "bound_holds_for": "the problem cut into these cells",
+        "bound_holds_for": "the problem cut into these cells"
+        + (", early passing allowed" if np.isfinite(problem.earliest).any() else ""),
         "wheel_energy": rollout.wheel_energy.tolist(),
         "line_energy": rollout.line_energy.tolist(),
         "hardest": names[int(np.argmax(rollout.arrival))],
@@ -294,6 +360,7 @@ def _certificate(
             "effort": float(rollout.effort.max()),
             "braking": float(rollout.braking.max()),
             "adhesion": float(rollout.adhesion.max()),
+            **_passings(run, rollout),
         },
         "solver": {
             "statuses": list(answer.statuses),
@@ -304,8 +371,9 @@ def _certificate(
         "active": [names[row] for row in answer.active],
         "time_price": {
             names[row]: float(price) * problem.reference
-            for row, price in zip(answer.active, solution.time_price, strict=True)
+            for row, price in zip(answer.active, solution.multipliers.time, strict=True)
         },
+        "departure_price": float(solution.departure_price.sum()) * problem.reference,
         "grid": {
             "cells": problem.shape[1],
             "shortest": float(problem.step.min()),
@@ -314,6 +382,14 @@ def _certificate(
         "switching": solution.switching.tolist(),
         "phases": _phases(problem, answer),
     }
+
+
+def _passings(run: Run, rollout: Audit) -> dict[str, float]:
+    """The worst that the audit found at the passing points, where there are any."""
+    if not run.windows:
+        return {}
+    worst = {"early": rollout.early, "tardy": rollout.tardy, "slow": rollout.slow}
+    return {name: float(values.max()) for name, values in worst.items() if values.max() > -np.inf}
 
 
 def _refereed(problem: Problem, answer: Answer, running_time: float) -> dict[str, Any]:

@@ -89,6 +89,18 @@ def duration(problem: Problem, plan: Plan) -> float:
     return float(cell_times(problem, plan).sum(axis=1).max())
 
 
+def delays(problem: Problem, plan: Plan, running_time: float) -> tuple[FloatArray, FloatArray]:
+    """How late and how early each configuration is at worst [s], (q,) arrays; negative if in time.
+
+    At the end, and at the passing points.
+    """
+    times = np.cumsum(cell_times(problem, plan), axis=1)
+    passing = times[:, problem.passed - 1]
+    late = np.column_stack((times[:, -1] - running_time, passing - problem.latest))
+    early = np.column_stack((np.full(times.shape[0], -np.inf), problem.earliest - passing))
+    return late.max(axis=1), early.max(axis=1)
+
+
 def cell_times(problem: Problem, plan: Plan) -> FloatArray:
     """Time [s] of each configuration in each cell, (q, n)."""
     return cross(problem, plan)[1]
@@ -125,15 +137,19 @@ def realise(problem: Problem, plan: Plan) -> Plan:
 
     With common braking the efforts are applied as they are. Otherwise each configuration makes the
     best of the common traction and brakes as late as it may; unless this would return less energy
-    to the line than the worst planned, then it keeps to the planned speeds.
+    to the line than the worst planned, or it must not pass too early: then it keeps to the planned
+    speeds.
     """
     driven = drive(problem, plan)
     if problem.common:
         return driven
     riding = ride_along(problem, plan.traction, None)
-    if problem.run.objective == "line":
+    # Who brakes as late as possible may pass too early.
+    early = np.isfinite(problem.earliest).any()
+    if problem.run.at_line or early:
         planned, found = driven.dynamic @ problem.step, riding.dynamic @ problem.step
-        rows = found < planned.min()
+        least = planned if problem.run.objective == "expected" else planned.min()
+        rows = np.full(found.shape, early) | (found < least)
         for name in ("z", "braking", "dynamic"):
             getattr(riding, name)[rows] = getattr(driven, name)[rows]
     return riding

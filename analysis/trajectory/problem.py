@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -20,14 +21,17 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.dynamics import SUBSTEPS
 from trainlog.errors import InputError
-from trainlog.railway import Configuration, Line, StepProfile, TrackConditionMap, Train
+from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
 from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
 Braking = Literal["recourse", "common"]
-Objective = Literal["wheel", "line"]
+Objective = Literal["wheel", "line", "expected"]
 
 _BULGE_PARTS = 16
+
+_SLOWEST = 1.0 / KMH
+"""Least speed that must be permitted everywhere [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +53,10 @@ class Run:
     objective : str
         ``"wheel"``: energy at the wheel rims without regeneration, paper 002, eq. (9).
         ``"line"``: energy taken from the line with efficiencies and regeneration, of the worst
-        configuration, eq. (1).
+        configuration, eq. (1). ``"expected"``: the same, as the mean of the configurations by
+        their weights; all of them keep timetable and limits nevertheless.
+    weights : tuple of float
+        Of the configurations, for the expected energy; equal ones if empty.
     condition : TrackConditionMap or None
     layer : str
         Rail condition to read from the map.
@@ -57,6 +64,8 @@ class Run:
         How cautiously the map is read: the estimate less this many standard deviations.
     protected_length : float [m]
         Length of train to which a speed limit applies; 0 for its front alone.
+    windows : tuple of TimingPoint
+        Where it passes on the way, when and how fast; times count from the start of the run.
     """
 
     line: Line
@@ -72,6 +81,8 @@ class Run:
     layer: str = "wet"
     sigmas: float = 2.0
     protected_length: float = 0.0
+    windows: tuple[TimingPoint, ...] = ()
+    weights: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         line, where = self.line, f"run on line '{self.line.name}'"
@@ -91,8 +102,15 @@ class Run:
         if self.braking not in get_args(Braking) or self.objective not in get_args(Objective):
             raise InputError(
                 f"{where}: no such braking '{self.braking}' or objective '{self.objective}'",
-                remedy="braking is 'recourse' or 'common', objective 'wheel' or 'line'",
+                remedy="braking is 'recourse' or 'common', objective 'wheel', 'line' or 'expected'",
             )
+        if not (0.0 <= self.protected_length < np.inf):
+            raise InputError(
+                f"{where}: a protected length of {self.protected_length} m makes no sense",
+                remedy="give 0 for the train's front, or the train's length",
+            )
+        self._check_windows(where)
+        self._check_weights(where)
         limit = float(self.permitted_speed(np.array([self.start]))[0])
         if self.initial_speed > limit:
             raise InputError(
@@ -110,6 +128,71 @@ class Run:
                 f" {self.condition.length / 1e3:.3f} km",
                 remedy="give the map of this line and direction",
             )
+        self._check_limits(where)
+
+    def _check_windows(self, where: str) -> None:
+        """Refuse passing points that are none, or out of order."""
+        places = [self.start, *(point.position for point in self.windows), self.end]
+        # The last may be the end itself: no configuration arrives earlier than that.
+        if self.windows and self.windows[-1].position == self.end:
+            places.pop()
+        for before, place in pairwise(places):
+            if not before < place:
+                raise InputError(
+                    f"{where}: the passing point at km {place / 1e3:.3f} does not come after"
+                    f" km {before / 1e3:.3f}",
+                    remedy="order the points by position, between the start and the end",
+                )
+        for point in self.windows:
+            if point.highest_speed == 0.0:
+                raise InputError(
+                    f"{where}: the train stands at km {point.position / 1e3:.3f}, in the run",
+                    remedy="a stop is where one run ends and the next begins: give a journey",
+                )
+
+    def _check_weights(self, where: str) -> None:
+        """Refuse weights that are no probabilities of these configurations."""
+        weights = np.array(self.weights)
+        if not self.weights:
+            return
+        if weights.size != len(self.configurations) or not np.all(weights >= 0.0):
+            raise InputError(
+                f"{where}: {weights.size} weights for {len(self.configurations)} configurations",
+                remedy="give one for each, none negative",
+            )
+        if not (np.isfinite(weights.sum()) and weights.sum() > 0.0):
+            raise InputError(f"{where}: the weights add up to {weights.sum()}")
+
+    def _check_limits(self, where: str) -> None:
+        """Refuse a limit below walking pace, and a map that cannot be read as asked."""
+        positions = self.breakpoints
+        limit = self.permitted_speed(0.5 * (positions[:-1] + positions[1:]))
+        if limit.min() < _SLOWEST:
+            raise InputError(
+                f"{where}: {KMH * limit.min():.2f} km/h permitted at"
+                f" km {positions[int(np.argmin(limit))] / 1e3:.3f} is no speed to run at",
+                remedy=f"permit at least {KMH * _SLOWEST:.0f} km/h, or end the run there",
+            )
+        if self.condition is None:
+            return
+        if not (0.0 <= self.sigmas < np.inf):
+            raise InputError(
+                f"{where}: {self.sigmas} standard deviations off the map make no sense",
+                remedy="give 0 or more",
+            )
+        bins = self.condition.lower_bound(self.layer, self.condition.centres, self.sigmas)
+        wrong = np.flatnonzero(~(bins > 0.0))
+        if wrong.size:
+            raise InputError(
+                f"{where}: the track-condition map tells no adhesion at"
+                f" km {self.condition.centres[wrong[0]] / 1e3:.3f}, which it says was observed",
+                remedy="build the map again; places not observed are left out, not guessed",
+            )
+
+    @property
+    def at_line(self) -> bool:
+        """Whether energy counts at the line, not at the wheel."""
+        return self.objective != "wheel"
 
     @property
     def limits(self) -> StepProfile:
@@ -133,7 +216,12 @@ class Run:
     def breakpoints(self) -> FloatArray:
         """Positions [m] from start to end at which something about the line changes."""
         points = np.concatenate(
-            (self.line.breakpoints, self.limits.positions, _inflections(self.line))
+            (
+                self.line.breakpoints,
+                self.limits.positions,
+                _inflections(self.line),
+                [point.position for point in self.windows],
+            )
         )
         inside = points[(points > self.start) & (points < self.end)]
         return np.unique(np.concatenate(([self.start], inside, [self.end])))
@@ -180,8 +268,16 @@ class Problem:
     friction, dynamic : (q, n) array [m/s²]
         What each kind of brake can do.
     dynamic_power : float [W/kg]
+    weights : (q,) array
+        Of the configurations in the expected energy; they add up to 1.
     initial, final : float [m²/s²]
         ``z`` at the start, and the most it may be at the end; eq. (8).
+    floor : (n + 1,) array [m²/s²]
+        Least ``z`` at the nodes; above 0 only where the train must pass fast enough.
+    passed : (p,) array of int
+        Nodes of the passing points.
+    earliest, latest : (p,) array [s]
+        When they may be passed; infinite where there is no bound.
     """
 
     run: Run
@@ -202,6 +298,11 @@ class Problem:
     dynamic_power: float
     initial: float
     final: float
+    floor: FloatArray
+    passed: NDArray[np.int64]
+    earliest: FloatArray
+    latest: FloatArray
+    weights: FloatArray
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -230,7 +331,8 @@ class Problem:
         arrays: dict[str, Any] = {
             name: getattr(self, name)[chosen]
             for name in (
-                "gain", "drag0", "drag1", "drag2", "power", "braking", "friction", "dynamic"
+                "gain", "drag0", "drag1", "drag2", "power", "braking", "friction", "dynamic",
+                "weights"
             )
         }  # fmt: skip
         configurations = tuple(self.run.configurations[row] for row in chosen)
@@ -304,6 +406,12 @@ def discretise(run: Run, positions: FloatArray) -> Problem:
     highest = np.maximum(np.append(bulge, 0.0), np.insert(bulge, 0, 0.0))
     ceiling = 0.5 * lowest**2 - highest
     ceiling[0] = max(ceiling[0], 0.5 * run.initial_speed**2)
+    passed = np.searchsorted(positions, [point.position for point in run.windows])
+    floor = np.zeros(positions.size)
+    for node, point in zip(passed.tolist(), run.windows, strict=True):
+        if point.highest_speed is not None:
+            ceiling[node] = min(ceiling[node], 0.5 * point.highest_speed**2)
+        floor[node] = 0.5 * (point.lowest_speed or 0.0) ** 2
     efforts = effort_limits(run, positions)
     return Problem(
         run=run,
@@ -324,7 +432,21 @@ def discretise(run: Run, positions: FloatArray) -> Problem:
         dynamic_power=train.max_dynamic_braking_power / reference,
         initial=0.5 * run.initial_speed**2,
         final=0.5 * run.final_speed**2,
+        floor=floor,
+        passed=passed.astype(np.int64),
+        earliest=_bounds([point.earliest for point in run.windows], -np.inf),
+        latest=_bounds([point.latest for point in run.windows], np.inf),
+        weights=_probabilities(run),
     )
+
+
+def _probabilities(run: Run) -> FloatArray:
+    weights = np.array(run.weights or np.ones(len(run.configurations)))
+    return np.asarray(weights / weights.sum())
+
+
+def _bounds(values: Sequence[float | None], without: float) -> FloatArray:
+    return np.array([without if value is None else value for value in values], dtype=np.float64)
 
 
 def _bulge(run: Run, positions: FloatArray) -> FloatArray:

@@ -63,7 +63,7 @@ def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinio
     rules: list[tuple[Any, float, float]] = []  # expression, least, most
     cell = _cell().map(n)
     bulge = ca.DM(problem.bulge)
-    train = problem.run.train
+    train, expected = problem.run.train, ca.MX(0.0)
     for a in range(q):
         brakes = braking[:, 0 if problem.common else a]
         reached, times = cell(
@@ -75,6 +75,12 @@ def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinio
             problem.step,
         )
         rules += [(reached.T - z[1:, a], 0.0, 0.0), (ca.sum2(times), -np.inf, running_time)]
+        rules += [
+            (ca.sum2(times[:, : int(node)]), float(earliest), float(latest))
+            for node, earliest, latest in zip(
+                problem.passed, problem.earliest, problem.latest, strict=True
+            )
+        ]
         for nodes in (slice(0, n), slice(1, n + 1)):
             at = power_cells(problem, problem.power[a], problem.traction).tolist()
             v = _speed(z[nodes, a] + bulge)
@@ -85,11 +91,15 @@ def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinio
         spent = ca.dot(problem.step, traction)
         if dynamic.numel():
             rules.append((brakes - dynamic[:, a], 0.0, problem.friction[a]))
-        if problem.run.objective == "line":
+        regained: Any = 0.0
+        if problem.run.at_line:
+            spent = spent / train.efficiency_traction
             regained = ca.dot(problem.step, dynamic[:, a]) * train.efficiency_regeneration
-            rules.append((worst - spent / train.efficiency_traction + regained, 0.0, np.inf))
-        else:
-            rules.append((worst - spent, 0.0, np.inf))
+            expected += problem.weights[a] * (spent - regained)
+        if problem.run.objective != "expected":
+            rules.append((worst - spent + regained, 0.0, np.inf))
+    if problem.run.objective == "expected":
+        rules.append((worst - expected, 0.0, np.inf))
     unknowns, low, high, first = _bounded(problem, start, z, traction, braking, dynamic, worst)
     return _solved(problem, worst, unknowns, rules, low, high, first)
 
@@ -129,7 +139,7 @@ def _bounded(
 ) -> tuple[Any, FloatArray, FloatArray, FloatArray]:
     """All unknowns in one vector, with their bounds and where they start."""
     q, n = problem.shape
-    low_z = np.full((q, n + 1), _FLOOR)
+    low_z = np.tile(np.maximum(problem.floor, _FLOOR), (q, 1))
     high_z = np.tile(problem.ceiling, (q, 1))
     low_z[:, 0] = high_z[:, 0] = problem.initial
     low_z[:, n], high_z[:, n] = 0.0, problem.final_ceiling

@@ -86,9 +86,13 @@ class Relaxation:
         self._power()
         self.cost, _ = energy_cost(problem, self.unknowns, self.below)
         last = np.full(q, self.longest)
-        self.arrival = self.below.add(
-            np.zeros(q), (self.tau, 2.0 * problem.step / self.total), (last, -1.0)
-        )
+        seconds = 2.0 * problem.step / self.total
+        self.arrival = self.below.add(np.zeros(q), (self.tau, seconds), (last, -1.0))
+        self.passing = [
+            self.below.add(np.full(q, latest), (self.tau[:, :node], seconds[:, :node]))
+            for node, latest in zip(problem.passed.tolist(), problem.latest.tolist(), strict=True)
+            if latest < np.inf
+        ]
 
     def least_energy(self, running_time: float) -> Relaxed:
         """Minimise the worst-case energy within `running_time` [s].
@@ -105,7 +109,8 @@ class Relaxation:
         traction = np.maximum(found.unknowns[unknowns.traction], 0.0)
         braking = np.maximum(found.unknowns[unknowns.braking], 0.0)
         plan = Plan(z, traction, braking, dynamic_share(problem, z, braking))
-        price = np.maximum(found.below[self.arrival], 0.0)
+        rows = [self.arrival, *self.passing]
+        price = np.sum([np.maximum(found.below[each], 0.0) for each in rows], axis=0)
         return Relaxed(found.value, plan, price, found.status)
 
     def least_time(self) -> float:
@@ -146,6 +151,8 @@ class Relaxation:
             (w[:, 1:], linear * self.scale[:, 1:]),
         )
         unknowns.high[z[:, 1:]] = (ceiling / half)[:, 1:]
+        unknowns.low[z[:, 1:]] = (problem.floor / half)[:, 1:]
+        unknowns.low[w[:, 1:]] = (np.sqrt(2.0 * problem.floor) / self.scale)[:, 1:]
         unknowns.low[z[:, 0]] = unknowns.high[z[:, 0]] = problem.initial / half[:, 0]
         speed = np.sqrt(2.0 * problem.initial) / self.scale[:, 0]
         unknowns.low[w[:, 0]] = unknowns.high[w[:, 0]] = speed

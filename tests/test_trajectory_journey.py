@@ -1,0 +1,174 @@
+"""Passing points and journeys: windows are kept, prices agree, what cannot be is explained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trajectory_world import FLIRT, KMH, drawn, hilly_line, observed
+
+from analysis.trajectory import optimise, optimise_journey
+from analysis.trajectory.journey import sections_of
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.ttobench import read_journey, read_track
+from trainlog.railway import Journey, TimingPoint, Trajectory
+
+LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
+OPTIONS = {"running_time": 450.0, "cells": 150}
+PLACE = 6_000.0
+
+
+def run(*windows: TimingPoint, **options: object) -> Trajectory:
+    question: dict[str, object] = {**OPTIONS, **options}
+    return optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), windows=windows, **question)  # type: ignore[arg-type]
+
+
+def passing(found: Trajectory, place: float = PLACE) -> tuple[float, float]:
+    node = int(np.flatnonzero(found.positions == place)[0])
+    return float(found.times[0, node]), float(found.speeds[0, node])
+
+
+@pytest.fixture(scope="module")
+def free() -> Trajectory:
+    return run(TimingPoint(PLACE))
+
+
+def test_a_point_without_windows_changes_nothing(free: Trajectory) -> None:
+    assert free.certificate["energy"] == pytest.approx(run().certificate["energy"], rel=2e-4)
+
+
+@pytest.mark.parametrize("change", [-15.0, 15.0])
+def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> None:
+    time = passing(free)[0] + change
+    bound = {"latest": time} if change < 0.0 else {"earliest": time}
+    found = run(TimingPoint(PLACE, **bound), referee=True)
+    assert passing(found)[0] == pytest.approx(time, abs=1e-3)
+    certificate = found.certificate
+    assert certificate["energy"] > 1.001 * free.certificate["energy"]
+    assert certificate["referee"]["status"] in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+    assert abs(certificate["referee"]["difference"]) <= 2e-5
+    # A latest time is convex and within the bound; an earliest is not, and the bound says so.
+    if change < 0.0:
+        assert certificate["gap"] <= 1e-3
+    else:
+        assert "early passing allowed" in certificate["bound_holds_for"]
+        assert certificate["lower_bound"] <= free.certificate["energy"]
+
+
+def test_windows_of_speed_are_kept_and_certified(free: Trajectory) -> None:
+    speed = passing(free)[1]
+    fast = run(TimingPoint(PLACE, lowest_speed=speed + 2.0))
+    slow = run(TimingPoint(PLACE, highest_speed=speed - 5.0))
+    assert passing(fast)[1] >= speed + 2.0 - 1e-5
+    assert passing(slow)[1] <= speed - 5.0 + 1e-5
+    for found in (fast, slow):
+        assert found.certificate["energy"] > free.certificate["energy"]
+        assert found.certificate["gap"] <= 1e-3
+
+
+def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
+    configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
+    time = passing(free)[0]
+    window = TimingPoint(PLACE, earliest=time, latest=time + 5.0)
+    found = optimise(
+        hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=150
+    )
+    node = int(np.flatnonzero(found.positions == PLACE)[0])
+    assert np.all(found.times[:, node] >= time - 1e-4)
+    assert np.all(found.times[:, node] <= time + 5.0 + 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("window", "words"),
+    [
+        (TimingPoint(PLACE, latest=150.0), r"after \d+\.\d s at the earliest, .* window closes"),
+        (TimingPoint(PLACE, earliest=440.0), r"needs at least \d+\.\d s from km 6\.000"),
+        (TimingPoint(PLACE, lowest_speed=40.0), r"km/h at most, 144\.0 km/h are asked for"),
+    ],
+)
+def test_windows_that_cannot_be_kept_are_explained(window: TimingPoint, words: str) -> None:
+    with pytest.raises(InfeasibleError, match=words):
+        run(window)
+
+
+@pytest.mark.parametrize(
+    ("windows", "words"),
+    [
+        ((TimingPoint(5_000.0), TimingPoint(4_000.0)), "does not come after km 5.000"),
+        ((TimingPoint(9_000.0),), "does not come after"),
+        ((TimingPoint(4_000.0, highest_speed=0.0),), "stands at km 4.000, in the run"),
+    ],
+)
+def test_passing_points_that_are_none_are_refused(
+    windows: tuple[TimingPoint, ...], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        run(*windows)
+
+
+def stop(place: float, earliest: float | None = None, latest: float | None = None) -> TimingPoint:
+    return TimingPoint(place, earliest, latest, 0.0, 0.0)
+
+
+def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> None:
+    journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
+    options = {"dwell": 30.0, "reserve": 0.12, "cells": 150}
+    plan = optimise_journey(hilly_line(), FLIRT, observed(FLIRT, 1.0), journey, **options)  # type: ignore[arg-type]
+    assert plan.departures[1] >= plan.arrivals[0] + 30.0 - 1e-6
+    least = sum(plan.certificate["least_running_times"])
+    assert plan.arrivals[-1] == pytest.approx(30.0 + 1.12 * least)
+    prices = [sum(each.certificate["time_price"].values()) for each in plan.sections]
+    assert prices[0] == pytest.approx(prices[1], rel=0.15)
+    assert plan.certificate["other_times_might_save"] <= 2e-4
+    # Any other share costs more.
+    for shift in (-6.0, 6.0):
+        parts = [
+            optimise(
+                hilly_line(), FLIRT, observed(FLIRT, 1.0), start=start, end=end,
+                running_time=time, cells=150,
+            ).certificate["energy"]
+            for start, end, time in (
+                (0.0, 5_000.0, plan.arrivals[0] + shift),
+                (5_000.0, 8_000.0, plan.arrivals[1] - plan.departures[1] - shift),
+            )
+        ]  # fmt: skip
+        assert sum(parts) > plan.certificate["energy"]
+
+
+def test_arrivals_keep_their_windows_at_both_ends() -> None:
+    points = (stop(0.0, 0.0, 0.0), stop(5_000.0, 250.0, 260.0), stop(5_000.0, 290.0, 300.0),
+              stop(8_000.0, None, 470.0))  # fmt: skip
+    journey = Journey("timed", "hilly", points)
+    configurations = observed(FLIRT, 0.9, 1.1)
+    plan = optimise_journey(hilly_line(), FLIRT, configurations, journey, cells=150)
+    arrivals = plan.departures[0] + plan.sections[0].times[:, -1]
+    assert np.all((arrivals >= 250.0 - 1e-3) & (arrivals <= 260.0 + 1e-3))
+    assert 290.0 - 1e-6 <= plan.departures[1] <= 300.0 + 1e-6
+    assert plan.departures[1] + plan.sections[1].times[:, -1].max() <= 470.0 + 1e-3
+
+
+def test_journeys_that_cannot_be_are_explained() -> None:
+    train = (hilly_line(), FLIRT, observed(FLIRT, 1.0))
+    points = (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0, None, 300.0))
+    with pytest.raises(InfeasibleError, match=r"is at km 8\.000 after \d+\.\d s at the earliest"):
+        optimise_journey(*train, Journey("late", "hilly", points))
+    with pytest.raises(InputError, match="is on line 'other', not on 'hilly'"):
+        optimise_journey(*train, Journey("else", "other", points))
+    with pytest.raises(InputError, match=r"ends at km 9\.000, the line at km 8\.000"):
+        optimise_journey(*train, Journey("long", "hilly", (*points[:2], stop(9_000.0))))
+    with pytest.raises(InputError, match="more than an arrival and a departure"):
+        sections_of(Journey("thrice", "hilly", (points[0], *[points[1]] * 3, points[2])))
+
+
+@pytest.mark.skipif(not LIBRARY.exists(), reason=f"{LIBRARY} is not here")
+def test_the_library_journey_leaves_too_little_time_and_that_is_told() -> None:
+    journey = read_journey(LIBRARY / "journeys" / "CH_StGallen_Wil_Journey_01.json")
+    line = read_track(LIBRARY / "tracks" / "CH_StGallen_Wil.json")
+    first, second = sections_of(journey)
+    assert [point.position for point in first.passing] == [12_500.0]
+    assert second.departure.earliest == 800.0
+    # From km 20.0, passed after 1200 s, to the stop at km 29.6 after 1450 s: 138 km/h on average.
+    with pytest.raises(InfeasibleError, match=r"is at km 29\.556 .* 10\d\.\d s after"):
+        optimise_journey(line, FLIRT, observed(FLIRT, 1.0), journey)
+    assert max(line.speed_limits.values) * KMH < 145.0
