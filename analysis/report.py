@@ -16,6 +16,9 @@ from analysis.compare import JOULES_PER_KWH, Saving, savings
 from analysis.resistance import Fits
 from analysis.resistance.diagnostics import diagnosed
 from analysis.traction_map import summary
+from analysis.trajectory.advice import AdvicePoint
+from analysis.trajectory.front import Front
+from analysis.trajectory.journey import JourneyPlan
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
@@ -150,6 +153,8 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
     bound = f"at least {_kwh(certificate['lower_bound'])}"
     cells = f"{certificate['grid']['cells']} cells"
+    agreed = certificate.get("agreement", {})
+    shares = ", ".join(f"{name} {share:.2%}" for name, share in agreed.items())
     rows = (
         ("timetable", f"{trajectory.running_time:.1f} s, {reserve}"),
         ("configurations", deciding),
@@ -159,6 +164,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         ("speed over the limit", f"{_never(audit['overspeed']) * KMH:.5f} km/h"),
         ("power", f"{audit['power']:.6f} of the limit at most"),
         ("adhesion", _share(audit["adhesion"])),
+        ("controls as the maximum principle asks", shares or "not told"),
     )
     for row in rows:
         facts.add_row(*row)
@@ -179,6 +185,64 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         )
     rest = len(order) - LISTED
     return Group(facts, table, *([f"and {rest} more"] if rest > 0 else []))
+
+
+def front_table(front: Front) -> Table:
+    """Energy against running time, and what a second more saves."""
+    first = front.trajectories[0]
+    table = new_table(
+        f"Energy against running time on {first.line}, {first.train}",
+        *("running time", "reserve", "energy", "gap", "a second more saves"),
+    )
+    for each, price in zip(front.trajectories, front.prices, strict=True):
+        certificate = each.certificate
+        table.add_row(
+            f"{each.running_time:.1f} s",
+            f"{certificate['reserve']:.1%}",
+            _kwh(certificate["energy"]),
+            f"{certificate['gap']:.3%}",
+            f"{price / 3.6e3:.1f} Wh",
+        )
+    return table
+
+
+def journey_table(plan: JourneyPlan) -> Table:
+    """Sections of a journey: when, how much, and what a second is worth in each."""
+    certificate = plan.certificate
+    title = (
+        f"Journey {plan.journey.name} on {plan.journey.line}: {_kwh(certificate['energy'])}, at"
+        f" least {_kwh(certificate['lower_bound'])} at these times; other times might save"
+        f" {certificate['other_times_might_save']:.2%}"
+    )
+    table = new_table(
+        title, "from km", "departs", "to km", "arrives", "energy", "gap", "a second is worth"
+    )
+    for each, departs, arrives in zip(plan.sections, plan.departures, plan.arrivals, strict=True):
+        price = sum(each.certificate["time_price"].values())
+        table.add_row(
+            f"{each.positions[0] / 1e3:.3f}",
+            f"{departs:.1f} s",
+            f"{each.positions[-1] / 1e3:.3f}",
+            f"{arrives:.1f} s",
+            _kwh(each.certificate["energy"]),
+            f"{each.certificate['gap']:.3%}",
+            f"{price / 3.6e3:.1f} Wh",
+        )
+    return table
+
+
+def advice_table(points: Sequence[AdvicePoint]) -> Table:
+    """Driver advice: where to do what."""
+    table = new_table("Driver advice", "km", "time", "speed", "advice", "until")
+    for point in points:
+        table.add_row(
+            f"{point.position / 1e3:.3f}",
+            f"{point.time:.0f} s",
+            f"{KMH * point.speed:.0f} km/h",
+            point.phase.label,
+            f"{KMH * point.until:.0f} km/h",
+        )
+    return table
 
 
 def results_table(folder: Path) -> Group:

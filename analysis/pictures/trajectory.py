@@ -165,14 +165,20 @@ def _draw_efforts(
 def _draw_switching(axes: Axes, trajectory: Trajectory, switching: FloatArray) -> None:
     middle = 0.5 * (trajectory.positions[1:] + trajectory.positions[:-1]) / 1e3
     axes.plot(middle, switching, color=PURPLE, linewidth=1.2)
-    for level in (0.0, 1.0):
+    levels = trajectory.certificate.get("switching_levels", {"traction": 1.0, "braking": 0.0})
+    for level in levels.values():
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
     low, high = max(float(switching.min()), -0.5), min(float(switching.max()), 2.5)
     axes.set_ylim(min(low, -0.1) - 0.05, max(high, 1.2) + 0.05)
-    dress(
-        axes, x="", y="",
-        title="Switching function: above 1 full traction, 0 to 1 coasting, below 0 full braking",
-    )  # fmt: skip
+    above, below = levels["traction"], levels["braking"]
+    title = (
+        f"Switching function: above {above:.3g} full traction, below {below:.3g} braking,"
+        " coasting between"
+    )
+    if "agreement" in trajectory.certificate:
+        share = trajectory.certificate["agreement"]["traction"]
+        title += f"; traction agrees in {100.0 * share:.1f} % of the cells"
+    dress(axes, x="", y="", title=title)
 
 
 def _draw_gradient(axes: Axes, trajectory: Trajectory, line: Line) -> None:

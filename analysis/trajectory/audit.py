@@ -116,9 +116,7 @@ def audit(run: Run, positions: FloatArray, traction: FloatArray, braking: FloatA
     points = positions[:-1, None] + step[:, None] * (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(points))
     limit = run.permitted_speed(points)
-    adhesion = np.full(points.shape, np.inf)
-    if run.condition is not None:
-        adhesion = run.condition.lower_bound(run.layer, points, run.sigmas)
+    adhesion = run.adhesion_at(points)
     constants = np.array(
         [
             [

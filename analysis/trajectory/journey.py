@@ -200,7 +200,7 @@ def _fastest(
     options: dict[str, Any],
 ) -> FloatArray:
     """Time [s] from the departure to each passing point and to the arrival, of the slowest."""
-    known = {"braking", "layer", "sigmas", "protected_length"}
+    known = {"braking", "layer", "sigmas", "protected_length", "direction"}
     chosen: dict[str, Any] = {key: value for key, value in options.items() if key in known}
     chosen |= {**_ends(section), "condition": options.get("condition_map")}
     first, last = section.departure.position, section.arrival.position

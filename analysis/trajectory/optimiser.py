@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,16 @@ from analysis.trajectory.audit import SUBSTEPS, Audit, audit
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.mesh import graded_mesh
 from analysis.trajectory.pace import paced_run
-from analysis.trajectory.phases import phases_by_control, spelled
-from analysis.trajectory.problem import Braking, Objective, Problem, Run, discretise
+from analysis.trajectory.phases import agreement, phases_by_control, spelled
+from analysis.trajectory.problem import (
+    Braking,
+    Direction,
+    Objective,
+    Plan,
+    Problem,
+    Run,
+    discretise,
+)
 from analysis.trajectory.referee import second_opinion
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.railway import Configuration, Line, TimingPoint, TrackConditionMap, Train, Trajectory
@@ -65,7 +73,7 @@ def optimise(
     protected_length: float = 0.0,
     weights: Sequence[float] = (),
     windows: Sequence[TimingPoint] = (),
-    direction: Literal["forward", "reverse"] = "forward",
+    direction: Direction = "forward",
     cells: int = 500,
     referee: bool = False,
 ) -> Trajectory:
@@ -139,7 +147,7 @@ def optimise(
         line, train, tuple(configurations), start, line.length if end is None else end,
         initial_speed, final_speed, braking, objective,
         condition_map, layer, sigmas, protected_length, tuple(windows),
-        tuple(weights),
+        tuple(weights), direction,
     )  # fmt: skip
     fastest = fastest_run(run)
     slowest = int(np.argmax(fastest.times))
@@ -380,8 +388,37 @@ def _certificate(
             "longest": float(problem.step.max()),
         },
         "switching": solution.switching.tolist(),
+        "switching_levels": _levels(run),
+        "agreement": _agreement(problem, answer),
         "phases": _phases(problem, answer),
     }
+
+
+def _levels(run: Run) -> dict[str, float]:
+    """Above the one traction pays, below the other the brake."""
+    if not run.at_line:
+        return {"traction": 1.0, "braking": 0.0}
+    train = run.train
+    return {"traction": 1.0 / train.efficiency_traction, "braking": train.efficiency_regeneration}
+
+
+def _agreement(problem: Problem, answer: Answer) -> dict[str, float]:
+    """Share of the cells in which the controls are those that the switching function asks for.
+
+    The brake of each active configuration by its own part of the function; where the dynamic brake
+    feeds back it pays at two levels, and is left out.
+    """
+    run, solution, part = problem.run, answer.solution, problem.select(answer.active)
+    pull, brake = _most(part, solution.plan)
+    level = _levels(run)["traction"]
+    found = {"traction": agreement(solution.plan.traction, pull, solution.switching - level)}
+    if not run.at_line:
+        own = -solution.multipliers.pull / part.step
+        braking = solution.plan.braking
+        if problem.common:
+            own, braking, brake = own.sum(axis=0), braking[0], brake[0]
+        found["braking"] = agreement(braking, brake, own)
+    return found
 
 
 def _passings(run: Run, rollout: Audit) -> dict[str, float]:
@@ -405,15 +442,21 @@ def _refereed(problem: Problem, answer: Answer, running_time: float) -> dict[str
     }
 
 
-def _phases(problem: Problem, answer: Answer) -> list[str]:
-    """The phase of each cell for each configuration, one letter a cell."""
-    plan = answer.plan
+def _most(problem: Problem, plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """The most that common traction, (n,), and each brake, (q, n), can do at the plan's speeds."""
     fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge + 1e-9))
     pull = np.minimum(problem.traction, (problem.power[:, None] / fastest).min(axis=0))
     by_power = problem.dynamic_power / fastest
     brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
     if problem.common:
         brake = np.broadcast_to(brake.min(axis=0), brake.shape)
+    return pull, brake
+
+
+def _phases(problem: Problem, answer: Answer) -> list[str]:
+    """The phase of each cell for each configuration, one letter a cell."""
+    plan = answer.plan
+    pull, brake = _most(problem, plan)
     return [
         spelled(phases_by_control(plan.traction, plan.braking[row], pull, brake[row]))
         for row in range(problem.shape[0])

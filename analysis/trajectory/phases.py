@@ -78,6 +78,26 @@ def phases_by_switching(switching: FloatArray, band: float = 1e-3) -> NDArray[np
     return phase
 
 
+def agreement(
+    efforts: FloatArray, most: FloatArray, worth: FloatArray, band: float = 1e-3
+) -> float:
+    """Share of the cells in which an effort is what the maximum principle asks for.
+
+    Parameters
+    ----------
+    efforts, most : (..., n) array [N]
+        The effort and its limit, in the same unit.
+    worth : (..., n) array
+        Switching function less the level at which the effort begins to pay, its sign such that
+        the effort pays where it is positive.
+    band : float
+        Within this of the level the control is singular, and any effort agrees; part of the limit
+        that counts as nothing, or as all.
+    """
+    full, none = efforts >= (1.0 - band) * most, efforts <= band * most
+    return float(np.mean(np.where(worth > band, full, np.where(worth < -band, none, True))))
+
+
 def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
     """Phase of each cell for the configuration in `row`, as the certificate lists them.
 

@@ -26,6 +26,7 @@ from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
 Braking = Literal["recourse", "common"]
+Direction = Literal["forward", "reverse"]
 Objective = Literal["wheel", "line", "expected"]
 
 _BULGE_PARTS = 16
@@ -57,6 +58,8 @@ class Run:
         their weights; all of them keep timetable and limits nevertheless.
     weights : tuple of float
         Of the configurations, for the expected energy; equal ones if empty.
+    direction : str
+        ``"reverse"`` if the line is travelled against the chainage in which the map is counted.
     condition : TrackConditionMap or None
     layer : str
         Rail condition to read from the map.
@@ -83,6 +86,7 @@ class Run:
     protected_length: float = 0.0
     windows: tuple[TimingPoint, ...] = ()
     weights: tuple[float, ...] = ()
+    direction: Direction = "forward"
 
     def __post_init__(self) -> None:
         line, where = self.line, f"run on line '{self.line.name}'"
@@ -111,6 +115,11 @@ class Run:
             )
         self._check_windows(where)
         self._check_weights(where)
+        if self.direction not in get_args(Direction):
+            raise InputError(
+                f"{where}: no such direction '{self.direction}'",
+                remedy="give 'forward' or 'reverse'",
+            )
         limit = float(self.permitted_speed(np.array([self.start]))[0])
         if self.initial_speed > limit:
             raise InputError(
@@ -226,11 +235,22 @@ class Run:
         inside = points[(points > self.start) & (points < self.end)]
         return np.unique(np.concatenate(([self.start], inside, [self.end])))
 
+    def adhesion_at(self, positions: FloatArray) -> FloatArray:
+        """Cautious maximum adhesion at each position; infinite where unknown."""
+        if self.condition is None:
+            return np.full(positions.shape, np.inf)
+        own = self.line.length - positions if self.direction == "reverse" else positions
+        return np.asarray(self.condition.lower_bound(self.layer, own, self.sigmas))
+
     def adhesion(self, positions: FloatArray) -> FloatArray:
         """Cautious maximum adhesion in each cell between `positions`; infinite where unknown."""
         cells = positions.size - 1
         if self.condition is None:
             return np.full(cells, np.inf)
+        if self.direction == "reverse":
+            # The map is counted in the line's own direction.
+            turned = replace(self, direction="forward")
+            return turned.adhesion(self.line.length - positions[::-1])[::-1]
         bins = self.condition.lower_bound(self.layer, self.condition.centres, self.sigmas)
         first = self.condition.bin_of(positions[:-1])
         last = self.condition.bin_of(np.nextafter(positions[1:], -np.inf))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -17,6 +18,9 @@ from trainlog.terminal import (
     working,
     wrote,
 )
+
+if TYPE_CHECKING:
+    from trainlog.railway import Configuration, Line, Train, Trajectory
 
 app = typer.Typer()
 
@@ -42,10 +46,10 @@ def optimise(
         typer.Option(help="Each configuration brakes for itself, or all alike as in the paper."),
     ] = "recourse",
     objective: Annotated[
-        Literal["wheel", "line"],
+        Literal["wheel", "line", "expected"],
         typer.Option(
-            help="Traction at the wheel rims as in the paper, or energy from the line: efficiencies"
-            " and what the dynamic brake feeds back."
+            help="Traction at the wheel rims as in the paper; or energy from the line, with"
+            " efficiencies and what the dynamic brake feeds back, at worst or as expected."
         ),
     ] = "wheel",
     condition: Annotated[
@@ -60,6 +64,19 @@ def optimise(
             min=20, max=20_000, help="Cells of the grid; at least one for each step of the line."
         ),
     ] = 500,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="Travel against the line's chainage.")
+    ] = False,
+    journey: Annotated[
+        Path | None,
+        typer.Option(help="Journey file: stops and passing points; one trajectory a section."),
+    ] = None,
+    dwell: Annotated[
+        float, typer.Option(min=0.0, help="With --journey: least standing time at a stop (s).")
+    ] = 0.0,
+    pareto: Annotated[
+        bool, typer.Option("--pareto", help="Energy against running time too, and its picture.")
+    ] = False,
     referee: Annotated[
         bool, typer.Option("--referee", help="Solve it again with CasADi and IPOPT, and compare.")
     ] = False,
@@ -67,17 +84,14 @@ def optimise(
     """Find the trajectory of least energy that every observed configuration can follow.
 
     The answer carries its certificate: an independent fine rollout of every configuration and a
-    lower bound on the energy.
+    lower bound on the energy. Beside it stand a picture, and the driver's advice as CSV.
 
     Example: trainlog optimise results/parameters.json -o results/trajectory.json
     """
     from analysis.compare import fastest_nonstop
-    from analysis.pictures.trajectory import draw_trajectory
-    from analysis.report import trajectory_table
     from analysis.trajectory import optimise as solve
     from trainlog.formats.condition import read_map
     from trainlog.formats.parameters import read_parameters
-    from trainlog.formats.trajectory import write_trajectory
 
     destination(output, ".json")
     the_line, the_train = line_and_train(line, train)
@@ -87,21 +101,102 @@ def optimise(
         if running_time is not None:
             raise InputError("--running-time and --as-fast-as contradict", remedy="give one")
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
-    with working(f"optimising over {len(observed.configurations)} configurations"):
-        trajectory = solve(
-            the_line,
-            the_train,
-            observed.configurations,
-            running_time=running_time,
-            reserve=reserve / 100.0,
-            braking=braking,
-            objective=objective,
-            condition_map=None if condition is None else read_map(condition),
-            layer=layer,
-            cells=cells,
-            referee=referee,
+    if journey is not None and (pareto or running_time is not None):
+        raise InputError(
+            "--journey tells the times itself", remedy="leave out --running-time and --pareto"
         )
+    if reverse:
+        the_line = the_line.reversed()
+    options: dict[str, Any] = {
+        "reserve": reserve / 100.0,
+        "braking": braking,
+        "objective": objective,
+        "condition_map": None if condition is None else read_map(condition),
+        "layer": layer,
+        "cells": cells,
+        "direction": "reverse" if reverse else "forward",
+        "referee": referee,
+    }
+    asked = (the_line, the_train, observed.configurations)
+    if journey is not None:
+        _journey(asked, journey, dwell, options, output)
+        return
+    with working(f"optimising over {len(observed.configurations)} configurations"):
+        trajectory = solve(*asked, running_time=running_time, **options)
+    _told(trajectory, the_line, output)
+    if pareto:
+        _front(asked, options, output)
+
+
+def _told(trajectory: Trajectory, line: Line, output: Path) -> None:
+    """Write a trajectory, its picture and its advice, and print what it is."""
+    from analysis.pictures.trajectory import draw_trajectory
+    from analysis.report import advice_table, trajectory_table
+    from analysis.trajectory.advice import advice, write_advice
+    from trainlog.formats.trajectory import write_trajectory
+
+    points = advice(trajectory)
     write_trajectory(trajectory, output)
-    draw_trajectory(trajectory, the_line, output.with_suffix(".png"))
-    console.print(trajectory_table(trajectory))
-    wrote(output, output.with_suffix(".png"))
+    draw_trajectory(trajectory, line, output.with_suffix(".png"))
+    write_advice(points, output.with_suffix(".csv"))
+    console.print(trajectory_table(trajectory), advice_table(points))
+    wrote(output, output.with_suffix(".png"), output.with_suffix(".csv"))
+
+
+def _journey(
+    asked: tuple[Line, Train, Sequence[Configuration]],
+    journey: Path,
+    dwell: float,
+    options: dict[str, Any],
+    output: Path,
+) -> None:
+    """Optimise a journey; a file a section, numbered."""
+    from analysis.report import journey_table
+    from analysis.trajectory import optimise_journey
+    from trainlog.formats.journey import read_journey
+
+    with working("optimising the sections"):
+        plan = optimise_journey(*asked, read_journey(journey), dwell=dwell, **options)
+    for number, section in enumerate(plan.sections, start=1):
+        _told(section, asked[0], output.with_name(f"{output.stem}-{number}.json"))
+    console.print(journey_table(plan))
+
+
+def _front(
+    asked: tuple[Line, Train, Sequence[Configuration]], options: dict[str, Any], output: Path
+) -> None:
+    """Energy against running time, printed and drawn."""
+    from analysis.pictures.front import draw_front
+    from analysis.report import front_table
+    from analysis.trajectory.front import energy_against_time
+
+    known = {key: value for key, value in options.items() if key != "reserve"}
+    with working("optimising for other running times"):
+        front = energy_against_time(*asked, **known)
+    picture = output.with_name(f"{output.stem}-pareto.png")
+    draw_front(front, picture)
+    console.print(front_table(front))
+    wrote(picture)
+
+
+@app.command(rich_help_panel="Plan")
+def advise(
+    log: Annotated[Path, typer.Argument(help="Log (.mcap) of a trip over the same section.")],
+    trajectory: Annotated[Path, typer.Option(help="Trajectory file.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The log with the advice (.mcap).")
+    ],
+) -> None:
+    """Lay a trajectory's advice beside a recorded trip, so that a replay shows both.
+
+    Example: trainlog advise trip.mcap --trajectory results/trajectory.json -o advised.mcap
+    """
+    from analysis.trajectory.advice import with_advice
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.mcap import read_log, write_log
+
+    destination(output, ".mcap")
+    if output.resolve() == log.resolve():
+        raise InputError("is the log itself", file=output, remedy="give the result another name")
+    write_log(with_advice(read_log(log), read_trajectory(trajectory)), output)
+    wrote(output)

@@ -89,7 +89,9 @@ class Drawing:
         """Draw what is known of the trip as a whole, and tell what there is to show."""
         known, root, bare = self._known, self._root, self._known.bare
         # A trip that followed a trajectory carries it as its reference, in its own configuration.
-        planned = None if REFERENCE.name in bare or _backwards(bare) else trajectory
+        planned = None if REFERENCE.name in bare else trajectory
+        if planned is not None and _backwards(bare) != (planned.direction == "reverse"):
+            planned = None
         if planned is not None and draw_plan(
             self._recording, f"{root}/speed/trajectory", known.clock, planned
         ):

@@ -80,14 +80,14 @@ class SharedAxis:
         stream.log(SHARED_AXIS, rrb.TimeAxis(view_range=whole))
 
 
-def blueprint(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -> Any:
+def blueprint(trips: Sequence[Shown], planned: str | None, layers: Sequence[str]) -> Any:
     """The layout for these trips, as Rerun's blueprint.
 
     Parameters
     ----------
     trips : sequence of Shown
-    trajectory : bool
-        Whether there is one.
+    planned : str or None
+        Direction of the trajectory, if there is one.
     layers : sequence of str
         Of the track-condition map.
     """
@@ -95,7 +95,7 @@ def blueprint(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -
     if len(tabs) == 1:
         root = tabs[0]
     else:
-        root = rrb.Tabs(_overview(trips, trajectory, layers), *tabs, active_tab=1)
+        root = rrb.Tabs(_overview(trips, planned, layers), *tabs, active_tab=1)
     several = len(trips) > 1
     made = rrb.Blueprint(
         root,
@@ -142,7 +142,7 @@ def _panel(trip: Shown, panel: Panel) -> Any:
     return plot([f"{trip.root}/{panel.entity}/**"], title, top)
 
 
-def _overview(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -> Any:
+def _overview(trips: Sequence[Shown], planned: str | None, layers: Sequence[str]) -> Any:
     """Speeds of all trips over each other, one plot a direction; the line's condition; the map."""
     rows = []
     for direction in dict.fromkeys(trip.direction for trip in trips):
@@ -153,11 +153,11 @@ def _overview(trips: Sequence[Shown], trajectory: bool, layers: Sequence[str]) -
             if entity
         }
         limits = [f"{trip.root}/speed/limit" for trip in group if "speed/limit" in trip.entities]
-        planned = ["/trajectory/speed"] if trajectory and direction != "reverse" else []
+        plan = ["/trajectory/speed"] if direction == planned else []
         top = max(trip.tops.get("speed", 1.0) for trip in group)
         if coloured:
             title = f"Speed {direction} [km/h]"
-            rows.append(plot([*coloured, *limits[:1], *planned], title, top, coloured))
+            rows.append(plot([*coloured, *limits[:1], *plan], title, top, coloured))
     rows.extend(
         plot(
             [f"{line}/maximum_adhesion/{path_of(layer)[1:]}/**" for layer in layers],

@@ -54,8 +54,8 @@ def record_replay(
     Raises
     ------
     InputError
-        If there is no trip, the path ends otherwise or cannot be written, or the map is of
-        another line.
+        If there is no trip, the path ends otherwise or cannot be written, or trajectory or map
+        are of another line.
     LogError
         If a trip holds no samples, or its pieces cannot be read.
     """
@@ -66,7 +66,7 @@ def record_replay(
     # Whatever can be refused is refused before anything is drawn.
     sources = [pieces_of(trip) for trip in trips]
     surveys = [survey(source) for source in sources]
-    lines = _lines(surveys, condition_map)
+    lines = _lines(surveys, trajectory, condition_map)
     recording = rr.RecordingStream(
         APPLICATION,
         recording_id=content_id(surveys, trajectory, condition_map),
@@ -89,7 +89,8 @@ def record_replay(
             shown.append(drawing.finish(trajectory, condition_map))
         if trajectory is not None and len(trips) > 1:
             draw_trajectory(recording, trajectory, surveys[0].clock.start)
-        recording.send_blueprint(blueprint(shown, trajectory is not None, observed(condition_map)))
+        planned = None if trajectory is None else trajectory.direction
+        recording.send_blueprint(blueprint(shown, planned, observed(condition_map)))
 
 
 @contextmanager
@@ -145,12 +146,22 @@ def _distinct(names: Sequence[str]) -> list[str]:
     return distinct
 
 
-def _lines(surveys: Sequence[Survey], condition: TrackConditionMap | None) -> list[int]:
-    """Which is the first trip on each line; refuses a map of another line."""
+def _lines(
+    surveys: Sequence[Survey],
+    trajectory: Trajectory | None,
+    condition: TrackConditionMap | None,
+) -> list[int]:
+    """Which is the first trip on each line; refuses trajectory or map of another line."""
     found: dict[str, int] = {}
     for number, each in enumerate(surveys):
         if each.line is None:
             continue
+        if trajectory is not None and trajectory.line != each.line.name:
+            raise InputError(
+                f"the trajectory was made for line '{trajectory.line}', trip '{each.bare.name}'"
+                f" ran on '{each.line.name}'",
+                remedy="give that line's trajectory, or leave the trip out",
+            )
         if condition is not None:
             check_line(condition, each.line, each.bare.name)
         found.setdefault(each.line.name, number)

@@ -1,0 +1,159 @@
+"""What a driver is told; energy against time; travel against the chainage; the principle."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trajectory_world import FLIRT, drawn, hilly_line, observed, slippery
+
+from analysis.pictures.front import draw_front
+from analysis.trajectory import Phase, optimise
+from analysis.trajectory.advice import advice, with_advice, write_advice
+from analysis.trajectory.front import energy_against_time
+from analysis.trajectory.phases import agreement, phases_of
+from analysis.trajectory.problem import Run
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_train
+from trainlog.mcap import read_log, write_log
+from trainlog.railway import Configuration, Trajectory
+from trainlog.replay import record_replay
+
+
+@pytest.fixture(scope="module")
+def hilly() -> Trajectory:
+    return optimise(hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.0, 1.05), reserve=0.1, cells=200)
+
+
+@pytest.fixture(scope="module")
+def sampled() -> Trajectory:
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    return optimise(line, train, [Configuration.of(train)], reserve=0.1, cells=100)
+
+
+def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly: Trajectory) -> None:
+    points = advice(hilly)
+    assert (points[0].position, points[0].phase) == (0.0, Phase.MAXIMUM_TRACTION)
+    assert points[-1].phase is Phase.MAXIMUM_BRAKING
+    assert points[-1].until == 0.0
+    for before, point in pairwise(points):
+        assert before.position < point.position
+        assert before.phase is not point.phase
+        assert point.time - before.time >= 3.0
+        assert before.until == point.speed
+
+
+def test_advice_tells_every_phase_where_none_is_too_short(hilly: Trajectory) -> None:
+    row = 0
+    points, phases = advice(hilly, row, shortest=0.0), phases_of(hilly, row)
+    cells = hilly.cell_of([point.position for point in points])
+    assert [int(point.phase) for point in points] == phases[cells].tolist()
+    assert len(points) == 1 + np.count_nonzero(np.diff(phases))
+
+
+def test_advice_as_a_table(hilly: Trajectory, tmp_path: Path) -> None:
+    write_advice(advice(hilly), tmp_path / "advice.csv")
+    with (tmp_path / "advice.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(advice(hilly))
+    assert rows[0]["phase"] == "maximum traction"
+    assert float(rows[-1]["until_kmh"]) == 0.0
+
+
+def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(
+    sampled: Trajectory, tmp_path: Path
+) -> None:
+    trip = read_log(sample("nonstop.mcap"))
+    write_log(with_advice(trip, sampled), tmp_path / "advised.mcap")
+    advised = read_log(tmp_path / "advised.mcap")
+    frame = advised["/reference"]
+    position = advised["/train/state"]["position"].reindex(frame.index).to_numpy()
+    assert frame["speed"].to_numpy() == pytest.approx(sampled.speed_at(0, position))
+    # At its end a trip is as late as it took longer than the trajectory allows.
+    seconds = (frame.index[-1] - frame.index[0]).total_seconds()
+    assert frame["lateness"].iloc[-1] == pytest.approx(seconds - sampled.running_time, abs=60.0)
+    assert advised.provenance[-1]["step"] == "advise"
+    with pytest.raises(InputError, match="carries a reference already"):
+        with_advice(advised, sampled)
+    with pytest.raises(InputError, match=r"is for line 'CH_StGallen_Wil' reverse, trip '.*forward"):
+        with_advice(trip, replace(sampled, direction="reverse"))
+    beyond = replace(sampled, positions=sampled.positions + 1e6)
+    with pytest.raises(InputError, match=r"is never between km 1000\.000 and"):
+        with_advice(trip, beyond)
+
+
+def test_a_replay_refuses_the_trajectory_of_another_line(
+    sampled: Trajectory, tmp_path: Path
+) -> None:
+    trip = read_log(sample("nonstop.mcap"))
+    with pytest.raises(InputError, match="was made for line 'else', trip"):
+        record_replay([trip], tmp_path / "a.rrd", trajectory=replace(sampled, line="else"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_slope_of_the_front_is_the_price_of_a_second(tmp_path: Path) -> None:
+    front = energy_against_time(
+        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), reserves=(0.2, 0.05, 0.1, 0.15), cells=150
+    )
+    assert np.all(np.diff(front.times) > 0.0)
+    assert np.all(np.diff(front.energies) < 0.0)
+    assert np.all(front.bounds <= front.energies)
+    slopes = -np.diff(front.energies) / np.diff(front.times)
+    # The front is convex: each secant lies between the prices at its ends.
+    assert np.all(slopes <= 1.01 * front.prices[:-1])
+    assert np.all(slopes >= 0.99 * front.prices[1:])
+    for name in ("a.png", "b.png"):
+        draw_front(front, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_front_of_nothing_is_refused() -> None:
+    asked = (hilly_line(), FLIRT, observed(FLIRT, 1.0))
+    with pytest.raises(InputError, match="no reserves"):
+        energy_against_time(*asked, reserves=())
+    with pytest.raises(InfeasibleError, match="under one common traction"):
+        energy_against_time(*asked, reserves=(0.0,), cells=100)
+
+
+def test_against_the_chainage_the_map_is_read_backwards() -> None:
+    line = hilly_line()
+    condition = slippery(line, (7_000.0, 8_000.0, 0.08))
+    configurations = tuple(observed(FLIRT, 1.0))
+    run = Run(
+        line.reversed(), FLIRT, configurations, 0.0, line.length,
+        condition=condition, direction="reverse",
+    )  # fmt: skip
+    forward = Run(line, FLIRT, configurations, 0.0, line.length, condition=condition)
+    points = np.linspace(0.0, line.length, 401)
+    assert run.adhesion_at(points) == pytest.approx(forward.adhesion_at(line.length - points))
+    assert run.adhesion(points) == pytest.approx(forward.adhesion(line.length - points[::-1])[::-1])
+    found = optimise(
+        line.reversed(), FLIRT, configurations, reserve=0.15, condition_map=condition,
+        direction="reverse", cells=150,
+    )  # fmt: skip
+    assert found.direction == "reverse"
+    assert found.certificate["audit"]["adhesion"] <= 1.0 + 1e-6
+    # It starts where the rail is slippery.
+    least = 0.08 * np.exp(-0.1) * FLIRT.adhesive_weight()
+    assert found.tractive_effort[0] == pytest.approx(least, rel=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_controls_are_those_that_the_maximum_principle_asks_for(count: int) -> None:
+    found = optimise(hilly_line(), FLIRT, drawn(FLIRT, count, seed=1), reserve=0.1, cells=200)
+    assert found.certificate["agreement"]["traction"] >= 0.99
+    assert found.certificate["agreement"]["braking"] >= 0.99
+
+
+def test_agreement_counts_the_cells_that_do_otherwise() -> None:
+    efforts, most = np.array([1.0, 0.0, 0.4, 0.4, 0.0]), np.ones(5)
+    worth = np.array([0.5, -0.5, 0.0, 0.5, 0.5])
+    assert agreement(efforts, most, worth) == pytest.approx(3 / 5)
+    assert agreement(efforts, most, -worth) == pytest.approx(2 / 5)
