@@ -190,6 +190,14 @@ class Run:
         begun = np.diff(self.slipping.astype(np.int8), axis=0, prepend=0) > 0
         return int(np.count_nonzero(begun))
 
+    @cached_property
+    def skid_energy(self) -> float:
+        """Of `slip_energy` what axles beyond the peak of their creep curve do [J], sampled."""
+        slip = np.abs(self.slip_speed)
+        weight = GRAVITY * self.mass / slip.shape[1]
+        force = weight * AXLE_ADHESION * adhesion_at(slip, self.rail(self.position)[:, None])
+        return float(np.sum(np.where(self.slipping, force * slip, 0.0)) * PERIOD / SAMPLES)
+
     @property
     def protections(self) -> int:
         """How often the slip protection of the drive took hold of an axle."""
@@ -211,11 +219,24 @@ def constraint_table(rows: FloatArray, c: dynamics.Constants) -> FloatArray:
     return np.where((speed > 0.0)[:, None], found, np.nan)
 
 
-def peak_slip(adhesion: FloatArray) -> FloatArray:
-    """Slip speed [m/s] at which the creep curve has its maximum, as the plant has it."""
+def creep_shape(adhesion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A and b [s/m] of the creep curve at a maximum adhesion, as the plant has it."""
     dryness = np.clip((adhesion - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
-    a, b = WET.a + dryness * (DRY.a - WET.a), WET.b + dryness * (DRY.b - WET.b)
+    return WET.a + dryness * (DRY.a - WET.a), WET.b + dryness * (DRY.b - WET.b)
+
+
+def peak_slip(adhesion: FloatArray) -> FloatArray:
+    """Slip speed [m/s] at which the creep curve has its maximum."""
+    a, b = creep_shape(adhesion)
     return np.asarray(np.log(b / a) / (b - a))
+
+
+def adhesion_at(slip: FloatArray, adhesion: FloatArray) -> FloatArray:
+    """Adhesion in use at a slip speed [m/s] where the maximum is `adhesion`."""
+    a, b = creep_shape(adhesion)
+    peak = peak_slip(adhesion)
+    most = np.exp(-a * peak) - np.exp(-b * peak)
+    return np.asarray(adhesion * (np.exp(-a * slip) - np.exp(-b * slip)) / most)
 
 
 def with_map(plan: Plan, rail: StepProfile) -> Plan:

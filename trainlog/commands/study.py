@@ -114,3 +114,65 @@ def consist(
     draw_in_train_forces(run, picture)
     console.print(forces_table(run))
     wrote(log, picture)
+
+
+@study_app.command("map-mpc")
+def map_mpc(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
+    sections: Annotated[
+        int | None, typer.Option(min=1, help="Only the first sections of the line; default: all.")
+    ] = None,
+    seed: Seed = 1,
+) -> None:
+    """Follow a timetable with a map of the rail, and without one (paper 000).
+
+    Runs the paper's three scenarios on a reconstruction of the line Chemnitz-Cranzahl, with a mass
+    drawn from its range and with both ends of it, by a controller that knows the map and by one
+    that knows none. Then builds the map from the logs of a day without it and drives again. Writes
+    the trips as logs, draws the paper's figures and prints the tables.
+
+    Example: trainlog study map-mpc -o results/map-mpc
+    """
+    from analysis.pictures.map_mpc import draw_days, draw_study
+    from analysis.report_map_mpc import (
+        days_table,
+        gain_table,
+        published_table,
+        tracking_table,
+    )
+    from analysis.studies import map_mpc_scenarios as study
+    from analysis.studies.map_mpc_days import two_days
+    from analysis.studies.map_mpc_logs import trip_of
+    from trainlog.mcap import write_log
+    from trainlog.railway.lever import PAPER_000
+
+    made_folder(output)
+    with progress_bar() as progress:
+        known = study.prepared(
+            seed, sections, lambda each: progress.track(each, description="references")
+        )
+        drawn = study.drawn_masses(seed, 3)
+        plans = [
+            (scenario, float(mass))
+            for mass in (drawn[0], PAPER_000.mass, PAPER_000.max_mass)
+            for scenario in study.SCENARIOS
+        ]
+        outcomes = [
+            study.outcome(known, *plan) for plan in progress.track(plans, description="driving")
+        ]
+    logs = []
+    for each in outcomes[: len(study.SCENARIOS)]:
+        weather = "dry" if each.scenario.weather == "good" else "wet"
+        for found in (each.informed, each.blind):
+            trip = trip_of(found, weather, seed)
+            logs.append(output / f"{trip.metadata['trip']}.mcap")
+            write_log(trip, logs[-1])
+    with working("driving two days"):
+        days = two_days(known.plan, known.rails["bad"], drawn.tolist(), output, seed)
+    pictures = draw_study(known, outcomes[: len(study.SCENARIOS)], output)
+    pictures.append(output / "two-days.png")
+    draw_days(days, known.rails["bad"](days.track.centres), pictures[-1])
+    console.print(published_table())
+    for table in (tracking_table(outcomes), gain_table(outcomes), days_table(days)):
+        console.print(table)
+    wrote(*logs, *days.logs, *pictures)

@@ -1,0 +1,226 @@
+"""The figures of paper 000, drawn from runs of `analysis.studies.map_mpc`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from analysis.pictures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    RED,
+    dress,
+    new_figure,
+    write_figure,
+)
+from analysis.studies.map_mpc import Run
+from analysis.studies.map_mpc_days import Days
+from analysis.studies.map_mpc_scenarios import Outcome, World
+from trainlog.units import KMH, PER_MILLE
+
+PICTURES = (
+    "figure-02-map.png",
+    "figure-03-speed.png",
+    "figure-04-errors.png",
+    "figure-05-constraints-good.png",
+    "figure-06-constraints-bad.png",
+    "figure-07-delay.png",
+    "with-and-without-map.png",
+)
+
+SECTIONS = 3
+"""Drawn of the speed, as in the paper."""
+
+BIN = 100.0
+"""Over which the largest constraint is drawn [m]."""
+
+
+def draw_study(world: World, outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
+    """Draw the paper's figures; returns the pictures' paths.
+
+    Parameters
+    ----------
+    world : World
+    outcomes : sequence of Outcome
+        Of the three scenarios, in their order.
+    folder : path
+    """
+    good, bad, late = (each.informed for each in outcomes)
+    paths = [folder / name for name in PICTURES]
+    _draw_map(world, paths[0])
+    _draw_speed(good, paths[1])
+    _draw_errors(good, paths[2])
+    _draw_constraints(good, "Fig. 5  Constraints, good track", paths[3])
+    _draw_constraints(bad, "Fig. 6  Constraints, bad track", paths[4])
+    _draw_delay(late, outcomes[2], paths[5])
+    _draw_gain(outcomes[1].informed, outcomes[1].blind, ("with the map", "without"), paths[6])
+    return paths
+
+
+def draw_days(days: Days, rail: NDArray[np.float64], path: Path) -> None:
+    """What the first day taught, and the slip of both days.
+
+    Parameters
+    ----------
+    days : Days
+    rail : (bins,) array
+        True maximum adhesion at the centres of the map's bins.
+    path : path
+    """
+    figure = new_figure(10.0, 9.0)
+    places = figure.subplots(3, 1, sharex=True)
+    centres = days.track.centres / 1e3
+    places[0].plot(centres, rail, color=GREY, linewidth=0.7, label="true")
+    layer = next(iter(days.track.layers.values()))
+    seen = np.where(layer.observed, days.known(days.track.centres), np.nan)
+    places[0].plot(centres, seen, color=BLUE, linewidth=1.2, label="learnt on day 1, cautious")
+    places[0].legend(frameon=False, fontsize=8, ncols=2)
+    dress(places[0], x="", y="maximum adhesion", title="What the logs of day 1 taught")
+    for axes, runs, title in (
+        (places[1], days.first, "Day 1, without a map"),
+        (places[2], days.second, "Day 2, with the map of day 1"),
+    ):
+        _slips(axes, runs)
+        events = sum(each.slip_events for each in runs)
+        work = sum(each.skid_energy for each in runs) / 1e6
+        dress(
+            axes, x="", y="largest slip [m/s]",
+            title=f"{title}: {events} times an axle slips, {work:.1f} MJ",
+        )  # fmt: skip
+    top = max(axes.get_ylim()[1] for axes in places[1:])
+    for axes in places[1:]:
+        axes.set_ylim(0.0, top)
+    places[2].set_xlabel("km")
+    places[2].set_xlim(0.0, max(float(each.places[-1]) for each in days.first) / 1e3)
+    write_figure(figure, path)
+
+
+def _draw_map(world: World, path: Path) -> None:
+    """Fig. 2: limits, gradient and both rails."""
+    figure = new_figure(10.0, 8.0)
+    places = figure.subplots(3, 1, sharex=True)
+    line = world.plan[0].section.line
+    s = np.arange(0.0, line.length, 25.0)
+    places[0].plot(s / 1e3, line.speed_limit(s) * KMH, color=RED, drawstyle="steps-post")
+    for station in line.stations:
+        places[0].axvline(station.position / 1e3, color=PALE, linewidth=0.8)
+    dress(places[0], x="", y="km/h", title="Fig. 2  Map (reconstruction): speed limits, stations")
+    places[1].plot(s / 1e3, line.gradient(s) * PER_MILLE, color=GREEN, drawstyle="steps-post")
+    dress(places[1], x="", y="per mille", title="Gradient")
+    for name, colour in (("good", BLUE), ("bad", ORANGE)):
+        places[2].plot(s / 1e3, world.rails[name](s), color=colour, linewidth=0.8, label=name)
+    places[2].legend(frameon=False, fontsize=8, ncols=2)
+    dress(places[2], x="km", y="maximum adhesion", title="Maximum adhesion")
+    places[2].set_ylim(0.0)
+    write_figure(figure, path)
+
+
+def _draw_speed(run: Run, path: Path) -> None:
+    """Fig. 3: speed of the reference and of the train on the first sections."""
+    figure = new_figure(10.0, 4.5)
+    axes = figure.subplots()
+    rows = run.section < SECTIONS
+    axes.plot(
+        run.time[rows], run.target[rows, 1] * KMH, color=GREY, linewidth=2.5, label="reference"
+    )
+    axes.plot(run.time[rows], run.speed[rows] * KMH, color=BLUE, linewidth=1.0, label="train")
+    axes.legend(frameon=False, fontsize=8, ncols=2)
+    dress(axes, x="time [s]", y="km/h", title=f"Fig. 3  Speed, first {SECTIONS} sections")
+    write_figure(figure, path)
+
+
+def _draw_errors(run: Run, path: Path) -> None:
+    """Fig. 4: errors of position and speed."""
+    figure = new_figure(10.0, 6.0)
+    first, second = figure.subplots(2, 1, sharex=True)
+    first.plot(run.time / 60.0, run.position_error, color=BLUE, linewidth=0.8)
+    dress(
+        first, x="", y="m",
+        title=f"Fig. 4  Position less the reference's, {run.mass / 1e3:.1f} t, good track",
+    )  # fmt: skip
+    second.plot(run.time / 60.0, run.speed_error, color=GREEN, linewidth=0.8)
+    dress(second, x="time [min]", y="m/s", title="Speed less the reference's")
+    write_figure(figure, path)
+
+
+def _draw_constraints(run: Run, title: str, path: Path) -> None:
+    """Figs. 5 and 6: the largest of the safety and of the traction constraints along the line."""
+    figure = new_figure(10.0, 6.0)
+    first, second = figure.subplots(2, 1, sharex=True)
+    for column, colour, label in (
+        (0, BLUE, "safety, max(h1, h2)"),
+        (1, ORANGE, "traction, max(h3, h4)"),
+    ):
+        x, y = _largest(run, run.constraints[:, column])
+        first.plot(x / 1e3, y, color=colour, linewidth=0.8, label=label)
+    first.legend(frameon=False, fontsize=8, ncols=2)
+    dress(first, x="", y="m/s²", title=f"{title}, {run.mass / 1e3:.1f} t, both ends of the mass")
+    x, y = _largest(run, run.constraints[:, 2])
+    second.plot(x / 1e3, y * KMH, color=RED, linewidth=0.8)
+    dress(second, x="km", y="km/h", title="Speed less its limit, h5")
+    for axes in (first, second):
+        axes.axhline(0.0, color=GREY, linewidth=1.0)
+    write_figure(figure, path)
+
+
+def _draw_delay(run: Run, outcome: Outcome, path: Path) -> None:
+    """Fig. 7: error of position after a late departure, and lateness at the stops."""
+    figure = new_figure(10.0, 6.0)
+    first, second = figure.subplots(2, 1)
+    rows = run.section < SECTIONS
+    first.plot(run.time[rows], run.position_error[rows], color=BLUE, linewidth=1.0)
+    dress(
+        first, x="time [s]", y="m", title=f"Fig. 7  Position error, {run.delay:g} s late at first"
+    )
+    numbers = np.arange(1, run.late.size + 1)
+    second.bar(numbers - 0.2, run.late, 0.4, color=BLUE, label="reached")
+    second.bar(numbers + 0.2, outcome.bound, 0.4, color=GREY, label="least, by the shortest times")
+    second.legend(frameon=False, fontsize=8, ncols=2)
+    second.set_xticks(numbers)
+    dress(second, x="stop", y="s", title="Lateness at the stops")
+    write_figure(figure, path)
+
+
+def _draw_gain(one: Run, other: Run, names: tuple[str, str], path: Path) -> None:
+    """Slip with the map and without it."""
+    figure = new_figure(10.0, 6.0)
+    places = figure.subplots(2, 1, sharex=True, sharey=True)
+    for axes, run, name in zip(places, (one, other), names, strict=True):
+        _slips(axes, (run,))
+        dress(
+            axes, x="", y="largest slip [m/s]",
+            title=f"Bad track, {name}: {run.slip_events} times an axle skids or slides,"
+            f" {run.skid_energy / 1e6:.2f} MJ beyond the peak",
+        )  # fmt: skip
+    places[1].set_xlabel("km")
+    places[1].set_xlim(0.0, float(one.places[-1]) / 1e3)
+    write_figure(figure, path)
+
+
+def _slips(axes: Axes, runs: Sequence[Run]) -> None:
+    """Largest slip along the line: stable creep as grey lines, beyond the peak as red dots."""
+    for run in runs:
+        slip = np.abs(run.slip_speed)
+        x, y = _largest(run, np.max(slip, axis=1, initial=-np.inf, where=~run.slipping))
+        axes.plot(x / 1e3, y, color=GREY, linewidth=0.5)
+        x, y = _largest(run, np.max(slip, axis=1, initial=-np.inf, where=run.slipping))
+        axes.plot(x / 1e3, y, color=RED, linestyle="", marker=".", markersize=4.0)
+
+
+def _largest(
+    run: Run, values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The largest value in each piece of the line; NaN where there is none."""
+    count = int(np.ceil(run.line.length / BIN))
+    found = np.full(count, -np.inf)
+    index = np.minimum((run.position / BIN).astype(np.int64), count - 1)
+    np.maximum.at(found, index, np.where(np.isfinite(values), values, -np.inf))
+    centres = (np.arange(count, dtype=np.float64) + 0.5) * BIN
+    return centres, np.where(np.isfinite(found), found, np.nan)

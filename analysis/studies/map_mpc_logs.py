@@ -1,0 +1,81 @@
+"""The runs of `analysis.studies.map_mpc` as trips, with sensors, truth and reference."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.studies.map_mpc import Run
+from trainlog import __version__
+from trainlog.simulation.recording import recorded
+from trainlog.simulation.scenario import Run as Samples
+from trainlog.simulation.scenario import Scenario
+from trainlog.topics import REFERENCE, TRAIN_CONTROLS
+from trainlog.trip import Trip, frame_of
+
+FloatArray = NDArray[np.float64]
+
+START = 1_735_689_600 * 10**9
+"""When the runs begin [ns]: 2025-01-01, so that the same run gives the same bytes."""
+
+
+def trip_of(run: Run, weather: str, seed: int) -> Trip:
+    """The log of one run, as the train's sensors would have it.
+
+    Parameters
+    ----------
+    run : Run
+    weather : str
+        Name of the rail's condition, the layer of a track-condition map.
+    seed : int
+        Of the sensors' noise.
+    """
+    train = run.train.on_axles()
+    scenario = Scenario(
+        name=run.name.replace(" ", "-").replace(",", ""),
+        line=run.line,
+        train=train,
+        direction="forward",
+        weather=weather,
+        mass=run.mass,
+        rotating_mass=train.rotating_mass,
+        resistance=run.train.resistance(run.mass),
+        max_power=train.max_traction_power,
+        maximum_adhesion=run.rail,
+        stops=run.stops,
+        seed=seed,
+        start=START,
+    )
+    trip = recorded(scenario, Samples(run.time, run.samples, run.demands))
+    controls = trip[TRAIN_CONTROLS.name].copy()
+    controls["lever"] = np.round(run.lever, 4) + 0.0
+    time = START + np.round(run.time * 1e9).astype(np.int64)
+    reference = frame_of(REFERENCE, time, {"speed": run.target[:, 1], "lateness": lateness(run)})
+    return (
+        trip.with_topic(controls)
+        .with_topic(reference)
+        .with_step(
+            "study map-mpc",
+            software=f"trainlog {__version__}",
+            run=run.name,
+            mass=run.mass,
+            delay=run.delay,
+        )
+    )
+
+
+def lateness(run: Run) -> FloatArray:
+    """How late the train is where it is [s], by the reference of its section.
+
+    It begins with the planned departure and keeps its last value after the arrival.
+    """
+    late = np.zeros(run.time.size)
+    for number, (origin, destination) in enumerate(pairwise(run.stops)):
+        on = run.section == number
+        planned = on & (run.time >= origin.departure) & (run.time <= destination.arrival)
+        positions, first = np.unique(run.target[planned, 0], return_index=True)
+        due = np.interp(run.position[on], positions, run.time[planned][first])
+        late[on] = np.clip(run.time[on], origin.departure, run.arrivals[number + 1]) - due
+    return late

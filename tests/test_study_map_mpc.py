@@ -1,0 +1,154 @@
+"""The study of paper 000, on its first section; the whole line is the long test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.pictures.map_mpc import draw_days, draw_study
+from analysis.report_map_mpc import days_table, gain_table, tracking_table
+from analysis.studies import map_mpc as driving
+from analysis.studies import map_mpc_scenarios as study
+from analysis.studies.map_mpc_days import Days, two_days
+from analysis.studies.map_mpc_logs import trip_of
+from trainlog.errors import InputError
+from trainlog.mcap import read_log, write_log
+from trainlog.railway import StepProfile
+from trainlog.railway.lever import PAPER_000
+
+BY_NAME = {each.name: each for each in study.SCENARIOS}
+SLIPPERY = StepProfile(np.array([0.0, 60.0, 200.0, 2_700.0]), np.array([0.09, 0.06, 0.09, 0.055]))
+
+
+@pytest.fixture(scope="module")
+def known() -> study.World:
+    prepared = study.prepared(seed=1, sections=1)
+    return study.World(prepared.plan, {**prepared.rails, "bad": SLIPPERY})
+
+
+@pytest.fixture(scope="module")
+def outcomes(known: study.World) -> dict[tuple[str, float], study.Outcome]:
+    return {
+        (scenario.name, mass): study.outcome(known, scenario, mass)
+        for scenario in study.SCENARIOS
+        for mass in (PAPER_000.mass, PAPER_000.max_mass)
+    }
+
+
+@pytest.fixture(scope="module")
+def days(known: study.World, tmp_path_factory: pytest.TempPathFactory) -> Days:
+    folder = tmp_path_factory.mktemp("days")
+    return two_days(known.plan, SLIPPERY, [70e3, 85e3], folder, seed=1)
+
+
+def test_every_constraint_holds_in_every_scenario_at_both_ends_of_the_mass(
+    outcomes: dict[tuple[str, float], study.Outcome],
+) -> None:
+    for each in outcomes.values():
+        assert each.informed.worst.max() <= 1e-6
+        assert each.informed.unsolved == 0
+
+
+def test_on_good_track_the_errors_are_those_of_the_paper(
+    outcomes: dict[tuple[str, float], study.Outcome],
+) -> None:
+    for mass in (PAPER_000.mass, PAPER_000.max_mass):
+        found = outcomes["good track", mass].informed
+        assert np.abs(found.position_error).max() <= 5.0
+        assert np.abs(found.speed_error).max() < 3.0
+
+
+def test_with_the_map_no_axle_skids_or_slides_and_without_it_they_do(
+    outcomes: dict[tuple[str, float], study.Outcome],
+) -> None:
+    for each in outcomes.values():
+        assert each.informed.slip_events == 0
+        assert each.informed.protections == 0
+    blind = outcomes["weather turns bad", PAPER_000.mass].blind
+    assert blind.slip_events > 0
+    assert blind.skid_energy > 0.0
+    assert blind.worst[1] > 0.0
+
+
+def test_the_delay_shrinks_but_not_below_what_physics_allows(
+    outcomes: dict[tuple[str, float], study.Outcome],
+) -> None:
+    for mass in (PAPER_000.mass, PAPER_000.max_mass):
+        each = outcomes["40 s late", mass]
+        assert each.bound[0] <= each.informed.late[0] < 25.0
+
+
+def test_the_train_stands_within_the_tolerance_of_its_stops(
+    outcomes: dict[tuple[str, float], study.Outcome],
+) -> None:
+    for each in outcomes.values():
+        assert np.abs(each.informed.stop_error).max() < 1.5
+
+
+def test_the_second_day_beats_the_first(days: Days) -> None:
+    slips = [sum(each.slip_events for each in runs) for runs in (days.first, days.second)]
+    works = [sum(each.skid_energy for each in runs) for runs in (days.first, days.second)]
+    assert slips[1] < 0.2 * slips[0]
+    assert works[1] < 0.2 * works[0]
+    assert len(days.track.trips) == 2
+
+
+def test_a_run_is_logged_with_its_levers_reference_and_truth(
+    outcomes: dict[tuple[str, float], study.Outcome], tmp_path: Path
+) -> None:
+    found = outcomes["good track", PAPER_000.mass].informed
+    write_log(trip_of(found, "dry", 1), tmp_path / "trip.mcap")
+    again = read_log(tmp_path / "trip.mcap")
+    assert np.array_equal(again["/train/controls"]["lever"], np.round(found.lever, 4))
+    np.testing.assert_array_equal(again["/truth"]["position"], found.position)
+    assert np.abs(again["/reference"]["lateness"]).max() < 5.0
+    assert again.metadata["weather"] == "dry"
+    write_log(trip_of(found, "dry", 1), tmp_path / "twice.mcap")
+    assert (tmp_path / "twice.mcap").read_bytes() == (tmp_path / "trip.mcap").read_bytes()
+
+
+def test_the_same_trip_runs_the_same(known: study.World) -> None:
+    runs = [driving.run("again", known.plan, known.rails["good"], 75e3) for _ in range(2)]
+    assert np.array_equal(runs[0].samples, runs[1].samples)
+
+
+def test_a_mass_the_train_cannot_have_is_refused(known: study.World) -> None:
+    with pytest.raises(InputError, match="cannot weigh 60 t"):
+        driving.run("light", known.plan, known.rails["good"], 60e3)
+
+
+def test_masses_are_drawn_from_the_range() -> None:
+    drawn = study.drawn_masses(3, 100)
+    assert drawn.min() >= PAPER_000.mass
+    assert drawn.max() <= PAPER_000.max_mass
+    assert np.array_equal(drawn, study.drawn_masses(3, 100))
+
+
+def test_tables_and_pictures_are_made(
+    known: study.World,
+    outcomes: dict[tuple[str, float], study.Outcome],
+    days: Days,
+    tmp_path: Path,
+) -> None:
+    three = [outcomes[name, PAPER_000.mass] for name in BY_NAME]
+    assert tracking_table(three).row_count == gain_table(three).row_count == 3
+    assert days_table(days).row_count == 2
+    pictures = draw_study(known, three, tmp_path)
+    draw_days(days, SLIPPERY(days.track.centres), tmp_path / "days.png")
+    assert all(path.stat().st_size > 10_000 for path in (*pictures, tmp_path / "days.png"))
+
+
+@pytest.mark.long
+def test_over_the_whole_line() -> None:
+    whole = study.prepared(seed=1)
+    for scenario in study.SCENARIOS:
+        for mass in (PAPER_000.mass, 78_200.0, PAPER_000.max_mass):
+            each = study.outcome(whole, scenario, mass)
+            assert each.informed.worst.max() <= 1e-6
+            assert each.informed.slip_events == each.informed.protections == 0
+            assert np.all(each.informed.late >= each.bound - 1e-6)
+            if scenario.weather == "good" and scenario.delay == 0.0:
+                assert np.abs(each.informed.position_error).max() <= 5.0
+                assert np.abs(each.informed.speed_error).max() < 3.0
