@@ -80,7 +80,15 @@ def draw_days(days: Days, rail: NDArray[np.float64], path: Path) -> None:
     places[0].plot(centres, rail, color=GREY, linewidth=0.7, label="true")
     layer = next(iter(days.track.layers.values()))
     seen = np.where(layer.observed, days.known(days.track.centres), np.nan)
-    places[0].plot(centres, seen, color=BLUE, linewidth=1.2, label="learnt on day 1, cautious")
+    places[0].plot(
+        centres,
+        seen,
+        color=BLUE,
+        linestyle="",
+        marker=".",
+        markersize=4.0,
+        label="learnt on day 1, cautious",
+    )
     places[0].legend(frameon=False, fontsize=8, ncols=2)
     dress(places[0], x="", y="maximum adhesion", title="What the logs of day 1 taught")
     for axes, runs, title in (
@@ -160,7 +168,8 @@ def _draw_constraints(run: Run, title: str, path: Path) -> None:
     ):
         x, y = _largest(run, run.constraints[:, column])
         first.plot(x / 1e3, y, color=colour, linewidth=0.8, label=label)
-    first.legend(frameon=False, fontsize=8, ncols=2)
+    first.legend(frameon=False, fontsize=8, ncols=2, loc="lower left")
+    first.set_ylim(bottom=-1.3)
     dress(first, x="", y="m/s²", title=f"{title}, {run.mass / 1e3:.1f} t, both ends of the mass")
     x, y = _largest(run, run.constraints[:, 2])
     second.plot(x / 1e3, y * KMH, color=RED, linewidth=0.8)
