@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from analysis.coast_down import (
@@ -393,6 +394,29 @@ def test_unknown_gradients_are_not_guessed() -> None:
     same = [replace(same[0], metadata={"trip": f"trip-{k}"}) for k in range(4)]
     with pytest.raises(NotIdentifiableError, match="at one and the same speed"):
         coast_down_without_gradient(same[:2], spans=spans)
+
+
+def test_different_trains_over_unknown_gradients_are_refused() -> None:
+    trips, spans = coasting_over(4, both=False)
+    named = [
+        replace(trip, metadata={**trip.metadata, "train": f"train {number // 2}"})
+        for number, trip in enumerate(trips)
+    ]
+    with pytest.raises(InputError, match="different trains: train 0, train 1"):
+        coast_down_without_gradient(named, spans=spans)
+    assert coast_down_without_gradient(named[:2], spans=spans).train == "train 0"
+    with pytest.raises(InputError, match="'trip-0' is given twice"):
+        coast_down_without_gradient([trips[0], trips[0]], spans=spans)
+
+
+def test_too_little_coasting_is_refused() -> None:
+    """The train coasts again and again, but never within reach of the fit for a minute."""
+    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
+    trip = recorded(time, position, speed, line=HILLY, every=1, noise=0.02)
+    start = trip["/gnss/motion"].index[0]
+    short = trip.between(str(start + pd.Timedelta(60, "s")), str(start + pd.Timedelta(111, "s")))
+    with pytest.raises(NotIdentifiableError, match=r"60 s are needed"):
+        coast_down([short])
 
 
 def test_the_lever_tells_when_a_trip_coasted() -> None:

@@ -54,7 +54,7 @@ MAP_STD = 0.004
 CURVE_STD = 0.05
 """How much one trip's curve differs from the common one, over the curve: load, wind, weather."""
 
-CERTAIN = 0.9
+CERTAIN = 0.95
 """A block belongs to a coasting segment if it is coasting with this probability."""
 
 SHORTEST = 8.0
@@ -305,14 +305,18 @@ def _maximised(
 
 
 def _segments(blocks: Blocks, probability: FloatArray) -> tuple[Segment, ...]:
-    """Runs of pairs that are coasting with certainty."""
+    """Runs of pairs that are coasting with certainty.
+
+    A pair hardly weighs what happens in its outer quarters, half a block at either end of a run.
+    """
     sure = probability > CERTAIN
     edge = np.concatenate(([True], blocks.fresh[1:])) if sure.size else np.empty(0, dtype=bool)
     run = np.cumsum((np.diff(sure, prepend=False) != 0) | edge)
     found = []
     for number in np.unique(run[sure]):
         inside = np.flatnonzero((run == number) & sure)
-        start, end = float(blocks.start[inside[0]]), float(blocks.end[inside[-1]])
+        start = float(blocks.start[inside[0]]) + 0.5 * blocks.length
+        end = float(blocks.end[inside[-1]]) - 0.5 * blocks.length
         if end - start >= SHORTEST:
             found.append(Segment(start, end, float(np.mean(probability[inside]))))
     return tuple(found)

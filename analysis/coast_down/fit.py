@@ -12,18 +12,19 @@ and covariance are those of `analysis.resistance`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.coast_down.detection import Segment
-from analysis.coast_down.motion import Motion, smoothed_over
+from analysis.coast_down.motion import Motion
 from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.noise import PRIOR
 from analysis.resistance.recording import POSITION_STEP, SpeedScale, gradient_pieces
 from analysis.resistance.regression import Regression, regress
-from analysis.resistance.windows import Recording, Windows, build_windows
+from analysis.resistance.windows import WINDOW, Recording, Windows, build_windows
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
@@ -32,12 +33,14 @@ from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
 
-AVERAGED = 1.5
-"""Speed, and what acts on the train, are averaged over this time to either side [s]: between two
-changes of gradient nothing about coasting is sudden."""
+FINE = 0.2
+"""The train's place is known so often [s]: gradients change between samples of the speed."""
 
-FEWEST_WINDOWS = 6
-"""Fewer windows than this leave no residuals to tell the noise from."""
+SAMPLES = 5.0
+"""Least number of samples of the speed in a window: with fewer, neighbouring ends err alike."""
+
+LEAST_COASTING = 60.0
+"""Less coasting than this [s] leaves no residuals to tell the noise from."""
 
 SHORTEST_RANGE = 3.0
 """Speeds that differ by less than this [m/s] are one speed."""
@@ -247,11 +250,16 @@ def fit_segments(
         If the segments are too short together, or all at one speed.
     """
     strays: tuple[Segment, ...] = ()
+    width = max(WINDOW, SAMPLES * motion.period)
+    # How noisy the speed is was seen on the whole trip, not only where it coasts.
+    noise = replace(PRIOR, speed=motion.noise * np.sqrt(motion.period / width))
     while True:
-        windows = build_windows(coasting_recording(motion, line, segments))
-        _check_windows(motion, segments, windows)
+        windows = build_windows(coasting_recording(motion, line, segments), width)
+        _check_windows(motion, windows)
         # In the acceleration form k stands in the place of 1/m.
-        regression = regress(windows, 1.0 / expected.value, FREE_RATIO_STD / expected.value**2)
+        regression = regress(
+            windows, 1.0 / expected.value, FREE_RATIO_STD / expected.value**2, noise
+        )
         worst = _stray(segments, windows, regression)
         if worst is None:
             break
@@ -262,28 +270,39 @@ def fit_segments(
 
 def coasting_recording(motion: Motion, line: Line, segments: tuple[Segment, ...]) -> Recording:
     """What the windows of `analysis.resistance` are cut from: gravity drives, nothing brakes."""
-    time = motion.time
+    time = fine_clock(motion)
     inside = np.zeros(time.size, dtype=bool)
     for segment in segments:
-        # What is averaged near its ends would reach beyond.
-        inside |= (time >= segment.start + AVERAGED) & (time <= segment.end - AVERAGED)
-    position = np.where(np.isfinite(motion.position), motion.position, 0.0)
-    track = line.track_acceleration(position)
+        inside |= (time >= segment.start) & (time <= segment.end)
+    position = np.interp(time, motion.time, np.nan_to_num(motion.position))
     section, nearest = gradient_pieces(line, position)
     slope = line.track_acceleration(position + POSITION_STEP)
     slope = (slope - line.track_acceleration(position - POSITION_STEP)) / (2.0 * POSITION_STEP)
     nothing = np.zeros(time.size)
+    usable = motion.usable & np.isfinite(motion.position)
+    between = np.interp(time, motion.time, usable.astype(np.float64))
     return Recording(
         time=time,
-        speed=smoothed_over(time, motion.speed, AVERAGED),
-        effort=-smoothed_over(time, track, AVERAGED),
+        speed=np.interp(time, motion.time, motion.speed),
+        effort=-line.track_acceleration(position),
         braking=nothing,
         rotating_momentum=nothing,
         track=nothing,
         track_slope=slope,
         section=section,
         nearest_edge=nearest,
-        usable=inside & motion.usable & np.isfinite(motion.position),
+        # Between two samples both have to be usable.
+        usable=inside & (between > 1.0 - 1e-9),
+    )
+
+
+def fine_clock(motion: Motion) -> FloatArray:
+    """Times of the samples, and between them if they are far apart: gradients change there."""
+    parts = max(round(motion.period / FINE), 1)
+    return np.interp(
+        np.arange((motion.time.size - 1) * parts + 1) / parts,
+        np.arange(motion.time.size),
+        motion.time,
     )
 
 
@@ -302,12 +321,12 @@ def with_ratio(
     return told, left, MassRatio(float(told[0]), float(np.sqrt(left[0, 0])), source)
 
 
-def _check_windows(motion: Motion, segments: tuple[Segment, ...], windows: Windows) -> None:
-    total = sum(segment.duration for segment in segments)
-    if windows.count < FEWEST_WINDOWS:
+def _check_windows(motion: Motion, windows: Windows) -> None:
+    total = float(windows.duration.sum())
+    if total < LEAST_COASTING:
         raise NotIdentifiableError(
-            f"trip '{motion.trip}': coasting for {total:.0f} s gives {windows.count} windows of"
-            f" 10 s, {FEWEST_WINDOWS} are needed",
+            f"trip '{motion.trip}': coasts for {total:.0f} s that can be used,"
+            f" {LEAST_COASTING:.0f} s are needed",
             remedy="give a trip that coasts for longer, or more trips",
         )
     reach = float(np.ptp(windows.mean_speed))
@@ -363,12 +382,22 @@ def _result(
         residual_std=float(np.sqrt(residual @ residual / max(residual.size - 4, 1))),
         scale=motion.scale,
         source=motion.source,
-        points=WindowPoints(
-            speed=windows.mean_speed,
-            deceleration=(theta[0] * windows.x[:, 0] - windows.y) / windows.duration,
-            std=np.sqrt(2.0) * regression.noise.speed / windows.duration,
-            used=regression.kept,
-        ),
+        points=_points(windows, regression, theta),
+    )
+
+
+def _points(windows: Windows, regression: Regression, theta: FloatArray) -> WindowPoints:
+    """The windows that were used, joined, and the outliers one by one."""
+    joined, left_out = windows.select(regression.kept).merged(), windows.select(~regression.kept)
+    parts = (joined, left_out)
+    duration = np.concatenate([part.duration for part in parts])
+    x = np.concatenate([part.x for part in parts])
+    y = np.concatenate([part.y for part in parts])
+    return WindowPoints(
+        speed=np.concatenate([part.mean_speed for part in parts]),
+        deceleration=(theta[0] * x[:, 0] - y) / duration,
+        std=np.sqrt(2.0) * regression.noise.speed / duration,
+        used=np.repeat([True, False], [part.count for part in parts]),
     )
 
 

@@ -106,7 +106,7 @@ def coast_down(
         If a trip carries no line and none is given.
     """
     ordered = sorted(trips, key=lambda trip: trip.name)
-    train, name = _one_train(ordered)
+    train, name = one_train(ordered)
     expected = MassRatio.expected(train)
     refused: dict[str, str] = {}
     moved: list[tuple[Motion, Line]] = []
@@ -237,8 +237,26 @@ def check_supported(curve: Curve, speeds: tuple[float, float] | None) -> None:
     )
 
 
-def _one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:
-    """The train of all trips, if they tell it."""
+def _located(trip: Trip, line: Line | None) -> tuple[Motion, Line]:
+    """A trip's motion and the line as it travelled it."""
+    motion = motion_of(trip)
+    if not motion.has_position:
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': where on the line the train was is not known",
+            place="topics /estimates/state and /train/state",
+            remedy="ingest the recording with --line, which turns satellite fixes into chainage",
+        )
+    return motion, travelled(trip, line)
+
+
+def one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:
+    """The train of all trips and its name, if they tell it; None and empty if not.
+
+    Raises
+    ------
+    InputError
+        If the trips are of different trains, or a trip appears twice.
+    """
     names = [trip.name for trip in trips]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -252,18 +270,6 @@ def _one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:
             remedy="fit each train apart",
         )
     return (trains[0] if trains else None), next(iter(called), "")
-
-
-def _located(trip: Trip, line: Line | None) -> tuple[Motion, Line]:
-    """A trip's motion and the line as it travelled it."""
-    motion = motion_of(trip)
-    if not motion.has_position:
-        raise NotIdentifiableError(
-            f"trip '{trip.name}': where on the line the train was is not known",
-            place="topics /estimates/state and /train/state",
-            remedy="ingest the recording with --line, which turns satellite fixes into chainage",
-        )
-    return motion, travelled(trip, line)
 
 
 def travelled(trip: Trip, line: Line | None) -> Line:

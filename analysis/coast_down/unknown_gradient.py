@@ -17,14 +17,15 @@ own. Hence
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.coast_down.detection import SHORTEST
-from analysis.coast_down.fit import AVERAGED, LARGEST_STD, SHORTEST_RANGE
+from analysis.coast_down.fit import LARGEST_STD, SHORTEST_RANGE
 from analysis.coast_down.motion import Motion, motion_of, smoothed_over
+from analysis.coast_down.together import one_train
 from analysis.resistance.curve import band_factor, curve_std, powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
@@ -38,6 +39,9 @@ Spans = Sequence[tuple[float, float]]
 
 PIECE = 250.0
 """Length of a piece of track [m]."""
+
+AVERAGED = 1.5
+"""Speed is averaged over this time to either side [s]."""
 
 LAG = 1.5
 """Effort is gone this long after the lever came to rest [s]."""
@@ -112,8 +116,11 @@ def coast_down_without_gradient(
     NotIdentifiableError
         If it is not known where the trips coasted, or no piece of track was coasted at different
         speeds, or the speeds' differences do not tell the resistance to 10 %.
+    InputError
+        If the trips are of different trains, or a trip appears twice.
     """
     ordered = sorted(trips, key=lambda trip: trip.name)
+    _, train = one_train(ordered)
     parts: list[Passages] = []
     told: list[dict[str, object]] = []
     for number, trip in enumerate(ordered):
@@ -128,7 +135,7 @@ def coast_down_without_gradient(
         told.append({"trip": trip.name, "accepted": True, "passages": int(found.piece.size)})
     rows = _joined(parts)
     _check_repeated(rows)
-    return _solved(rows, told)
+    return replace(_solved(rows, told), train=train)
 
 
 def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:

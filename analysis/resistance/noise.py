@@ -74,7 +74,7 @@ PRIOR = NoiseModel(speed=0.01, gradient=0.5e-3, position=10.0, effort=0.01)
 """Where the search begins: an ordinary survey and odometer."""
 
 PRIOR_WIDTH = NoiseModel(speed=0.5, gradient=1.5, position=1.5, effort=1.0)
-"""Standard deviation of the natural logarithm of each size around `PRIOR`."""
+"""Standard deviation of the natural logarithm of each size around what is expected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,9 @@ class NoiseParts:
         return np.asarray(white), float(logarithm)
 
 
-def estimate_noise(parts: NoiseParts, columns: FloatArray, prior: FloatArray) -> NoiseModel:
+def estimate_noise(
+    parts: NoiseParts, columns: FloatArray, prior: FloatArray, expected: NoiseModel = PRIOR
+) -> NoiseModel:
     """Size of each cause of noise by restricted maximum likelihood.
 
     Parameters
@@ -173,8 +175,10 @@ def estimate_noise(parts: NoiseParts, columns: FloatArray, prior: FloatArray) ->
         Regressors, and last the left-hand side.
     prior : (p, p + 1) array
         What is known of the parameters, as further rows of unit variance.
+    expected : NoiseModel
+        Where the search begins, and towards what it is drawn.
     """
-    centre, width = np.log(PRIOR.sizes), np.array(PRIOR_WIDTH.sizes)
+    centre, width = np.log(expected.sizes), np.array(PRIOR_WIDTH.sizes)
 
     def penalised(z: FloatArray) -> float:
         sizes = NoiseModel(*np.exp(centre + width * z).tolist())

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from analysis.resistance.noise import NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.noise import PRIOR, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
 
@@ -85,7 +85,9 @@ class Regression:
     condition: float
 
 
-def regress(windows: Windows, mass: float, mass_std: float) -> Regression:
+def regress(
+    windows: Windows, mass: float, mass_std: float, expected_noise: NoiseModel = PRIOR
+) -> Regression:
     """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``.
 
     Parameters
@@ -94,6 +96,8 @@ def regress(windows: Windows, mass: float, mass_std: float) -> Regression:
         At least a handful; refusing too few is the caller's business.
     mass, mass_std : float [kg]
         What is known beforehand; weak.
+    expected_noise : NoiseModel
+        Where the search for the noise begins.
 
     Returns
     -------
@@ -107,7 +111,7 @@ def regress(windows: Windows, mass: float, mass_std: float) -> Regression:
         used = windows.select(kept)
         parts = NoiseParts.of(used, mass)
         columns = np.column_stack([used.x, used.effort_change, used.braking, used.y])
-        noise = estimate_noise(parts, columns, prior)
+        noise = estimate_noise(parts, columns, prior, expected_noise)
         rows = parts.whiten(noise, columns)
         recursion = RecursiveLeastSquares(spread, prior_mean=expected)
         theta, covariances = (

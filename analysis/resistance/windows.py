@@ -31,9 +31,6 @@ IntArray = NDArray[np.int64]
 WINDOW = 1.0
 """Length of a window [s]; short beside the time a train takes over a piece of gradient."""
 
-HALF_AVERAGE = 0.5 * WINDOW
-"""Speed at a window's ends is averaged over this time to either side [s]."""
-
 MERGED = 10.0
 """Length of the windows that are looked at, in pictures and tables [s]."""
 
@@ -140,7 +137,8 @@ class Windows:
         joined = np.append(False, self.start[1:] - self.end[:-1] < 1e-6)
         stretch = np.flatnonzero(~joined)
         number = np.arange(self.count) - np.repeat(stretch, np.diff(np.append(stretch, self.count)))
-        first = np.flatnonzero(number % round(MERGED / WINDOW) == 0)
+        together = max(round(MERGED / float(np.median(self.duration))), 1)
+        first = np.flatnonzero(number % together == 0)
         last = np.append(first[1:], self.count) - 1
         summing = csr_array(
             (np.ones(self.count), np.arange(self.count), np.append(first, self.count))
@@ -159,12 +157,14 @@ class Windows:
         )
 
 
-def build_windows(recording: Recording) -> Windows:
+def build_windows(recording: Recording, width: float = WINDOW) -> Windows:
     """Cut the usable stretches of a recording into windows.
 
     Parameters
     ----------
     recording : Recording
+    width : float [s]
+        Of a window; several samples of the speed, or the errors of neighbouring ends are alike.
 
     Returns
     -------
@@ -172,7 +172,7 @@ def build_windows(recording: Recording) -> Windows:
         None of them (`count` 0) if no stretch is long enough.
     """
     time = recording.time
-    start, end = _window_ends(time, recording.usable)
+    start, end = _window_ends(time, recording.usable, width)
     integrals = _integral(
         time,
         np.column_stack(
@@ -187,9 +187,9 @@ def build_windows(recording: Recording) -> Windows:
         ),
     )
     plain = np.column_stack([recording.speed, recording.rotating_momentum, recording.effort])
-    at_end = _averaged(time, plain, end)
-    change = at_end - _averaged(time, plain, start)
-    integral = _averaged(time, integrals, end) - _averaged(time, integrals, start)
+    at_end = _averaged(time, plain, end, width)
+    change = at_end - _averaged(time, plain, start, width)
+    integral = _averaged(time, integrals, end, width) - _averaged(time, integrals, start, width)
     steps = np.gradient(time) if time.size > 1 else np.zeros(time.size)
     squares = _integral(time, (recording.effort**2 * steps)[:, None])
     return Windows(
@@ -206,14 +206,16 @@ def build_windows(recording: Recording) -> Windows:
     )
 
 
-def _window_ends(time: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+def _window_ends(
+    time: FloatArray, usable: NDArray[np.bool_], window: float
+) -> tuple[FloatArray, FloatArray]:
     """Start and end of every window [s]: each usable stretch cut into equal windows."""
     padded = np.concatenate(([False], usable, [False])).astype(np.int8)
     first = np.flatnonzero(np.diff(padded) == 1)
     last = np.flatnonzero(np.diff(padded) == -1) - 1
-    begin, finish = time[first] + HALF_AVERAGE, time[last] - HALF_AVERAGE
+    begin, finish = time[first] + 0.5 * window, time[last] - 0.5 * window
     length = finish - begin
-    pieces = np.maximum(np.floor(length / WINDOW + 1e-6), 0.0).astype(int)
+    pieces = np.maximum(np.floor(length / window + 1e-6), 0.0).astype(int)
     stretch = np.repeat(np.arange(pieces.size), pieces)
     number = np.arange(stretch.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     width = (length / np.maximum(pieces, 1))[stretch]
@@ -234,11 +236,12 @@ def _at(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArra
     return np.asarray((1.0 - share) * values[index] + share * values[index + 1])
 
 
-def _averaged(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
-    """Mean (m, c) over `HALF_AVERAGE` to either side of `instants` of sampled values (n, c)."""
-    return (
-        _area(time, values, instants + HALF_AVERAGE) - _area(time, values, instants - HALF_AVERAGE)
-    ) / (2.0 * HALF_AVERAGE)
+def _averaged(
+    time: FloatArray, values: FloatArray, instants: FloatArray, width: float
+) -> FloatArray:
+    """Mean (m, c) over half of `width` to either side of `instants` of sampled values (n, c)."""
+    low, high = instants - 0.5 * width, instants + 0.5 * width
+    return (_area(time, values, high) - _area(time, values, low)) / width
 
 
 def _area(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
