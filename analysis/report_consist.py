@@ -92,7 +92,7 @@ def _overview(consist: Consist) -> Table:
     table.add_row(
         "brake",
         f"{consist.max_braking_effort / 1e3:.0f} kN, dead time {brake.dead_time:g} s at the front"
-        f" and {slowest:.2f} s at the rear, lag {brake.lag:g} s",
+        f" and {slowest:.3g} s at the rear, lag {brake.lag:g} s",
     )
     resistance = consist.resistance
     at = ", ".join(f"{resistance(speed / KMH) / 1e3:.1f} kN at {speed} km/h" for speed in (50, 100))

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from trainlog import cli, demo
+from analysis.report import new_table
+from trainlog import cli, demo, terminal
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 
 
@@ -398,3 +399,19 @@ def test_a_part_that_holds_nothing_is_told_with_its_file(
     assert status == 2
     assert f"{log}: holds nothing of the part asked for" in complaint
     assert not output.exists()
+
+
+def test_units_in_brackets_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    """Brackets are no markup, neither in headings nor in names."""
+    table = new_table("made [N]", "speed [m/s]")
+    table.add_row("trip [a]")
+    terminal.console.print(table, "refused: trip '[/b]'")
+    shown = capsys.readouterr().out
+    assert all(each in shown for each in ("made [N]", "speed [m/s]", "trip [a]", "'[/b]'"))
+
+
+def test_help_names_units(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, shown, _ = run(monkeypatch, capsys, "study", "consist", "--help")
+    assert "km/h" in shown

@@ -12,10 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from resistance_trips import LINE, RESISTANCE, TRAIN, changed, constant_speed, trip
 
+from analysis.coast_down import coast_down
+from analysis.estimates import with_estimates
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import mass_prior
 from analysis.resistance.recording import prepare
+from analysis.resistance.refusal import TripRefusedError
 from analysis.resistance.windows import build_windows
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
@@ -301,6 +304,21 @@ def test_nothing_recorded_is_refused(column: str) -> None:
     topic = "/train/controls" if column == "tractive_effort" else "/train/state"
     with pytest.raises(NotIdentifiableError, match=f"no {column.replace('_', ' ')} recorded"):
         fit_trip(changed(trip(), topic, **{column: np.nan}))
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.25, 3.6])
+def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], factor: float) -> None:
+    kept = ("/train/state", "/train/controls")
+    made = replace(simulated[0], topics={name: simulated[0][name] for name in kept})
+    wrong = changed(made, "/train/state", speed=factor * made["/train/state"]["speed"].to_numpy())
+    said = f"{factor:.1f}. times that of the chainage"
+    with pytest.raises(TripRefusedError, match=said) as told:
+        fit_trip(wrong)
+    assert told.value.reason == "contradiction"
+    with pytest.raises(LogError, match=f"nothing can be estimated; state: .*{said}"):
+        with_estimates(wrong)
+    with pytest.raises(NotIdentifiableError, match=said):
+        coast_down([wrong])
 
 
 def test_satellites_alone_are_refused() -> None:

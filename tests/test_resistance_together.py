@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
 
 from analysis.pictures.resistance import draw_fits
-from analysis.pictures.resistance_trip import draw_refused, draw_trip
+from analysis.pictures.resistance_trip import draw_each_refused, draw_refused, draw_trip
 from analysis.resistance import (
     TripFit,
     TripRefusedError,
@@ -30,7 +30,7 @@ from analysis.resistance.curve import powers
 from analysis.resistance.diagnostics import Residuals
 from analysis.resistance.fit import History, WindowPoints
 from analysis.resistance.recording import SpeedScale
-from analysis.resistance.refusal import Timeline
+from analysis.resistance.refusal import AllRefusedError, Timeline
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import read_parameters, write_parameters
@@ -273,8 +273,9 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
 
 def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
     write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
-    with pytest.raises(NotIdentifiableError, match=r"no trip determines .* vary too little"):
+    with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as told:
         fit_logs([tmp_path / "dull.mcap"])
+    assert draw_each_refused(told.value.refused, tmp_path) == [tmp_path / "dull.png"]
     with pytest.raises(NotIdentifiableError, match="no log was given"):
         fit_logs([])
 

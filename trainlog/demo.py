@@ -9,6 +9,7 @@ from pathlib import Path
 from time import perf_counter
 
 from rich.console import Console
+from rich.text import Text
 
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
@@ -82,10 +83,12 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], object])
     _clear(output)
     steps = commands(output)
     for number, step in enumerate(steps, start=1):
-        console.rule(f"[dim]{number} of {len(steps)}, {perf_counter() - begin:.0f} s", align="left")
-        console.print(f"[bold]$ trainlog {shlex.join(step)}", highlight=False, soft_wrap=True)
+        passed = f"{number} of {len(steps)}, {perf_counter() - begin:.0f} s"
+        console.rule(Text(passed, style="dim"), align="left")
+        told = Text(f"$ trainlog {shlex.join(step)}", style="bold")
+        console.print(told, highlight=False, soft_wrap=True)
         run(step)
-    console.rule(f"[dim]done in {perf_counter() - begin:.0f} s", align="left")
+    console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")
     console.print(f"Everything is in {output}. Next, try:", highlight=False)
     for command in (
         f"trainlog replay {output / 'trips'} -o {output / 'all.rrd'}",

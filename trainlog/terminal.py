@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 WIDTH = 110
 """Columns of output that goes to a file or a pipe, where no terminal tells its width."""
 
-console = Console(width=None if Console().is_terminal else WIDTH)
-complaints = Console(stderr=True)
+# No markup: in "[m/s²]" and in the names of trips brackets mean themselves.
+console = Console(width=None if Console().is_terminal else WIDTH, markup=False)
+complaints = Console(stderr=True, markup=False)
 
 
 def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:

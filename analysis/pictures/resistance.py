@@ -119,6 +119,8 @@ def _observed(axes: Axes, fits: Fits) -> None:
     dress(axes, x="speed [km/h]", y="difference from the mean [%]", title=title)
     low, high = axes.get_ylim()
     axes.set_ylim(low - 0.25 * (high - low), high)  # room for the legend
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.25 * (high - low), high)  # room for the legend
     axes.legend(fontsize=8, frameon=False, loc="lower left")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,13 @@ def draw_each(fits: Fits, folder: Path) -> list[Path]:
     for fit in fits.trips:
         paths.append(folder / f"{_file_name(fit.trip)}.png")
         draw_trip(fit, paths[-1])
-    for trip, refusal in fits.refused.items():
+    return paths + draw_each_refused(fits.refused, folder)
+
+
+def draw_each_refused(refused: Mapping[str, TripRefusedError], folder: Path) -> list[Path]:
+    """Draw every trip that was refused now, a file each; returns their paths."""
+    paths = []
+    for trip, refusal in refused.items():
         paths.append(folder / f"{_file_name(trip)}.png")
         draw_refused(trip, refusal, paths[-1])
     return paths
@@ -190,7 +197,7 @@ def _summary(fit: TripFit) -> str:
     r = fit.resistance
     return (
         f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²,"
-        f" mass {fit.mass / TONNE:.1f} ± {fit.mass_std / TONNE:.1f} t"
+        f" mass {fit.mass / TONNE:.1f} ± {1.96 * fit.mass_std / TONNE:.1f} t"
     )
 
 

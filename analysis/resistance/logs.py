@@ -21,9 +21,9 @@ from analysis.resistance.recording import (
     check_recorded,
     scale_samples,
 )
-from analysis.resistance.refusal import TripRefusedError
+from analysis.resistance.refusal import AllRefusedError, TripRefusedError
 from analysis.resistance.summary import SOFTWARE, summarised
-from trainlog.errors import InputError, LogError, NotIdentifiableError
+from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
@@ -84,8 +84,8 @@ def fit_logs(
 
     Raises
     ------
-    NotIdentifiableError
-        If no trip determines the curve.
+    AllRefusedError
+        If no trip determines the curve; it holds why each does not.
     LogError
         If a file is not a log, or a trip lacks its line or its train.
     InputError
@@ -122,9 +122,10 @@ def fit_logs(
     summaries = merged([*earlier, rows])
     if not (summaries["refused"] == "").any():
         first = next(iter(summaries["message"]), "no log was given")
-        raise NotIdentifiableError(
+        raise AllRefusedError(
             f"no trip determines the running resistance; {first}",
             remedy="give more, or more varied, trips",
+            refused=refused,
         )
     parameters = parameter_set(summaries, cover=cover, most=most)
     return Fits(

@@ -54,6 +54,10 @@ LONGEST_SECTION = 2000.0
 UNCALIBRATED_SCALE_STD = 0.004
 """Standard deviation of the speed scale where nothing calibrates it: worn wheels."""
 
+LARGEST_SCALE = 1.15
+"""Recorded over true speed, or the inverse: between new and fully worn wheels the diameter differs
+by 8 to 10 %."""
+
 
 @dataclass(frozen=True, slots=True)
 class SpeedScale:
@@ -273,7 +277,28 @@ def scale_samples(
 
 
 def calibrated(pieces: Sequence[ScaleSamples]) -> SpeedScale:
-    """The speed scale that the parts of a trip say together."""
+    """The speed scale that the parts of a trip say together.
+
+    Raises
+    ------
+    TripRefusedError
+        If the speed differs from satellites or chainage by more than any wheel does.
+    """
+    scale = _measured_scale(pieces)
+    if not 1.0 / LARGEST_SCALE <= scale.factor <= LARGEST_SCALE:
+        against = "satellites" if scale.source == "GNSS speed" else "the chainage"
+        raise TripRefusedError(
+            "contradiction",
+            f"the recorded speed is {scale.factor:.2f} times that of {against}, which no wear of"
+            " wheels explains",
+            place="topic /train/state",
+            remedy="check its unit, and that the sensor worked",
+        )
+    return scale
+
+
+def _measured_scale(pieces: Sequence[ScaleSamples]) -> SpeedScale:
+    """What the parts of a trip say about the scale of its speed, however far from 1."""
     own = np.concatenate([piece.own for piece in pieces])
     gnss = np.concatenate([piece.gnss for piece in pieces])
     if own.size >= 300:

@@ -13,9 +13,18 @@ from trainlog.errors import NotIdentifiableError
 FloatArray = NDArray[np.float64]
 
 Reason = Literal[
-    "not recorded", "gap", "standstill", "braking", "slip", "too short", "condition", "excitation"
+    "not recorded",
+    "contradiction",
+    "gap",
+    "standstill",
+    "braking",
+    "slip",
+    "too short",
+    "condition",
+    "excitation",
 ]
-"""``"not recorded"``: speed, chainage or tractive effort is missing altogether. ``"gap"``,
+"""``"not recorded"``: speed, chainage or tractive effort is missing altogether.
+``"contradiction"``: the speed is not that of satellites or chainage. ``"gap"``,
 ``"standstill"``, ``"braking"``, ``"slip"``: most of the trip was masked for that. ``"too short"``:
 it was not, and there are too few windows all the same. ``"condition"``: speed and effort vary too
 little to tell the parameters apart. ``"excitation"``: at some speed that was asked for the curve
@@ -65,3 +74,23 @@ class TripRefusedError(NotIdentifiableError):
         super().__init__(problem, place=place, remedy=remedy)
         self.reason: Reason = reason
         self.timeline = timeline
+
+
+class AllRefusedError(NotIdentifiableError):
+    """No trip determines the curve.
+
+    Attributes
+    ----------
+    refused : dict of str to TripRefusedError
+        Why, by trip, of the logs that were read now.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        remedy: str | None = None,
+        refused: dict[str, TripRefusedError],
+    ) -> None:
+        super().__init__(problem, remedy=remedy)
+        self.refused = refused

@@ -59,9 +59,10 @@ def fit(
     Example: trainlog fit results/trips -o results/parameters.json
     """
     from analysis.pictures.resistance import draw_fits
-    from analysis.pictures.resistance_trip import draw_each
+    from analysis.pictures.resistance_trip import draw_each, draw_each_refused
     from analysis.report import fit_table
     from analysis.resistance import fit_logs
+    from analysis.resistance.refusal import AllRefusedError
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
@@ -74,7 +75,12 @@ def fit(
     paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
     with progress_bar() as progress:
         given = progress.track(paths, description="fitting")
-        fits = fit_logs(given, cover=cover / 100.0, most=configurations)
+        try:
+            fits = fit_logs(given, cover=cover / 100.0, most=configurations)
+        except AllRefusedError as error:
+            if per_trip is not None:
+                wrote(*draw_each_refused(error.refused, made_folder(per_trip)))
+            raise
     write_parameters(fits.parameters, output)
     write_summaries(fits.summaries, kept)
     draw_fits(fits, shown)

@@ -83,7 +83,7 @@ def consist(
     line: Annotated[
         Path | None, typer.Option(help="Line file; default: 12 km with a crest and a sag.")
     ] = None,
-    speed: Annotated[float, typer.Option(min=1.0, help="Speed to keep [km/h].")] = 80.0,
+    speed: Annotated[float, typer.Option(min=1.0, help="Speed to keep, in km/h.")] = 80.0,
 ) -> None:
     """Forces between the vehicles of a train: start, gradients, full and emergency braking.
 

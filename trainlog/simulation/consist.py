@@ -203,13 +203,16 @@ class ConsistPlant:
         tractive_efforts, braking_efforts : (n,) array or float [N]
             Of each vehicle, or of the whole consist: then shared in proportion to what each vehicle
             can do. Tractive efforts are bounded by the vehicle's power.
+        steps : int
 
         Raises
         ------
         InputError
-            If an effort is negative or more than a vehicle has, if a softening coupler is
-            stretched beyond its validity, or the motion is not finite.
+            If there is less than no step, an effort is negative or more than a vehicle has, if a
+            softening coupler is stretched beyond its validity, or the motion is not finite.
         """
+        if steps < 0:
+            raise InputError(f"{steps} steps make no sense", remedy="time passes forwards only")
         pull = self._shared(tractive_efforts, particles.PULL, "tractive")
         demand = self._shared(braking_efforts, particles.BRAKE, "braking")
         state.cursor = particles.advance(
