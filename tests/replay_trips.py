@@ -112,6 +112,8 @@ def made_trip(name: str = "up", direction: str = "forward", top: float = 20.0) -
         ),
         frame_of(topics.TRUTH, time, {"running_resistance": 1e3 + 10 * speed}),
         frame_of(topics.IMU, time, {"specific_force_z": np.full(len(time), 9.81)}),
+        frame_of(topics.TRAIN_VEHICLES, time, {"speed": np.column_stack((speed, speed))}),
+        frame_of(topics.TRAIN_COUPLERS, time, {"force": 0.4 * (pull - brake)[:, None]}),
     ]
     return Trip(
         {frame.attrs["topic"]: frame for frame in frames},

@@ -108,7 +108,7 @@ def test_plots_name_quantity_and_unit(trips: list[Trip], tmp_path: Path) -> None
     path = tmp_path / "replay.rrd"
     record_replay(trips[:1], path)
     plots = [view for view in layout_of(path).views() if view["class"] == ["TimeSeries"]]
-    assert len(plots) == 6
+    assert len(plots) == 7
     assert all(re.search(r"\[(km/h|kN|‰|1)\]", view["name"][0]) for view in plots)
 
 
