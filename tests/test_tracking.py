@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+
+import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from analysis.control import tracking_kernels as kernels
-from analysis.control.tracking import TrackingController, Tuning, solve
+from analysis.control.tracking import SOFTNESS, TrackingController, Tuning, solve
 from analysis.trajectory import reference_dynamics as dynamics
 from analysis.trajectory.reference import Reference, reference
 from analysis.trajectory.reference_section import section_of
@@ -23,6 +26,11 @@ LIGHT, NOMINAL, HEAVY = PAPER_000.mass, 78_200.0, PAPER_000.max_mass
 
 @pytest.fixture(scope="module")
 def plan() -> Reference:
+    return _short_plan()
+
+
+@cache
+def _short_plan() -> Reference:
     track = Line(
         name="short",
         length=2_600.0,
@@ -106,7 +114,13 @@ def test_terminal_cost_is_the_fixed_point_of_riccati() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 1000))
-def test_the_solver_meets_the_conditions_of_optimality(plan: Reference, seed: int) -> None:
+def test_the_solver_finds_what_another_solver_finds(seed: int) -> None:
+    """Clarabel on the same program, with rules that may be broken at the same price a row.
+
+    DAQP counts what a row is broken by over the row's norm, so that the two may differ by what
+    the softness allows.
+    """
+    plan = _short_plan()
     rng = np.random.default_rng(seed)
     now = float(rng.integers(2, 150))
     p, v, _ = plan.at(now)
@@ -115,14 +129,17 @@ def test_the_solver_meets_the_conditions_of_optimality(plan: Reference, seed: in
     change, status = solve(program)
     assert status > 0
     n = change.size
-    assert np.all(change <= program.upper[:n] + 1e-6)
-    assert np.all(change >= program.lower[:n] - 1e-6)
-    moved = program.rows @ change
-    over = np.maximum(moved - program.upper[n:], 0.0) - np.maximum(program.lower[n:] - moved, 0.0)
-    slope = program.hessian @ change + program.gradient + program.rows.T @ over / 1e-7
-    inside = (change < program.upper[:n] - 1e-6) & (change > program.lower[:n] + 1e-6)
-    scale = 1.0 + np.abs(program.gradient).max()
-    assert np.all(np.abs(slope[inside]) < 0.05 * scale)
+    x = cp.Variable(n)
+    over = 1e-3 * cp.Variable(len(program.rows), nonneg=True)
+    price = 0.5e-6 * cp.sum_squares(1e3 * over) / SOFTNESS
+    hessian = cp.psd_wrap(0.5 * (program.hessian + program.hessian.T))
+    rules = [x <= program.upper[:n], x >= program.lower[:n]]
+    above, below = np.isfinite(program.upper[n:]), np.isfinite(program.lower[n:])
+    rules.append(program.rows[above] @ x <= program.upper[n:][above] + over[above])
+    rules.append(program.rows[below] @ x >= program.lower[n:][below] - over[below])
+    cost = 0.5 * cp.quad_form(x, hessian) + program.gradient @ x + price
+    cp.Problem(cp.Minimize(cost), [rule for rule in rules if rule.size]).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(change, x.value, atol=2e-4)
 
 
 def test_on_time_both_linearisations_stay_within_a_metre(plan: Reference) -> None:
