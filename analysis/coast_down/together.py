@@ -115,7 +115,7 @@ def coast_down(
             moved.append(_located(trip, line))
         except NotIdentifiableError as error:
             refused[trip.name] = str(error)
-    _check_any(moved, refused)
+    check_any(moved, refused)
     detection = _detected(moved, expected)
     fits: list[TripCoastDown] = []
     for (motion, travelled), segments in zip(moved, detection.segments, strict=True):
@@ -123,7 +123,7 @@ def coast_down(
             fits.append(fit_segments(motion, travelled, segments, expected))
         except NotIdentifiableError as error:
             refused[motion.trip] = str(error)
-    _check_any(fits, refused)
+    check_any(fits, refused)
     curve, between, ratio = combined(fits, expected)
     check_plausible(curve)
     check_supported(curve, speeds)
@@ -294,7 +294,14 @@ def _detected(moved: Sequence[tuple[Motion, Line]], expected: MassRatio) -> Dete
     return detect(blocks, (expected.value, expected.std))
 
 
-def _check_any(found: Sequence[object], refused: dict[str, str]) -> None:
+def check_any(found: Sequence[object], refused: dict[str, str]) -> None:
+    """Refuse trips of which none is of use, with the reason for the first.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If nothing was found.
+    """
     if found:
         return
     first = next(iter(refused.values()), "no trip was given")

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from analysis.coast_down.detection import SHORTEST
 from analysis.coast_down.fit import LARGEST_STD, SHORTEST_RANGE
 from analysis.coast_down.motion import Motion, motion_of, smoothed_over
-from analysis.coast_down.together import one_train
+from analysis.coast_down.together import check_any, one_train
 from analysis.resistance.curve import band_factor, curve_std, powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
@@ -133,6 +133,7 @@ def coast_down_without_gradient(
             continue
         parts.append(found)
         told.append({"trip": trip.name, "accepted": True, "passages": int(found.piece.size)})
+    check_any(parts, {str(each["trip"]): str(each["reason"]) for each in told if "reason" in each})
     rows = _joined(parts)
     _check_repeated(rows)
     return replace(_solved(rows, told), train=train)
@@ -231,8 +232,6 @@ def _turned(trip: Trip, line: Line | None) -> float | None:
 
 def _joined(parts: Sequence[Passages]) -> Passages:
     names = ("trip", "piece", "way", "acceleration", "speed", "square", "noise", "joined")
-    if not parts:
-        parts = [Passages(*(np.empty(0) for _ in names))]  # type: ignore[arg-type]
     return Passages(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 

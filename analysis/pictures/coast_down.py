@@ -168,7 +168,7 @@ def _windows(axes: Axes, trips: Sequence[TripCoastDown]) -> None:
         elinewidth=0.4,
         markersize=3,
         alpha=0.6 if len(trips) < 4 else 0.3,
-        label=f"{int(used.sum())} windows of 10 s, with the speed's noise",
+        label=f"{int(used.sum())} windows of 10 s and less, with the speed's noise",
     )
     if not np.all(used):
         axes.plot(KMH * speed[~used], value[~used], "x", color=ORANGE, label="outliers, left out")
