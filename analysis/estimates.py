@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.resistance.fit import estimated_resistance, fit_trip
 from analysis.resistance.logs import fit_log
-from analysis.resistance.recording import speed_scale
+from analysis.resistance.recording import LARGEST_SCALE, speed_scale
 from analysis.slip import slip
 from estimators.kalman import smooth_motion
 from trainlog import __version__
@@ -29,6 +29,15 @@ CHAINAGE_STD = 3.0
 
 CHAINAGE_TIME = 30.0
 """Time over which an error of recorded chainage lasts [s]: the way from balise to balise."""
+
+LEAST_BALISES = 3
+"""Corrections of the chainage from which on they tell balises."""
+
+LEAST_JUMP = 0.5
+"""Correction of the chainage [m] that is told from its noise."""
+
+LONGEST_STEP = 1.0
+"""Time between two samples [s] over which their chainage may be compared with their speed."""
 
 
 def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
@@ -156,6 +165,7 @@ def _state(trip: Trip, result: Trip) -> Trip:
     speed = state["speed"].to_numpy(dtype=np.float64)
     position = state["position"].to_numpy(dtype=np.float64)
     scale = speed_scale(trip, time, speed, position)
+    position = without_wheel_error(time, speed, position, scale.factor)
     # The chainage's error is that of the odometer since the last balise: it lasts, so that many
     # samples together say no more than one. White noise of this size says as much.
     lasting = np.sqrt(2.0 * CHAINAGE_TIME / float(np.median(np.diff(time))))
@@ -179,6 +189,43 @@ def _state(trip: Trip, result: Trip) -> Trip:
         },
     )
     return result.with_topic(frame)
+
+
+def without_wheel_error(
+    time: FloatArray, speed: FloatArray, position: FloatArray, factor: float
+) -> FloatArray:
+    """Chainage between balises, less what a wrong wheel diameter has added to it.
+
+    From each balise on an odometer errs to one side, in proportion to the distance: its mean
+    over a trip is off by half of what the balises correct, which no smoothing removes.
+
+    Parameters
+    ----------
+    time, speed, position : (n,) array [s], [m/s], [m]
+        As recorded; NaN what is missing.
+    factor : float
+        Recorded over true speed.
+
+    Returns
+    -------
+    (n,) array [m]
+        The chainage as recorded where fewer than `LEAST_BALISES` set it right.
+    """
+    known = np.isfinite(speed) & np.isfinite(position)
+    v, s, steps = speed[known], position[known], np.diff(time[known])
+    travelled, moved = 0.5 * (v[1:] + v[:-1]) * steps, np.diff(s)
+    jump = (np.abs(moved - travelled) > LEAST_JUMP) & (steps < LONGEST_STEP)
+    distance = float(np.sum(travelled[~jump]))
+    if np.count_nonzero(jump) < LEAST_BALISES or distance <= 0.0:
+        return position
+    # The odometer's wheel need not be the one whose speed was recorded.
+    ratio = factor * float(np.sum(moved[~jump])) / distance
+    if not 1.0 / LARGEST_SCALE < ratio < LARGEST_SCALE:
+        return position
+    balise = s[np.r_[0, np.flatnonzero(jump) + 1]][np.r_[0, np.cumsum(jump)]]
+    result = position.copy()
+    result[known] = balise + (s - balise) / ratio
+    return result
 
 
 def _adhesion(trip: Trip, result: Trip) -> Trip:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from resistance_trips import LINE, RESISTANCE, TRAIN, changed, constant_speed, trip
 
 from analysis.coast_down import coast_down
-from analysis.estimates import with_estimates
+from analysis.estimates import with_estimates, without_wheel_error
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import mass_prior
@@ -369,3 +369,29 @@ def test_band_holds_the_whole_curve_as_often_as_it_says() -> None:
         held = np.mean(np.all(np.abs(draws) < factor, axis=1))
         assert 0.945 < held < 0.975
         assert np.mean(np.abs(draws[:, 60]) < factor) > 0.95
+
+
+def test_estimated_chainage_is_free_of_the_wheels_error(simulated: list[Trip]) -> None:
+    """A wheel 0.5 % too small, set right by a balise every kilometre."""
+    made = simulated[0]
+    truth, frame = made["/truth"], made["/train/state"]
+    true = np.interp(frame.index.asi8, truth.index.asi8, truth["position"].to_numpy())
+    balise = np.floor(true / 1_000.0) * 1_000.0
+    wrong = changed(
+        made,
+        "/train/state",
+        position=balise + 1.005 * (true - balise),
+        speed=1.005 * np.interp(frame.index.asi8, truth.index.asi8, truth["speed"].to_numpy()),
+    )
+    found = with_estimates(wrong)[0]["/estimates/state"]
+    error = np.abs(found["position"].to_numpy() - true)
+    assert np.max(np.abs(wrong["/train/state"]["position"].to_numpy() - true)) > 4.5
+    assert np.max(error) < 1.0
+    assert np.mean(error < 1.96 * found["position_std"].to_numpy()) > 0.95
+
+
+def test_chainage_without_balises_is_left_alone() -> None:
+    time = np.arange(0.0, 600.0, 0.1)
+    speed = np.full(time.size, 20.0)
+    position = 1.01 * 20.0 * time
+    np.testing.assert_array_equal(without_wheel_error(time, speed, position, 1.0), position)
