@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, count
+from itertools import count, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,7 @@ class Answer:
 
 
 def outstanding(problem: Problem, least_times: FloatArray) -> list[int]:
-    """Rows of the configurations that may decide: the extreme ones by every pair of properties.
+    """Rows of the configurations that may decide: the extreme ones by any mix of properties.
 
     Whoever decides all the same shows when everybody rides along; here few are looked at.
     """
@@ -108,11 +108,8 @@ def outstanding(problem: Problem, least_times: FloatArray) -> list[int]:
     )
     spread = np.ptp(drag, axis=0)
     unit = (drag - drag.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    found = set()
-    for a, b in combinations(range(unit.shape[1]), 2):
-        for sign in (1.0, -1.0):
-            both = unit[:, a] + sign * unit[:, b]
-            found |= {int(np.argmax(both)), int(np.argmin(both))}
+    mixes = np.array(list(product((-1.0, 0.0, 1.0), repeat=unit.shape[1])))
+    found = set(np.argmax(unit @ mixes.T, axis=0).tolist())
     some = q > _MANY and problem.run.objective != "expected"
     return sorted(found) if some else list(range(q))
 
@@ -232,7 +229,7 @@ def best_bound(
         part = problem.select(rows)
         alone = Plan(plan.z[priced], plan.traction, plan.braking[priced], plan.dynamic[priced])
         try:
-            solution = minimise(part, alone, solution.time_price[priced], running_time, rounds=2)
+            solution = minimise(part, alone, solution.time_price[priced], running_time, rounds=1)
             bound = max(bound, _bounded(part, solution, running_time))
         except NoSolutionError:
             solution = answer.solution
