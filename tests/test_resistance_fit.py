@@ -311,7 +311,7 @@ def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], fac
     kept = ("/train/state", "/train/controls")
     made = replace(simulated[0], topics={name: simulated[0][name] for name in kept})
     wrong = changed(made, "/train/state", speed=factor * made["/train/state"]["speed"].to_numpy())
-    said = f"{factor:.1f}. times that of the chainage"
+    said = f"the recorded speed is {factor:.1f}. times that of the chainage"
     with pytest.raises(TripRefusedError, match=said) as told:
         fit_trip(wrong)
     assert told.value.reason == "contradiction"

@@ -181,6 +181,7 @@ def _calibration(path: Path) -> tuple[SpeedScale, pd.Timestamp]:
     """Speed scale of a long log, and its first sample."""
     pieces: list[ScaleSamples] = []
     origin: pd.Timestamp | None = None
+    name = ""
     refusal: TripRefusedError | None = None
     for part in stretches(path, TOPICS):
         try:
@@ -188,7 +189,7 @@ def _calibration(path: Path) -> tuple[SpeedScale, pd.Timestamp]:
         except TripRefusedError as error:
             refusal = error
             continue
-        origin = origin or origin_of(part.trip)
+        origin, name = origin or origin_of(part.trip), part.trip.name
         state = part.trip["/train/state"]
         measured, position = (state[n].to_numpy(np.float64) for n in ("speed", "position"))
         inside = within(pd.DatetimeIndex(state.index), part.span)
@@ -196,7 +197,7 @@ def _calibration(path: Path) -> tuple[SpeedScale, pd.Timestamp]:
         pieces.append(scale_samples(part.trip, time, measured, position, inside, origin))
     if origin is None:
         raise refusal or LogError("holds no samples", file=path, remedy="record it again")
-    return calibrated(pieces), origin
+    return calibrated(name, pieces), origin
 
 
 def _provenance(summaries: pd.DataFrame) -> dict[str, object]:

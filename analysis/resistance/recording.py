@@ -238,7 +238,7 @@ def speed_scale(
     A scale error of 0.3 % shifts a well-determined curve by more than its band; it is taken out
     where it can be and charged to the band where it cannot.
     """
-    return calibrated([scale_samples(trip, time, speed, position)])
+    return calibrated(trip.name, [scale_samples(trip, time, speed, position)])
 
 
 def scale_samples(
@@ -276,8 +276,8 @@ def scale_samples(
     return ScaleSamples(own, gnss, corrections, distance, float(np.sum(travelled[pairs])))
 
 
-def calibrated(pieces: Sequence[ScaleSamples]) -> SpeedScale:
-    """The speed scale that the parts of a trip say together.
+def calibrated(trip: str, pieces: Sequence[ScaleSamples]) -> SpeedScale:
+    """The speed scale that the parts of the trip of this name say together.
 
     Raises
     ------
@@ -289,8 +289,8 @@ def calibrated(pieces: Sequence[ScaleSamples]) -> SpeedScale:
         against = "satellites" if scale.source == "GNSS speed" else "the chainage"
         raise TripRefusedError(
             "contradiction",
-            f"the recorded speed is {scale.factor:.2f} times that of {against}, which no wear of"
-            " wheels explains",
+            f"trip '{trip}': the recorded speed is {scale.factor:.2f} times that of"
+            f" {against}, which no wear of wheels explains",
             place="topic /train/state",
             remedy="check its unit, and that the sensor worked",
         )
