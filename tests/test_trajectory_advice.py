@@ -157,3 +157,30 @@ def test_agreement_counts_the_cells_that_do_otherwise() -> None:
     worth = np.array([0.5, -0.5, 0.0, 0.5, 0.5])
     assert agreement(efforts, most, worth) == pytest.approx(3 / 5)
     assert agreement(efforts, most, -worth) == pytest.approx(2 / 5)
+
+
+def test_commands_write_sections_a_front_and_advice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from trainlog.cli import main
+    from trainlog.formats.journey import write_journey
+    from trainlog.railway import Journey, TimingPoint
+
+    def run(*words: object) -> None:
+        monkeypatch.setattr("sys.argv", ["trainlog", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code in (0, None), capsys.readouterr().err
+
+    parameters, journey = tmp_path / "parameters.json", tmp_path / "journey.json"
+    run("fit", sample("nonstop.mcap"), "-o", parameters)
+    points = [TimingPoint(place, None, None, 0.0, 0.0) for place in (0.0, 9_000.0, 20_000.0)]
+    write_journey(Journey("one stop", "CH_StGallen_Wil", tuple(points)), journey)
+    options = ("--dwell", 30, "--cells", 60, "--reserve", 15)
+    run("optimise", parameters, "--journey", journey, *options, "-o", tmp_path / "a.json")
+    for number in (1, 2):
+        for suffix in ("json", "png", "csv"):
+            assert (tmp_path / f"a-{number}.{suffix}").exists()
+    assert "Journey one stop" in capsys.readouterr().out
+    run("optimise", parameters, "--reverse", "--cells", 60, "-o", tmp_path / "b.json")
+    assert '"reverse"' in (tmp_path / "b.json").read_text()

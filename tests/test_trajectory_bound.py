@@ -1,0 +1,76 @@
+"""Weak duality: whatever the multipliers are, the bound is below every trajectory's energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from trajectory_world import FLIRT, hilly_line, observed
+
+from analysis.trajectory.active_set import first_guess
+from analysis.trajectory.bound import lower_bound
+from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.minimax import Solution, minimise
+from analysis.trajectory.problem import Problem, Run, discretise
+from analysis.trajectory.relaxation import Relaxation
+
+TIME = 450.0
+
+
+@cache
+def solved(objective: str) -> tuple[Problem, Solution, np.ndarray]:
+    line = hilly_line()
+    run = Run(
+        line, FLIRT, tuple(observed(FLIRT, 1.0, 1.05)), 0.0, line.length,
+        objective=objective,  # type: ignore[arg-type]
+    )  # fmt: skip
+    fastest = fastest_run(run)
+    mesh = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[1], 120)
+    problem = discretise(run, mesh)
+    guess = first_guess(problem, fastest.at(mesh), TIME)
+    part = problem.select(guess.rows)
+    return part, minimise(part, guess.plan, guess.price, TIME), fastest.at(mesh)[list(guess.rows)]
+
+
+CASES = ("wheel", "line", "expected")
+
+
+def bounded(problem: Problem, solution: Solution) -> float:
+    speeds = np.sqrt(2.0 * solution.plan.z)
+    # A hundredth of a second is far more than the cells' mean speeds can be wrong by.
+    spare = np.full(problem.shape[0], 0.01)
+    return lower_bound(problem, solution.multipliers, speeds, TIME, spare)
+
+
+@pytest.mark.parametrize("objective", CASES)
+def test_multipliers_of_the_optimum_bound_it_closely(objective: str) -> None:
+    problem, solution, speeds = solved(objective)
+    bound = bounded(problem, solution)
+    assert bound <= solution.energy
+    assert bound >= 0.995 * solution.energy
+    # The relaxation's own minimum is the best that any multipliers can give.
+    assert bound <= Relaxation(problem, speeds).least_energy(TIME).bound * (1.0 + 1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(CASES),
+    st.integers(0, 2**31),
+    st.sampled_from([1e-4, 1e-2, 0.3, 3.0]),
+)
+def test_no_multipliers_bound_it_from_above(objective: str, seed: int, size: float) -> None:
+    problem, solution, _ = solved(objective)
+    random, known = np.random.default_rng(seed), solution.multipliers
+
+    def disturbed(values: np.ndarray) -> np.ndarray:
+        factor = 1.0 + size * random.standard_normal(values.shape)
+        return values * np.maximum(factor, 0.0)
+
+    names = ("pull", "time", "power", "dynamic_power")
+    wrong = replace(known, **{name: disturbed(getattr(known, name)) for name in names})
+    assert bounded(problem, replace(solution, multipliers=wrong)) <= solution.energy * (1.0 + 1e-9)
