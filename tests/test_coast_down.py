@@ -16,7 +16,7 @@ from analysis.coast_down import (
     coast_down_logs,
     coast_down_without_gradient,
 )
-from analysis.coast_down.fit import Curve, MassRatio, with_ratio
+from analysis.coast_down.fit import Curve, MassRatio, fit_segments, with_ratio
 from analysis.coast_down.motion import motion_of, smoothed_over
 from analysis.coast_down.unknown_gradient import lever_at_rest
 from analysis.pictures.coast_down import draw_without_gradient
@@ -215,6 +215,18 @@ def test_knowing_the_rotating_mass_sharpens_what_goes_with_it() -> None:
     assert ratio.value == pytest.approx(0.92, abs=1e-3)
     assert left[1, 1] < covariance[1, 1]
     assert told[1] == pytest.approx(0.01 + 1e-3 / 0.0401 * 0.12)
+
+
+def test_doubt_about_segments_widens_the_band_and_moves_nothing() -> None:
+    time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
+    fit = coast_down([recorded(time, position, speed, line=HILLY)]).trips[0]
+    at, stds = np.linspace(*fit.curve.covered, 9), []
+    for probability in (1.0, 0.98, 0.9):
+        doubted = tuple(replace(each, probability=probability) for each in fit.segments)
+        again = fit_segments(fit.motion, HILLY, doubted, MassRatio.expected(None))
+        assert again.curve(at) == pytest.approx(fit.curve(at), rel=0.02)
+        stds.append(again.curve.std(at))
+    assert np.all(np.diff(stds, axis=0) > 0.0)
 
 
 def test_a_curve_is_supported_where_it_is_known() -> None:

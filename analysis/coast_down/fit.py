@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.coast_down.detection import Segment
+from analysis.coast_down.hidden_effort import SPACING
 from analysis.coast_down.motion import Motion
 from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.noise import PRIOR
+from analysis.resistance.noise import PRIOR, NoiseParts
 from analysis.resistance.recording import POSITION_STEP, SpeedScale, gradient_pieces
 from analysis.resistance.regression import Regression, regress
 from analysis.resistance.windows import WINDOW, Recording, Windows, build_windows
@@ -361,6 +362,7 @@ def _result(
     expected: MassRatio,
 ) -> TripCoastDown:
     theta, covariance = _acceleration_form(regression)
+    covariance = covariance + _misjudged(segments, windows, regression, covariance)
     effect = theta * np.array([1.0, 1.0, 0.0, -1.0]) * motion.scale.std
     free = theta, covariance + np.outer(effect, effect)
     theta, covariance, ratio = with_ratio(*free, expected)
@@ -384,6 +386,24 @@ def _result(
         source=motion.source,
         points=_points(windows, regression, theta),
     )
+
+
+def _misjudged(
+    segments: tuple[Segment, ...], windows: Windows, regression: Regression, covariance: FloatArray
+) -> FloatArray:
+    """Covariance (4, 4) that efforts bring in which were taken for coasting.
+
+    With the probability that a segment was not coasting it carried the nearest level of effort, to
+    either side: least squares tells what that does to the parameters.
+    """
+    used = windows.select(regression.kept)
+    starts = np.array([segment.start for segment in segments])
+    owner = np.searchsorted(starts, 0.5 * (used.start + used.end), side="right") - 1
+    held = used.duration[:, None] * (owner[:, None] == np.arange(len(segments)))
+    rows = NoiseParts.of(used, 1.0).whiten(regression.noise, np.column_stack([used.x, held]))
+    moved = covariance @ rows[:, :4].T @ rows[:, 4:] / regression.cluster_factor
+    doubt = np.array([1.0 - segment.probability for segment in segments])
+    return np.asarray((moved * doubt * SPACING**2) @ moved.T)
 
 
 def _points(windows: Windows, regression: Regression, theta: FloatArray) -> WindowPoints:
