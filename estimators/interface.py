@@ -124,6 +124,8 @@ def check_state(state: Mapping[str, Any], kind: str, version: int, names: Iterab
     InputError
         Naming what was found and what is needed.
     """
+    if not isinstance(state, Mapping):
+        raise _broken(kind, f"is no saved state, but a {type(state).__name__}")
     if state.get("format") != kind or state.get("version") != version:
         raise InputError(
             f"state of an estimator has format {state.get('format')!r}, version"

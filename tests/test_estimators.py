@@ -49,6 +49,8 @@ def test_a_saved_state_that_does_not_fit_is_refused() -> None:
         check_state(state, "other", 3, ())
     with pytest.raises(InputError, match="version 3; needs 'kind', 4"):
         check_state(state, "kind", 4, ())
+    with pytest.raises(InputError, match="no saved state, but a list"):
+        check_state([], "kind", 3, ())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="it lacks more"):
         check_state(state, "kind", 3, ("matrix", "more"))
     with pytest.raises(InputError, match=r"matrix has shape \(2, 2\), needs \(3,\)"):
