@@ -80,7 +80,9 @@ def lines(draw: Callable[..., Any]) -> Line:
         ),
         tunnels=tuple(
             Tunnel(
-                0.5 * length * draw(SHARES), 0.5 * length * draw(SHARES), draw(sizes(1.0, 200.0))
+                0.5 * length * draw(SHARES),
+                0.5 * length * max(draw(SHARES), 1e-3),
+                draw(sizes(1.0, 200.0)),
             )
             for _ in range(draw(st.integers(0, 2)))
         ),

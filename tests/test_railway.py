@@ -141,6 +141,9 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
         line(stations=(Station("B", 900.0), Station("A", 0.0)))
     with pytest.raises(InputError, match="leaves the line"):
         line(tunnels=(Tunnel(900.0, 200.0, 40.0),))
+    for length, section in ((-200.0, 40.0), (0.0, 40.0), (200.0, 0.0), (200.0, np.nan)):
+        with pytest.raises(InputError, match=r"km 0\.300 has a length of .* both must be positive"):
+            line(tunnels=(Tunnel(300.0, length, section),))
     with pytest.raises(InputError, match="positions must increase, they do not at 5"):
         StepProfile(np.array([0.0, 10.0, 5.0]), np.zeros(3))
     with pytest.raises(InputError, match="finite"):

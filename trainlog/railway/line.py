@@ -246,6 +246,12 @@ class Line:
         if order != sorted(order):
             raise InputError(f"{where}: stations are not in the order of their positions")
         for tunnel in self.tunnels:
+            if not (0.0 < tunnel.length < np.inf and 0.0 < tunnel.cross_section < np.inf):
+                raise InputError(
+                    f"{where}: tunnel at km {tunnel.position / 1e3:.3f} has a length of"
+                    f" {tunnel.length:g} m and a cross-section of {tunnel.cross_section:g} m²",
+                    remedy="both must be positive",
+                )
             if tunnel.position < 0.0 or tunnel.position + tunnel.length > self.length:
                 raise InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
