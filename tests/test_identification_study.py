@@ -103,7 +103,7 @@ def test_the_study_in_full() -> None:
     }
     assert medians[1] < 1.05 * TARGETS[1]
     assert medians[10] < 1.9
-    assert medians[100] < 0.8
+    assert medians[100] < 1.2  # of three groups, a quarter of which the bound puts above 0.63
     assert np.mean([one.whole for one in outcomes]) > 0.9
     assert np.mean([one.single for one in outcomes]) > 0.9
     inside = [covered(common(group), study) for group in grouped(outcomes, 10)]

@@ -43,6 +43,12 @@ FLOOR = 1e-4
 """Smallest standard deviation of a window [m/s], so that exact data stay solvable."""
 
 
+LONGEST_APART = 600.0
+"""A piece that the train comes back to after more than this [s] counts as another piece, as it
+does in another trip: the errors of a line that a train runs up and down all day would otherwise
+all stay in the filter's state."""
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
     """Standard deviation of each cause of noise.
@@ -124,7 +130,9 @@ class NoiseParts:
         groups.eliminate_zeros()
         groups.sort_indices()
         column = groups.indices.astype(np.int64)
-        slot, fresh, slots = _slots(groups.indptr.astype(np.int64), column, groups.shape[1])
+        passage = _passages(groups.indptr, column, windows.start)
+        count = int(passage.max(initial=-1)) + 1
+        slot, fresh, slots = _slots(groups.indptr.astype(np.int64), passage, count)
         joined = np.zeros(windows.count, dtype=bool)
         joined[1:] = windows.start[1:] - windows.end[:-1] < 1e-6
         return NoiseParts(
@@ -161,6 +169,18 @@ class NoiseParts:
             np.ascontiguousarray(columns, dtype=np.float64),
         )
         return np.asarray(white), float(logarithm)
+
+
+def _passages(first_entry: IntArray, column: IntArray, start: FloatArray) -> IntArray:
+    """Number of the passage that each entry belongs to, (e,): columns cut at `LONGEST_APART`."""
+    time = np.repeat(start, np.diff(first_entry))
+    order = np.argsort(column, kind="stable")
+    begins = np.ones(column.size, dtype=bool)
+    begins[1:] = np.diff(column[order]) > 0
+    begins[1:] |= np.diff(time[order]) > LONGEST_APART
+    passage = np.empty(column.size, dtype=np.int64)
+    passage[order] = np.cumsum(begins) - 1
+    return passage
 
 
 def estimate_noise(
