@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, constant_speed, recording
-from scipy.sparse import issparse, vstack
 
 from analysis.resistance.noise import FLOOR, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.regression import condition_number, regress
@@ -269,18 +268,8 @@ def test_a_line_run_up_and_down_all_day_keeps_the_filter_small() -> None:
     """Pieces that the train comes back to after an hour are other pieces, as in another trip."""
     once = build_windows(recording(seed=5))
 
-    def repeated(every: float) -> Windows:
-        parts = [replace(once, start=once.start + k * every, end=once.end + k * every)
-                 for k in range(3)]  # fmt: skip
-        columns = {
-            field.name: [getattr(part, field.name) for part in parts] for field in fields(once)
-        }
-        return Windows(
-            **{
-                name: vstack(each, format="csr") if issparse(each[0]) else np.concatenate(each)
-                for name, each in columns.items()
-            }
-        )
-
-    day = once.end[-1] + 3600.0
-    assert NoiseParts.of(repeated(day), 130e3).slots == NoiseParts.of(once, 130e3).slots
+    every = once.end[-1] + 3600.0
+    day = Windows.joined(
+        [replace(once, start=once.start + k * every, end=once.end + k * every) for k in range(3)]
+    )
+    assert NoiseParts.of(day, 130e3).slots == NoiseParts.of(once, 130e3).slots

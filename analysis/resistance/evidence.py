@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
 
 from analysis.resistance.power import LimitedSamples, limited_samples
 from analysis.resistance.recording import Prepared, SpeedScale, prepare
@@ -88,7 +87,11 @@ class Evidence:
         if open_run is not None:
             windows.append(build_windows(open_run))
         return Evidence(
-            _joined(windows), LimitedSamples.joined(limited), masked, duration, _at_a_glance(lines)
+            Windows.joined(windows),
+            LimitedSamples.joined(limited),
+            masked,
+            duration,
+            _at_a_glance(lines),
         )
 
 
@@ -178,21 +181,3 @@ def _at_a_glance(lines: Sequence[Timeline]) -> Timeline:
             for reason in lines[0].masks
         },
     )
-
-
-def _joined(parts: Sequence[Windows]) -> Windows:
-    if len(parts) == 1:
-        return parts[0]
-    values = {}
-    for item in fields(Windows):
-        pieces = [getattr(part, item.name) for part in parts]
-        if isinstance(pieces[0], csr_array):
-            width = max(piece.shape[1] for piece in pieces)
-            wide = [
-                csr_array((piece.data, piece.indices, piece.indptr), (piece.shape[0], width))
-                for piece in pieces
-            ]
-            values[item.name] = vstack(wide, format="csr")
-        else:
-            values[item.name] = np.concatenate(pieces)
-    return Windows(**values)

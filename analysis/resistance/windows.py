@@ -19,11 +19,12 @@ long pieces of gradient is then known a fifth less well.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -129,6 +130,25 @@ class Windows:
     def select(self, kept: NDArray[np.bool_]) -> Windows:
         """Some of the windows."""
         return Windows(*(getattr(self, item.name)[kept] for item in fields(self)))
+
+    @staticmethod
+    def joined(parts: Sequence[Windows]) -> Windows:
+        """Windows of several stretches, in order of time, as those of one recording."""
+        if len(parts) == 1:
+            return parts[0]
+        values = {}
+        for item in fields(Windows):
+            pieces = [getattr(part, item.name) for part in parts]
+            if isinstance(pieces[0], csr_array):
+                width = max(piece.shape[1] for piece in pieces)
+                wide = [
+                    csr_array((piece.data, piece.indices, piece.indptr), (piece.shape[0], width))
+                    for piece in pieces
+                ]
+                values[item.name] = vstack(wide, format="csr")
+            else:
+                values[item.name] = np.concatenate(pieces)
+        return Windows(**values)
 
     def merged(self) -> Windows:
         """Neighbours that join made into windows of `MERGED`, or as near as the stretch allows."""
