@@ -16,7 +16,7 @@ from analysis.trajectory import Phase, optimise
 from analysis.trajectory.advice import advice, with_advice, write_advice
 from analysis.trajectory.front import energy_against_time
 from analysis.trajectory.phases import agreement, phases_of
-from analysis.trajectory.problem import Run
+from analysis.trajectory.run import Run
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample

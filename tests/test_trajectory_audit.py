@@ -14,7 +14,7 @@ from trajectory_world import FLIRT, VIRM6, drawn, hilly_line, level_line, observ
 
 from analysis.trajectory import optimise
 from analysis.trajectory.audit import Audit, audit
-from analysis.trajectory.problem import Run
+from analysis.trajectory.run import Run
 from trainlog.errors import TrainlogError
 from trainlog.railway import Line, Trajectory
 from trainlog.units import GRAVITY

@@ -16,8 +16,9 @@ from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.mesh import graded_mesh
 from analysis.trajectory.minimax import Solution, minimise
-from analysis.trajectory.problem import Problem, Run, discretise
+from analysis.trajectory.problem import Problem, discretise
 from analysis.trajectory.relaxation import Relaxation
+from analysis.trajectory.run import Run
 
 TIME = 450.0
 

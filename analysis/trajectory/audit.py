@@ -13,7 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.trajectory.dynamics import in_parts
-from analysis.trajectory.problem import Run, inside
+from analysis.trajectory.problem import inside
+from analysis.trajectory.run import Run
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

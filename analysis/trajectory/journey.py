@@ -18,7 +18,7 @@ from scipy.optimize import linprog
 
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.problem import Run
+from analysis.trajectory.run import Run
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Configuration, Line, Train, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint

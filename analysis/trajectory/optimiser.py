@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,41 +16,26 @@ from analysis.trajectory.active_set import (
     outstanding,
     search,
 )
-from analysis.trajectory.audit import SUBSTEPS, Audit, audit
+from analysis.trajectory.audit import Audit, audit
+from analysis.trajectory.certificate import certificate_of, refereed
 from analysis.trajectory.envelope import Envelope, fastest_run
+from analysis.trajectory.feasibility import check_time
 from analysis.trajectory.mesh import graded_mesh
-from analysis.trajectory.pace import paced_run
-from analysis.trajectory.phases import agreement, phases_by_control, spelled
-from analysis.trajectory.problem import (
-    Braking,
-    Direction,
-    Objective,
-    Plan,
-    Problem,
-    Run,
-    discretise,
-)
-from analysis.trajectory.referee import second_opinion
+from analysis.trajectory.problem import Problem, discretise
+from analysis.trajectory.run import Braking, Direction, Objective, Run
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.railway import Configuration, Line, TimingPoint, TrackConditionMap, Train, Trajectory
-from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
 FEWEST_CELLS, MOST_CELLS = 20, 20_000
 """Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
 
-SLACKEST = 5.0
-"""Times the least time, beyond which a timetable is refused."""
-
 SCOUTING_CELLS = 120
 """Of the coarse grid on which the active configurations are found."""
 
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
-
-GAP_TOLERANCE = 2e-3
-"""Largest gap between energy and lower bound that is called certified."""
 
 
 def optimise(
@@ -154,15 +138,15 @@ def optimise(
     least_time = float(fastest.times[slowest])
     if running_time is None:
         running_time = (1.0 + reserve) * least_time
-    _check_time(run, fastest, running_time)
+    check_time(run, fastest, running_time)
 
     problem, answer, rollout = _audited(run, fastest, running_time, cells)
     bound = best_bound(problem, answer, fastest.at(problem.positions), running_time)
     traction = answer.plan.traction * problem.reference
     brakes = answer.plan.braking * problem.reference
-    certificate = _certificate(problem, answer, bound, fastest, rollout, running_time)
+    certificate = certificate_of(problem, answer, bound, fastest, rollout, running_time)
     if referee:
-        certificate["referee"] = _refereed(problem, answer, running_time)
+        certificate["referee"] = refereed(problem, answer, running_time)
     speeds = rollout.speeds
     if final_speed == 0.0:
         speeds[:, -1] = 0.0  # the audit found them to stand there
@@ -266,198 +250,3 @@ def _check_arguments(running_time: float | None, reserve: float, cells: int) -> 
             f"trajectory: {cells} cells make no sense",
             remedy=f"give {FEWEST_CELLS} to {MOST_CELLS}",
         )
-
-
-def _check_time(run: Run, fastest: Envelope, running_time: float) -> None:
-    """Refuse a timetable that the slowest configuration cannot keep by itself."""
-    slowest = int(np.argmax(fastest.times))
-    least = float(fastest.times[slowest])
-    if running_time > SLACKEST * least:
-        raise InputError(
-            f"trajectory: a running time of {running_time:.1f} s is"
-            f" {running_time / least:.3g} times the least, {least:.1f} s: a train that slow would"
-            " stand on the way",
-            remedy=f"give at most {SLACKEST * least:.0f} s, and let it wait at a station",
-        )
-    if running_time < least:
-        late = [
-            configuration.name
-            for configuration, time in zip(run.configurations, fastest.times, strict=True)
-            if time > running_time
-        ]
-        raise InfeasibleError(
-            f"{running_time:.1f} s are not enough: configuration"
-            f" '{run.configurations[slowest].name}' needs at least {least:.1f} s,"
-            f" {least - running_time:.1f} s are missing"
-            f" ({len(late)} of {len(run.configurations)} configurations would be late)",
-            remedy=f"allow at least {np.ceil(least):.0f} s",
-        )
-    _check_windows(run, fastest, running_time)
-
-
-def _check_windows(run: Run, fastest: Envelope, running_time: float) -> None:
-    """Refuse windows that a configuration cannot keep even on its fastest run."""
-    times = fastest.times_at([point.position for point in run.windows])
-    for point, found in zip(run.windows, times.T, strict=True):
-        slowest = int(np.argmax(found))
-        name, place = run.configurations[slowest].name, f"km {point.position / 1e3:.3f}"
-        if point.latest is not None and found[slowest] > point.latest:
-            raise InfeasibleError(
-                f"configuration '{name}' passes {place} after {found[slowest]:.1f} s at the"
-                f" earliest, {found[slowest] - point.latest:.1f} s after its window closes",
-                remedy=f"let it pass until {np.ceil(found[slowest]):.0f} s after departure",
-            )
-        left = running_time - (point.earliest or 0.0) - (fastest.times - found)
-        slowest = int(np.argmin(left))
-        if left[slowest] < 0.0:
-            raise InfeasibleError(
-                f"configuration '{run.configurations[slowest].name}' needs at least"
-                f" {fastest.times[slowest] - found[slowest]:.1f} s from {place} to the end;"
-                f" passed after {point.earliest or 0.0:.1f} s or later, {-left[slowest]:.1f} s are"
-                " missing",
-                remedy="let it pass earlier, or arrive later",
-            )
-        speeds = fastest.at(np.array([point.position]))[:, 0]
-        slowest = int(np.argmin(speeds))
-        if point.lowest_speed is not None and speeds[slowest] < point.lowest_speed:
-            raise InfeasibleError(
-                f"configuration '{run.configurations[slowest].name}' passes {place} at"
-                f" {KMH * speeds[slowest]:.1f} km/h at most, {KMH * point.lowest_speed:.1f} km/h"
-                " are asked for",
-                remedy="lower what is asked for",
-            )
-
-
-def _certificate(
-    problem: Problem,
-    answer: Answer,
-    lower: tuple[float, str],
-    fastest: Envelope,
-    rollout: Audit,
-    running_time: float,
-) -> dict[str, Any]:
-    """What was found, how, and how good it is; plain numbers, energies in joules."""
-    run, solution = problem.run, answer.solution
-    energies = rollout.line_energy if run.at_line else rollout.wheel_energy
-    energy, bound = float(energies.max()), lower[0] * problem.reference
-    if run.objective == "expected":
-        energy = float(problem.weights @ energies)
-    gap = energy / bound - 1.0
-    names = [configuration.name for configuration in run.configurations]
-    return {
-        "energy": energy,
-        "lower_bound": bound,
-        "gap": gap,
-        "certified": gap <= GAP_TOLERANCE,
-        "bound_holds_for": "the problem cut into these cells"
-        + (", early passing allowed" if np.isfinite(problem.earliest).any() else ""),
-        "wheel_energy": rollout.wheel_energy.tolist(),
-        "line_energy": rollout.line_energy.tolist(),
-        "hardest": names[int(np.argmax(rollout.arrival))],
-        "least_time": fastest.times.tolist(),
-        "reserve": running_time / float(fastest.times.max()) - 1.0,
-        "audit": {
-            "passed": True,
-            "substeps": SUBSTEPS,
-            "arrival": rollout.arrival.tolist(),
-            "lateness": float(rollout.arrival.max()) - running_time,
-            "shortfall": float(rollout.shortfall.max()),
-            "end_speed": float(rollout.end_speed.max()),
-            "overspeed": float(rollout.overspeed.max()),
-            "power": float(rollout.power.max()),
-            "effort": float(rollout.effort.max()),
-            "braking": float(rollout.braking.max()),
-            "adhesion": float(rollout.adhesion.max()),
-            **_passings(run, rollout),
-        },
-        "solver": {
-            "statuses": list(answer.statuses),
-            "bound": lower[1],
-            "iterations": len(answer.statuses),
-            "turns": answer.turns,
-        },
-        "active": [names[row] for row in answer.active],
-        "time_price": {
-            names[row]: float(price) * problem.reference
-            for row, price in zip(answer.active, solution.multipliers.time, strict=True)
-        },
-        "departure_price": float(solution.departure_price.sum()) * problem.reference,
-        "grid": {
-            "cells": problem.shape[1],
-            "shortest": float(problem.step.min()),
-            "longest": float(problem.step.max()),
-        },
-        "switching": solution.switching.tolist(),
-        "switching_levels": _levels(run),
-        "agreement": _agreement(problem, answer),
-        "phases": _phases(problem, answer),
-    }
-
-
-def _levels(run: Run) -> dict[str, float]:
-    """Above the one traction pays, below the other the brake."""
-    if not run.at_line:
-        return {"traction": 1.0, "braking": 0.0}
-    train = run.train
-    return {"traction": 1.0 / train.efficiency_traction, "braking": train.efficiency_regeneration}
-
-
-def _agreement(problem: Problem, answer: Answer) -> dict[str, float]:
-    """Share of the cells in which the controls are those that the switching function asks for.
-
-    The brake of each active configuration by its own part of the function; where the dynamic brake
-    feeds back it pays at two levels, and is left out.
-    """
-    run, solution, part = problem.run, answer.solution, problem.select(answer.active)
-    pull, brake = _most(part, solution.plan)
-    level = _levels(run)["traction"]
-    found = {"traction": agreement(solution.plan.traction, pull, solution.switching - level)}
-    if not run.at_line:
-        own = -solution.multipliers.pull / part.step
-        braking = solution.plan.braking
-        if problem.common:
-            own, braking, brake = own.sum(axis=0), braking[0], brake[0]
-        found["braking"] = agreement(braking, brake, own)
-    return found
-
-
-def _passings(run: Run, rollout: Audit) -> dict[str, float]:
-    """The worst that the audit found at the passing points, where there are any."""
-    if not run.windows:
-        return {}
-    worst = {"early": rollout.early, "tardy": rollout.tardy, "slow": rollout.slow}
-    return {name: float(values.max()) for name, values in worst.items() if values.max() > -np.inf}
-
-
-def _refereed(problem: Problem, answer: Answer, running_time: float) -> dict[str, Any]:
-    """What IPOPT makes of the active configurations, beginning from a paced run."""
-    part = problem.select(answer.active)
-    opinion = second_opinion(part, paced_run(part, running_time), running_time)
-    return {
-        "name": "IPOPT",
-        "energy": opinion.energy * problem.reference,
-        "difference": answer.solution.energy / opinion.energy - 1.0,
-        "status": opinion.status,
-        "iterations": opinion.iterations,
-    }
-
-
-def _most(problem: Problem, plan: Plan) -> tuple[FloatArray, FloatArray]:
-    """The most that common traction, (n,), and each brake, (q, n), can do at the plan's speeds."""
-    fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge + 1e-9))
-    pull = np.minimum(problem.traction, (problem.power[:, None] / fastest).min(axis=0))
-    by_power = problem.dynamic_power / fastest
-    brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
-    if problem.common:
-        brake = np.broadcast_to(brake.min(axis=0), brake.shape)
-    return pull, brake
-
-
-def _phases(problem: Problem, answer: Answer) -> list[str]:
-    """The phase of each cell for each configuration, one letter a cell."""
-    plan = answer.plan
-    pull, brake = _most(problem, plan)
-    return [
-        spelled(phases_by_control(plan.traction, plan.braking[row], pull, brake[row]))
-        for row in range(problem.shape[0])
-    ]

@@ -19,7 +19,8 @@ from analysis.resistance import TripFit, TripRefusedError, fit_trip, parameter_s
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.pace import cell_times, ride_along
-from analysis.trajectory.problem import Run, discretise
+from analysis.trajectory.problem import discretise
+from analysis.trajectory.run import Run
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train

@@ -22,8 +22,9 @@ from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.mesh import graded_mesh
 from analysis.trajectory.pace import paced_run
-from analysis.trajectory.problem import Run, discretise
+from analysis.trajectory.problem import discretise
 from analysis.trajectory.referee import Opinion, second_opinion
+from analysis.trajectory.run import Run
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
