@@ -15,17 +15,14 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
+from analysis.trajectory.infeasible import LATE, brakes_explained, names_of, time_explained
 from analysis.trajectory.minimax import Solution, minimise
 from analysis.trajectory.pace import capped_run, cell_times, delays, realise, ride_along
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
 from trainlog.errors import InfeasibleError
-from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
-
-_LATE = 5e-5
-"""Lateness that makes a configuration active [s]."""
 
 _OVER = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
@@ -280,8 +277,8 @@ def _violators(
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     late, soon = delays(problem, plan, running_time)
     excesses = [
-        late * (_OVER / _LATE),
-        soon * (_OVER / _LATE),
+        late * (_OVER / LATE),
+        soon * (_OVER / LATE),
         ((problem.floor - plan.z) / problem.ceiling.max()).max(axis=1),
         (plan.traction * fastest).max(axis=1) / problem.power - 1.0,
         ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
@@ -329,7 +326,7 @@ def _optimum(
     InfeasibleError
         With what is missing: time, or with common braking a higher speed at the end.
     """
-    late = max(_LATE, 15.0 * tolerance)
+    late = max(LATE, 15.0 * tolerance)
     try:
         solution = minimise(problem, plan, price, running_time, rounds=12, tolerance=tolerance)
         if solution.settled and solution.lateness <= late:
@@ -341,8 +338,8 @@ def _optimum(
         relaxed = relaxation.least_energy(running_time)
     except NoSolutionError as word:
         if problem.common:
-            raise _brakes_explained(problem, speeds, running_time) from None
-        raise _time_explained(problem, relaxation, running_time, str(word)) from None
+            raise brakes_explained(problem, speeds, running_time) from None
+        raise time_explained(problem, relaxation, running_time, str(word)) from None
     try:
         solution = minimise(
             problem, relaxed.plan, relaxed.time_price, running_time, tolerance=tolerance
@@ -353,63 +350,9 @@ def _optimum(
     except NoSolutionError as failure:
         why = f"a convex step is {failure}"
     if problem.common:
-        raise _brakes_explained(problem, speeds, running_time)
+        raise brakes_explained(problem, speeds, running_time)
     raise InfeasibleError(
-        f"{running_time:.2f} s are not enough for {_names(problem)} under one common traction on"
+        f"{running_time:.2f} s are not enough for {names_of(problem)} under one common traction on"
         f" {problem.shape[1]} cells: {why}",
         remedy="allow more time or more cells",
     )
-
-
-def _time_explained(
-    problem: Problem, relaxation: Relaxation, running_time: float, word: str
-) -> InfeasibleError:
-    """Why the relaxation, and so the problem, has no solution."""
-    names = _names(problem)
-    try:
-        time = relaxation.least_time()
-    except NoSolutionError:
-        return InfeasibleError(f"no common run of {names}: the relaxation is {word}")
-    if time <= running_time:
-        return InfeasibleError(f"the convex solver gave up: {word}", remedy="allow more cells")
-    return InfeasibleError(
-        f"under one common traction, in {problem.shape[1]} cells, at least {time:.1f} s are needed"
-        f" by {names}; the timetable gives {running_time:.1f} s, {time - running_time:.1f} s are"
-        " missing",
-        remedy=f"allow at least {np.ceil(time):.0f} s",
-    )
-
-
-def _brakes_explained(problem: Problem, speeds: FloatArray, running_time: float) -> InfeasibleError:
-    """The lowest speed to which one braking effort brings them all, to 0.05 m/s."""
-    names = _names(problem)
-
-    def reached(speed: float) -> bool:
-        trial = replace(problem, final=0.5 * speed**2)
-        try:
-            relaxed = Relaxation(trial, speeds).least_energy(running_time)
-            solution = minimise(trial, relaxed.plan, relaxed.time_price, running_time, rounds=12)
-        except NoSolutionError:
-            return False
-        return solution.lateness <= _LATE
-
-    low, high = float(np.sqrt(2.0 * problem.final)), float(np.sqrt(2.0 * problem.ceiling[-1]))
-    if not reached(high):
-        return InfeasibleError(
-            f"with one braking effort for all, {names} cannot keep {running_time:.1f} s whatever"
-            " their speed at the end",
-            remedy="allow more time, or let each configuration brake for itself (recourse)",
-        )
-    while high - low > 0.05:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if reached(middle) else (middle, high)
-    return InfeasibleError(
-        f"with one braking effort for all, {names} cannot all end below {KMH * high:.1f} km/h in"
-        f" {running_time:.1f} s; asked for are {KMH * problem.run.final_speed:.1f} km/h",
-        remedy="let each configuration brake for itself (recourse), or end faster",
-    )
-
-
-def _names(problem: Problem) -> str:
-    names = [f"'{configuration.name}'" for configuration in problem.run.configurations]
-    return f"configuration{'s' * (len(names) > 1)} {', '.join(names)}"
