@@ -9,7 +9,7 @@ from rich.table import Table
 
 from analysis.report import new_table
 from analysis.studies.map_mpc import Run
-from analysis.studies.map_mpc_days import Days
+from analysis.studies.map_mpc_days import Day, Days
 from analysis.studies.map_mpc_scenarios import SCENARIOS, Outcome
 
 
@@ -83,25 +83,70 @@ def gain_table(outcomes: Sequence[Outcome]) -> Table:
 
 
 def days_table(days: Days) -> Table:
-    """The second day, with the map that the first one taught, beside the first.
+    """Each day beside the first: slip, punctuality, and the map that it was driven by.
 
     Parameters
     ----------
     days : Days
     """
     table = new_table(
-        "Bad rail: day 2, with the map of day 1's logs / day 1, without a map",
-        "mass t",
+        f"Bad rail, {len(days.days[0].runs)} trips a day: the first without a map, each other one"
+        " with the map of all logs before it",
+        "day",
         "axles that began to skid or slide",
         "slip protection",
         "work beyond the peak MJ",
         "all work of creep MJ",
         "latest s",
+        "mean s",
         "farthest from a stop m",
+        "bins seen / borne / assumed",
+        "map's error % (bias, rms)",
     )
-    for before, after in zip(days.first, days.second, strict=True):
-        table.add_row(f"{after.mass / 1e3:.1f}", *_beside(after, before))
+    for day in days.days:
+        late = days.late(day)
+        table.add_row(
+            f"{day.number}",
+            f"{day.slip_events}",
+            f"{sum(each.protections for each in day.runs)}",
+            f"{day.skid_energy / 1e6:.2f}",
+            f"{day.slip_energy / 1e6:.1f}",
+            f"{late.max():.1f}",
+            f"{late.mean():.2f}",
+            f"{max(np.abs(each.stop_error).max() for each in day.runs):.2f}",
+            _bins(day),
+            _errors(day),
+        )
     return table
+
+
+def counted_on(days: Days) -> str:
+    """What the days with a map assumed where it told nothing, in words."""
+    told = [
+        f"day {day.number}: {float(day.known.values[day.known.assumed].max()):.3f}"
+        for day in days.days
+        if day.known is not None and day.known.assumed.any()
+    ]
+    return (
+        "assumed where the map tells nothing, from the middle one of the places where it does: "
+        + ", ".join(told)
+    )
+
+
+def _bins(day: Day) -> str:
+    known = day.known
+    if known is None:
+        return "-"
+    return " / ".join(
+        f"{np.count_nonzero(each)}" for each in (known.seen, known.borne, known.assumed)
+    )
+
+
+def _errors(day: Day) -> str:
+    errors = 100.0 * day.map_errors
+    if errors.size == 0:
+        return "-"
+    return f"{errors.mean():+.1f}, {np.sqrt(np.mean(errors**2)):.1f}"
 
 
 def _beside(one: Run, other: Run) -> list[str]:

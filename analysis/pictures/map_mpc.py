@@ -21,7 +21,6 @@ from analysis.pictures.style import (
     write_figure,
 )
 from analysis.studies.map_mpc import Run
-from analysis.studies.map_mpc_days import Days
 from analysis.studies.map_mpc_scenarios import Outcome, World
 from trainlog.units import KMH, PER_MILLE
 
@@ -62,52 +61,6 @@ def draw_study(world: World, outcomes: Sequence[Outcome], folder: Path) -> list[
     _draw_delay(late, outcomes[2], paths[5])
     _draw_gain(outcomes[1].informed, outcomes[1].blind, ("with the map", "without"), paths[6])
     return paths
-
-
-def draw_days(days: Days, rail: NDArray[np.float64], path: Path) -> None:
-    """What the first day taught, and the slip of both days.
-
-    Parameters
-    ----------
-    days : Days
-    rail : (bins,) array
-        True maximum adhesion at the centres of the map's bins.
-    path : path
-    """
-    figure = new_figure(10.0, 9.0)
-    places = figure.subplots(3, 1, sharex=True)
-    centres = days.track.centres / 1e3
-    places[0].plot(centres, rail, color=GREY, linewidth=0.7, label="true")
-    layer = next(iter(days.track.layers.values()))
-    seen = np.where(layer.observed, days.known(days.track.centres), np.nan)
-    places[0].plot(
-        centres,
-        seen,
-        color=BLUE,
-        linestyle="",
-        marker=".",
-        markersize=4.0,
-        label="learnt on day 1, cautious",
-    )
-    places[0].legend(frameon=False, fontsize=8, ncols=2)
-    dress(places[0], x="", y="maximum adhesion", title="What the logs of day 1 taught")
-    for axes, runs, title in (
-        (places[1], days.first, "Day 1, without a map"),
-        (places[2], days.second, "Day 2, with the map of day 1"),
-    ):
-        _slips(axes, runs)
-        events = sum(each.slip_events for each in runs)
-        work = sum(each.skid_energy for each in runs) / 1e6
-        dress(
-            axes, x="", y="largest slip [m/s]",
-            title=f"{title}: {events} times an axle slips, {work:.1f} MJ",
-        )  # fmt: skip
-    top = max(axes.get_ylim()[1] for axes in places[1:])
-    for axes in places[1:]:
-        axes.set_ylim(0.0, top)
-    places[2].set_xlabel("km")
-    places[2].set_xlim(0.0, max(float(each.places[-1]) for each in days.first) / 1e3)
-    write_figure(figure, path)
 
 
 def _draw_map(world: World, path: Path) -> None:

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.assured_adhesion import assured_adhesion
 from analysis.trajectory import reference_dynamics as dynamics
 from analysis.trajectory.reference_dynamics import GRID, Tables
 from trainlog.errors import InfeasibleError, InputError
@@ -316,26 +317,27 @@ def adhesion_profile(
     sigmas : float
         How cautious: standard deviations below the estimate.
     unobserved : float, optional
-        What to count on where the map says nothing; without it a map with holes is refused.
+        What to count on where the map tells nothing and no more was borne without slip; without
+        it a map with holes is refused. See `analysis.assured_adhesion`.
 
     Raises
     ------
     InputError
         If the map has no such layer, or holes.
     """
-    known = track.lower_bound(layer, track.centres, sigmas)
-    holes = ~np.isfinite(known)
-    if np.any(holes) and unobserved is None:
+    if unobserved is not None and not 0.0 < unobserved < 1.0:
+        raise InputError(f"an adhesion of {unobserved} is not between 0 and 1")
+    assumed = np.inf if unobserved is None else unobserved
+    known = assured_adhesion(track, layer, sigmas=sigmas, assumed=assumed)
+    holes = ~np.isfinite(known.values)
+    if np.any(holes):
         first = track.bin_length * int(np.argmax(holes))
         raise InputError(
             f"the map of line '{track.line}' has holes: layer '{layer}' was not observed in"
             f" {np.count_nonzero(holes)} of {holes.size} bins, the first at km {first / 1e3:.3f}",
             remedy="say what adhesion to count on where the map says nothing",
         )
-    if unobserved is not None and not 0.0 < unobserved < 1.0:
-        raise InputError(f"an adhesion of {unobserved} is not between 0 and 1")
-    values = np.where(holes, 0.0 if unobserved is None else unobserved, known)
-    return StepProfile(track.centres - 0.5 * track.bin_length, values)
+    return known.profile
 
 
 def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:

@@ -122,6 +122,7 @@ def map_mpc(
     sections: Annotated[
         int | None, typer.Option(min=1, help="Only the first sections of the line; default: all.")
     ] = None,
+    days: Annotated[int, typer.Option(min=2, help="How many days the loop is driven.")] = 2,
     seed: Seed = 1,
 ) -> None:
     """Follow a timetable with a map of the rail, and without one (paper 000).
@@ -133,15 +134,17 @@ def map_mpc(
 
     Example: trainlog study map-mpc -o results/map-mpc
     """
-    from analysis.pictures.map_mpc import draw_days, draw_study
+    from analysis.pictures.map_mpc import draw_study
+    from analysis.pictures.two_days import draw_days
     from analysis.report_map_mpc import (
+        counted_on,
         days_table,
         gain_table,
         published_table,
         tracking_table,
     )
     from analysis.studies import map_mpc_scenarios as study
-    from analysis.studies.map_mpc_days import two_days
+    from analysis.studies.map_mpc_days import drive_days
     from analysis.studies.map_mpc_logs import trip_of
     from trainlog.mcap import write_log
     from trainlog.railway.lever import PAPER_000
@@ -167,12 +170,14 @@ def map_mpc(
             trip = trip_of(found, weather, seed)
             logs.append(output / f"{trip.metadata['trip']}.mcap")
             write_log(trip, logs[-1])
-    with working("driving two days"):
-        days = two_days(known.plan, known.rails["bad"], drawn.tolist(), output, seed)
+    with working(f"driving {days} days"):
+        rails = [known.rails["bad"]] * days
+        driven = drive_days(known.plan, rails, drawn.tolist(), output, seed)
     pictures = draw_study(known, outcomes[: len(study.SCENARIOS)], output)
     pictures.append(output / "two-days.png")
-    draw_days(days, known.rails["bad"](days.track.centres), pictures[-1])
+    draw_days(driven, pictures[-1])
     console.print(published_table())
-    for table in (tracking_table(outcomes), gain_table(outcomes), days_table(days)):
+    for table in (tracking_table(outcomes), gain_table(outcomes), days_table(driven)):
         console.print(table)
-    wrote(*logs, *days.logs, *pictures)
+    console.print(counted_on(driven))
+    wrote(*logs, *driven.logs, *pictures)
