@@ -42,6 +42,9 @@ COLOURS = {
 _POINTS = 8
 """Points drawn in a cell: between nodes the square of the speed is linear, not the speed."""
 
+_FEW = 4
+"""Other configurations up to which all are drawn in colours, and the costates of each."""
+
 _KWH = 3.6e6
 
 
@@ -117,18 +120,14 @@ def _draw_speeds(
         KMH * line.speed_limit(edges[:-1]), edges / 1e3, baseline=None, color=INK, linewidth=1.2
     )
     others = [row for row in range(len(trajectory.configurations)) if row != chosen]
+    few = len(others) < _FEW
     for row in others:
-        km, speed = _curve(trajectory, row)
-        axes.plot(km.ravel(), speed.ravel(), color=GREY, linewidth=0.6, alpha=0.6)
-    km, speed = _curve(trajectory, chosen)
-    axes.add_collection(
-        LineCollection(
-            list(np.stack((km, speed), axis=2)),
-            colors=[COLOURS[Phase(code)] for code in phases],
-            linewidths=2.2,
-            capstyle="round",
-        )
-    )
+        if few:
+            axes.add_collection(_in_phases(trajectory, row, phases_of(trajectory, row), 1.1))
+        else:
+            km, speed = _curve(trajectory, row)
+            axes.plot(km.ravel(), speed.ravel(), color=GREY, linewidth=0.6, alpha=0.6)
+    axes.add_collection(_in_phases(trajectory, chosen, phases, 2.2))
     for station in line.stations:
         if start <= station.position <= end:
             axes.axvline(station.position / 1e3, color=PALE, linewidth=0.8, zorder=0)
@@ -140,13 +139,27 @@ def _draw_speeds(
         if phase in phases
     ]
     if others:
-        handles.append(Line2D([], [], color=GREY, linewidth=0.6, label="other configurations"))
+        colour, width = (INK, 1.1) if few else (GREY, 0.6)
+        handles.append(Line2D([], [], color=colour, linewidth=width, label="other configurations"))
     dress(axes, x="", y="km/h", title="Speed")
     axes.legend(
         handles=handles, fontsize=8, frameon=False, ncols=2, loc="lower center",
         title=f"in colours: {name}", title_fontsize=8,
     )  # fmt: skip
     axes.set_ylim(0.0, 1.06 * KMH * float(line.speed_limit(edges[:-1]).max()))
+
+
+def _in_phases(
+    trajectory: Trajectory, row: int, phases: NDArray[np.int64], width: float
+) -> LineCollection:
+    """Speed over km of a configuration, in the colours of its phases."""
+    km, speed = _curve(trajectory, row)
+    return LineCollection(
+        list(np.stack((km, speed), axis=2)),
+        colors=[COLOURS[Phase(code)] for code in phases],
+        linewidths=width,
+        capstyle="round",
+    )
 
 
 def _draw_efforts(
@@ -164,12 +177,22 @@ def _draw_efforts(
 
 def _draw_switching(axes: Axes, trajectory: Trajectory, switching: FloatArray) -> None:
     middle = 0.5 * (trajectory.positions[1:] + trajectory.positions[:-1]) / 1e3
-    axes.plot(middle, switching, color=PURPLE, linewidth=1.2)
+    costates = trajectory.certificate.get("costates", {})
+    if 1 < len(costates) <= _FEW:
+        styles = ("--", ":", "-.", (0, (6, 1)))
+        for (name, costate), style in zip(costates.items(), styles, strict=False):
+            axes.plot(middle, costate, color=GREY, linewidth=1.0, linestyle=style, label=name)
+    axes.plot(middle, switching, color=PURPLE, linewidth=1.4, label="sum")
+    if 1 < len(costates) <= _FEW:
+        axes.legend(fontsize=8, frameon=False, ncols=5, loc="upper right")
     levels = trajectory.certificate.get("switching_levels", {"traction": 1.0, "braking": 0.0})
     for level in levels.values():
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
-    low, high = max(float(switching.min()), -0.5), min(float(switching.max()), 2.5)
-    axes.set_ylim(min(low, -0.1) - 0.05, max(high, 1.2) + 0.05)
+    shown = np.array([*costates.values()]) if 1 < len(costates) <= _FEW else switching
+    # At the start all of them rise without bound as the speed goes to nothing.
+    away = int(0.05 * switching.size)
+    low, high = (float(bound) for bound in np.quantile(shown[..., away:], (0.0, 1.0)))
+    axes.set_ylim(max(min(low, -0.1) - 0.05, -4.0), min(max(high, 1.2) + 0.3, 5.0))
     above, below = levels["traction"], levels["braking"]
     title = (
         f"Switching function: above {above:.3g} full traction, below {below:.3g} braking,"

@@ -81,6 +81,12 @@ def certificate_of(
             "shortest": float(problem.step.min()),
             "longest": float(problem.step.max()),
         },
+        "costates": {
+            names[row]: costate.tolist()
+            for row, costate in zip(
+                answer.active, solution.multipliers.pull / problem.step, strict=True
+            )
+        },
         "switching": solution.switching.tolist(),
         "switching_levels": _levels(run),
         "agreement": _agreement(problem, answer),

@@ -181,3 +181,62 @@ def map_mpc(
         console.print(table)
     console.print(counted_on(driven))
     wrote(*logs, *driven.logs, *pictures)
+
+
+@study_app.command("robust-minimax")
+def robust_minimax(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for trajectories and pictures.")
+    ],
+    cells: Annotated[int, typer.Option(min=60, max=5_000, help="Cells of the grid.")] = 500,
+) -> None:
+    """Optimise for several configurations at once (paper 002).
+
+    States the paper's minimax problem as printed (common traction, common braking, speeds above 0)
+    and with a brake for each configuration, on level track and on a downhill; integrates its
+    equations, tells its five phases by the switching function, and what robustness costs and
+    saves. Writes every answer as a trajectory and draws it.
+
+    Example: trainlog study robust-minimax -o results/robust-minimax
+    """
+    from analysis import report_robust_minimax as report
+    from analysis.pictures.robust_minimax import draw_others
+    from analysis.pictures.trajectory import draw_trajectory
+    from analysis.studies import robust_minimax as study
+    from trainlog.formats.trajectory import write_trajectory
+
+    made_folder(output)
+    level, slope, chosen = study.level(), study.downhill(), study.configurations()
+    with progress_bar() as progress:
+        answers = {
+            name: study.solved(instance, some, braking, cells=cells)
+            for name, (instance, some, braking) in progress.track(
+                list(study.questions(level, slope, chosen).items()), description="optimising"
+            )
+        }
+        ends = [
+            study.end_of(level, share, cells=cells)
+            for share in progress.track(study.SHARES, description="lowest common end speeds")
+        ]
+    files = []
+    for name, found in answers.items():
+        files += [output / f"{name}.json", output / f"{name}.png"]
+        write_trajectory(found, files[-2])
+        line = slope.line if found.line == slope.line.name else level.line
+        draw_trajectory(found, line, files[-1])
+    alone = {each.name: answers[f"level-{each.name}"] for each in chosen}
+    common, recourse = answers["level-common"], answers["level-recourse"]
+    files.append(output / "nominal-driven-by-others.png")
+    draw_others(level, alone[study.NOMINAL], common, chosen, files[-1])
+    on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
+    for table in (
+        report.configurations_table(level),
+        report.price_table(alone, common, recourse),
+        report.printed_table(level, common),
+        report.phases_table(list(answers.items())),
+        report.cruise_table(on_level),
+        report.others_table(level, alone[study.NOMINAL], common, chosen),
+        report.ends_table(ends),
+    ):
+        console.print(table)
+    wrote(*files)

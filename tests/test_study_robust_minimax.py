@@ -1,0 +1,144 @@
+"""The study of paper 002: its equations, its five phases, and what robustness is good for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.studies import robust_minimax as study
+from analysis.trajectory.phases import Phase
+from analysis.trajectory.problem import discretise
+from trainlog.cli import run as command
+from trainlog.formats.trajectory import read_trajectory
+from trainlog.railway import Trajectory
+from trainlog.terminal import console
+
+LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations()
+
+
+@pytest.fixture(scope="module")
+def answers() -> dict[str, Trajectory]:
+    asked = study.questions(LEVEL, DOWNHILL, CHOSEN)
+    return {name: study.solved(*each, cells=250) for name, each in asked.items()}
+
+
+def per_mass(found: Trajectory) -> float:
+    return float(found.certificate["energy"]) / CHOSEN[0].inertia
+
+
+def test_energy_is_the_same_for_all_and_every_constraint_holds_as_printed(
+    answers: dict[str, Trajectory],
+) -> None:
+    """Eqs. (2) to (4) integrated in v and t, where the optimiser has v²/2 alone."""
+    found = answers["level-common"]
+    driven = study.driven(LEVEL, found, CHOSEN)
+    assert np.ptp(driven.energy) == 0.0
+    assert driven.energy[0] == pytest.approx(per_mass(found), rel=1e-9)
+    assert driven.speeds == pytest.approx(found.speeds, abs=1e-6)
+    assert driven.times == pytest.approx(found.times, abs=1e-3)
+    problem = discretise(LEVEL.run(CHOSEN, "common"), found.positions)
+    assert max(study.as_printed(problem, found, driven).values()) <= 1e-4
+
+
+def test_a_broken_constraint_shows(answers: dict[str, Trajectory]) -> None:
+    """The easy configuration under efforts meant for the hard one is too fast at the end."""
+    found = answers["level-hard"]
+    driven = study.driven(LEVEL, found, CHOSEN[:1])
+    problem = discretise(LEVEL.run(CHOSEN[:1], "common"), found.positions)
+    excess = study.as_printed(problem, found, driven)
+    assert excess["(8) v(s_e) [m/s]"] > 1.0
+    assert excess["(8) t(s_e) [s]"] < 0.0
+
+
+def test_all_five_phases_occur_and_the_sum_of_the_costates_tells_them(
+    answers: dict[str, Trajectory],
+) -> None:
+    seen = set()
+    for name in ("level-common", "downhill-common", "level-recourse", "downhill-recourse"):
+        seen |= study.phases_told(answers[name]).keys()
+        assert min(answers[name].certificate["agreement"].values()) >= 0.99
+        assert study.phases_agree(answers[name]) >= 0.95
+    assert seen == set(Phase)
+    assert Phase.PARTIAL_BRAKING not in study.phases_told(answers["level-common"])
+
+
+def test_the_costates_add_up_to_the_switching_function(answers: dict[str, Trajectory]) -> None:
+    certificate = answers["level-common"].certificate
+    costates = np.array(list(certificate["costates"].values()))
+    assert costates.shape[0] == 2
+    assert costates.sum(axis=0) == pytest.approx(np.array(certificate["switching"]))
+    assert costates[0].max() < 0.0, "the easy one would rather be slower: it must not end too fast"
+
+
+@pytest.mark.parametrize("name", ["level-nominal", "level-common", "level-recourse"])
+def test_the_multiplier_of_the_time_is_that_of_steady_cruising(
+    answers: dict[str, Trajectory], name: str
+) -> None:
+    told = study.cruise(answers[name])
+    assert told.price == pytest.approx(told.analytic, rel=5e-5)
+    if name == "level-nominal":
+        resistance = study.TRAIN.resistance
+        slope = resistance.r1 + 2.0 * resistance.r2 * told.speed
+        alone = told.speed**2 * slope / CHOSEN[1].inertia
+        assert told.price == pytest.approx(alone, rel=1e-3)
+
+
+def test_robustness_costs_little_and_saves_the_timetable(answers: dict[str, Trajectory]) -> None:
+    alone = {each.name: per_mass(answers[f"level-{each.name}"]) for each in CHOSEN}
+    common, recourse = (per_mass(answers[f"level-{name}"]) for name in ("common", "recourse"))
+    assert alone["easy"] < alone["nominal"] < alone["hard"] <= recourse * (1.0 + 1e-6)
+    assert recourse < common, "one brake for all is less than a brake each"
+    assert common < 1.03 * alone["nominal"]
+    nominal = answers["level-nominal"]
+    for braking in ("common", "recourse"):
+        late = study.driven(LEVEL, nominal, CHOSEN, braking=braking).times[:, -1] - 1541.0  # type: ignore[arg-type]
+        assert late[0] < -10.0
+        assert abs(late[1]) < 0.1
+        assert late[2] > 10.0
+    ends = study.driven(LEVEL, nominal, CHOSEN).speeds[:, -1]
+    assert ends[0] > LEVEL.final_speed + 1.0
+    robust = study.driven(LEVEL, answers["level-common"], CHOSEN)
+    assert robust.times[:, -1].max() <= 1541.0 + 1e-3
+    assert robust.speeds[:, -1].max() <= LEVEL.final_speed + 1e-5
+
+
+def test_who_coasts_too_long_comes_to_a_stand_and_is_told_where() -> None:
+    line = LEVEL.line
+    weak = study.configurations({"easy": ((1.0, 1.0, 1.0), 1.0), "stuck": ((6.0, 1.0, 1.0), 1.0)})
+    found = study.solved(LEVEL, weak[:1], "common", cells=120)
+    driven = study.driven(LEVEL, found, weak)
+    assert driven.stands[0] == np.inf
+    assert 0.0 < driven.stands[1] < line.length
+    assert driven.speeds[1, -1] == 0.0
+    assert driven.times[1, -1] == np.inf
+
+
+def test_a_wider_set_ends_faster_under_one_brake() -> None:
+    slow, fast = (
+        study.lowest_common_end_speed(LEVEL, study.evenly_spread(share), cells=60)
+        for share in (0.01, 0.03)
+    )
+    assert slow is not None
+    assert fast is not None
+    assert 5.0 <= slow < fast <= 10.0
+    short = study.Instance("short", LEVEL.line, 1_300.0)
+    assert study.lowest_common_end_speed(short, CHOSEN, cells=60) is None
+
+
+def test_the_command_writes_every_answer_with_its_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study, "SHARES", (0.05,))
+    with console.capture() as told:
+        assert not command(
+            ["study", "robust-minimax", "-o", str(tmp_path / "found"), "--cells", "60"]
+        )
+    for word in ("Price of robustness", "Section 3", "Cruising on level track", "spread"):
+        assert word in told.get()
+    for name in study.questions(LEVEL, DOWNHILL, CHOSEN):
+        found = read_trajectory(tmp_path / "found" / f"{name}.json")
+        assert found.certificate["audit"]["passed"]
+        assert (tmp_path / "found" / f"{name}.png").stat().st_size > 10_000
+    assert (tmp_path / "found" / "nominal-driven-by-others.png").exists()
