@@ -48,12 +48,28 @@ def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> N
     assert certificate["energy"] > 1.001 * free.certificate["energy"]
     assert certificate["referee"]["status"] in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
     assert abs(certificate["referee"]["difference"]) <= 2e-5
-    # A latest time is convex and within the bound; an earliest is not, and the bound says so.
-    if change < 0.0:
-        assert certificate["gap"] <= 1e-3
-    else:
-        assert "early passing allowed" in certificate["bound_holds_for"]
-        assert certificate["lower_bound"] <= free.certificate["energy"]
+    assert certificate["gap"] <= 1e-3
+    assert certificate["lower_bound"] > free.certificate["energy"]
+    assert certificate["bound_holds_for"] == "the problem cut into these cells"
+
+
+def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free: Trajectory) -> None:
+    """Early at one point, late at the next: between them the train has to brake for nothing."""
+    later = passing(free)[0] + 15.0
+    found = run(TimingPoint(3_000.0, latest=150.0), TimingPoint(PLACE, earliest=later))
+    assert passing(found)[0] >= later - 1e-4
+    assert "early passing allowed" in found.certificate["bound_holds_for"]
+    assert found.certificate["lower_bound"] < found.certificate["energy"]
+
+
+def test_windows_of_several_configurations_are_certified(free: Trajectory) -> None:
+    configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
+    window = TimingPoint(PLACE, earliest=passing(free)[0] + 8.0)
+    certificate = optimise(
+        hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=150
+    ).certificate
+    assert certificate["gap"] <= 1e-3
+    assert certificate["bound_holds_for"] == "the problem cut into these cells"
 
 
 def test_windows_of_speed_are_kept_and_certified(free: Trajectory) -> None:

@@ -255,6 +255,8 @@ def _spare(problem: Problem, plan: Plan) -> FloatArray:
     speed = np.sqrt(2.0 * driven.z)
     model = 2.0 * problem.step / (speed[:, :-1] + speed[:, 1:])
     ahead = np.cumsum(model - cell_times(problem, driven), axis=1)
+    if np.isfinite(problem.earliest).any():
+        ahead = np.abs(ahead)
     return np.asarray(np.maximum(ahead.max(axis=1), 0.0))
 
 

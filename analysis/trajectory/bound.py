@@ -41,14 +41,15 @@ def lower_bound(
         Where the search for the least value of the speeds begins.
     running_time : float [s]
     spare : (q,) array [s]
-        By how much the cells' mean speeds may make a configuration seem later than it is.
+        By how much the cells' mean speeds may make a configuration seem later than it is, and
+        where it must not pass earlier than some time, earlier.
 
     Returns
     -------
     float
         May be any amount below the energy, ``-inf`` included, if the multipliers are bad.
     """
-    step, train = problem.step, problem.run.train
+    step, train, multipliers = problem.step, problem.run.train, multipliers.convex()
     decay = 2.0 * problem.drag2 * step
     mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
     push = step * mean
@@ -68,6 +69,9 @@ def lower_bound(
     for price, latest in zip(multipliers.passing.T, problem.latest.tolist(), strict=True):
         if latest < np.inf:
             total -= float(price @ (latest + spare))
+    for price, earliest in zip(multipliers.opening.T, problem.earliest.tolist(), strict=True):
+        if earliest > -np.inf:
+            total += float(price @ (earliest - spare))
 
     square = np.zeros(speeds.shape)
     square[:, 1:] += motion

@@ -84,9 +84,26 @@ class Multipliers:
     share: FloatArray
 
     def cell_prices(self, problem: Problem) -> FloatArray:
-        """What a second in each cell is worth: that of all it makes late, (q, n) [J/(kg s)]."""
+        """What a second in each cell is worth: that of all it makes late, (q, n) [J/(kg s)].
+
+        Less than nothing where the train must lose time, before a point not to be passed earlier.
+        """
         before = np.arange(problem.shape[1]) < problem.passed[:, None]
-        return np.asarray(self.time[:, None] + self.passing @ before)
+        return np.asarray(self.time[:, None] + (self.passing - self.opening) @ before)
+
+    def convex(self) -> Multipliers:
+        """The same with no more on the earliest times than leaves every second worth something.
+
+        ``t(point) >= earliest`` is not convex, but with ``t(end) <= T`` it says that the rest
+        takes at most ``T - earliest``, which is: price on price, the Lagrange function is the
+        same as long as no cell's price is negative.
+        """
+        left, opening = self.time.copy(), self.opening.copy()
+        for point in range(opening.shape[1] - 1, -1, -1):
+            left += self.passing[:, point]
+            opening[:, point] = np.minimum(opening[:, point], left)
+            left -= opening[:, point]
+        return replace(self, opening=opening)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +339,7 @@ class _Round:
         # A fixed node at standstill does not move; elsewhere dv = dz / v.
         ratio = np.where(speed > 0.25 * SLOW, self.scale / np.maximum(speed, 0.25 * SLOW), 0.0)
         spent = float(self.problem.step @ self.plan.traction) / running_time
-        highest = float(self.price.max())
+        highest = max(float(self.price.max()), 0.0)
         least = max(_LEAST_SHARE * highest, _LEAST_POWER * spent)
         price = np.maximum(self.price, least)
         both = np.zeros_like(speed)

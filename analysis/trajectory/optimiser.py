@@ -97,7 +97,6 @@ def optimise(
         Length of train that a speed limit protects: 0 for its front, ``train.length`` for all.
     windows : sequence of TimingPoint
         When and how fast it may pass points on the way; times count from the start of the run.
-        Earlier than asked is not convex: a bound leaves it out, and is lower where it decides.
     direction : {"forward", "reverse"}
         Of travel against the chainage of the line's file. `line` is given in the direction of
         travel all the same (`Line.reversed`), and so is every position here.

@@ -93,6 +93,16 @@ class Relaxation:
             for node, latest in zip(problem.passed.tolist(), problem.latest.tolist(), strict=True)
             if latest < np.inf
         ]
+        # Not before a time, and at the end by another: the rest takes no more than what is left.
+        self.passing += [
+            self.below.add(
+                np.full(q, -earliest), (self.tau[:, node:], seconds[:, node:]), (last, -1.0)
+            )
+            for node, earliest in zip(
+                problem.passed.tolist(), problem.earliest.tolist(), strict=True
+            )
+            if earliest > -np.inf
+        ]
 
     def least_energy(self, running_time: float) -> Relaxed:
         """Minimise the worst-case energy within `running_time` [s].
