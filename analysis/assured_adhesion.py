@@ -83,7 +83,8 @@ def assured_adhesion(
         )
     known = track.lower_bound(layer, track.centres, sigmas)
     seen = np.isfinite(known)
-    borne = borne_adhesion(track, layer, sigmas)
+    # Where nothing limits anything, nothing borne can be more.
+    borne = borne_adhesion(track, layer, sigmas) if np.isfinite(assumed) else np.zeros(track.bins)
     return AssuredAdhesion(
         track.bin_length,
         np.where(seen, known, np.maximum(borne, assumed)),

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated_world import flirt, level_line
+from trajectory_world import observed
 
 from analysis.assured_adhesion import assured_adhesion, borne_adhesion, typical_adhesion
 from analysis.traction_map import SETTINGS
+from analysis.trajectory.run import Run
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 
@@ -92,3 +95,19 @@ def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -
         assured_adhesion(made(), "wet", assumed=0.0)
     with pytest.raises(InputError, match="lacks the setting 'trip_std'"):
         assured_adhesion(replace(made(), settings={}), "wet", assumed=0.05)
+
+
+def test_a_trajectory_counts_on_what_the_map_has_seen_what_was_borne_and_what_it_is_told() -> None:
+    track = made({3: 0.07}, {(8, 3): 1.0})
+    line = replace(level_line(track.length), name=track.line)
+    run = Run(
+        line, flirt(), tuple(observed(flirt(), 1.0)), 0.0, 1_000.0, condition=track, sigmas=1.0
+    )
+    cells = np.linspace(0.0, 1_000.0, BINS + 1)
+    assert np.flatnonzero(np.isfinite(run.adhesion(cells))).tolist() == [3]
+    told = replace(run, assumed_adhesion=0.05)
+    counted = assured_adhesion(track, "wet", assumed=0.05)
+    assert np.array_equal(told.adhesion(cells), counted.values)
+    assert np.array_equal(told.adhesion_at(track.centres), counted.values)
+    backwards = replace(told, direction="reverse")
+    assert np.array_equal(backwards.adhesion(cells), counted.values[::-1])

@@ -200,7 +200,9 @@ def _fastest(
     options: dict[str, Any],
 ) -> FloatArray:
     """Time [s] from the departure to each passing point and to the arrival, of the slowest."""
-    known = {"braking", "layer", "sigmas", "protected_length", "direction"}
+    known = {
+        "braking", "layer", "sigmas", "assumed_adhesion", "protected_length", "direction",
+    }  # fmt: skip
     chosen: dict[str, Any] = {key: value for key, value in options.items() if key in known}
     chosen |= {**_ends(section), "condition": options.get("condition_map")}
     first, last = section.departure.position, section.arrival.position

@@ -54,6 +54,7 @@ def optimise(
     condition_map: TrackConditionMap | None = None,
     layer: str = "wet",
     sigmas: float = 2.0,
+    assumed_adhesion: float = np.inf,
     protected_length: float = 0.0,
     weights: Sequence[float] = (),
     windows: Sequence[TimingPoint] = (),
@@ -93,6 +94,9 @@ def optimise(
         Rail condition to read from the map.
     sigmas : float
         Standard deviations taken off the map's estimate.
+    assumed_adhesion : float
+        What is counted on where the map tells nothing, unless more was borne there without slip;
+        infinite for no limit.
     protected_length : float [m]
         Length of train that a speed limit protects: 0 for its front, ``train.length`` for all.
     windows : sequence of TimingPoint
@@ -130,7 +134,7 @@ def optimise(
         line, train, tuple(configurations), start, line.length if end is None else end,
         initial_speed, final_speed, braking, objective,
         condition_map, layer, sigmas, protected_length, tuple(windows),
-        tuple(weights), direction,
+        tuple(weights), direction, assumed_adhesion,
     )  # fmt: skip
     fastest = fastest_run(run)
     slowest = int(np.argmax(fastest.times))
@@ -171,7 +175,7 @@ def optimise(
                 "braking": braking,
                 "objective": objective,
                 "weights": list(run.weights),
-                "adhesion": None if condition_map is None else {"layer": layer, "sigmas": sigmas},
+                "adhesion": None if condition_map is None else _reading(run),
                 "protected_length": protected_length,
                 "windows": [asdict(point) for point in run.windows],
                 "cells": cells,
@@ -231,6 +235,14 @@ def _scouted(
         return search(problem, guess, speeds, running_time, coarse=True)
     except InfeasibleError:
         return None
+
+
+def _reading(run: Run) -> dict[str, str | float]:
+    """How the track-condition map was read."""
+    told: dict[str, str | float] = {"layer": run.layer, "sigmas": run.sigmas}
+    if np.isfinite(run.assumed_adhesion):
+        told["assumed"] = run.assumed_adhesion
+    return told
 
 
 def _check_arguments(running_time: float | None, reserve: float, cells: int) -> None:

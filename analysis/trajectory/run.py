@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.assured_adhesion import assured_adhesion
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
 from trainlog.units import KMH
@@ -52,6 +54,8 @@ class Run:
         Rail condition to read from the map.
     sigmas : float
         How cautiously the map is read: the estimate less this many standard deviations.
+    assumed_adhesion : float
+        Where the map tells nothing; infinite for no limit there. See `analysis.assured_adhesion`.
     protected_length : float [m]
         Length of train to which a speed limit applies; 0 for its front alone.
     windows : tuple of TimingPoint
@@ -74,6 +78,7 @@ class Run:
     windows: tuple[TimingPoint, ...] = ()
     weights: tuple[float, ...] = ()
     direction: Direction = "forward"
+    assumed_adhesion: float = np.inf
 
     def __post_init__(self) -> None:
         line, where = self.line, f"run on line '{self.line.name}'"
@@ -176,7 +181,7 @@ class Run:
                 f"{where}: {self.sigmas} standard deviations off the map make no sense",
                 remedy="give 0 or more",
             )
-        bins = self.condition.lower_bound(self.layer, self.condition.centres, self.sigmas)
+        bins = self._assured
         wrong = np.flatnonzero(~(bins > 0.0))
         if wrong.size:
             raise InputError(
@@ -222,12 +227,21 @@ class Run:
         inside = points[(points > self.start) & (points < self.end)]
         return np.unique(np.concatenate(([self.start], inside, [self.end])))
 
+    @cached_property
+    def _assured(self) -> FloatArray:
+        """What the map lets count on in each of its bins; infinite where nothing limits."""
+        if self.condition is None:
+            return np.zeros(0)
+        return assured_adhesion(
+            self.condition, self.layer, sigmas=self.sigmas, assumed=self.assumed_adhesion
+        ).values
+
     def adhesion_at(self, positions: FloatArray) -> FloatArray:
         """Cautious maximum adhesion at each position; infinite where unknown."""
         if self.condition is None:
             return np.full(positions.shape, np.inf)
         own = self.line.length - positions if self.direction == "reverse" else positions
-        return np.asarray(self.condition.lower_bound(self.layer, own, self.sigmas))
+        return np.asarray(self._assured[self.condition.bin_of(own)])
 
     def adhesion(self, positions: FloatArray) -> FloatArray:
         """Cautious maximum adhesion in each cell between `positions`; infinite where unknown."""
@@ -238,7 +252,7 @@ class Run:
             # The map is counted in the line's own direction.
             turned = replace(self, direction="forward")
             return turned.adhesion(self.line.length - positions[::-1])[::-1]
-        bins = self.condition.lower_bound(self.layer, self.condition.centres, self.sigmas)
+        bins = self._assured
         first = self.condition.bin_of(positions[:-1])
         last = self.condition.bin_of(np.nextafter(positions[1:], -np.inf))
         spans = np.column_stack((first, last + 1)).ravel()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -58,6 +59,12 @@ def optimise(
     layer: Annotated[
         Literal["dry", "wet"], typer.Option(help="Rail condition of the map.")
     ] = "wet",
+    assumed_adhesion: Annotated[
+        float | None,
+        typer.Option(
+            help="With --map: adhesion counted on where it tells nothing; default: no limit there."
+        ),
+    ] = None,
     cells: Annotated[
         int,
         typer.Option(
@@ -105,6 +112,10 @@ def optimise(
         raise InputError(
             "--journey tells the times itself", remedy="leave out --running-time and --pareto"
         )
+    if assumed_adhesion is not None and condition is None:
+        raise InputError(
+            "--assumed-adhesion is for places where a map tells nothing", remedy="give --map"
+        )
     if reverse:
         the_line = the_line.reversed()
     options: dict[str, Any] = {
@@ -113,6 +124,7 @@ def optimise(
         "objective": objective,
         "condition_map": None if condition is None else read_map(condition),
         "layer": layer,
+        "assumed_adhesion": inf if assumed_adhesion is None else assumed_adhesion,
         "cells": cells,
         "direction": "reverse" if reverse else "forward",
         "referee": referee,
