@@ -18,6 +18,7 @@ from analysis.trajectory.reference_section import (
     check_timetable,
     fastest,
     least_time,
+    least_time_unweighed,
     section_of,
     sections_of,
 )
@@ -133,6 +134,27 @@ def test_least_time_bounds_every_reference_from_below() -> None:
     planned = section(200.0, slope=0.01)
     assert least_time(planned) < fastest(planned).duration
     assert least_time(planned, PAPER_000.mass) <= least_time(planned, PAPER_000.max_mass)
+
+
+def test_not_to_know_the_mass_costs_time_and_rotating_parts_do() -> None:
+    planned = section(200.0, slope=0.01)
+    for mass in (PAPER_000.mass, 78_200.0, PAPER_000.max_mass):
+        known = least_time(planned, mass)
+        assert known <= least_time_unweighed(planned, mass) + 1e-9
+        assert known < least_time(planned, mass, 4_800.0)
+    # What the lightest train may do is what (7) allows for every mass.
+    assert least_time_unweighed(planned, PAPER_000.max_mass) > least_time(
+        planned, PAPER_000.max_mass
+    )
+
+
+def test_a_train_known_to_be_lighter_may_brake_later() -> None:
+    planned = section(200.0, slope=0.01)
+    heavy = planned.tables.ceiling
+    assert np.array_equal(planned.braked_for(PAPER_000.max_mass).ceiling, heavy)
+    light = planned.braked_for(PAPER_000.mass).ceiling
+    assert np.all(light >= heavy)
+    assert np.any(light > heavy)
 
 
 def test_stops_out_of_order_are_refused() -> None:

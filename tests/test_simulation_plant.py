@@ -14,6 +14,7 @@ from simulated_world import flirt, hilly_line, level_line, steps
 from trainlog.errors import InputError
 from trainlog.railway import Axles, Brake, RunningResistance
 from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway.lever import PAPER_000
 from trainlog.simulation.plant import Drive, Plant, PlantState, rail_table
 from trainlog.units import GRAVITY
 
@@ -370,3 +371,20 @@ def test_a_train_cannot_start_beyond_the_line() -> None:
     plant = Plant.of(level_line(length=1_000.0), flirt())
     with pytest.raises(InputError, match=r"line ends at km 1\.000"):
         plant.at(1_200.0)
+
+
+@pytest.mark.parametrize("gradient", [-0.04, 0.0, 0.03])
+def test_a_holding_brake_keeps_a_train_without_friction_brake_until_it_pulls(
+    gradient: float,
+) -> None:
+    """All axles driven, nothing but the dynamic brake: it rolls off unless it is held."""
+    track, train = level_line(gradient=gradient), PAPER_000.on_axles()
+    held = Plant.of(track, train, drive=Drive(holding_speed=0.5))
+    free = Plant.of(track, train)
+    for plant, stays in ((held, True), (free, gradient >= 0.0)):
+        state = plant.at(1_000.0)
+        plant.advance(state, 0.0, 0.0, 2_000)
+        assert (state.position == 1_000.0) is stays
+    state = held.at(1_000.0)
+    held.advance(state, 60e3, 0.0, 2_000)
+    assert state.position > 1_010.0

@@ -14,13 +14,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.control import tracking_kernels as kernels
+from analysis.control.tracking_mass import ObservedMass, window
+from analysis.trajectory import reference_dynamics as dynamics
 from analysis.trajectory.reference import SAMPLING, Reference
 from trainlog.errors import InputError
 from trainlog.railway.lever import NOMINAL_MASS
+from trainlog.simulation.plant import HOLDING
+from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
 
 About = Literal["reference", "prediction"]
+
+PERIOD = 0.1
+"""Between two levers of the guard [s]."""
+
+HOLDING_SPEED = 0.5
+"""Below it the holding brake is applied to a train that does not pull [m/s]."""
+
+APPROACH = 4.0
+"""The last seconds before the stop, which are driven to the place rather than by the clock [s]."""
+
+LAST = 15.0
+"""Nothing but the stop is ahead within this time [s]."""
+
+HARD = 0.92
+"""Share of the brake from which a late train is driven to the place, too."""
+
+HASTE = 0.97
+"""The fastest run is followed when it takes more than this share of the time that is left."""
+
+FAST_STEP = 5.0
+"""Of the fastest run from where the train is [m]."""
 
 SHORTEST = 6
 """Steps of the horizon that remain at the stop."""
@@ -104,6 +129,12 @@ class TrackingController:
         self._tables = section.tables
         self._constants = section.driving_constants
         self._plan: FloatArray | None = None
+        self._mass = self.tuning.mass
+        self._felt = ObservedMass(section.train.mass, section.train.max_mass)
+        self._past: list[tuple[float, float, float]] = []
+        self._held = 0.0
+        self._asked = 0.0
+        self._arriving = False
         rows = self.reference.sampled()
         # The lever is held for a second: that of its middle stands for it.
         rows[:, 2] = [self.reference.at((k + 0.5) * SAMPLING)[2] for k in range(len(rows))]
@@ -111,8 +142,16 @@ class TrackingController:
         rows[-1, 1:] = 0.0
         self._rows = np.concatenate([rows, rest])
 
-    def lever(self, time: float, position: float, speed: float) -> float:
-        """The lever for the next second.
+    @property
+    def mass(self) -> tuple[float, float]:
+        """Between what [kg] the mass of the motion is, by all that was felt in `drive`."""
+        return self._felt.low, self._felt.high
+
+    def drive(self, time: float, position: float, speed: float) -> float:
+        """The lever for the next `PERIOD`.
+
+        Once a second the program is solved; in between the guard lets through of its lever what
+        the rail, the comfort and the ceiling allow. The last seconds are an even deceleration.
 
         Parameters
         ----------
@@ -121,16 +160,34 @@ class TrackingController:
         position, speed : float [m], [m/s]
             As measured.
         """
+        self._past.append((position, speed, self._held))
+        if len(self._past) > round(SAMPLING / PERIOD) or len(self._past) == 1:
+            self._feel()
+            self._past = [(position, speed, self._held)]
+            self._asked = self._demanded(time, position, speed)
+        asked = self._stopping(time, position, speed)
+        if asked is None:
+            asked = self._asked
+        low, high = self.mass
+        self._held = float(
+            kernels.guarded(
+                position, speed, asked, self._held, PERIOD, low, high,
+                self._tables, self._constants,
+            )
+        )  # fmt: skip
+        return self._held
+
+    def lever(self, time: float, position: float, speed: float) -> float:
+        """The lever that the program wants for the next second; see `drive`."""
         program = self.program(time, position, speed)
         plan = self._solved(program)
         self._plan = plan
         return float(plan[0])
 
     def program(self, time: float, position: float, speed: float) -> Program:
-        """The program (11) at a state; see `lever`."""
-        at, n = self._window(time)
-        target, aim = self._rows[at : at + n + 1], self._rows[at : at + n, 2]
-        mass, t, c = self.tuning.mass, self._tables, self._constants
+        """The program (11) at a state; see `drive`."""
+        target, aim = self._target(time, position, speed)
+        mass, t, c = self._mass, self._tables, self._constants
         if self.about == "reference":
             states, levers = np.ascontiguousarray(target[:, :2]), aim
             deviation = np.array([position, speed]) - states[0]
@@ -150,15 +207,84 @@ class TrackingController:
 
     def guarded(self, lever: float, position: float, speed: float) -> float:
         """The lever next to `lever` that keeps (7) for a second, whatever the train weighs."""
+        c = self._constants
         return float(
-            kernels.guarded(position, speed, lever, SAMPLING, self._tables, self._constants)
+            kernels.guarded(
+                position, speed, lever, lever, SAMPLING, c.light, c.heavy, self._tables, c
+            )
         )
 
-    def _window(self, time: float) -> tuple[int, int]:
-        """First row of the reference and number of steps: the horizon shrinks at the stop."""
+    def _stopping(self, time: float, position: float, speed: float) -> float | None:
+        """The lever of an even deceleration to the stop; None while it is too far."""
+        t, c = self._tables, self._constants
+        left = self.reference.section.destination.position - position
+        if not 0.0 < 2.0 * left < LAST * speed:
+            return None
+        if speed < HOLDING_SPEED:
+            return 0.0
+        grip = dynamics.value(t.adhesion, t.origin, position + left)
+        rest = HOLDING_SPEED**2 / (2.0 * min(HOLDING, grip * GRAVITY))
+        lever = float(
+            kernels.stopping_lever(position, speed, left - rest, HOLDING_SPEED, self._mass, t, c)
+        )
+        if not self._arriving:
+            most = kernels.bounds_over(position, speed, position, speed, t, c)[0]
+            takes = 2.0 * left / speed
+            late = time + takes > self.reference.duration
+            self._arriving = takes < APPROACH or (late and lever < HARD * most)
+        return lever if self._arriving else None
+
+    def _demanded(self, time: float, position: float, speed: float) -> float:
+        """The program's lever; one at its bound stands for all that the guard lets through."""
+        program = self.program(time, position, speed)
+        plan = self._solved(program)
+        self._plan = plan
+        change = plan[0] - program.levers[0]
+        if change > program.upper[0] - 1e-6:
+            return 1.0
+        return -1.0 if change < program.lower[0] + 1e-6 else float(plan[0])
+
+    def _target(self, time: float, position: float, speed: float) -> tuple[FloatArray, FloatArray]:
+        """Rows of the horizon to follow, and levers: the reference's, or the fastest run's.
+
+        The horizon shrinks at the stop. Where only the fastest run arrives in time it is followed:
+        a reference for a better rail would wait too long.
+        """
         last = int(np.ceil(self.reference.duration / SAMPLING))
         at = min(max(round(time / SAMPLING), 0), last)
-        return at, int(np.clip(last - at, SHORTEST, self.tuning.horizon))
+        n = int(np.clip(last - at, SHORTEST, self.tuning.horizon))
+        rows = self._rows[at : at + n + 1]
+        if self.about == "reference":
+            return rows, rows[:n, 2]
+        positions, speeds, times, levers = self._fastest(position, speed)
+        if times[-1] <= HASTE * (self.reference.duration - time):
+            return rows, rows[:n, 2]
+        n = int(np.clip(np.ceil(times[-1] / SAMPLING), SHORTEST, self.tuning.horizon))
+        ahead = SAMPLING * np.arange(n + 1, dtype=np.float64)
+        found = np.column_stack([
+            np.interp(ahead, times, positions), np.interp(ahead, times, speeds),
+            np.interp(ahead + 0.5 * SAMPLING, times, levers),
+        ])  # fmt: skip
+        return found, found[:n, 2].copy()
+
+    def _fastest(self, position: float, speed: float) -> tuple[FloatArray, ...]:
+        """The fastest run to the stop by positions, speeds, times, levers; no time if it stalls."""
+        stop = self.reference.section.destination.position
+        nothing = np.zeros(1)
+        if stop - position < FAST_STEP:
+            return nothing, nothing, nothing, nothing
+        found: tuple[FloatArray, ...] = dynamics.fastest_run(
+            position, speed, stop, FAST_STEP, np.inf, self._mass, 1.0,
+            self._tables, self._constants,
+        )  # fmt: skip
+        return found if found[0][-1] > stop - 1e-6 else (nothing, nothing, nothing, nothing)
+
+    def _feel(self) -> None:
+        """Learn of the mass from the last second, and raise the ceiling by what was learnt."""
+        told = window(self._past, PERIOD, self._tables, self._constants)
+        if told is not None and self._felt.observe(*told):
+            self._mass = self._felt.middle
+            self._tables = self.reference.section.braked_for(self._felt.high)
 
     def _guess(self, aim: FloatArray) -> FloatArray:
         """The plan of the last second, shifted; the reference's levers where there is none."""

@@ -16,6 +16,7 @@ from analysis.trajectory.reference_dynamics import (
     Constants,
     Tables,
     acceleration,
+    drift,
     full_effort,
     lever_bounds,
     rate,
@@ -26,13 +27,21 @@ from trainlog.units import GRAVITY
 FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 10
-"""Of the prediction in one sampling period, and of the guard's look ahead."""
+"""Of the prediction in one sampling period."""
 
 AHEAD = 0.5
 """The rail is looked at this much further on [s]: efforts follow their demand with a lag."""
 
+HELD = 1.0
+"""For this long a lever that the guard lets through could be held under the ceiling [s]."""
 
-BELOW = 0.05
+LAG = 0.1
+"""With which efforts follow their demand [s]."""
+
+LOOKS, HALVINGS = 5, 20
+"""Of the guard: steps of its look ahead, and of its search for a lever."""
+
+BELOW = 0.02
 """The program stays this far below the ceiling [m/s], so that the guard has little to do."""
 
 
@@ -197,76 +206,110 @@ def condensed(
 
 
 @njit(cache=True)
-def stays_below(
-    p: float, v: float, u: float, span: float, traction: bool, t: Tables, c: Constants
-) -> bool:
-    """Whether the constraints that a lower lever helps hold for the period, at both masses."""
-    # A train that is too fast already may take the period to become slow enough.
-    over = max(v - math.sqrt(value(t.ceiling, t.origin, p)), 0.0)
-    for m in (c.light, c.heavy):
-        x, w = p, v
-        for k in range(SUBSTEPS + 1):
-            if k > 0:
-                x, w = step(x, w, u, span / SUBSTEPS, m, t, c)
-            if traction:
-                most = bounds_over(x, w, x, w, t, c)[1]
-                if u > most + 1e-9:
-                    return False
-            else:
-                allowed = math.sqrt(value(t.ceiling, t.origin, x))
-                if w > allowed + over * (1.0 - k / SUBSTEPS) + 1e-9:
-                    return False
-    return True
+def stride(p: float, v: float, u: float, h: float, m: float, t: Tables, c: Constants) -> Any:
+    """One step of the midpoint rule under a held lever; see `step`."""
+    a1 = acceleration(v, u, value(t.sine, t.origin, p), m, c)
+    w = max(v + 0.5 * h * a1, 0.0)
+    a2 = acceleration(w, u, value(t.sine, t.origin, p + 0.5 * h * v), m, c)
+    return p + h * w, max(v + h * a2, 0.0)
 
 
 @njit(cache=True)
-def stays_above(p: float, v: float, u: float, span: float, t: Tables, c: Constants) -> bool:
-    """Whether the constraints that a higher lever helps hold for the period, at both masses."""
-    for m in (c.light, c.heavy):
-        x, w = p, v
-        for k in range(SUBSTEPS + 1):
-            if k > 0:
-                x, w = step(x, w, u, span / SUBSTEPS, m, t, c)
-            if u < bounds_over(x, w, x, w, t, c)[0] - 1e-9:
+def below_ceiling(
+    p: float, v: float, u: float, last: float, light: float, heavy: float, t: Tables, c: Constants
+) -> bool:
+    """Whether a train of either mass stays below the ceiling with the lever held for `HELD`."""
+    # A train that is too fast already may take the time to become slow enough.
+    over = max(v - math.sqrt(value(t.ceiling, t.origin, p)), 0.0)
+    for m in (light, heavy):
+        # What the motors still give of the last lever.
+        x, w = p, v + LAG * max(last - u, 0.0) * full_effort(v, c) / m
+        for k in range(1, LOOKS + 1):
+            x, w = stride(x, w, u, HELD / LOOKS, m, t, c)
+            allowed = math.sqrt(value(t.ceiling, t.origin, x))
+            if w > allowed + over * (1.0 - k / LOOKS) + 1e-9:
                 return False
     return True
 
 
 @njit(cache=True)
-def guarded(p: float, v: float, u: float, span: float, t: Tables, c: Constants) -> float:
+def held_bounds(
+    p: float, v: float, u: float, span: float, light: float, heavy: float, t: Tables, c: Constants
+) -> tuple[float, float]:
+    """Lever that (4), (5) and its range allow while `u` is held for `span`, for every mass."""
+    low, high = -1.0, 1.0
+    for m in (light, heavy):
+        x, w = p, v
+        for _ in range(LOOKS + 1):
+            least, most = bounds_over(x, w, x, w, t, c)
+            low, high = max(low, least), min(high, most)
+            x, w = stride(x, w, u, span / LOOKS, m, t, c)
+    return low, high
+
+
+@njit(cache=True)
+def guarded(
+    p: float, v: float, u: float, last: float, span: float, light: float, heavy: float,
+    t: Tables, c: Constants,
+) -> float:  # fmt: skip
     """The lever next to `u` that keeps (7) until the next sample whatever the train weighs.
+
+    Parameters
+    ----------
+    last : float
+        Lever that was held until now.
+    span : float [s]
+        For which the lever will be held.
+    light, heavy : float [kg]
+        Between which the mass of the motion is.
 
     Comfort and adhesion come first: full braking beyond them stops no train sooner.
     """
     low, high = bounds_over(p, v, p, v, t, c)
     low, high = min(low, 0.0), max(high, 0.0)
     u = min(max(u, low), high)
-    if u > 0.0 and not stays_below(p, v, u, span, True, t, c):
-        u = _highest(p, v, 0.0, u, span, True, t, c)
-    if not stays_below(p, v, u, span, False, t, c):
-        u = _highest(p, v, low, u, span, False, t, c)
-    if u < 0.0 and not stays_above(p, v, u, span, t, c):
-        good, bad = 0.0, u
-        for _ in range(20):
-            middle = 0.5 * (good + bad)
-            if stays_above(p, v, middle, span, t, c):
-                good = middle
-            else:
-                bad = middle
-        u = good
+    if u > 0.0:
+        u = _nearest(0, p, v, 0.0, u, last, span, light, heavy, t, c)
+    u = _nearest(1, p, v, low, u, last, span, light, heavy, t, c)
+    if u < 0.0:
+        u = _nearest(2, p, v, 0.0, u, last, span, light, heavy, t, c)
     return u
 
 
 @njit(cache=True)
-def _highest(
-    p: float, v: float, good: float, bad: float, span: float, traction: bool,
+def _kept(
+    rule: int, p: float, v: float, u: float, last: float, span: float, light: float, heavy: float,
     t: Tables, c: Constants,
+) -> bool:  # fmt: skip
+    """Whether a lever keeps what limits traction (0), the ceiling (1), or what limits braking."""
+    if rule == 1:
+        return below_ceiling(p, v, u, last, light, heavy, t, c)
+    low, high = held_bounds(p, v, u, span, light, heavy, t, c)
+    return u <= high if rule == 0 else u >= low
+
+
+@njit(cache=True)
+def _nearest(
+    rule: int, p: float, v: float, good: float, wanted: float, last: float, span: float,
+    light: float, heavy: float, t: Tables, c: Constants,
 ) -> float:  # fmt: skip
-    """The highest lever of an interval that stays below; its lower end if none does."""
-    for _ in range(20):
+    """The lever next to `wanted`, on the way from `good`, that keeps a rule; `good` if none."""
+    if _kept(rule, p, v, wanted, last, span, light, heavy, t, c):
+        return wanted
+    bad = wanted
+    for _ in range(HALVINGS):
         middle = 0.5 * (good + bad)
-        if stays_below(p, v, middle, span, traction, t, c):
+        if _kept(rule, p, v, middle, last, span, light, heavy, t, c):
             good = middle
         else:
             bad = middle
     return good
+
+
+@njit(cache=True)
+def stopping_lever(
+    p: float, v: float, left: float, end: float, m: float, t: Tables, c: Constants
+) -> float:
+    """The lever of an even deceleration to the speed `end` over what is `left` [m]."""
+    needed = (end * end - v * v) / (2.0 * max(left, 1e-3))
+    return (needed - drift(v, value(t.sine, t.origin, p), m, c)) * m / full_effort(v, c)

@@ -7,17 +7,17 @@ controller does not know.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.control.tracking import About, TrackingController, Tuning
+from analysis.control.tracking import HOLDING_SPEED, PERIOD, About, TrackingController, Tuning
 from analysis.studies import map_mpc_world as world
 from analysis.trajectory import reference_dynamics as dynamics
-from analysis.trajectory.reference import SAMPLING, Reference
+from analysis.trajectory.reference import Reference
 from analysis.trajectory.reference_section import (
     STOPPING_TOLERANCE,
     Section,
@@ -35,9 +35,6 @@ from trainlog.units import GRAVITY
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-PERIOD = 0.1
-"""Between two demands [s]."""
-
 SAMPLES = 1
 """Recorded in each period, as the sensors do."""
 
@@ -50,8 +47,8 @@ SHORTEST_DWELL = 20.0
 STANDING = 10.0
 """Recorded after the last arrival [s]."""
 
-DRIVE = Drive(braking_fade_speed=0.05)
-"""The dynamic brake works down to standstill."""
+DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
+"""The dynamic brake works down to where the holding brake is applied."""
 
 AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
 """Of the six axles over the rail's: each cleans it for the next."""
@@ -332,17 +329,32 @@ def run(
     )
 
 
-def least_lateness(sections: Sequence[Section], mass: float, delay: float) -> FloatArray:
+def least_lateness(
+    sections: Sequence[Section],
+    mass: float,
+    delay: float,
+    least: Callable[[Section, float, float], float] = least_time,
+) -> FloatArray:
     """Bound on how late [s] a train of one mass arrives that left the first stop late.
 
-    From the least time of every section under (7), without any reserve, and the shortest dwell.
+    From the least time of every section under (7), without any reserve, and the shortest dwell;
+    below 0 where it could be early.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+    mass : float [kg]
+    delay : float [s]
+    least : callable
+        `least_time` or `least_time_unweighed`.
     """
     late, bound = delay, []
     for section in sections:
-        bound.append(late + least_time(section, mass) - section.duration)
+        rotating = section.train.on_axles(AXLE_ADHESION.size).rotating_mass
+        bound.append(late + least(section, mass, rotating) - section.duration)
         planned = planned_dwell(section)
         late = max(bound[-1] + SHORTEST_DWELL - planned, 0.0)
-    return np.asarray(np.maximum(np.array(bound), 0.0), dtype=np.float64)
+    return np.array(bound, dtype=np.float64)
 
 
 def planned_dwell(section: Section) -> float:
@@ -374,7 +386,7 @@ class _Recorder:
         self.samples.append(self.plant.advance(self.state, *demand, steps, steps // SAMPLES))
 
     def stand(self, reference: Reference, number: int) -> None:
-        """One period at a station: on level track the train stands by itself."""
+        """One period at a station: the holding brake is applied."""
         self.advance(reference, number, 0.0)
 
 
@@ -386,12 +398,10 @@ def _drive_section(recorder: _Recorder, controller: TrackingController, number: 
     while True:
         state = recorder.state
         time = recorder.now - section.origin.departure
-        lever = controller.lever(time, state.position, state.speed)
-        lever = controller.guarded(lever, state.position, state.speed)
-        for _ in range(round(SAMPLING / PERIOD)):
-            recorder.advance(reference, number, lever)
-            if state.speed == 0.0 and state.position > stop - STOPPING_TOLERANCE:
-                return
+        lever = controller.drive(time, state.position, state.speed)
+        recorder.advance(reference, number, lever)
+        if state.speed == 0.0 and state.position > stop - STOPPING_TOLERANCE:
+            return
         if recorder.now - begun > patience:
             raise InfeasibleError(
                 f"{section.name}: the train does not arrive; at km {state.position / 1e3:.3f}"

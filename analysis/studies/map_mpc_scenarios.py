@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from analysis.studies import map_mpc_world as world
 from analysis.studies.map_mpc import NO_MAP, Plan, Run, least_lateness, run, with_map
 from analysis.trajectory.reference import reference
-from analysis.trajectory.reference_section import Section, check_timetable, sections_of
+from analysis.trajectory.reference_section import (
+    Section,
+    check_timetable,
+    least_time_unweighed,
+    sections_of,
+)
 from trainlog.railway import StepProfile
 from trainlog.railway.lever import PAPER_000
 
@@ -75,14 +80,16 @@ class Outcome:
     scenario : Scenario
     informed, blind : Run
         By the controller with the map, and by the one without.
-    bound : (k,) array [s]
-        How late a train of this mass must be at each stop, whoever drives it.
+    bound, unweighed : (k,) array [s]
+        How late a train of this mass must be at each stop, whoever drives it: by a driver who
+        knows the mass, and by one who does not.
     """
 
     scenario: Scenario
     informed: Run
     blind: Run
     bound: FloatArray
+    unweighed: FloatArray
 
 
 def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -> World:
@@ -122,10 +129,12 @@ def outcome(known: World, scenario: Scenario, mass: float) -> Outcome:
     rail = known.rails[scenario.weather]
     informed = with_map(known.plan, rail)
     blind = with_map(known.plan, NO_MAP)
+    sections = [each.section for each in informed]
     name = f"{scenario.name}, {mass / 1e3:.1f} t"
     return Outcome(
         scenario,
         run(name, informed, rail, mass, delay=scenario.delay),
         run(f"{name}, no map", blind, rail, mass, delay=scenario.delay),
-        least_lateness([each.section for each in informed], mass, scenario.delay),
+        least_lateness(sections, mass, scenario.delay),
+        least_lateness(sections, mass, scenario.delay, least_time_unweighed),
     )

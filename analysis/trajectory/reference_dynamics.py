@@ -144,11 +144,13 @@ def limited_rise(squares: FloatArray, most: float) -> FloatArray:
 
 @njit(cache=True)
 def braking_envelope(
-    squares: FloatArray, sine: FloatArray, adhesion: FloatArray, share: float, c: Constants
-) -> FloatArray:
+    squares: FloatArray, sine: FloatArray, adhesion: FloatArray, share: float,
+    light: float, heavy: float, inertia: float, c: Constants,
+) -> FloatArray:  # fmt: skip
     """Squares of speeds from which the speeds ahead can be kept with a share of the brake.
 
-    The lever is limited as for every mass; the deceleration is that of the mass that brakes worst.
+    The lever is limited as for every mass of `c`; the deceleration is the worse of the two masses
+    `light` and `heavy`, divided by the rotating-mass factor `inertia`.
     """
     found = squares.copy()
     for i in range(found.size - 2, -1, -1):
@@ -159,18 +161,21 @@ def braking_envelope(
             slope, grip = 0.5 * (sine[i] + sine[i + 1]), min(adhesion[i], adhesion[i + 1])
             lever = share * min(lever_bounds(v, slope, grip, c)[0], 0.0)
             worst = -max(
-                acceleration(v, lever, slope, c.light, c), acceleration(v, lever, slope, c.heavy, c)
+                acceleration(v, lever, slope, light, c), acceleration(v, lever, slope, heavy, c)
             )
-            best = ahead + 2.0 * GRID * max(worst, 0.0)
+            best = ahead + 2.0 * GRID * max(worst / inertia, 0.0)
         found[i] = min(found[i], best)
     return found
 
 
 @njit(cache=True)
 def fastest_run(
-    start: float, end: float, step: float, most: float, m: float, t: Tables, c: Constants
-) -> tuple[Any, ...]:
-    """The run from rest at `start` to `end` [m] as fast as the lever, the ceiling and `most` allow.
+    start: float, speed: float, end: float, step: float, most: float, m: float, inertia: float,
+    t: Tables, c: Constants,
+) -> tuple[Any, ...]:  # fmt: skip
+    """The run to rest at `end` [m] as fast as the lever, the ceiling and `most` allow.
+
+    The motion is that of the mass `m` and the rotating-mass factor `inertia`.
 
     Returns positions, speeds, times and levers; the speeds end early where the train stalls.
     """
@@ -178,6 +183,7 @@ def fastest_run(
     width = (end - start) / count
     positions = start + width * np.arange(count + 1)
     speeds, times, levers = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
+    speeds[0] = speed
     for i in range(count):
         v, place = speeds[i], positions[i]
         gain = 0.0
@@ -186,7 +192,7 @@ def fastest_run(
             mean = 0.5 * (v + math.sqrt(square))
             slope = value(t.sine, t.origin, place + 0.5 * width)
             high = lever_bounds(mean, slope, value(t.adhesion, t.origin, place), c)[1]
-            gain = acceleration(mean, high, slope, m, c)
+            gain = acceleration(mean, high, slope, m, c) / inertia
             square = max(v * v + 2.0 * gain * width, 0.0)
         ceiling = min(value(t.ceiling, t.origin, positions[i + 1]), most * most)
         if i == count - 1:
@@ -198,7 +204,7 @@ def fastest_run(
         mean = 0.5 * (v + speeds[i + 1])
         times[i + 1] = times[i] + width / mean
         slope = value(t.sine, t.origin, place + 0.5 * width)
-        reached = (square - v * v) / (2.0 * width)
+        reached = inertia * (square - v * v) / (2.0 * width)
         levers[i] = (reached - drift(mean, slope, m, c)) * m / full_effort(mean, c)
     levers[-1] = levers[-2]
     return positions, speeds, times, levers

@@ -38,11 +38,11 @@ class Reserves:
         Share of the lever and of a_max: a heavier train needs more of both than a reference does.
     """
 
-    adhesion: float = 0.9
-    brake: float = 0.8
-    speed: float = 0.15
+    adhesion: float = 0.95
+    brake: float = 0.99
+    speed: float = 0.04
     lever: float = 1.0
-    comfort: float = 0.97
+    comfort: float = 0.99
 
     def __post_init__(self) -> None:
         for name in ("adhesion", "brake", "lever", "comfort"):
@@ -75,7 +75,9 @@ class Section:
     maximum_adhesion : StepProfile
         As the map has it.
     tables : Tables
-        Of a train under way.
+        Of a train under way; its ceiling is that of the mass that brakes worst.
+    allowed : (n,) array [m²/s²]
+        Square of the highest speed, without braking for what lies ahead, on the grid of `tables`.
     planned : Tables
         Of its reference: less of everything, and the ceiling of the speed limits alone, smoothed.
     stopping : (n,) array [m²/s²]
@@ -90,6 +92,7 @@ class Section:
     train: LeverTrain
     maximum_adhesion: StepProfile
     tables: Tables
+    allowed: FloatArray
     planned: Tables
     stopping: FloatArray
     driving: Reserves
@@ -119,6 +122,18 @@ class Section:
     def driving_constants(self) -> dynamics.Constants:
         """The same with the comfort that is used under way."""
         return _reserved(self.constants, self.driving)
+
+    def braked_for(self, heaviest: float) -> Tables:
+        """`tables` with the ceiling of a train of which it is known that it is not heavier.
+
+        Parameters
+        ----------
+        heaviest : float [kg]
+            Of the motion, rotating parts included.
+        """
+        unbraked = self.tables._replace(ceiling=self.allowed)
+        c = self.driving_constants
+        return _braked(unbraked, self.driving, c.light, heaviest, 1.0, c)
 
 
 def section_of(
@@ -151,8 +166,11 @@ def section_of(
     _check(line, maximum_adhesion)
     c = dynamics.constants(train)
 
-    def tables(stop: float, reserves: Reserves, last: float) -> Tables:
-        """Tables whose grid has a node at `stop`, beyond which the speed is `last`."""
+    def tables(stop: float, reserves: Reserves, last: float) -> tuple[Tables, FloatArray]:
+        """Tables whose grid has a node at `stop`, beyond which the speed is `last`.
+
+        And the squares of the speeds allowed, without braking for what lies ahead.
+        """
         before = int(np.ceil((stop - origin.position + RUNNING_ON) / GRID))
         nodes = stop + GRID * np.arange(-before, RUNNING_ON / GRID + 1.0)
         slope = line.gradients.mean(nodes - SMOOTHING, nodes + SMOOTHING)
@@ -162,11 +180,11 @@ def section_of(
         squares = np.maximum(limit - reserves.speed, 0.0) ** 2
         squares = np.where(nodes >= stop, np.minimum(squares, last**2), squares)
         rising = dynamics.limited_rise(squares, 1.5 * train.max_acceleration)
-        kept = _reserved(c, reserves)
-        ceiling = dynamics.braking_envelope(rising, sine, _around(grip), reserves.brake, kept)
-        return Tables(float(nodes[0]), sine, grip, ceiling)
+        unbraked = Tables(float(nodes[0]), sine, grip, rising)
+        return _braked(unbraked, reserves, c.light, c.heavy, 1.0, _reserved(c, reserves)), rising
 
-    planned = tables(destination.position, planning, np.inf)
+    planned, _ = tables(destination.position, planning, np.inf)
+    driven, allowed = tables(destination.position + STOPPING_TOLERANCE, driving, 0.0)
     free = np.full(planned.sine.size, train.max_speed**2)
     stop_at = planned.origin + GRID * np.arange(free.size) >= destination.position
     return Section(
@@ -175,13 +193,17 @@ def section_of(
         line,
         train,
         maximum_adhesion,
-        tables(destination.position + STOPPING_TOLERANCE, driving, 0.0),
+        driven,
+        allowed,
         planned._replace(adhesion=_smoothed(planned.adhesion), ceiling=_smoothed(planned.ceiling)),
         dynamics.braking_envelope(
             np.where(stop_at, 0.0, free),
             planned.sine,
             _around(planned.adhesion),
             planning.brake,
+            c.light,
+            c.heavy,
+            1.0,
             _reserved(c, planning),
         ),
         driving,
@@ -251,10 +273,11 @@ def fastest(
 
 
 def _fastest(
-    section: Section, t: Tables, c: dynamics.Constants, mass: float, most: float, step: float
-) -> FastRun:
+    section: Section, t: Tables, c: dynamics.Constants, mass: float, most: float, step: float,
+    inertia: float = 1.0,
+) -> FastRun:  # fmt: skip
     start, end = section.origin.position, section.destination.position
-    run = FastRun(*dynamics.fastest_run(start, end, step, most, mass, t, c))
+    run = FastRun(*dynamics.fastest_run(start, 0.0, end, step, most, mass, inertia, t, c))
     if run.positions[-1] < end - 1e-6:
         place = float(run.positions[-1])
         sine = dynamics.value(t.sine, t.origin, place)
@@ -268,19 +291,58 @@ def _fastest(
     return run
 
 
-def least_time(section: Section, mass: float = NOMINAL_MASS) -> float:
-    """Least time [s] in which a train of one mass keeps (7) for every mass up to its own.
+def least_time(section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0) -> float:
+    """Least time [s] of a driver who knows the mass: (7) holds for that mass alone.
 
-    A bound, without any reserve: adhesion, brake, comfort and limits in full, no inertia of
-    rotating parts, no lag, and a lever that changes at every metre.
+    A bound, without any reserve: adhesion, brake, comfort and limits in full, no lag, and a lever
+    that changes at every metre.
+
+    Parameters
+    ----------
+    section : Section
+    mass : float [kg]
+    rotating_mass : float [kg]
+        What rotating parts add to the mass of the motion.
+
+    Raises
+    ------
+    InputError
+        If the train cannot have the mass.
+    InfeasibleError
+        If it comes to a stand on the way.
     """
     section.train.check_mass(mass)
-    alone = replace(section.train, max_load=mass - section.train.mass)
+    alone = replace(section.train, mass=mass, max_load=0.0)
+    return _least(section, alone, mass, rotating_mass)
+
+
+def least_time_unweighed(
+    section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
+) -> float:
+    """Least time [s] of any driver who does not know the mass: (7) holds for every mass of (6).
+
+    The motion and the brake are those of the true mass, as if it had been guessed right; see
+    `least_time`.
+
+    Raises
+    ------
+    InputError, InfeasibleError
+        As `least_time`.
+    """
+    section.train.check_mass(mass)
+    return _least(section, section.train, mass, rotating_mass)
+
+
+def _least(section: Section, train: LeverTrain, mass: float, rotating_mass: float) -> float:
+    inertia = 1.0 + rotating_mass / mass
     freed = section_of(
-        section.line, alone, section.maximum_adhesion, section.origin, section.destination,
+        section.line, train, section.maximum_adhesion, section.origin, section.destination,
         driving=Reserves(1.0, 1.0, 0.0, 1.0, 1.0),
     )  # fmt: skip
-    return _fastest(freed, freed.tables, freed.driving_constants, mass, np.inf, 1.0).duration
+    c, t = freed.driving_constants, freed.tables._replace(ceiling=freed.allowed)
+    ceiling = dynamics.braking_envelope(t.ceiling, t.sine, t.adhesion, 1.0, mass, mass, inertia, c)
+    t = t._replace(ceiling=ceiling)
+    return _fastest(freed, t, c, mass, np.inf, 1.0, inertia).duration
 
 
 def check_timetable(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> None:
@@ -351,6 +413,19 @@ def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:
             if 0 <= j < nodes.size:
                 lowest[j] = min(lowest[j], lower)
     return np.asarray(lowest)
+
+
+def _braked(
+    t: Tables, reserves: Reserves, light: float, heavy: float, inertia: float,
+    c: dynamics.Constants,
+) -> Tables:  # fmt: skip
+    """Tables with the ceiling from which all that lies ahead can be kept."""
+    grip = _around(t.adhesion)
+    return t._replace(
+        ceiling=dynamics.braking_envelope(
+            t.ceiling, t.sine, grip, reserves.brake, light, heavy, inertia, c
+        )
+    )
 
 
 def _reserved(c: dynamics.Constants, reserves: Reserves) -> dynamics.Constants:

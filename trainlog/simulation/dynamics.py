@@ -83,6 +83,8 @@ class Parameters(NamedTuple):
     friction_effort: float
     friction_dead_time: float
     friction_lag: float
+    holding_effort: float
+    holding_speed: float
     slip_threshold: float
     slip_delay: float
     slip_release: float
@@ -110,6 +112,17 @@ def motor_effort(lagged: float, wheel: float, p: Parameters) -> float:
 
 
 @njit(cache=True)
+def holding_effort(speed: float, command: FloatArray, rail: FloatArray, p: Parameters) -> float:
+    """Effort of the holding brake [N]: applied below its speed unless a motor is to pull."""
+    if speed >= p.holding_speed:
+        return 0.0
+    for each in command:
+        if each > 0.0:
+            return 0.0
+    return min(p.holding_effort, rail[1] * p.mass * GRAVITY)
+
+
+@njit(cache=True)
 def derivative(
     y: FloatArray,
     out: FloatArray,
@@ -132,7 +145,7 @@ def derivative(
     resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
     curvature = track[2] + track[3] * (y[0] - track[0])
     along = p.mass * GRAVITY * (track[1] + CURVE_COEFFICIENT * abs(curvature))
-    friction = min(y[2], rail[1] * p.trailing_weight)
+    friction = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], command, rail, p)
     pull = 0.0
     traction = 0.0
     braking = 0.0
@@ -316,7 +329,7 @@ def sample(
             out[4] -= effort
         out[10 + i] = y[3 + i]
         out[10 + n + i] = effort + 0.0  # no negative zero
-    out[5] = min(y[2], rail[1] * p.trailing_weight)
+    out[5] = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], command, rail, p)
     out[6] = p.r0 + (p.r1 + p.r2 * y[1]) * y[1] if y[1] > 0.0 else 0.0
     out[7] = rail[1]
     out[8] = y[3 + 2 * n]

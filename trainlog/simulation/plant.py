@@ -22,7 +22,7 @@ from trainlog.units import GRAVITY
 FloatArray = NDArray[np.float64]
 
 HOLDING = 0.7
-"""Friction braking effort of a standing train over its mass [m/s²]; holds on 70 per mille."""
+"""Braking effort of a standing train over its mass [m/s²]; holds on 70 per mille."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class Drive:
         First-order lag of the motor torque.
     braking_fade_speed : float [m/s]
         Below it the dynamic brake fades out in proportion to speed.
+    holding_speed : float [m/s]
+        Below it a holding brake is applied unless traction is demanded; 0: the train has none.
     slip_threshold, slip_release : float [m/s]
         Slip speed at which the effort of an axle is taken off, and at which it is re-applied.
     slip_delay : float [s]
@@ -47,6 +49,7 @@ class Drive:
 
     motor_lag: float = 0.1
     braking_fade_speed: float = 3.0
+    holding_speed: float = 0.0
     slip_threshold: float = 3.0
     slip_delay: float = 0.3
     slip_release: float = 1.0
@@ -181,6 +184,8 @@ class Plant:
             friction_effort=train.max_pneumatic_braking_effort,
             friction_dead_time=train.brake.dead_time,
             friction_lag=max(train.brake.lag, 2.0 * step),
+            holding_effort=HOLDING * mass if drive.holding_speed > 0.0 else 0.0,
+            holding_speed=drive.holding_speed,
             slip_threshold=drive.slip_threshold,
             slip_delay=drive.slip_delay,
             slip_release=drive.slip_release,
