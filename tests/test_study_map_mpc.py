@@ -90,14 +90,15 @@ def test_the_train_stands_within_the_tolerance_of_its_stops(
         assert np.abs(each.informed.stop_error).max() < 1.5
 
 
-def test_the_second_day_beats_the_first_in_slip_and_in_punctuality(days: Days) -> None:
+def test_the_second_day_beats_the_first_in_slip_and_is_punctual_to_half_a_second(
+    days: Days,
+) -> None:
     first, second = days.days
     assert first.slip_events > 0
     assert second.slip_events == 0
     assert second.skid_energy == 0.0
     assert second.slip_energy < first.slip_energy
-    assert days.late(second).max() < days.late(first).max()
-    assert days.late(second).mean() < days.late(first).mean()
+    assert np.abs(days.late(second)).max() < 0.5
     assert second.track is not None
     assert len(second.track.trips) == 2
 

@@ -113,6 +113,9 @@ class TrackingController:
     about : {"reference", "prediction"}
         About what the motion is linearised.
     tuning : Tuning
+    due : float, optional [s]
+        From the departure of the timetable to the arrival that is hurried for; default: that of
+        the reference, which may have been put off.
     unsolved : int
         Steps at which the program was not solved, and the shifted plan was taken instead.
     """
@@ -120,6 +123,7 @@ class TrackingController:
     reference: Reference
     about: About = "prediction"
     tuning: Tuning = field(default_factory=Tuning)
+    due: float | None = None
     unsolved: int = 0
 
     def __post_init__(self) -> None:
@@ -128,6 +132,7 @@ class TrackingController:
         section = self.reference.section
         self._tables = section.tables
         self._constants = section.driving_constants
+        self._due = self.reference.duration if self.due is None else self.due
         self._plan: FloatArray | None = None
         self._mass = self.tuning.mass
         self._felt = ObservedMass(section.train.mass, section.train.max_mass)
@@ -230,7 +235,7 @@ class TrackingController:
         if not self._arriving:
             most = kernels.bounds_over(position, speed, position, speed, t, c)[0]
             takes = 2.0 * left / speed
-            late = time + takes > self.reference.duration
+            late = time + takes > self._due
             self._arriving = takes < APPROACH or (late and lever < HARD * most)
         return lever if self._arriving else None
 
@@ -257,7 +262,7 @@ class TrackingController:
         if self.about == "reference":
             return rows, rows[:n, 2]
         positions, speeds, times, levers = self._fastest(position, speed)
-        if times[-1] <= HASTE * (self.reference.duration - time):
+        if times[-1] <= HASTE * (self._due - time):
             return rows, rows[:n, 2]
         n = int(np.clip(np.ceil(times[-1] / SAMPLING), SHORTEST, self.tuning.horizon))
         ahead = SAMPLING * np.arange(n + 1, dtype=np.float64)

@@ -255,6 +255,7 @@ def run(
     delay: float = 0.0,
     about: About = "prediction",
     tuning: Tuning | None = None,
+    timetable: Sequence[Stop] | None = None,
 ) -> Run:
     """Drive a timetable once.
 
@@ -271,6 +272,8 @@ def run(
         Of the first departure.
     about : {"reference", "prediction"}
     tuning : Tuning, optional
+    timetable : sequence of Stop, optional
+        What is hurried for where the references were put off; default: their own stops.
 
     Raises
     ------
@@ -287,17 +290,20 @@ def run(
         world.ground(line), axles, mass=mass, resistance=train.resistance(mass),
         maximum_adhesion=rail, axle_adhesion=AXLE_ADHESION, drive=DRIVE, step=STEP,
     )  # fmt: skip
+    stops = tuple(timetable or (sections[0].origin, *(each.destination for each in sections)))
     recorder = _Recorder(plant, sections[0].origin.position)
     arrivals, departures, places = [0.0], [], [sections[0].origin.position]
     unsolved = 0
     for number, reference in enumerate(plan):
-        origin = reference.section.origin
-        due = origin.departure + (delay if number == 0 else 0.0)
+        begins = reference.section.origin.departure
+        due = stops[number].departure + (delay if number == 0 else 0.0)
         leaves = due if number == 0 else max(due, np.ceil(arrivals[-1] + SHORTEST_DWELL))
         while recorder.now < leaves - 0.5 * PERIOD:
             recorder.stand(reference, number)
         departures.append(recorder.now)
-        controller = TrackingController(reference, about, tuning or Tuning())
+        controller = TrackingController(
+            reference, about, tuning or Tuning(), due=stops[number + 1].arrival - begins
+        )
         _drive_section(recorder, controller, number)
         unsolved += controller.unsolved
         arrivals.append(recorder.now)
@@ -310,7 +316,7 @@ def run(
         name=name,
         line=line,
         train=train,
-        stops=(sections[0].origin, *(each.destination for each in sections)),
+        stops=stops,
         rail=rail,
         mass=mass,
         delay=delay,

@@ -178,7 +178,11 @@ def next_day(
     track, _ = update_logs(before.track, before.logs, LAYER)
     known = counting(track)
     made = replanned(plan, known.profile, before.plan if before.known else ())
-    runs = tuple(run(_name(number, each.mass), made, rail, each.mass) for each in before.runs)
+    asked = timetable_of(plan)
+    runs = tuple(
+        run(_name(number, each.mass), made, rail, each.mass, timetable=asked)
+        for each in before.runs
+    )
     logs = _written(runs, folder, seed + 100 * (number - 1))
     return Day(number, track, known, made, rail, runs, logs)
 
