@@ -240,3 +240,40 @@ def robust_minimax(
     ):
         console.print(table)
     wrote(*files)
+
+
+@study_app.command("cooperative-adhesion")
+def cooperative_adhesion(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
+) -> None:
+    """Share torque among four motors while the rail under them changes (paper 003).
+
+    Runs the paper's four cases with its parameters, stepped as in the paper and integrated
+    properly, and with those of a locomotive of 85 t; then the same without cooperation. Writes the
+    runs as logs, draws the paper's figures and prints them beside the published ones.
+
+    Example: trainlog study cooperative-adhesion -o results/cooperative-adhesion
+    """
+    from analysis.pictures.cooperative_adhesion import draw_study
+    from analysis.report_cooperative import gain_table, published_table, torque_table
+    from analysis.studies import cooperative_adhesion as study
+    from analysis.studies.cooperative_adhesion_logs import name_of, trip_of
+    from trainlog.mcap import write_log
+
+    made_folder(output)
+    with progress_bar() as progress:
+        runs = [
+            study.run(case, preset, integration=integration)
+            for case, preset, integration in progress.track(study.PLANS, description="driving")
+        ]
+        compared = {
+            strategy: [study.run(*plan, strategy=strategy) for plan in study.COMPARED]
+            for strategy in progress.track(list(study.STRATEGIES), description="comparing")
+        }
+    logs = [output / f"{name_of(run)}.mcap" for run in runs]
+    for run, log in zip(runs, logs, strict=True):
+        write_log(trip_of(run), log)
+    pictures = draw_study(runs, compared, output)
+    for table in (published_table(), torque_table(runs), gain_table(compared)):
+        console.print(table)
+    wrote(*logs, *pictures)
