@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -113,5 +113,8 @@ def _built(locomotive: Locomotive, tuning: Tuning) -> Any:
         + tuning.slack * ca.sumsqr(slacks),
         "g": ca.vertcat(*sums, error + slacks),
     }
-    options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9}}
-    return ca.nlpsol("cooperative", "ipopt", cast("Any", problem), options)
+    options: dict[str, Any] = {
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9},
+    }
+    return ca.nlpsol("cooperative", "ipopt", problem, options)
