@@ -210,3 +210,16 @@ def test_lossless_train_gets_its_kinetic_energy_back() -> None:
     )  # fmt: skip
     top = 0.5 * 1.06 * train.mass * float(found.speeds.max()) ** 2
     assert abs(found.certificate["line_energy"][0]) <= 1e-4 * top
+
+
+def test_traction_is_even_enough_to_be_driven() -> None:
+    """No cell pulls alone between two that do not, but where full traction ends within a cell."""
+    runs = [
+        optimise(hilly_line(), FLIRT, observed(FLIRT, *spread), reserve=0.10, objective=objective)
+        for spread in ((1.0,), (0.97, 1.0, 1.05))
+        for objective in ("wheel", "line")
+    ]
+    for run in runs:
+        effort = run.tractive_effort
+        alone = effort[1:-1] - np.maximum(effort[2:], effort[:-2])
+        assert np.count_nonzero(alone > 0.05 * effort.max()) <= 1

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.infeasible import LATE, brakes_explained, names_of, time_explained
-from analysis.trajectory.minimax import Solution, minimise
+from analysis.trajectory.minimax import Solution, minimise, with_costates
 from analysis.trajectory.pace import capped_run, cell_times, delays, realise, ride_along
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
@@ -191,6 +191,9 @@ def search(
         everyone = _all_ride(problem, rows, part, solution.plan)
         new = _violators(problem, everyone, running_time, rows, wider) - set(rows)
         if not new:
+            if not coarse:
+                solution = with_costates(part, solution, running_time)
+                statuses.append(solution.statuses[-1])
             return Answer(everyone, tuple(rows), solution, turns, tuple(statuses))
         price = np.append(solution.time_price, np.zeros(len(new)))
         late, plan = sorted(new), solution.plan
@@ -227,6 +230,7 @@ def best_bound(
         alone = Plan(plan.z[priced], plan.traction, plan.braking[priced], plan.dynamic[priced])
         try:
             solution = minimise(part, alone, solution.time_price[priced], running_time, rounds=1)
+            solution = with_costates(part, solution, running_time)
             bound = max(bound, _bounded(part, solution, running_time))
         except NoSolutionError:
             solution = answer.solution

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.convex import (
     SLOW,
+    NoSolutionError,
     Rows,
     Unknowns,
     brake_limits,
@@ -49,6 +50,12 @@ _LEAST_SHARE = 0.02
 It damps configurations whose speed the optimum leaves open; at the fixed point it weighs nothing.
 """
 
+
+_EVENNESS = 1e-3
+"""Price of the squared change of effort from cell to cell [s²/m]."""
+
+_SHORT_CELL = 20.0
+"""Length of cells up to which uneven efforts cost little by themselves [m]."""
 
 _LEAST_POWER = 0.02
 """The same over the mean power; where a timetable is so slack that time is worth nothing."""
@@ -216,7 +223,8 @@ def minimise(
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
-        solution = _Round(problem, plan, motion, price).solve(running_time, radius, lateness_price)
+        program = _Round(problem, plan, motion, price)
+        solution = program.solve(running_time, radius, lateness_price, evenness=_EVENNESS)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
         motion = Motion.about(problem, plan)
@@ -230,6 +238,33 @@ def minimise(
         # The rounds contract by themselves; where they do not, ever smaller steps make them.
         if len(statuses) >= _FREE_ROUNDS:
             radius *= 0.7
+
+
+def with_costates(problem: Problem, solution: Solution, running_time: float) -> Solution:
+    """A solution with the multipliers of its program as it stands, without a price of evenness.
+
+    They are the costates of the robust maximum principle, and give the lower bound. Where the
+    solver does not vouch for them, the solution keeps those it has.
+
+    Parameters
+    ----------
+    solution : Solution
+        As `minimise` found it.
+    running_time : float [s]
+    """
+    plan, price = solution.plan, solution.multipliers.cell_prices(problem)
+    program = _Round(problem, plan, Motion.about(problem, plan), price)
+    lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
+    try:
+        found = program.solve(running_time, 1.0, lateness_price, evenness=0.0)
+    except NoSolutionError:
+        return solution
+    return replace(
+        solution,
+        multipliers=found.multipliers,
+        switching=found.switching,
+        statuses=(*solution.statuses, *found.statuses),
+    )
 
 
 class _Round:
@@ -246,7 +281,9 @@ class _Round:
         self.late = int(self.unknowns.more((1,), 0.0)[0])
         self.equal, self.below = Rows(), Rows()
 
-    def solve(self, running_time: float, radius: float, lateness_price: float) -> Solution:
+    def solve(
+        self, running_time: float, radius: float, lateness_price: float, *, evenness: float
+    ) -> Solution:
         problem, plan, unknowns = self.problem, self.plan, self.unknowns
         q, n = problem.shape
         weight = 1.0 / self.scale[:, 1:]
@@ -269,7 +306,8 @@ class _Round:
         self._speeds(radius)
         priced = cost.copy()
         priced[self.late] = lateness_price
-        found = solve(unknowns, priced, self.equal, self.below, curvature=curvature)
+        bends = curvature + evenness * self._unevenness()
+        found = solve(unknowns, priced, self.equal, self.below, curvature=bends)
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
         share = braking
@@ -356,6 +394,24 @@ class _Round:
         columns = np.concatenate((z.ravel(), there, here))
         gradient = np.stack((-slope * ratio[:, :-1], -slope * ratio[:, 1:]))
         return gradient, sp.csc_array((values, (rows, columns)), shape=(size, size))
+
+    def _unevenness(self) -> sp.csc_array:
+        """Squares of what the efforts change by from cell to cell.
+
+        Speeds that are alternately higher and lower from node to node cost next to nothing, as
+        time and resistance of a cell depend on the sum of both its ends. Nobody could drive so.
+        """
+        step, unknowns = self.problem.step, self.unknowns
+        weight = np.minimum(step[1:] * step[:-1] / (step[1:] + step[:-1]), _SHORT_CELL)
+        before, after = (
+            np.concatenate((unknowns.traction[part], unknowns.braking[:, part].ravel()))
+            for part in (slice(None, -1), slice(1, None))
+        )
+        weights = np.tile(weight, 1 + unknowns.braking.shape[0])
+        values = np.concatenate((weights, weights, -weights, -weights))
+        rows = np.concatenate((before, after, before, after))
+        columns = np.concatenate((before, after, after, before))
+        return sp.csc_array((values, (rows, columns)), shape=(unknowns.size, unknowns.size))
 
     def _speeds(self, radius: float) -> None:
         """Speed limits, initial and final speed, and the region where the model is trusted."""
