@@ -9,7 +9,8 @@ import pytest
 from trajectory_world import FLIRT, KMH, VIRM6, hilly_line, level_line, observed, slippery, steps
 
 from analysis.trajectory import optimise
-from trainlog.errors import InfeasibleError
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.railway import Configuration, RunningResistance, TimingPoint
 
 
 def told(words: str, error: pytest.ExceptionInfo[InfeasibleError]) -> float:
@@ -83,3 +84,69 @@ def test_a_start_too_fast_to_stop() -> None:
         optimise(level_line(1_000.0), FLIRT, observed(FLIRT, 1.0), start=900.0, initial_speed=20.0)
     limit = told(r"at most (\d+\.\d) km/h", e) / KMH
     assert limit == pytest.approx((2.0 * 1.1 * 100.0) ** 0.5, rel=0.03)
+
+
+def test_too_little_time_names_the_section_and_what_holds_the_train_back() -> None:
+    """On an even line under a low limit it is the limit; without one it is the power."""
+    slow, fast = level_line(20_000.0, (0.0, 60.0)), level_line(20_000.0, (0.0, 900.0))
+    train = replace(FLIRT, max_speed=900.0 / KMH)
+    for line, words in ((slow, "9\\d % of the time at the speed limits"), (fast, "at full power")):
+        with pytest.raises(InfeasibleError, match=words) as error:
+            optimise(line, train, observed(train, 1.0), running_time=100.0)
+        assert "from km 0.000 (A) to km 20.000 (B)" in str(error.value)
+        assert "100.0 s (1:40 min)" in str(error.value)
+
+
+def test_a_slippery_rail_is_named_where_it_holds_the_train_back() -> None:
+    line = level_line(5_000.0, (0.0, 140.0))
+    with pytest.raises(InfeasibleError, match=r"\d+ % (of the time )?at the adhesion of the map"):
+        optimise(
+            line, FLIRT, observed(FLIRT, 1.0), running_time=100.0,
+            condition_map=slippery(line, (0.0, 5_000.0, 0.05)),
+        )  # fmt: skip
+
+
+def test_two_windows_that_cannot_both_be_kept_are_told_together() -> None:
+    windows = [TimingPoint(3_000.0, earliest=200.0), TimingPoint(6_000.0, latest=230.0)]
+    with pytest.raises(
+        InfeasibleError, match=r"needs at least \d+\.\d s from km 3\.000 to km 6\.000"
+    ):
+        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, windows=windows)
+
+
+def test_a_speed_above_the_limit_at_a_passing_point_names_the_limit() -> None:
+    windows = [TimingPoint(4_000.0, lowest_speed=30.0)]
+    with pytest.raises(InfeasibleError, match=r"held by the 80 km/h permitted there"):
+        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, windows=windows)
+
+
+def test_a_resistance_that_falls_with_the_speed_is_refused() -> None:
+    own = FLIRT.resistance
+    for resistance, name in (
+        (RunningResistance(own.r0, -100.0, 30.0), "r1 = -100"),
+        (RunningResistance(own.r0, 200.0, -0.5), "r2 = -0.5"),
+    ):
+        odd = replace(Configuration.of(FLIRT, name="odd"), resistance=resistance)
+        with pytest.raises(InputError, match=f"'odd' has a negative part, {name}"):
+            optimise(hilly_line(), FLIRT, [odd])
+
+
+@pytest.mark.parametrize(
+    ("weights", "words"),
+    [
+        ((1.0,), "1 weights for 2 configurations"),
+        ((1.0, -1.0), "a weight of -1 for configuration 'x1.1'"),
+        ((0.0, 0.0), "the weights add up to 0"),
+        ((1.0, float("nan")), "a weight of nan for configuration 'x1.1'"),
+    ],
+)
+def test_weights_that_are_none_are_refused(weights: tuple[float, ...], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        optimise(
+            hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.1), weights=weights, objective="expected"
+        )
+
+
+def test_a_timetable_that_would_make_it_stand_on_the_way_is_refused() -> None:
+    with pytest.raises(InputError, match=r"is 2\d\.\d times the least, .* from km 0\.000 \(A\)"):
+        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=8_000.0)

@@ -28,6 +28,13 @@ GRAVITY = 9.81
 """Acceleration of gravity [m/s²], the value that the four papers and TTOBench use."""
 
 
+def clock(seconds: float) -> str:
+    """A duration [s] as timetables show it: minutes and seconds, hours where there are any."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
+
+
 @cache
 def _registry() -> UnitRegistry[Any]:
     import pint

@@ -2,72 +2,195 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.problem import discretise
 from analysis.trajectory.run import Run
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.units import KMH
+from trainlog.railway import Line, TimingPoint
+from trainlog.units import KMH, clock
+
+FloatArray = NDArray[np.float64]
 
 SLACKEST = 5.0
 """Times the least time, beyond which a timetable is refused."""
 
+_BESIDE = 50.0
+"""From a station's position, within which a place is called by its name [m]."""
+
+_NEARLY = 0.98
+"""Part of a limit from which a run is held by it."""
+
+
+def place_of(line: Line, position: float) -> str:
+    """A place on the line as people call it: its km, and the station that is there."""
+    name = next((s.name for s in line.stations if abs(s.position - position) <= _BESIDE), "")
+    return f"km {position / 1e3:.3f}" + (f" ({name})" if name else "")
+
 
 def check_time(run: Run, fastest: Envelope, running_time: float) -> None:
-    """Refuse a timetable that the slowest configuration cannot keep by itself."""
+    """Refuse a timetable or windows that some configuration cannot keep by itself.
+
+    Parameters
+    ----------
+    run : Run
+    fastest : Envelope
+        Of every configuration.
+    running_time : float [s]
+
+    Raises
+    ------
+    InfeasibleError
+        With the section, the configuration, what is missing and what holds it back.
+    InputError
+        If so much time is given that the train would stand on the way.
+    """
     slowest = int(np.argmax(fastest.times))
     least = float(fastest.times[slowest])
+    section = f"{place_of(run.line, run.start)} to {place_of(run.line, run.end)}"
     if running_time > SLACKEST * least:
         raise InputError(
             f"trajectory: a running time of {running_time:.1f} s is"
-            f" {running_time / least:.3g} times the least, {least:.1f} s: a train that slow would"
-            " stand on the way",
+            f" {running_time / least:.3g} times the least, {least:.1f} s ({clock(least)}) from"
+            f" {section}: a train that slow would stand on the way",
             remedy=f"give at most {SLACKEST * least:.0f} s, and let it wait at a station",
         )
     if running_time < least:
-        late = [
-            configuration.name
-            for configuration, time in zip(run.configurations, fastest.times, strict=True)
-            if time > running_time
-        ]
+        late = np.flatnonzero(fastest.times > running_time).size
         raise InfeasibleError(
-            f"{running_time:.1f} s are not enough: configuration"
-            f" '{run.configurations[slowest].name}' needs at least {least:.1f} s,"
-            f" {least - running_time:.1f} s are missing"
-            f" ({len(late)} of {len(run.configurations)} configurations would be late)",
+            f"{running_time:.1f} s ({clock(running_time)}) are not enough from {section}:"
+            f" configuration '{run.configurations[slowest].name}' needs at least {least:.1f} s"
+            f" ({clock(least)}), {least - running_time:.1f} s are missing ({late} of"
+            f" {len(run.configurations)} configurations would be late)"
+            f"; its fastest run is {held_back(run, fastest, slowest)}",
             remedy=f"allow at least {np.ceil(least):.0f} s",
         )
-    _check_windows(run, fastest, running_time)
+    _check_times(run, fastest, running_time)
+    check_speeds(run, fastest)
 
 
-def _check_windows(run: Run, fastest: Envelope, running_time: float) -> None:
-    """Refuse windows that a configuration cannot keep even on its fastest run."""
-    times = fastest.times_at([point.position for point in run.windows])
-    for point, found in zip(run.windows, times.T, strict=True):
-        slowest = int(np.argmax(found))
-        name, place = run.configurations[slowest].name, f"km {point.position / 1e3:.3f}"
-        if point.latest is not None and found[slowest] > point.latest:
+def held_back(run: Run, fastest: Envelope, row: int) -> str:
+    """What holds a configuration's fastest run, and for how much of its time.
+
+    Parameters
+    ----------
+    run : Run
+    fastest : Envelope
+    row : int
+        Configuration.
+
+    Returns
+    -------
+    str
+        Such as "62 % of the time at the speed limits, 30 % at full power, 8 % braking".
+    """
+    alone = replace(run, configurations=run.configurations[row : row + 1], weights=())
+    problem = discretise(alone, fastest.positions)
+    v = fastest.speeds[row]
+    z, mean = 0.5 * v**2, 0.5 * (v[:-1] + v[1:])
+    times = problem.step / np.maximum(mean, 1e-9)
+    drag = problem.mean_drag0[0] + problem.drag1[0] * mean + problem.drag2[0] * mean**2
+    effort = np.diff(z) / problem.step + drag
+    at_limit = z >= _NEARLY**2 * problem.ceiling
+    limited = at_limit[:-1] & at_limit[1:]
+    adhesive = np.isfinite(run.adhesion(fastest.positions))
+    adhesive &= problem.traction < _NEARLY * _without_map(alone, fastest.positions)
+    full = effort >= _NEARLY * problem.traction
+    held = {
+        "at the speed limits": limited,
+        "braking": effort < 0.0,
+        "at the adhesion of the map": full & adhesive,
+        "at full tractive effort": full,
+        "at full power": np.ones(times.size, dtype=bool),
+    }
+    left, told = np.ones(times.size, dtype=bool), []
+    for words, cells in held.items():
+        share = float(times[cells & left].sum() / times.sum())
+        left &= ~cells
+        told.append((share, words))
+    shares = sorted((each for each in told if each[0] >= 0.005), reverse=True)
+    spent = [f"{100.0 * share:.0f} % {words}" for share, words in shares]
+    return ", ".join([spent[0].replace("%", "% of the time", 1), *spent[1:]])
+
+
+def _without_map(run: Run, positions: FloatArray) -> FloatArray:
+    """The largest tractive effort if the rail were good, (n,) [m/s²]."""
+    return discretise(replace(run, condition=None), positions).traction
+
+
+def _check_times(run: Run, fastest: Envelope, running_time: float) -> None:
+    """Refuse windows of time that a configuration cannot keep even on its fastest run.
+
+    Between any two of them, departure and arrival included: passed at the earliest at the first,
+    at the latest at the other.
+    """
+    points = (
+        TimingPoint(run.start, earliest=0.0),
+        *run.windows,
+        TimingPoint(run.end, latest=running_time),
+    )
+    times = fastest.times_at([point.position for point in points])
+    for first, last in combinations(range(len(points)), 2):
+        opens, closes = points[first].earliest or 0.0, points[last].latest
+        if closes is None:
+            continue
+        spent = times[:, last] - times[:, first]
+        slowest = int(np.argmax(spent))
+        missing = opens + float(spent[slowest]) - closes
+        if missing > 0.0:
             raise InfeasibleError(
-                f"configuration '{name}' passes {place} after {found[slowest]:.1f} s at the"
-                f" earliest, {found[slowest] - point.latest:.1f} s after its window closes",
-                remedy=f"let it pass until {np.ceil(found[slowest]):.0f} s after departure",
+                _told(run, points, (first, last), slowest, float(spent[slowest]), missing),
+                remedy="open the windows longer, or allow more time",
             )
-        left = running_time - (point.earliest or 0.0) - (fastest.times - found)
-        slowest = int(np.argmin(left))
-        if left[slowest] < 0.0:
-            raise InfeasibleError(
-                f"configuration '{run.configurations[slowest].name}' needs at least"
-                f" {fastest.times[slowest] - found[slowest]:.1f} s from {place} to the end;"
-                f" passed after {point.earliest or 0.0:.1f} s or later, {-left[slowest]:.1f} s are"
-                " missing",
-                remedy="let it pass earlier, or arrive later",
-            )
+
+
+def _told(
+    run: Run,
+    points: Sequence[TimingPoint],
+    pair: tuple[int, int],
+    row: int,
+    spent: float,
+    missing: float,
+) -> str:
+    """Why two times cannot both be kept."""
+    first, last = (points[number] for number in pair)
+    name, there = run.configurations[row].name, place_of(run.line, last.position)
+    if pair[0] == 0:
+        return (
+            f"configuration '{name}' passes {there} after {spent:.1f} s at the earliest,"
+            f" {missing:.1f} s after its window closes ({clock(spent - missing)})"
+        )
+    end = "the end" if pair[1] == len(points) - 1 else there
+    return (
+        f"configuration '{name}' needs at least {spent:.1f} s from"
+        f" {place_of(run.line, first.position)} to {end} ({clock(spent)}); passed after"
+        f" {first.earliest or 0.0:.1f} s or later, {missing:.1f} s are missing"
+    )
+
+
+def check_speeds(run: Run, fastest: Envelope) -> None:
+    """Refuse windows of speed above what a configuration reaches there."""
+    for point in run.windows:
+        if point.lowest_speed is None:
+            continue
         speeds = fastest.at(np.array([point.position]))[:, 0]
         slowest = int(np.argmin(speeds))
-        if point.lowest_speed is not None and speeds[slowest] < point.lowest_speed:
-            raise InfeasibleError(
-                f"configuration '{run.configurations[slowest].name}' passes {place} at"
-                f" {KMH * speeds[slowest]:.1f} km/h at most, {KMH * point.lowest_speed:.1f} km/h"
-                " are asked for",
-                remedy="lower what is asked for",
-            )
+        if speeds[slowest] >= point.lowest_speed:
+            continue
+        sides = np.nextafter(point.position, (-np.inf, np.inf))
+        permitted = float(run.permitted_speed(sides).min())
+        why = "what the train and the line allow before and after it"
+        if speeds[slowest] >= 0.999 * permitted:
+            why = f"the {KMH * permitted:.0f} km/h permitted there"
+        raise InfeasibleError(
+            f"configuration '{run.configurations[slowest].name}' passes"
+            f" {place_of(run.line, point.position)} at {KMH * speeds[slowest]:.1f} km/h at most,"
+            f" {KMH * point.lowest_speed:.1f} km/h are asked for; it is held by {why}",
+            remedy="lower what is asked for",
+        )

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.feasibility import check_speeds, held_back, place_of
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.run import Run
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Configuration, Line, Train, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.units import clock
 
 FloatArray = NDArray[np.float64]
 
@@ -135,9 +137,9 @@ def optimise_journey(
     _check(line, journey, dwell)
     sections = sections_of(journey)
     fastest = [_fastest(line, train, configurations, each, options) for each in sections]
-    least = np.array([times[-1] for times in fastest])
+    least = np.array([each.times[-1] for each in fastest])
     low, high = _windows(sections, least, dwell, reserve)
-    _check_times(journey, sections, fastest, low, high, dwell)
+    _check_times(line, journey, sections, fastest, low, high, dwell)
     schedule = _Schedule(least, low, high, dwell)
 
     def solve(number: int, times: FloatArray, cells: int) -> Trajectory:
@@ -192,23 +194,48 @@ def _ends(section: Section) -> dict[str, float]:
     }
 
 
+@dataclass(frozen=True, eq=False)
+class _Fastest:
+    """The slowest configuration of a section on its fastest run.
+
+    Attributes
+    ----------
+    name : str
+    times : (p,) array [s]
+        From the departure to each passing point and to the arrival.
+    held : str
+        What holds it back.
+    """
+
+    name: str
+    times: FloatArray
+    held: str
+
+
 def _fastest(
     line: Line,
     train: Train,
     configurations: Sequence[Configuration],
     section: Section,
     options: dict[str, Any],
-) -> FloatArray:
-    """Time [s] from the departure to each passing point and to the arrival, of the slowest."""
+) -> _Fastest:
+    """The fastest run of the slowest configuration; speeds that nobody reaches are refused."""
     known = {
         "braking", "layer", "sigmas", "assumed_adhesion", "protected_length", "direction",
     }  # fmt: skip
     chosen: dict[str, Any] = {key: value for key, value in options.items() if key in known}
     chosen |= {**_ends(section), "condition": options.get("condition_map")}
     first, last = section.departure.position, section.arrival.position
-    fastest = fastest_run(Run(line, train, tuple(configurations), first, last, **chosen))
+    run = Run(line, train, tuple(configurations), first, last, windows=section.passing, **chosen)
+    fastest = fastest_run(run)
+    check_speeds(run, fastest)
+    slowest = int(np.argmax(fastest.times))
     places = [*(point.position for point in section.passing), last]
-    return np.asarray(fastest.times_at(places)[int(np.argmax(fastest.times))])
+    return _Fastest(
+        configurations[slowest].name,
+        fastest.times_at(places)[slowest],
+        held_back(run, fastest, slowest),
+    )
 
 
 def _windows(
@@ -231,9 +258,10 @@ def _windows(
 
 
 def _check_times(
+    line: Line,
     journey: Journey,
     sections: Sequence[Section],
-    fastest: Sequence[FloatArray],
+    fastest: Sequence[_Fastest],
     low: FloatArray,
     high: FloatArray,
     dwell: float,
@@ -244,15 +272,18 @@ def _check_times(
         opens = [low[number, 0], *(point.earliest or 0.0 for point in section.passing)]
         closes = [high[number, 0], *(point.latest for point in section.passing), high[number, 1]]
         points = (section.departure, *section.passing, section.arrival)
-        spent = [dwell, *np.diff(fastest[number], prepend=0.0).tolist()]
+        spent = [dwell, *np.diff(fastest[number].times, prepend=0.0).tolist()]
         opens.append(low[number, 1])
         for point, least, opening, closing in zip(points, spent, opens, closes, strict=True):
             time += least
             if closing is not None and time > closing + 1e-9:
                 raise InfeasibleError(
-                    f"journey '{journey.name}': the slowest configuration is at"
-                    f" km {point.position / 1e3:.3f} after {time:.1f} s at the earliest,"
-                    f" {time - closing:.1f} s after its window closes",
+                    f"journey '{journey.name}': configuration '{fastest[number].name}', the"
+                    f" slowest, is at {place_of(line, point.position)} after {time:.1f} s"
+                    f" at the earliest ({clock(time)}), {time - closing:.1f} s after its window"
+                    f" closes; from {place_of(line, section.departure.position)} to"
+                    f" {place_of(line, section.arrival.position)} its fastest run is"
+                    f" {fastest[number].held}",
                     remedy="open that window longer, or those before it earlier",
                 )
             time = max(time, float(opening))

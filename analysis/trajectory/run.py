@@ -82,12 +82,7 @@ class Run:
 
     def __post_init__(self) -> None:
         line, where = self.line, f"run on line '{self.line.name}'"
-        if not self.configurations:
-            raise InputError(f"{where}: no parameter configuration given")
-        names = [configuration.name for configuration in self.configurations]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"{where}: two configurations are called '{twice}'")
+        self._check_configurations(where)
         if not 0.0 <= self.start < self.end <= line.length:
             raise InputError(
                 f"{where}: from km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f} is no section"
@@ -156,13 +151,41 @@ class Run:
         weights = np.array(self.weights)
         if not self.weights:
             return
-        if weights.size != len(self.configurations) or not np.all(weights >= 0.0):
+        if weights.size != len(self.configurations):
             raise InputError(
                 f"{where}: {weights.size} weights for {len(self.configurations)} configurations",
-                remedy="give one for each, none negative",
+                remedy="give one for each",
             )
-        if not (np.isfinite(weights.sum()) and weights.sum() > 0.0):
-            raise InputError(f"{where}: the weights add up to {weights.sum()}")
+        wrong = np.flatnonzero(~((weights >= 0.0) & np.isfinite(weights)))
+        if wrong.size:
+            raise InputError(
+                f"{where}: a weight of {weights[wrong[0]]:g} for configuration"
+                f" '{self.configurations[wrong[0]].name}' makes no sense",
+                remedy="give shares or numbers of trips, none negative",
+            )
+        if not weights.sum() > 0.0:
+            raise InputError(
+                f"{where}: the weights add up to {weights.sum():g}",
+                remedy="give at least one configuration a weight above 0",
+            )
+
+    def _check_configurations(self, where: str) -> None:
+        """Refuse a set that is empty, ambiguous, or whose resistance falls as the speed rises."""
+        if not self.configurations:
+            raise InputError(f"{where}: no parameter configuration given")
+        names = [configuration.name for configuration in self.configurations]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise InputError(f"{where}: two configurations are called '{twice}'")
+        for configuration in self.configurations:
+            resistance = configuration.resistance
+            for name, value in (("r1", resistance.r1), ("r2", resistance.r2)):
+                if value < 0.0:
+                    raise InputError(
+                        f"{where}: the running resistance of configuration"
+                        f" '{configuration.name}' has a negative part, {name} = {value:g}",
+                        remedy="fit it again without negative coefficients",
+                    )
 
     def _check_limits(self, where: str) -> None:
         """Refuse a limit below walking pace, and a map that cannot be read as asked."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -242,9 +243,14 @@ class Line:
                     f"{where}: {name} at km {outside[0] / 1e3:.3f} lies before the line's start"
                     f" or beyond the line's end at km {self.length / 1e3:.3f}"
                 )
-        order = [station.position for station in self.stations]
-        if order != sorted(order):
-            raise InputError(f"{where}: stations are not in the order of their positions")
+        for before, station in pairwise(self.stations):
+            if station.position < before.position:
+                raise InputError(
+                    f"{where}: stations are not in the order of their positions:"
+                    f" '{station.name}' at km {station.position / 1e3:.3f} stands after"
+                    f" '{before.name}' at km {before.position / 1e3:.3f}",
+                    remedy="order the stations by position",
+                )
         for tunnel in self.tunnels:
             if not (0.0 < tunnel.length < np.inf and 0.0 < tunnel.cross_section < np.inf):
                 raise InputError(
