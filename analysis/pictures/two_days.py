@@ -27,6 +27,9 @@ FloatArray = NDArray[np.float64]
 PIECE = 500.0
 """Over which slips are counted [m]."""
 
+MARGIN = 0.5
+"""On either side of the line [km]."""
+
 FIRST, LAST = RED, BLUE
 """Colours of the first and of the last day."""
 
@@ -49,23 +52,23 @@ def draw_days(days: Days, path: Path) -> None:
     if len(days.days) < 2:
         raise InputError("one day alone shows no gain", remedy="drive two days at least")
     first, last = days.days[0], days.days[-1]
-    figure = new_figure(11.0, 9.0)
-    places = figure.subplots(3, 1, sharex=True, height_ratios=(1.25, 1.0, 1.0))
+    figure = new_figure(11.0, 9.5)
+    places = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0))
     _draw_rail(places[0], last)
     _draw_slips(places[1], first, last)
     _draw_lateness(places[2], days, first, last)
     for axes in places:
         for stop in days.stops:
             axes.axvline(stop.position / 1e3, color=PALE, linewidth=0.6, zorder=0)
-    places[2].set_xlim(0.0, days.stops[-1].position / 1e3)
-    above = places[0].secondary_xaxis("top")
-    above.set_xticks(
+    places[2].set_xlim(-MARGIN, days.stops[-1].position / 1e3 + MARGIN)
+    below = places[2].secondary_xaxis(-0.16)
+    below.set_xticks(
         [stop.position / 1e3 for stop in days.stops],
         [stop.station for stop in days.stops],
-        rotation=35, ha="left", fontsize=6, color=GREY,
+        rotation=40, ha="right", rotation_mode="anchor", fontsize=6.5, color=GREY,
     )  # fmt: skip
-    above.tick_params(length=0)
-    above.spines["top"].set_visible(False)
+    below.tick_params(length=0)
+    below.spines["bottom"].set_visible(False)
     write_figure(figure, path)
 
 
@@ -120,13 +123,16 @@ def _draw_slips(axes: Axes, first: Day, last: Day) -> None:
 def _draw_lateness(axes: Axes, days: Days, first: Day, last: Day) -> None:
     """The latest of the trips at every stop."""
     km = np.array([stop.position for stop in days.stops[1:]]) / 1e3
-    for day, offset, colour in ((first, -0.18, FIRST), (last, 0.18, LAST)):
+    width = 0.006 * (days.stops[-1].position - days.stops[0].position) / 1e3
+    for day, side, colour in ((first, -0.5, FIRST), (last, 0.5, LAST)):
         late = days.late(day)
         axes.bar(
-            km + offset, late.max(axis=0), 0.34, color=colour,
+            km + side * width, late.max(axis=0), 0.95 * width, color=colour,
             label=f"day {day.number}: latest {late.max():.1f} s, mean {late.mean():.1f} s",
         )  # fmt: skip
-    axes.set_ylim(0.0, 1.25 * max(1.0, *(float(days.late(day).max()) for day in (first, last))))
+    worst = [days.late(day).max(axis=0) for day in (first, last)]
+    axes.set_ylim(min(0.0, float(np.min(worst))), 1.3 * max(0.5, float(np.max(worst))))
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
     dress(axes, x="km", y="s", title="Late at the stops, the latest of the trips")
 

@@ -82,8 +82,8 @@ class Run:
     lever : [1]
         Of the controller; 0 at the stations.
     demands : (n, 2) array [N]
-    target : (n, 2) array [m], [m/s]
-        Of the reference by the timetable.
+    target : (n, 3) array [m], [m/s], [N]
+        Of the reference by the timetable: position, speed, and effort, negative in braking.
     section : (n,) int array
         Which section the train is on or waits for.
     arrivals, departures, places : (k,) arrays [s], [s], [m]
@@ -325,8 +325,8 @@ def run(
         columns=plant.columns,
         lever=rows[:, 0],
         demands=rows[:, 1:3],
-        target=rows[:, 3:5],
-        section=rows[:, 5].astype(np.int64),
+        target=rows[:, 3:6],
+        section=rows[:, 6].astype(np.int64),
         arrivals=np.array(arrivals, dtype=np.float64),
         departures=np.array(departures, dtype=np.float64),
         places=np.array(places, dtype=np.float64),
@@ -384,10 +384,12 @@ class _Recorder:
 
     def advance(self, reference: Reference, number: int, lever: float) -> None:
         """One period with the lever held: the effort follows the curve as the speed changes."""
-        effort = lever * float(reference.section.train.full_effort(self.state.speed))
+        full_effort = reference.section.train.full_effort
+        effort = lever * float(full_effort(self.state.speed))
         demand = max(effort, 0.0), max(-effort, 0.0)
-        position, speed, _ = reference.at(self.now - reference.section.origin.departure)
-        self.told.append((lever, *demand, position, speed, number))
+        position, speed, aim = reference.at(self.now - reference.section.origin.departure)
+        planned = aim * float(full_effort(speed))
+        self.told.append((lever, *demand, position, speed, planned, number))
         steps = round(PERIOD / STEP)
         self.samples.append(self.plant.advance(self.state, *demand, steps, steps // SAMPLES))
 

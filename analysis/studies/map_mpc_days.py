@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from analysis.assured_adhesion import AssuredAdhesion, assured_adhesion, typical_adhesion
 from analysis.studies.map_mpc import NO_MAP, SHORTEST_DWELL, Plan, Run, run, with_map
-from analysis.studies.map_mpc_logs import trip_of
+from analysis.studies.map_mpc_logs import START, trip_of
 from analysis.traction_map import update_logs
 from analysis.trajectory.reference import reference
 from analysis.trajectory.reference_section import PLANNING, Section, fastest, section_of
@@ -35,6 +35,9 @@ SPARE = 0.01
 
 CHANGED = 0.02
 """A reference is made anew where more than this share of the adhesion counted on has changed."""
+
+DAY, APART = 86_400 * 10**9, 2 * 3_600 * 10**9
+"""Of the logs: from day to day, and from trip to trip [ns]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +113,7 @@ class Days:
 
     def late(self, day: Day) -> FloatArray:
         """Arrivals after the timetable's [s]; (trips, stops but the first) array."""
-        planned = np.array([stop.arrival for stop in self.stops[1:]])
-        return np.array([each.arrivals[1:] - planned for each in day.runs])
+        return np.array([each.late for each in day.runs])
 
 
 Counting = Callable[[TrackConditionMap], AssuredAdhesion]
@@ -153,7 +155,7 @@ def first_day(
     """
     blind = with_map(plan, NO_MAP)
     runs = tuple(run(_name(1, mass), blind, rail, mass) for mass in masses)
-    return Day(1, None, None, plan, rail, runs, _written(runs, folder, seed))
+    return Day(1, None, None, plan, rail, runs, _written(runs, 1, folder, seed))
 
 
 def next_day(
@@ -183,7 +185,7 @@ def next_day(
         run(_name(number, each.mass), made, rail, each.mass, timetable=asked)
         for each in before.runs
     )
-    logs = _written(runs, folder, seed + 100 * (number - 1))
+    logs = _written(runs, number, folder, seed)
     return Day(number, track, known, made, rail, runs, logs)
 
 
@@ -264,10 +266,11 @@ def _name(number: int, mass: float) -> str:
     return f"day {number}, {mass / 1e3:.1f} t"
 
 
-def _written(runs: Sequence[Run], folder: Path, seed: int) -> tuple[Path, ...]:
+def _written(runs: Sequence[Run], number: int, folder: Path, seed: int) -> tuple[Path, ...]:
     paths = []
-    for number, each in enumerate(runs):
-        trip = trip_of(each, LAYER, seed + number)
+    for count, each in enumerate(runs):
+        start = START + (number - 1) * DAY + count * APART
+        trip = trip_of(each, LAYER, seed + 100 * (number - 1) + count, start)
         paths.append(folder / f"{trip.metadata['trip']}.mcap")
         write_log(trip, paths[-1])
     return tuple(paths)

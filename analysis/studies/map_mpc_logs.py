@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +19,7 @@ START = 1_735_689_600 * 10**9
 """When the runs begin [ns]: 2025-01-01, so that the same run gives the same bytes."""
 
 
-def trip_of(run: Run, weather: str, seed: int) -> Trip:
+def trip_of(run: Run, weather: str, seed: int, start: int = START) -> Trip:
     """The log of one run, as the train's sensors would have it.
 
     Parameters
@@ -31,6 +29,8 @@ def trip_of(run: Run, weather: str, seed: int) -> Trip:
         Name of the rail's condition, the layer of a track-condition map.
     seed : int
         Of the sensors' noise.
+    start : int [ns]
+        When the run begins, since 1970 UTC.
     """
     train = run.train.on_axles()
     scenario = Scenario(
@@ -46,13 +46,20 @@ def trip_of(run: Run, weather: str, seed: int) -> Trip:
         maximum_adhesion=run.rail,
         stops=run.stops,
         seed=seed,
-        start=START,
+        start=start,
     )
     trip = recorded(scenario, Samples(run.time, run.samples, run.demands))
     controls = trip[TRAIN_CONTROLS.name].copy()
     controls["lever"] = np.round(run.lever, 4) + 0.0
-    time = START + np.round(run.time * 1e9).astype(np.int64)
-    reference = frame_of(REFERENCE, time, {"speed": run.target[:, 1], "lateness": lateness(run)})
+    time = start + np.round(run.time * 1e9).astype(np.int64)
+    effort = run.target[:, 2]
+    followed = {
+        "speed": run.target[:, 1],
+        "tractive_effort": np.maximum(effort, 0.0),
+        "braking_effort": np.maximum(-effort, 0.0),
+        "lateness": lateness(run),
+    }
+    reference = frame_of(REFERENCE, time, followed)
     return (
         trip.with_topic(controls)
         .with_topic(reference)
@@ -72,9 +79,9 @@ def lateness(run: Run) -> FloatArray:
     It begins with the planned departure and keeps its last value after the arrival.
     """
     late = np.zeros(run.time.size)
-    for number, (origin, destination) in enumerate(pairwise(run.stops)):
+    for number, origin in enumerate(run.stops[:-1]):
         on = run.section == number
-        planned = on & (run.time >= origin.departure) & (run.time <= destination.arrival)
+        planned = on & (run.time >= origin.departure)
         positions, first = np.unique(run.target[planned, 0], return_index=True)
         due = np.interp(run.position[on], positions, run.time[planned][first])
         late[on] = np.clip(run.time[on], origin.departure, run.arrivals[number + 1]) - due
