@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.studies.map_mpc import Run
 from trainlog import __version__
@@ -53,7 +53,7 @@ def trip_of(run: Run, weather: str, seed: int, start: int = START) -> Trip:
     controls["lever"] = np.round(run.lever, 4) + 0.0
     time = start + np.round(run.time * 1e9).astype(np.int64)
     effort = run.target[:, 2]
-    followed = {
+    followed: dict[str, ArrayLike] = {
         "speed": run.target[:, 1],
         "tractive_effort": np.maximum(effort, 0.0),
         "braking_effort": np.maximum(-effort, 0.0),
