@@ -255,6 +255,12 @@ def results_table(folder: Path) -> Group:
     InputError
         If the folder holds no results.
     """
+    if not folder.is_dir():
+        raise InputError(
+            "is a file" if folder.exists() else "does not exist",
+            file=folder,
+            remedy="name the folder that holds the results",
+        )
     logs = sorted((folder / "trips").glob("*.mcap"))
     # What a simulation knows is attached: no topic has to be read for it.
     found_truths = (truth_of(read_log(log, topics=[])) for log in logs)
@@ -269,7 +275,12 @@ def results_table(folder: Path) -> Group:
     ]
     found = [row for row in rows if row is not None]
     if not found:
-        raise InputError("holds no results", file=folder, remedy="run 'trainlog demo' first")
+        raise InputError(
+            "holds no results",
+            file=folder,
+            remedy="they are looked for as 'trainlog demo' leaves them: logs in trips/ and driven/,"
+            " parameters.json, map.json, trajectory.json",
+        )
     for row in found:
         table.add_row(*row)
     return Group(table)

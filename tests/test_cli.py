@@ -304,6 +304,72 @@ def test_help_teaches_every_command(
         assert "Usage" in told
 
 
+def test_help_breaks_where_the_terminal_ends_and_gives_an_example(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 200)
+    for verb in ("fit", "coast-down", "simulate", "map update", "map show", "demo", "samples"):
+        _, told, _ = run(monkeypatch, capsys, *verb.split(), "--help")
+        prose = [line.strip() for line in told.splitlines()[3:] if not line.startswith(("╭", "│"))]
+        example = f"Example: trainlog {verb} "
+        assert any(line.startswith(example) for line in prose), verb
+        # A paragraph shorter than the terminal stands in one line.
+        assert all(
+            not line or line[-1] in ".╯" or len(line) > 150
+            for line in prose
+            if not line.startswith("Example")
+        ), verb
+
+
+def test_a_report_of_what_is_no_folder_of_results_says_what_it_looks_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, _, complaint = run(monkeypatch, capsys, "report", str(tmp_path / "none"))
+    assert "does not exist; name the folder" in " ".join(complaint.split())
+    _, _, complaint = run(monkeypatch, capsys, "report", str(tmp_path))
+    assert "holds no results; they are looked for as" in " ".join(complaint.split())
+
+
+def test_what_a_value_may_be_is_told_in_our_own_words(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, complaint = run(
+        monkeypatch, capsys, "optimise", "p.json", "-o", "t.json", "--braking", "weird"
+    )
+    assert status == 2
+    assert "Value error" not in complaint
+    assert "not one of 'recourse', 'common'; see 'trainlog --help'" in " ".join(complaint.split())
+
+
+def test_a_demo_does_not_run_into_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("x")
+    status, _, complaint = run(monkeypatch, capsys, "demo", "-o", str(tmp_path / "file"))
+    assert status == 2
+    assert "is a file; name a folder with --output" in " ".join(complaint.split())
+
+
+def test_a_folder_for_pictures_of_trips_is_checked_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("x")
+    status, _, complaint = run(
+        monkeypatch,
+        capsys,
+        "fit",
+        str(sample("stopping.mcap")),
+        "-o",
+        str(tmp_path / "p.json"),
+        "--per-trip",
+        str(tmp_path / "file"),
+    )
+    assert status == 2
+    assert "cannot be made" in complaint
+    assert not (tmp_path / "p.json").exists()
+
+
 def test_an_interrupted_command_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

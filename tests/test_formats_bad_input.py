@@ -239,6 +239,10 @@ TRAIN_CASES = [
     ("mass.value", 0, "f.json: train 'T': mass 0.0 is not positive"),
     ("mass.unit", "kN", "f.json, mass.unit: unit 'kN' cannot be read as kg"),
     ("efficiency_traction.value", 900, "f.json: train 'T': efficiency_traction 9.0 is not between"),
+    ("efficiency_traction.value", 0, "f.json: train 'T': efficiency_traction 0.0 is not positive"),
+    ("max_deceleration.value", 0, "f.json: train 'T': max_deceleration 0.0 is not positive"),
+    ("brake.dead_time.value", -1, "f.json, brake.dead_time: must be 0 or more"),
+    ("running_resistance.r2.value", -9, "f.json, running_resistance: train 'T': running resist"),
     ("axles.count", 0, "f.json, axles.count: input should be greater than 0"),
     ("axles.count", 4.5, "f.json, axles.count: input should be a valid integer"),
     ("axles.wheel_radius.value", 0, "f.json, axles.wheel_radius: must be positive"),
@@ -268,7 +272,7 @@ OTHER_CASES = [
     ),
     ("trajectory", "speeds.values.0.1", -3, "f.json, speeds.values: must not be negative"),
     ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times: rows differ in length"),
-    ("trajectory", "configurations", [], "f.json, configurations: list should have at least 1 it"),
+    ("trajectory", "configurations", [], "f.json, configurations: has too few entries; give at l"),
     ("map", "layers.dry.log_std.values", [1], "f.json, layers.dry.log_std: has 1 values, needs 2;"),
     (
         "map",
@@ -290,7 +294,7 @@ CONSIST_CASES = [
     ("vehicles.0.mass.value", -1, "f.json, vehicles[0]: vehicle 'wagon': mass -1000.0 is not"),
     ("vehicles.0.count", 0, "f.json, vehicles[0].count: input should be greater than 0"),
     ("vehicles.0.count", 9, "f.json: consist 'train of paper 004, 8 wagons': 9 vehicles need 8"),
-    ("vehicles", [], "f.json, vehicles: list should have at least 1 item"),
+    ("vehicles", [], "f.json, vehicles: has too few entries; give at least one"),
     (
         "vehicles.0.length.unit",
         "t",

@@ -142,6 +142,8 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         (b'{"a": 1,\n "b": }', "a.json, line 2, column 7: is not JSON: Expecting value"),
         (b'{"a": 1}\n{', "a.json, line 2, column 1: is not JSON: Extra data"),
         (b'{"a": "caf\xe9"}', "a.json, byte 10: is not UTF-8 text"),
+        (b"\x89MCAP0\r\n\x01", "a.json, byte 0: is not JSON but a log (MCAP); expected JSON"),
+        (b"PAR1\x15\x04\xff", "a.json, byte 6: is not JSON but a Parquet file; expected JSON"),
         (b'{"a": "NaN",\n "b": NaN}', "a.json, line 2, column 7: NaN is not a JSON number"),
         (b"[1, -Infinity]", "a.json, line 1, column 5: -Infinity is not a JSON number"),
         (b'{"a": 1, "b": 2, "a": 3}', "a.json, a: comes twice in one object; remove one of them"),

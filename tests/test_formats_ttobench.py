@@ -148,6 +148,22 @@ def test_a_train_without_limits_of_acceleration_is_limited_by_its_effort() -> No
 
 
 @needs_library
+@pytest.mark.parametrize("path", sorted((LIBRARY / "trains").glob("*.json")), ids=lambda p: p.stem)
+def test_assumed_axles_bear_the_full_effort_on_dry_rail(path: Path) -> None:
+    train = ttobench.read_train(path)
+    effort = max(train.max_tractive_effort, train.max_dynamic_braking_effort)
+    assert 0.2 < effort / train.adhesive_weight() <= 0.29
+    assert train.axles.adhesive_mass <= train.mass
+    if train.rotating_mass > 0.0:
+        assert train.axles.count * train.axles.rotating_mass < train.rotating_mass
+
+
+def test_assumed_axles_carry_no_more_than_the_train_weighs(tmp_path: Path) -> None:
+    train = ttobench.read_train(written(tmp_path, changed(TRAIN, "mass/value", 30)))
+    assert train.axles.adhesive_mass == train.mass
+
+
+@needs_library
 def test_the_journey_keeps_all_its_points() -> None:
     journey = ttobench.read_journey(LIBRARY / "journeys" / "CH_StGallen_Wil_Journey_01.json")
     assert journey.line == "CH_StGallen_Wil"

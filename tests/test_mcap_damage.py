@@ -360,7 +360,13 @@ def test_bytes_after_the_end_are_noticed(trip: Trip, data: bytes, tmp_path: Path
     [
         (b"", "is empty"),
         (b"time,speed\n1,2\n", "is not an MCAP file"),
-        (b"\x89MCAP", "not an MCAP"),
+        (b"time,speed\n1,2\n", "but text; 'trainlog ingest' makes logs of recordings"),
+        ("Züge\n".encode()[:-4] + b"\xc3", "but text"),
+        (b"PAR1\x15\x04", "but a Parquet file; 'trainlog convert FOLDER.parquet -o"),
+        (b' {"format": "trainlog/line"', "but a trainlog/line file; give the logs"),
+        (b"[1, 2]", "but a JSON file; 'trainlog ingest'"),
+        (b"\x1f\x8b\x08\x00", "but compressed with gzip; unpack it"),
+        (b"\x89MCAP", "not an MCAP file; expected a log"),
     ],
 )
 def test_files_that_are_no_log(content: bytes, said: str, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ The commands stand in `trainlog.commands`; here are the program around them and 
 
 from __future__ import annotations
 
+import inspect
 import sys
 import warnings
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
+from typer.models import CommandInfo, TyperInfo
 
 from trainlog import __version__
 from trainlog.commands import coast_down, learn, look, plan, portion, record, study
@@ -59,7 +61,10 @@ def demo(
         "results"
     ),
 ) -> None:
-    """Run the whole chain on St.Gallen-Wil: record, fit, map, optimise, replay."""
+    """Run the whole chain on St.Gallen-Wil: record, fit, map, optimise, replay.
+
+    Example: trainlog demo -o results
+    """
     from trainlog.demo import run_demo
 
     run_demo(output, console, run=lambda arguments: run(arguments))
@@ -69,13 +74,33 @@ def demo(
 def samples(
     output: Annotated[Path, typer.Argument(help="Folder to copy them to.")] = Path("sample_logs"),
 ) -> None:
-    """Copy the sample logs, line, train and map that come with trainlog."""
+    """Copy the sample logs, line, train and map that come with trainlog.
+
+    Example: trainlog samples sample_logs
+    """
     from trainlog.formats.samples import copy_samples
 
     wrote(*copy_samples(output))
 
 
 # --------------------------------------------------------------------------------- entry point
+
+
+def _reflow(panel: typer.Typer) -> None:
+    """Let the help of the commands break where the terminal ends, not where the docstring does."""
+    documented: list[CommandInfo | TyperInfo] = [*panel.registered_commands]
+    if panel.registered_callback is not None:
+        documented.append(panel.registered_callback)
+    for known in documented:
+        words = inspect.getdoc(known.callback) if known.callback else None
+        if words and not known.help:
+            known.help = "\n\n".join(" ".join(part.split()) for part in words.split("\n\n"))
+    for group in panel.registered_groups:
+        if group.typer_instance is not None:
+            _reflow(group.typer_instance)
+
+
+_reflow(app)
 
 
 def run(arguments: list[str]) -> int:
@@ -99,7 +124,9 @@ def main() -> None:
         status = _complain(str(error))
     except TyperException as error:
         told = error.format_message() if hasattr(error, "format_message") else str(error)
-        status = _complain(f"{told} See 'trainlog --help'.")
+        # Where a value is not one of several, its checker says "Value error" before our words.
+        told = told.replace("Value error, ", "")
+        status = _complain(f"{told.rstrip('.')}; see 'trainlog --help'")
     except OSError as error:
         # The rooms below turn the errors they expect into TrainlogError; this is a full disk, a
         # lost drive, a forbidden folder met elsewhere.

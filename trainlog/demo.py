@@ -51,6 +51,8 @@ def commands(output: Path) -> list[list[str]]:
 def _clear(output: Path) -> None:
     """Make room for the results: earlier ones of the demo go, a folder of other files stays."""
     marker = output / MARKER
+    if output.exists() and not output.is_dir():
+        raise InputError("is a file", file=output, remedy="name a folder with --output")
     if output.exists() and not marker.exists() and any(output.iterdir()):
         raise InputError(
             "holds files that are not the demo's",

@@ -122,9 +122,12 @@ def fit_logs(
     summaries = merged([*earlier, rows])
     if not (summaries["refused"] == "").any():
         first = next(iter(summaries["message"]), "no log was given")
+        others = len(summaries) - 1
         raise AllRefusedError(
-            f"no trip determines the running resistance; {first}",
-            remedy="give more, or more varied, trips",
+            f"no trip determines the running resistance; {first}"
+            + (f"; nor do the other {others}" if others > 0 else ""),
+            remedy="give longer or more varied trips; 'trainlog fit --per-trip FOLDER' draws why"
+            " each was refused",
             refused=refused,
         )
     parameters = parameter_set(summaries, cover=cover, most=most)

@@ -71,6 +71,7 @@ def fit(
     kept = destination(output.with_suffix(SUFFIX), SUFFIX)
     if not 0.0 < cover < 100.0:
         raise InputError(f"--cover {cover:g} makes no sense", remedy="give a share in %, below 100")
+    drawn = None if per_trip is None else made_folder(per_trip)
     # Summaries first: the logs that they hold need not be read.
     paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
     with progress_bar() as progress:
@@ -78,16 +79,16 @@ def fit(
         try:
             fits = fit_logs(given, cover=cover / 100.0, most=configurations)
         except AllRefusedError as error:
-            if per_trip is not None:
-                wrote(*draw_each_refused(error.refused, made_folder(per_trip)))
+            if drawn is not None:
+                wrote(*draw_each_refused(error.refused, drawn))
             raise
     write_parameters(fits.parameters, output)
     write_summaries(fits.summaries, kept)
     draw_fits(fits, shown)
     console.print(fit_table(fits))
     wrote(output, kept, shown)
-    if per_trip is not None:
-        wrote(*draw_each(fits, made_folder(per_trip)))
+    if drawn is not None:
+        wrote(*draw_each(fits, drawn))
 
 
 @app.command(rich_help_panel="Learn")
@@ -152,7 +153,10 @@ def map_show(
     condition: Annotated[Path, typer.Argument(help="Map file.")],
     picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
 ) -> None:
-    """Show what a track-condition map knows, and where it knows nothing."""
+    """Show what a track-condition map knows, and where it knows nothing.
+
+    Example: trainlog map show results/map.json --picture map.png
+    """
     from analysis.pictures.condition import draw_map
     from analysis.report import map_table
     from trainlog.formats.condition import read_map

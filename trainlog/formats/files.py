@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from trainlog.errors import InputError
+from trainlog.formats.mistaken import LOOKED_AT, mistaken_json
 
 _REMEDIES = {
     errno.ENOENT: "create its folder first",
@@ -203,8 +204,10 @@ def parse_json(data: bytes, *, file: str | Path) -> Any:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        found = mistaken_json(data[:LOOKED_AT])
+        problem = "is not UTF-8 text" if found is None else f"is not JSON but {found}"
         raise InputError(
-            "is not UTF-8 text", file=file, place=f"byte {error.start}", remedy="expected JSON"
+            problem, file=file, place=f"byte {error.start}", remedy="expected JSON"
         ) from error
     if not text.strip():
         raise InputError("is empty", file=file, remedy="expected JSON")

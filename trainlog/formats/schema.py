@@ -132,6 +132,7 @@ def told(error: ValidationError, file: str | Path) -> InputError:
         "missing": (f"'{key}' is missing", "add it"),
         "extra_forbidden": (f"unknown key '{key}'", "correct its spelling or remove it"),
         "finite_number": ("is not a finite number", "give one"),
+        "too_short": ("has too few entries", "give at least one"),
     }.get(first["type"], (_sentence(first["msg"]), None))
     others = len(complaints) - 1
     if others:

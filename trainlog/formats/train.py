@@ -105,8 +105,7 @@ class _TrainFile(File):
         """The train that the file describes."""
         given = {name: getattr(self, name) for name in _SAME}
         curves = self.braking_curves
-        _check_positive("axles", self.axles, ("adhesive_mass", "wheel_radius"))
-        return Train(
+        train = Train(
             **given,
             length=self.length or 0.0,
             max_load=self.max_load or 0.0,
@@ -121,6 +120,8 @@ class _TrainFile(File):
                 pairs(curves.emergency), pairs(curves.service), curves.parameters or {}
             ),
         )
+        _check_parts(train)
+        return train
 
     @staticmethod
     def of(train: Train) -> _TrainFile:
@@ -172,10 +173,13 @@ def _part(model: type[Part], value: Any) -> Any:
     return model.model_construct(**{name: getattr(value, name) for name in model.model_fields})
 
 
-def _check_positive(place: str, part: Part, names: tuple[str, ...]) -> None:
-    for name in names:
-        if not getattr(part, name) > 0.0:
-            raise InputError("must be positive", place=f"{place}.{name}", remedy="correct it")
+def _check_parts(train: Train) -> None:
+    for name in ("adhesive_mass", "wheel_radius"):
+        if not getattr(train.axles, name) > 0.0:
+            raise InputError("must be positive", place=f"axles.{name}", remedy="correct it")
+    for name in ("dead_time", "lag"):
+        if getattr(train.brake, name) < 0.0:
+            raise InputError("must be 0 or more", place=f"brake.{name}", remedy="correct it")
 
 
 def train_from_bytes(data: bytes, *, file: str | Path = "train.json") -> Train:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Annotated, Any, Self, cast
 
@@ -26,7 +27,8 @@ from trainlog.formats.schema import Part
 from trainlog.railway.journey import Journey
 from trainlog.railway.line import Line, Station, StepProfile
 from trainlog.railway.resistance import RunningResistance
-from trainlog.railway.train import BrakingCurves, Train
+from trainlog.railway.train import Axles, BrakingCurves, Train
+from trainlog.units import GRAVITY
 
 LIBRARY_VERSION = "TTOBench v1.5"
 """The version of the layout, written into files that do not come from the library."""
@@ -300,6 +302,11 @@ class TrainLayout(Layout):
             braking_curves=None if self.etcs is None else self.etcs.curves(),
             seats=_whole("num seats", self.num_seats),
             coaches=_whole("num coaches", self.num_coaches),
+            axles=_assumed_axles(
+                self.mass,
+                max(self.max_traction_force, self.max_reg_braking_force),
+                self.rho or 0.0,
+            ),
             assumed=(*(ours for ours in values if ours not in given), *_NOT_IN_TTOBENCH),
         )
 
@@ -352,6 +359,32 @@ _TRAIN_FIELDS = {
 
 _NOT_IN_TTOBENCH = ("max_load", "axles", "brake")
 """Fields of a train that TTOBench does not know."""
+
+
+_AXLE_LOAD = 18_000.0
+_ADHESION_IN_USE = 0.29
+"""A powered axle carries so much [kg], and full effort uses so much adhesion at most, unless the
+train is too light for that: what good dry rail bears."""
+
+_POWERED_SHARE = 0.72
+"""Of the rotating mass, at most this share is in the powered axles."""
+
+
+def _assumed_axles(mass: float, effort: float, rotating: float) -> Axles:
+    """Powered axles that carry the published effort of the motors [N] without slip on dry rail.
+
+    As many as that needs, each with `_AXLE_LOAD`; no more than the train weighs [kg]. Their
+    rotating mass fits into the train's, which is `rotating` times its mass.
+    """
+    count = max(2, math.ceil(effort / (_ADHESION_IN_USE * GRAVITY * _AXLE_LOAD)))
+    usual = Axles()
+    room = _POWERED_SHARE * rotating * mass / count
+    return Axles(
+        count=count,
+        adhesive_mass=min(count * _AXLE_LOAD, mass),
+        wheel_radius=usual.wheel_radius,
+        rotating_mass=min(usual.rotating_mass, room) if room > 0.0 else usual.rotating_mass,
+    )
 
 
 def _whole(place: str, number: float | None) -> int | None:

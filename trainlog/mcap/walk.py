@@ -24,6 +24,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
+from trainlog.formats.mistaken import LOOKED_AT, mistaken_log
 from trainlog.mcap.errors import damaged, shown
 from trainlog.mcap.findings import Findings, checksum_of
 from trainlog.mcap.layout import RECORD_HEAD
@@ -70,8 +71,8 @@ def check_is_mcap(source: Source) -> None:
     searched = min(source.size, _SEARCHED)
     if searched and Scanner(source).next(0, searched, _CHUNKS) < searched:
         return
-    what = "is not an MCAP file" if source.size else "is empty"
-    raise LogError(what, place="byte 0", remedy="expected a log in the MCAP format")
+    what, remedy = mistaken_log(source.read(0, min(source.size, LOOKED_AT)))
+    raise LogError(what, place="byte 0", remedy=remedy)
 
 
 def contents_by_walk(source: Source) -> Contents:

@@ -57,6 +57,17 @@ class BrakingCurves:
     parameters: dict[str, float] = field(default_factory=dict)
 
 
+_POSITIVE = (
+    "mass",
+    "max_tractive_effort",
+    "max_traction_power",
+    "max_speed",
+    "max_acceleration",
+    "max_deceleration",
+    "efficiency_traction",
+)
+
+
 @dataclass(frozen=True)
 class Train:
     """A train.
@@ -117,9 +128,12 @@ class Train:
 
     def __post_init__(self) -> None:
         where = f"train '{self.name}'"
-        for name in ("mass", "max_tractive_effort", "max_traction_power", "max_speed"):
+        for name in _POSITIVE:
             if not getattr(self, name) > 0.0:
-                raise InputError(f"{where}: {name} {getattr(self, name)} is not positive")
+                raise InputError(
+                    f"{where}: {name} {getattr(self, name)} is not positive",
+                    remedy="give what this train has",
+                )
         for name in (
             "rotating_mass_factor",
             "max_dynamic_braking_effort",
@@ -129,10 +143,24 @@ class Train:
             "length",
         ):
             if not getattr(self, name) >= 0.0:
-                raise InputError(f"{where}: {name} {getattr(self, name)} is negative")
+                raise InputError(
+                    f"{where}: {name} {getattr(self, name)} is negative", remedy="give 0 or more"
+                )
         for name in ("efficiency_traction", "efficiency_regeneration"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(f"{where}: {name} {getattr(self, name)} is not between 0 and 1")
+                raise InputError(
+                    f"{where}: {name} {getattr(self, name)} is not between 0 and 1",
+                    remedy="give it as a share, for example 90 %",
+                )
+        speeds = np.linspace(0.0, self.max_speed, 101)
+        negative = self.resistance(speeds) < 0.0
+        if np.any(negative):
+            raise InputError(
+                f"{where}: running resistance is negative at"
+                f" {3.6 * speeds[np.argmax(negative)]:.0f} km/h",
+                place="running_resistance",
+                remedy="check the signs and units of r0, r1 and r2",
+            )
 
     @property
     def rotating_mass(self) -> float:

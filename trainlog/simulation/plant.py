@@ -320,7 +320,7 @@ def check_train(train: Train, mass: float, rotating: float, power: float, step: 
         raise InputError(
             f"{where}: {axles.count} powered axles of {axles.rotating_mass:g} kg rotating mass"
             f" exceed the train's {rotating:g} kg in all",
-            remedy="state the rotating mass of this train's axles",
+            remedy="state the train's rotating_mass_factor, or the rotating_mass of its axles",
         )
     if not 0.0 < axles.adhesive_mass <= train.mass:
         raise InputError(
