@@ -14,10 +14,10 @@ from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Station
 from trainlog.simulation.drivers import (
     Demand,
+    Driver,
     Habits,
     Observation,
     TimetableDriver,
-    TrajectoryDriver,
 )
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.scenario import (
@@ -25,7 +25,6 @@ from trainlog.simulation.scenario import (
     Scenario,
     draw_scenarios,
     drive,
-    simulate,
     trajectory_scenarios,
 )
 from trainlog.simulation.timetable import Stop, permitted_speeds, plan, running_time
@@ -156,63 +155,6 @@ def test_impossible_stops_are_refused(stops: tuple[Stop, ...], message: str) -> 
         TimetableDriver(hilly_line(), flirt(), stops)
 
 
-@pytest.mark.parametrize("weather", ["dry", "wet"])
-def test_trajectory_is_followed(weather: str) -> None:
-    line, train = hilly_line(), flirt()
-    trajectory = trajectory_of(line, train, (0.9, 1.0, 1.1))
-    for scenario in trajectory_scenarios(trajectory, line, train, ["r0.9", "r1.1"], seed=3):
-        scenario = replace(scenario, weather=weather)
-        trip = simulate(scenario)
-        truth, reference = trip["/truth"], trip["/reference"]
-        assert truth.speed.iloc[-1] == 0.0
-        assert abs(truth.position.iloc[-1] - line.length) < 0.5
-        limit = line.speed_limit(np.minimum(truth.position, line.length))
-        assert np.max(truth.speed - limit) < 0.3
-        assert reference.lateness.iloc[0] == 0.0
-        assert abs(reference.lateness.iloc[-1]) < 10.0
-        np.testing.assert_allclose(
-            reference.speed, trajectory.speed_at(scenario.row, truth.position)
-        )
-        # Traction is the trajectory's own wherever the speed is.
-        controls = trip["/train/controls"]
-        behind = reference.speed - truth.speed
-        driven = (truth.speed > 1.0) & (behind > 0.0) & (behind < 0.3)
-        driven &= (reference.braking_effort == 0.0) & (truth.position < line.length - 200.0)
-        assert driven.sum() > 500
-        np.testing.assert_allclose(
-            controls.tractive_effort_demand[driven], reference.tractive_effort[driven], atol=0.5
-        )
-        assert trip.metadata["configuration"] == trajectory.configurations[scenario.row].name
-        assert float(trip.metadata["load"]) == 8_000.0
-
-
-def test_trajectory_driver_makes_up_for_slipping() -> None:
-    line, train = hilly_line(), flirt()
-    trajectory = trajectory_of(line, train, (1.0,))
-    driver = TrajectoryDriver(trajectory, 0, line, train)
-    here = Observation(time=100.0, position=1_500.0, speed=0.0, acceleration=0.0)
-    reference = float(trajectory.speed_at(0, here.position))
-    common = float(trajectory.tractive_effort[trajectory.cell_of(here.position)])
-    efforts = [
-        driver.demand(replace(here, speed=reference - behind)).tractive_effort
-        for behind in (0.2, 1.0, 3.0)
-    ]
-    assert efforts[0] == common
-    assert common < efforts[1] < efforts[2] <= train.max_tractive_effort
-
-
-def test_trajectory_driver_creeps_up_when_it_would_stop_short() -> None:
-    line, train = hilly_line(), flirt()
-    trajectory = trajectory_of(line, train, (1.0,))
-    driver = TrajectoryDriver(trajectory, 0, line, train)
-    short = Observation(time=400.0, position=line.length - 20.0, speed=0.0, acceleration=0.0)
-    assert driver.demand(short).tractive_effort > 0.0
-    assert not driver.finished
-    there = replace(short, position=line.length - 0.1)
-    assert driver.demand(there).braking_effort > 0.0
-    assert driver.finished
-
-
 def test_choice_of_configurations() -> None:
     trajectory = trajectory_of(hilly_line(), flirt(), (0.9, 1.0, 1.1))
     assert trajectory.chosen("all") == ("r0.9", "r1", "r1.1")
@@ -220,17 +162,19 @@ def test_choice_of_configurations() -> None:
     assert trajectory.chosen("r1, r0.9") == ("r1", "r0.9")
     with pytest.raises(InputError, match="no configuration 'r7'"):
         trajectory.chosen("r7")
-    with pytest.raises(InputError, match="number 3"):
-        TrajectoryDriver(trajectory, 3, hilly_line(), flirt())
+
+
+def nobody() -> Driver:
+    raise AssertionError("nobody is asked to drive")
 
 
 def test_trajectory_of_another_line_is_refused() -> None:
     trajectory = trajectory_of(hilly_line(), flirt(), (1.0,))
     with pytest.raises(InputError, match="made for line 'hilly', not for 'level'"):
-        trajectory_scenarios(trajectory, level_line(length=5_000.0), flirt(), ["r1"])
+        trajectory_scenarios(trajectory, level_line(length=5_000.0), flirt(), ["r1"], nobody)
     shorter = replace(level_line(length=5_000.0), name="hilly")
     with pytest.raises(InputError, match=r"ends at km 11\.000"):
-        trajectory_scenarios(trajectory, shorter, flirt(), ["r1"])
+        trajectory_scenarios(trajectory, shorter, flirt(), ["r1"], nobody)
 
 
 def test_a_train_that_cannot_brake_is_not_driven() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -27,6 +27,10 @@ from trainlog.terminal import (
     wrote,
 )
 from trainlog.trip import Trip
+
+if TYPE_CHECKING:
+    from trainlog.railway import Line, Train
+    from trainlog.simulation.scenario import Scenario
 
 app = typer.Typer()
 line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
@@ -51,34 +55,37 @@ def simulate(
         Literal["dry", "wet"] | None,
         typer.Option(help="With --trajectory: the rail's condition; default dry."),
     ] = None,
+    condition: Annotated[
+        Path | None,
+        typer.Option("--map", help="With --trajectory: track-condition map that the train knows."),
+    ] = None,
+    late: Annotated[
+        float, typer.Option(min=0.0, help="With --trajectory: departs so many seconds late.")
+    ] = 0.0,
 ) -> None:
     """Drive trips in simulation and log them.
 
     Loads, weather, running resistance, drivers and slippery spots vary with the seed; sensors
-    have noise. With [bold]--trajectory[/bold] the trips follow it, one a configuration.
+    have noise. With [bold]--trajectory[/bold] the trips follow it by model predictive control, one
+    a configuration; the train does not know in which it is.
 
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
     """
-    from trainlog.formats.trajectory import read_trajectory
     from trainlog.mcap import write_log
-    from trainlog.simulation.scenario import (
-        draw_scenarios,
-        trajectory_scenarios,
-    )
+    from trainlog.simulation.scenario import draw_scenarios
     from trainlog.simulation.scenario import (
         simulate as drive,
     )
 
     the_line, the_train = line_and_train(line, train)
     if trajectory is None:
-        if weather is not None:
-            raise InputError("--weather goes with --trajectory", remedy="leave it out")
+        for option, given in (("weather", weather), ("map", condition), ("late", late or None)):
+            if given is not None:
+                raise InputError(f"--{option} goes with --trajectory", remedy="leave it out")
         scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
     else:
-        plan = read_trajectory(trajectory)
-        names = plan.chosen(configurations)
-        scenarios = trajectory_scenarios(
-            plan, the_line, the_train, names, seed=seed, weather=weather or "dry"
+        scenarios = _following(
+            trajectory, the_line, the_train, configurations, seed, weather or "dry", condition, late
         )
     made_folder(output)
     with progress_bar() as progress:
@@ -86,6 +93,39 @@ def simulate(
             trip = drive(scenario)
             write_log(trip, output / f"{trip.name}.mcap")
             progress.console.print(about(trip), highlight=False, markup=False)
+
+
+def _following(
+    trajectory: Path,
+    line: Line,
+    train: Train,
+    configurations: str,
+    seed: int,
+    weather: str,
+    condition: Path | None,
+    late: float,
+) -> list[Scenario]:
+    """Scenarios of trips that follow a trajectory."""
+    from functools import partial
+
+    from analysis.control.follow import Follower
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.simulation.drivers import DEPARTURE
+    from trainlog.simulation.scenario import trajectory_scenarios
+
+    plan = read_trajectory(trajectory)
+    follows = partial(
+        Follower,
+        plan,
+        line if plan.direction == "forward" else line.reversed(),
+        train,
+        condition=None if condition is None else read_map(condition),
+        layer=weather,
+        departure=DEPARTURE + late,
+    )
+    names = plan.chosen(configurations)
+    return trajectory_scenarios(plan, line, train, names, follows, seed=seed, weather=weather)
 
 
 @app.command(rich_help_panel="Record")

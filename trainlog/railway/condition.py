@@ -121,3 +121,13 @@ class TrackConditionMap:
         index = self.bin_of(position)
         cautious = np.exp(chosen.log_mean[index] - sigmas * chosen.log_std[index])
         return np.asarray(np.where(chosen.observed[index], cautious, np.inf))
+
+    def likely(self, layer: str, position: ArrayLike, sigmas: float = 2.0) -> FloatArray:
+        """Cautious maximum adhesion at each position, also where the layer was not observed.
+
+        There it is what the layer's own places and its neighbours make likely, with the larger
+        deviation of that: good enough to drive with care, not to be shown as data.
+        """
+        chosen = self.layer(layer)
+        index = self.bin_of(position)
+        return np.asarray(np.exp(chosen.log_mean[index] - sigmas * chosen.log_std[index]))

@@ -127,6 +127,11 @@ class Trajectory:
         rows = (int(np.argmax(drag)), int(np.argmin(drag)), int(np.argmin(power)))
         return tuple(every[row].name for row in dict.fromkeys(rows))
 
+    @property
+    def latest(self) -> int:
+        """Row of the configuration that arrives last: its speeds all others can keep, too."""
+        return int(np.argmax(self.times[:, -1]))
+
     def cell_of(self, position: ArrayLike) -> NDArray[np.int64]:
         """Index of the cell that holds each position [m]; ends are extended."""
         index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1

@@ -13,8 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trainlog.errors import InputError
-from trainlog.railway import Line, Train, Trajectory
+from trainlog.railway import Line, Train
 from trainlog.simulation.plant import HOLDING
 from trainlog.simulation.timetable import (
     GRID,
@@ -34,15 +33,6 @@ DEPARTURE = 5.0
 
 AT_REST = 0.02
 """Below this speed [m/s] a train counts as standing."""
-
-FALLEN_BEHIND = 0.3
-"""Only below its reference speed by more than this [m/s] a train adds to the common traction."""
-
-BRAKING_RESERVE = 0.15
-"""Share of full service braking that a driver on a trajectory keeps for corrections."""
-
-CREEPING = 0.3
-"""Tractive effort over inertia [m/s²] with which a train that would stop short moves up."""
 
 STOPPING_ERROR = 3.0
 """A train that stands within this distance [m] of its stop has arrived."""
@@ -373,117 +363,3 @@ class TimetableDriver:
         to_go += max(cruising - seen.speed, 0.0) ** 2 / cruising
         spare = stop.arrival - seen.time - to_go
         return 1.0 if spare <= 0.0 else max(to_go / (to_go + spare), 0.85)
-
-
-class TrajectoryDriver:
-    """Follows a robust trajectory: common traction by position, the brake closes the loop.
-
-    The tractive effort is the trajectory's own at the train's position; only a train that has
-    fallen behind its reference speed, as after slipping, adds to it. The brake is the
-    trajectory's for this configuration, plus what holds the reference speed. Where limits fall
-    and at the end he brakes early enough for a brake that takes time to act and keeps a reserve.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    row : int
-        The configuration that the train is in.
-    line : Line
-        As travelled.
-    train : Train
-
-    Raises
-    ------
-    InputError
-        If the trajectory has no such row.
-    """
-
-    def __init__(
-        self,
-        trajectory: Trajectory,
-        row: int,
-        line: Line,
-        train: Train,
-    ) -> None:
-        if not 0 <= row < len(trajectory.configurations):
-            raise InputError(
-                f"trajectory has no configuration number {row}",
-                remedy=f"it has {len(trajectory.configurations)}, counted from 0",
-            )
-        configuration = trajectory.configurations[row]
-        self.trajectory = trajectory
-        self.row = row
-        self.mass = configuration.mass
-        self.inertia = configuration.inertia
-        self._most = train.max_tractive_effort
-        self._usual = (1.0 - BRAKING_RESERVE) * train.max_deceleration
-        self._lead = train.brake.dead_time + train.brake.lag
-        self._squares = trajectory.speeds[row] ** 2
-        self._end = float(trajectory.positions[-1])
-        grid = np.arange(0.0, line.length + 2.0 * GRID, GRID)
-        self._slope = line.track_acceleration(np.minimum(grid, line.length))
-        self._limits = line.speed_limit(grid)
-        self._ceiling = braking_ceiling(grid, self._limits, self._usual)
-        self._brake = StoppingBrake(
-            self.mass, self.inertia, self._slope, train.max_deceleration, short=0.05
-        )
-        self._stopping = False
-        self._arrived = False
-
-    @property
-    def finished(self) -> bool:
-        """Whether the train stands at the trajectory's end."""
-        return self._arrived
-
-    def demand(self, observation: Observation) -> Demand:
-        """The efforts wanted now."""
-        distance = self._end - observation.position
-        if self._arrived or (observation.speed < AT_REST and distance < STOPPING_ERROR):
-            self._arrived = True
-            return Demand(0.0, HOLDING * self.mass)
-        if observation.time < DEPARTURE - self._lead:
-            return Demand(0.0, HOLDING * self.mass)
-        if observation.time < DEPARTURE:
-            return Demand()
-        needed = self._brake.needed(observation, distance, 0.0 if self._stopping else self._lead)
-        self._stopping = self._stopping or needed > self._usual
-        if not self._stopping:
-            return self._follow(observation)
-        if observation.speed < 1.0 and distance > STOPPING_ERROR:
-            return Demand(CREEPING * self.inertia, 0.0)
-        return Demand(0.0, self._brake.effort(observation, needed))
-
-    def _follow(self, seen: Observation) -> Demand:
-        """The trajectory's efforts at the position, corrected where the speed is not its own."""
-        positions, squares = self.trajectory.positions, self._squares
-        cell = int(np.searchsorted(positions, seen.position, side="right")) - 1
-        cell = min(max(cell, 0), positions.size - 2)
-        share = (seen.position - positions[cell]) / (positions[cell + 1] - positions[cell])
-        square = float(squares[cell] + share * (squares[cell + 1] - squares[cell]))
-        over = seen.speed - math.sqrt(max(square, 0.0))
-        traction = float(self.trajectory.tractive_effort[cell])
-        braking = float(self.trajectory.braking_effort[self.row, cell])
-        if braking > 0.0 or over > 0.1:
-            braking = max(braking + 0.5 * self.inertia * over, 0.0)
-        if over < -FALLEN_BEHIND:
-            traction -= 0.2 * self.inertia * (over + FALLEN_BEHIND)
-            traction = min(traction, self._most)
-        braking = max(braking, self._slowing(seen))
-        # Never one against the other: what is too much is taken off the traction first.
-        return Demand(max(traction - braking, 0.0), max(braking - traction, 0.0))
-
-    def _slowing(self, seen: Observation) -> float:
-        """Braking effort [N] for a lower limit ahead, as the train will meet it.
-
-        What the brake is asked now it gives after its dead time and lag: compared is the speed
-        that the train will have then with what is allowed there.
-        """
-        soon = seen.speed + min(seen.acceleration, 0.0) * self._lead
-        reach = int((seen.position + seen.speed * self._lead) / GRID) + 1
-        ceiling = float(self._ceiling[min(reach, self._ceiling.size - 1)])
-        here = int(seen.position / GRID)
-        over = soon - ceiling
-        if over <= 0.0 or ceiling >= float(self._limits[here]):
-            return 0.0
-        along = self.mass * float(self._slope[here])
-        return max(self.inertia * (self._usual + 0.5 * over) - along, 0.0)

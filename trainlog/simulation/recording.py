@@ -214,12 +214,13 @@ def reference(
 ) -> pd.DataFrame | None:
     """The ``/reference`` topic; None when no trajectory is followed.
 
+    It is the trajectory of the configuration that arrives last: all others keep it, too.
     The lateness begins with the departure and keeps its last value after the arrival.
     """
     trajectory = scenario.trajectory
     if trajectory is None:
         return None
-    row, position = scenario.row, columns["position"]
+    row, position = trajectory.latest, columns["position"]
     cell = trajectory.cell_of(position)
     last_moving = np.flatnonzero(columns["speed"] > 0.0)[-1]
     under_way = np.clip(run.seconds, DEPARTURE, run.seconds[last_moving]) - DEPARTURE

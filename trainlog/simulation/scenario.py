@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -21,7 +21,6 @@ from trainlog.simulation.drivers import (
     Habits,
     Observation,
     TimetableDriver,
-    TrajectoryDriver,
 )
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.recording import recorded
@@ -77,7 +76,9 @@ class Scenario:
     trajectory : Trajectory or None
         To follow instead of the timetable.
     row : int
-        The trajectory's configuration.
+        The trajectory's configuration that the train is in.
+    follows : callable or None
+        Makes the driver who follows the trajectory.
     """
 
     name: str
@@ -99,10 +100,16 @@ class Scenario:
     temperature: float = 285.0
     trajectory: Trajectory | None = None
     row: int = 0
+    follows: Callable[[], Driver] | None = None
 
     def __post_init__(self) -> None:
         if self.direction not in ("forward", "reverse"):
             raise InputError(f"scenario '{self.name}': direction '{self.direction}' is unknown")
+        if (self.trajectory is None) != (self.follows is None):
+            raise InputError(
+                f"scenario '{self.name}': a trajectory and the driver who follows it go together",
+                remedy="give both or none",
+            )
 
     @property
     def load(self) -> float:
@@ -150,8 +157,8 @@ class Scenario:
 
     def driver(self) -> Driver:
         """Who drives."""
-        if self.trajectory is not None:
-            return TrajectoryDriver(self.trajectory, self.row, self.travelled, self.train)
+        if self.follows is not None:
+            return self.follows()
         return TimetableDriver(self.travelled, self.train, self.stops, self.habits, self.mass)
 
     def truth(self) -> bytes:
@@ -393,6 +400,7 @@ def trajectory_scenarios(
     line: Line,
     train: Train,
     names: Iterable[str],
+    follows: Callable[[], Driver],
     seed: int = 1,
     *,
     weather: str = "dry",
@@ -408,6 +416,8 @@ def trajectory_scenarios(
     train : Train
     names : iterable of str
         Configurations of the trajectory.
+    follows : callable
+        Makes the driver of each trip.
     seed : int
     weather : {"dry", "wet"}
 
@@ -448,6 +458,7 @@ def trajectory_scenarios(
                 start=START + (24 + number) * 3600 * NANOSECONDS,
                 trajectory=trajectory,
                 row=row,
+                follows=follows,
             )
         )
     return scenarios

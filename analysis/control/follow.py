@@ -1,0 +1,286 @@
+"""A driver that follows a robust trajectory by map-based model predictive control.
+
+It knows the trajectory, the line, the train's file, the set of configurations that the train may
+be in, and, if there is one, the track-condition map; of the train it sees position, speed and time.
+It does not know its own configuration: what it follows is the trajectory of the configuration that
+arrives last, which all can keep, and it arrives with that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.control import follow_kernels as kernels
+from analysis.control.follow_belief import Observer
+from analysis.control.follow_kernels import TICK, Belief, Weights
+from analysis.control.follow_pace import paced, sampled
+from analysis.control.follow_route import able, at_once, held_back, way
+from analysis.control.tracking import Program, solve
+from analysis.trajectory.reference_dynamics import value
+from analysis.trajectory.run import Run
+from trainlog.errors import InputError
+from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
+from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
+from trainlog.simulation.plant import HOLDING
+
+FloatArray = NDArray[np.float64]
+
+STOPPED = 0.3
+"""A train that stands no more than this short of its stop has arrived [m]."""
+
+SHORTEST = 3
+"""Steps of the horizon that remain at the stop."""
+
+SLOW = 1.0
+"""Below this speed [m/s] nothing is learnt: brakes fade and grip."""
+
+CREEPING = 0.3
+"""Acceleration with which a train that stands short of its stop moves up [m/s²]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """Of the controller.
+
+    Attributes
+    ----------
+    horizon : int
+        Steps.
+    step : float [s]
+        Of the program, when the stop is far; tenths of a second.
+    every : float [s]
+        Time from one decision to the next.
+    weights : Weights
+    """
+
+    horizon: int = 20
+    step: float = 1.0
+    every: float = 0.5
+    weights: Weights = field(default=Weights(1.0, 2.0, 20.0))
+
+    def __post_init__(self) -> None:
+        for name in ("horizon", "step", "every"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"following: {name} {getattr(self, name)} is not positive")
+
+
+class Follower:
+    """Follows a trajectory; a `trainlog.simulation.drivers.Driver`.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        From standstill to standstill.
+    line : Line
+        In the direction of travel.
+    train : Train
+    condition : TrackConditionMap, optional
+        Efforts are kept within the adhesion that it cautiously promises.
+    layer : str
+        Rail condition to read from the map.
+    tuning : Tuning, optional
+    departure : float [s]
+        When it departs; the timetable is that of a departure at `DEPARTURE`.
+
+    Attributes
+    ----------
+    unsolved : int
+        Decisions at which the program was not solved, and the last plan was kept to.
+
+    Raises
+    ------
+    InputError
+        If the trajectory is of another line or train, leaves the line, does not end at a
+        standstill; or the map is of another line.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        line: Line,
+        train: Train,
+        *,
+        condition: TrackConditionMap | None = None,
+        layer: str = "wet",
+        tuning: Tuning | None = None,
+        departure: float = DEPARTURE,
+    ) -> None:
+        run = run_of(trajectory, line, train, condition, layer)
+        self.tuning = tuning or Tuning()
+        self.unsolved = 0
+        self._can = able(run)
+        self._way = way(run, trajectory, self._can)
+        self._arrival = DEPARTURE + float(trajectory.times[trajectory.latest, -1])
+        self._departure = departure
+        self._release = departure - train.brake.dead_time - 3.0 * train.brake.lag
+        self._observer = Observer(self._can)
+        self._factor = 1.0
+        self._rows = np.zeros((400, 4))
+        self._past = np.zeros(round(train.brake.dead_time / TICK))
+        self._friction = 0.0
+        self._effort = 0.0
+        self._plan = np.zeros(0)
+        self._ticks = round(self.tuning.step / TICK)
+        self._decided = -math.inf
+        self._since: tuple[float, float] | None = None
+        self._acted: list[float] = []
+        self._arrived = False
+
+    @property
+    def finished(self) -> bool:
+        """Whether the train stands at the trajectory's end."""
+        return self._arrived
+
+    @property
+    def belief(self) -> Belief:
+        """What the train was found to be on its way."""
+        return self._observer.belief
+
+    def demand(self, observation: Observation) -> Demand:
+        """The efforts wanted now."""
+        distance = self._way.end - observation.position
+        if observation.speed < AT_REST and distance <= STOPPED:
+            self._arrived = True
+        if self._arrived or observation.time < self._release:
+            return Demand(0.0, HOLDING * self._can.mass)
+        if observation.time < self._departure - 1e-9:
+            return Demand()
+        last = max(min(self.tuning.every, self._ticks * TICK), PERIOD)
+        if observation.time - self._decided > last - 1e-6:
+            self._observe(observation)
+            self._effort = self._decide(observation)
+            self._decided = observation.time
+        low, high = kernels.allowed(
+            observation.position, observation.speed, observation.position, self._way, self._can
+        )
+        effort = min(max(self._effort, low), high)
+        self._passes(observation.speed, effort)
+        force = effort * self._can.inertia
+        return Demand(max(force, 0.0), max(-force, 0.0))
+
+    def _passes(self, speed: float, effort: float) -> None:
+        """Keep book of what the brake will do of its own for the next tick."""
+        quick, asked = kernels.split(effort, speed, self._can)
+        waiting = np.append(self._past, asked)
+        late, self._past = float(waiting[0]), waiting[1:]
+        after = late + (self._friction - late) * math.exp(-PERIOD / self._can.lag)
+        self._acted.append(quick - 0.5 * (self._friction + after))
+        self._friction = after
+
+    def _observe(self, seen: Observation) -> None:
+        """Learn from what the train did since the last decision."""
+        if self._since is not None and self._acted and seen.speed > SLOW:
+            can, (before, speed) = self._can, self._since
+            span = len(self._acted) * PERIOD
+            place, mean = 0.5 * (before + seen.position), 0.5 * (speed + seen.speed)
+            middle = np.array([can.mass, can.inertia, can.r0, can.r1, can.r2])
+            track = can.mass / can.inertia * value(self._way.track, self._way.origin, place)
+            self._observer.update(
+                acceleration=(seen.speed - speed) / span,
+                effort=float(np.mean(self._acted)),
+                drag=held_back(place, mean, middle, self._way) - track,
+                track=track,
+                span=span,
+            )
+        self._since = seen.position, seen.speed
+        self._acted = []
+
+    def _decide(self, seen: Observation) -> float:
+        """The specific effort [m/s²] until the next decision."""
+        tuning, can, road = self.tuning, self._can, self._way
+        belief = self._observer.belief
+        lasting = belief._replace(drift=0.0)
+        p, v = seen.position, seen.speed
+        if v < AT_REST and p > road.end - 10.0:
+            return self._guarded(seen, CREEPING)
+        left = self._arrival - seen.time
+        self._factor, time, count = paced(left, self._factor, p, v, self._rows, lasting, road, can)
+        most = round(tuning.step / TICK)
+        ticks = int(np.clip(math.ceil(time / (tuning.horizon * TICK) - 1e-9), 1, most))
+        n = int(np.clip(math.ceil(time / (ticks * TICK)), SHORTEST, tuning.horizon))
+        target, aim = sampled(self._rows, count, n, ticks * TICK)
+        aim = aim - belief.drift / belief.gain
+        states, response, kept, low, high = kernels.linearised(
+            p,
+            v,
+            self._friction,
+            self._past,
+            self._guess(aim, ticks, seen.time),
+            ticks,
+            belief,
+            road,
+            can,
+        )
+        found = kernels.condensed(
+            states, response, kept, low, high, target, aim, self._effort, tuning.weights,
+            ticks * TICK, belief, road,
+        )  # fmt: skip
+        hessian, gradient, rows, upper, lower = found
+        change, status = solve(Program(hessian, gradient, rows, upper, lower, kept))
+        if status <= 0:
+            self.unsolved += 1
+            change = np.zeros(n)
+        self._plan, self._ticks = kept + change, ticks
+        return self._guarded(seen, float(self._plan[0]))
+
+    def _guarded(self, seen: Observation, effort: float) -> float:
+        """The effort next to `effort` that is safe until the next decision has taken effect."""
+        can = self._can
+        held = max(round(min(self.tuning.every, self._ticks * TICK) / TICK), 1)
+        lead = 2
+        if at_once(seen.speed, can) < 0.5 * can.braking:
+            lead += len(self._past) + round(2.0 * can.lag / TICK)
+        return float(
+            kernels.guarded(
+                seen.position, seen.speed, self._friction, self._past, effort,
+                held, held + lead, self._way, can,
+            )
+        )  # fmt: skip
+
+    def _guess(self, aim: FloatArray, ticks: int, now: float) -> FloatArray:
+        """The last plan at the times of the new one; the reference's efforts without one."""
+        if self._plan.size == 0 or now - self._decided > self.tuning.step:
+            return np.ascontiguousarray(aim)
+        middles = now - self._decided + (np.arange(aim.size) + 0.5) * ticks * TICK
+        index = (middles / (self._ticks * TICK)).astype(np.int64)
+        return self._plan[np.minimum(index, self._plan.size - 1)]
+
+
+def run_of(
+    trajectory: Trajectory,
+    line: Line,
+    train: Train,
+    condition: TrackConditionMap | None = None,
+    layer: str = "wet",
+) -> Run:
+    """The run that a trajectory was made for, with a map of now.
+
+    Raises
+    ------
+    InputError
+        See `Follower`.
+    """
+    trajectory.check(line.name, train.name)
+    start, end = float(trajectory.positions[0]), float(trajectory.positions[-1])
+    if end > line.length + 1.0:
+        raise InputError(
+            f"trajectory ends at km {end / 1e3:.3f}, line '{line.name}' at"
+            f" km {line.length / 1e3:.3f}",
+            remedy="give the line that the trajectory was made for",
+        )
+    if np.any(trajectory.speeds[:, -1] > 0.1):
+        raise InputError(
+            f"the trajectory passes its end at km {end / 1e3:.3f} and does not stop there",
+            remedy="optimise it for a final speed of 0",
+        )
+    settings = trajectory.provenance.get("settings", {})
+    return Run(
+        line, train, trajectory.configurations, start, min(end, line.length),
+        condition=condition, layer=layer,
+        protected_length=float(settings.get("protected_length", 0.0)),
+        direction=trajectory.direction,
+    )  # fmt: skip

@@ -1,0 +1,377 @@
+"""The driver that follows a trajectory: on time, within limits, at its stop, whatever the train."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_world import flirt, hilly_line, level_line, steps
+
+from analysis.control import follow_kernels as kernels
+from analysis.control.follow import Follower, Tuning
+from analysis.control.follow_belief import Observer
+from analysis.control.follow_kernels import TICK, Belief
+from analysis.control.follow_pace import ahead, paced, sampled
+from analysis.control.follow_route import Able, Way, able, bounds, highest, way
+from analysis.trajectory import optimise
+from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.run import Run
+from trainlog.errors import InputError
+from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
+from trainlog.railway.condition import ConditionLayer
+from trainlog.simulation.drivers import DEPARTURE, Observation
+from trainlog.simulation.scenario import Scenario, drive, simulate, trajectory_scenarios
+
+NEUTRAL = Belief(1.0, 0.0, 0.0)
+
+
+@cache
+def plan(name: str = "flirt") -> tuple[Train, Trajectory]:
+    """A train and its trajectory over the hilly line, for masses and resistances far apart."""
+    only_friction = {"max_dynamic_braking_effort": 0.0, "brake": Brake(2.0, 1.5)}
+    train = flirt(**({} if name == "flirt" else only_friction))
+    configurations = [
+        Configuration(
+            f"{load} t, r{factor}", train.mass + 1e3 * load, train.rotating_mass,
+            train.resistance.scaled(factor), train.max_traction_power,
+        )
+        for load, factor in ((2, 0.9), (10, 1.0), (18, 1.1))
+    ]  # fmt: skip
+    return train, optimise(hilly_line(), train, configurations, reserve=0.12, cells=200)
+
+
+LIGHT, MIDDLE, HEAVY = "2 t, r0.9", "10 t, r1.0", "18 t, r1.1"
+
+
+def run_of(train: Train, trajectory: Trajectory) -> Run:
+    return Run(hilly_line(), train, trajectory.configurations, 0.0, hilly_line().length)
+
+
+@cache
+def known(name: str = "flirt") -> tuple[Able, Way]:
+    train, trajectory = plan(name)
+    run = run_of(train, trajectory)
+    can = able(run)
+    return can, way(run, trajectory, can)
+
+
+def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
+    """What a map that was learnt well says of a rail."""
+    line = hilly_line()
+    track = TrackConditionMap(line.name, line.length, 25.0, np.zeros(1), {})
+    n = track.bins
+    none = np.zeros(n)
+    layer = ConditionLayer(
+        np.log(rail(track.centres)), none + spread, none == 0.0, none, none, none, np.zeros((n, 1))
+    )
+    return replace(track, layers={"wet": layer})
+
+
+def driven(scenario: Scenario) -> dict[str, np.ndarray]:
+    run = drive(scenario)
+    found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
+    moving = np.flatnonzero(found["speed"] > 0.0)
+    found["arrival"] = run.seconds[moving[-1]] - DEPARTURE
+    found["over"] = np.max(
+        found["speed"] - hilly_line().speed_limit(np.minimum(found["position"], 11_000.0))
+    )
+    return found
+
+
+def slippery() -> StepProfile:
+    """A wet rail with three slippery places: at the start, on a climb, before the stop."""
+    return steps(
+        (0.0, 0.15), (150.0, 0.09), (400.0, 0.17), (5_500.0, 0.08), (5_700.0, 0.17),
+        (10_700.0, 0.1), (10_850.0, 0.15),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [LIGHT, HEAVY])
+@pytest.mark.parametrize("weather", ["dry", "wet"])
+def test_it_is_on_time_at_its_place_and_below_the_limits(weather: str, name: str) -> None:
+    train, trajectory = plan()
+    rail = steps((0.0, 0.3)) if weather == "dry" else slippery()
+
+    def follows() -> Follower:
+        known_rail = None if weather == "dry" else map_of(rail)
+        return Follower(trajectory, hilly_line(), train, condition=known_rail)
+
+    (scenario,) = trajectory_scenarios(trajectory, hilly_line(), train, [name], follows, seed=3)
+    found = driven(replace(scenario, maximum_adhesion=rail))
+    due = trajectory.times[trajectory.latest, -1]
+    assert abs(found["arrival"] - due) < 1.0
+    assert abs(found["position"][-1] - hilly_line().length) < 0.3
+    assert found["speed"][-1] == 0.0
+    assert found["over"] <= 0.0
+    assert found["protected_axles"].max() == 0.0
+    # Comfort: efforts over inertia are within what the train's control allows.
+    assert found["acceleration"].max() < train.max_acceleration
+    inertia = scenario.mass + scenario.rotating_mass
+    braking = found["dynamic_braking_effort"] + found["pneumatic_braking_effort"]
+    assert braking.max() <= train.max_deceleration * inertia * 1.001
+
+
+def test_without_the_map_the_same_rail_makes_it_slip() -> None:
+    train, trajectory = plan()
+    (scenario,) = trajectory_scenarios(
+        trajectory, hilly_line(), train, [MIDDLE],
+        lambda: Follower(trajectory, hilly_line(), train), seed=3,
+    )  # fmt: skip
+    found = driven(replace(scenario, maximum_adhesion=slippery()))
+    assert found["protected_axles"].max() > 0.0
+
+
+def test_masses_at_both_ends_of_the_set_and_a_brake_that_takes_its_time() -> None:
+    """Friction brake alone, 2 s of dead time and 1.5 s of lag."""
+    train, trajectory = plan("friction")
+    for name in (LIGHT, HEAVY):
+        (scenario,) = trajectory_scenarios(
+            trajectory, hilly_line(), train, [name],
+            lambda: Follower(trajectory, hilly_line(), train), seed=3,
+        )  # fmt: skip
+        found = driven(replace(scenario, maximum_adhesion=steps((0.0, 0.3))))
+        assert abs(found["position"][-1] - hilly_line().length) < 0.3
+        assert found["over"] <= 0.0
+        # What such a brake is not trusted with costs a little time at every lower limit.
+        assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 2.5
+
+
+def test_a_late_train_catches_up_as_far_as_physics_allow() -> None:
+    train, trajectory = plan()
+    due, delay = float(trajectory.times[trajectory.latest, -1]), 40.0
+    (scenario,) = trajectory_scenarios(
+        trajectory, hilly_line(), train, [HEAVY],
+        lambda: Follower(trajectory, hilly_line(), train, departure=DEPARTURE + delay), seed=3,
+    )  # fmt: skip
+    found = driven(replace(scenario, maximum_adhesion=steps((0.0, 0.3))))
+    least = float(fastest_run(run_of(train, trajectory)).times.max())
+    bound = max(delay + least, due)
+    assert bound - 0.5 <= found["arrival"] < bound + 8.0
+    assert found["arrival"] < due + 0.4 * delay
+    assert found["over"] <= 0.0
+
+
+def test_the_log_tells_the_reference_and_the_configuration() -> None:
+    train, trajectory = plan()
+    (scenario,) = trajectory_scenarios(
+        trajectory, hilly_line(), train, [LIGHT],
+        lambda: Follower(trajectory, hilly_line(), train), seed=3,
+    )  # fmt: skip
+    trip = simulate(scenario)
+    reference, truth = trip["/reference"], trip["/truth"]
+    assert reference.lateness.iloc[0] == 0.0
+    assert abs(reference.lateness.iloc[-1]) < 1.0
+    np.testing.assert_allclose(
+        reference.speed, trajectory.speed_at(trajectory.latest, truth.position)
+    )
+    assert trip.metadata["configuration"] == LIGHT
+    assert float(trip.metadata["load"]) == 2_000.0
+
+
+def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> None:
+    train, trajectory = plan()
+    driver = Follower(trajectory, hilly_line(), train)
+    assert driver.demand(Observation(0.0, 0.0, 0.0, 0.0)).braking_effort > 0.0
+    assert driver.demand(Observation(DEPARTURE - 0.1, 0.0, 0.0, 0.0)).braking_effort == 0.0
+    assert driver.demand(Observation(DEPARTURE, 0.0, 0.0, 0.0)).tractive_effort > 0.0
+    assert not driver.finished
+    short = Observation(400.0, 10_998.0, 0.0, 0.0)
+    assert driver.demand(short).tractive_effort > 0.0  # it moves up
+    assert driver.demand(replace(short, position=10_999.9)).braking_effort > 0.0
+    assert driver.finished
+
+
+# ---- the prediction -------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    name=st.sampled_from(["flirt", "friction"]),
+    position=st.floats(200.0, 9_000.0),
+    speed=st.floats(12.0, 25.0),
+    column=st.integers(0, 7),
+    braking=st.booleans(),
+)
+def test_the_linearisation_is_the_derivative_of_the_prediction(
+    name: str, position: float, speed: float, column: int, braking: bool
+) -> None:
+    can, road = known(name)
+    past = np.full(20 if name == "friction" else 6, 0.1)
+    efforts = np.full(8, -0.3 if braking else 0.2)
+
+    def states(change: float) -> np.ndarray:
+        moved = efforts.copy()
+        moved[column] += change
+        return kernels.linearised(position, speed, 0.1, past, moved, 10, NEUTRAL, road, can)[0]
+
+    response = kernels.linearised(position, speed, 0.1, past, efforts, 10, NEUTRAL, road, can)[1]
+    slope = (states(1e-4) - states(-1e-4)) / 2e-4
+    # Nodes of the gradient table between both predictions make the derivative jump a little.
+    np.testing.assert_allclose(response[:, :, column], slope, atol=2e-2, rtol=1e-2)
+
+
+def test_a_level_prediction_is_known_in_closed_form() -> None:
+    """No resistance, level: friction asked for now acts after its dead time, with its lag."""
+    can, road = known("friction")
+    still = can._replace(r0=0.0, r1=0.0, r2=0.0, mass=0.0)
+    past, brake = np.zeros(20), 0.5
+    states, *_ = kernels.linearised(
+        1_000.0, 20.0, 0.0, past, np.full(6, -brake), 10, NEUTRAL, road, still
+    )
+    for k in range(7):
+        lasting, lag = max(k - 20 * TICK, 0.0), can.lag
+        lost = brake * (lasting - lag * (1.0 - np.exp(-lasting / lag)))
+        assert states[k, 1] == pytest.approx(20.0 - lost, abs=2e-3)
+
+
+def test_friction_that_was_asked_for_acts_whatever_is_asked_now() -> None:
+    can, road = known("friction")
+    waiting = np.full(20, 0.8)
+    braked, free = (
+        kernels.linearised(1_000.0, 20.0, 0.0, past, np.zeros(4), 10, NEUTRAL, road, can)[0]
+        for past in (waiting, np.zeros(20))
+    )
+    assert braked[2, 1] < free[2, 1] - 0.3
+
+
+# ---- ceiling, pace, guard -------------------------------------------------------------------
+
+
+def test_every_train_of_the_set_can_brake_below_the_ceiling() -> None:
+    """Run backwards from any place: full braking never fails to keep what lies ahead."""
+    can, road = known()
+    for start in (900.0, 2_600.0, 4_900.0, 9_600.0, 10_700.0):
+        for row in can.corners:
+            p, v = float(start), float(np.sqrt(highest(start, road)))
+            while p < road.end - 0.5 and v > 0.1:
+                brake = bounds(p, v, road, can)[1]
+                a = -brake / row[1] - kernels.held_back(p, v, row, road)
+                if v < np.sqrt(highest(p, road)) - 0.05:
+                    a = max(a, -0.02)  # no more than is needed
+                p, v = p + 0.1 * v, v + 0.1 * a
+                assert v <= np.sqrt(highest(p, road)) + 0.15
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    position=st.floats(0.0, 10_950.0),
+    share=st.floats(0.3, 1.0),
+    effort=st.floats(-2.0, 2.0),
+    name=st.sampled_from(["flirt", "friction"]),
+)
+def test_the_guard_keeps_every_train_of_the_set_within_bounds(
+    position: float, share: float, effort: float, name: str
+) -> None:
+    can, road = known(name)
+    speed = share * float(np.sqrt(highest(position, road)))
+    past = np.zeros(20 if name == "friction" else 6)
+    found = kernels.guarded(position, speed, 0.0, past, effort, 5, 12, road, can)
+    low, high = kernels.allowed(position, speed, position, road, can)
+    assert low - 1e-12 <= found <= high + 1e-12
+    assert found <= max(effort, low) + 1e-12
+    safe = kernels.keeps(position, speed, 0.0, past, found, 5, 12, road, can)
+    assert safe or found == pytest.approx(
+        kernels.allowed(position, speed, position + 0.5 * speed, road, can)[0]
+    )
+
+
+def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time() -> None:
+    can, road = known()
+    rows = np.zeros((400, 4))
+    times = [ahead(f, 3_000.0, 20.0, rows, NEUTRAL, road, can)[0] for f in (0.8, 0.9, 1.0, 1.1)]
+    assert all(np.diff(times) < 0.0)
+    left = times[2] + 7.0
+    factor, time, count = paced(left, 1.0, 3_000.0, 20.0, rows, NEUTRAL, road, can)
+    assert 0.8 < factor < 1.0
+    assert time == pytest.approx(left, abs=0.03)
+    states, efforts = sampled(rows, count, 20, 1.0)
+    assert states[0] == pytest.approx([3_000.0, 20.0])
+    # The reference is a motion: positions are the integral of the speeds.
+    mean = 0.5 * (states[1:, 1] + states[:-1, 1])
+    np.testing.assert_allclose(np.diff(states[:, 0]), mean, atol=0.1)
+    assert np.all(states[:, 1] ** 2 <= [highest(p, road) + 0.05 for p in states[:, 0]])
+    assert np.all(efforts * can.inertia <= can.traction)
+
+
+def test_who_is_early_does_not_brake_while_there_is_traction_to_come() -> None:
+    can, road = known()
+    rows = np.zeros((400, 4))
+    speed = float(np.sqrt(kernels.value(road.goal, road.origin, 3_000.0)))
+    _, count = ahead(0.8, 3_000.0, speed, rows, NEUTRAL, road, can)
+    near = rows[: count - 1]
+    free = near[:, 1] ** 2 < [highest(p + 6.0, road) - 1.0 for p in near[:, 0]]
+    assert np.all(near[free & (near[:, 0] < road.last_pull - 50.0), 3] > -1e-6)
+
+
+# ---- what the train is ----------------------------------------------------------------------
+
+
+def test_the_train_is_found_while_it_runs() -> None:
+    can, _ = known()
+    observer = Observer(can)
+    rng = np.random.default_rng(2)
+    for k in range(1_200):
+        effort, drag = (0.6 if k % 200 < 60 else 0.05), 0.06 + 0.02 * np.sin(k / 40.0)
+        true = 0.98 * effort - 1.07 * drag
+        observer.update(true + 0.01 * rng.normal(), effort, drag, 0.0, 0.5)
+    assert observer.belief.gain == pytest.approx(0.98, abs=0.01)
+    assert observer.belief.drag == pytest.approx(0.07, abs=0.05)
+
+
+def test_wheels_that_slip_do_not_make_the_train_heavy() -> None:
+    can, _ = known()
+    observer = Observer(can)
+    for _ in range(40):
+        observer.update(0.6 - 0.06, 0.6, 0.06, 0.0, 0.5)
+    before = observer.belief
+    observer.update(0.0, 0.6, 0.06, 0.0, 0.5)
+    assert observer.belief.gain == pytest.approx(before.gain, abs=1e-9)
+    assert observer.belief.drift < before.drift
+
+
+# ---- bad input ------------------------------------------------------------------------------
+
+
+def test_a_trajectory_of_another_line_or_train_is_refused() -> None:
+    train, trajectory = plan()
+    with pytest.raises(InputError, match="made for line 'hilly', not for 'level'; give that line"):
+        Follower(trajectory, level_line(length=11_000.0), train)
+    with pytest.raises(InputError, match="made for train 'flirt', not for 'other'"):
+        Follower(trajectory, hilly_line(), replace(train, name="other"))
+    shorter = replace(level_line(length=5_000.0), name="hilly")
+    with pytest.raises(InputError, match=r"ends at km 11\.000"):
+        Follower(trajectory, shorter, train)
+
+
+def test_a_trajectory_that_does_not_stop_is_refused() -> None:
+    train, trajectory = plan()
+    passing = replace(trajectory, speeds=trajectory.speeds + 1.0)
+    with pytest.raises(InputError, match=r"passes its end at km 11\.000 .* final speed of 0"):
+        Follower(passing, hilly_line(), train)
+
+
+def test_a_map_of_another_line_and_a_layer_it_has_not_are_refused() -> None:
+    train, trajectory = plan()
+    other = replace(map_of(slippery()), line="other")
+    with pytest.raises(InputError, match="the track-condition map is of line 'other'"):
+        Follower(trajectory, hilly_line(), train, condition=other)
+    with pytest.raises(InputError, match="no layer 'dry'; layers present: wet"):
+        Follower(trajectory, hilly_line(), train, condition=map_of(slippery()), layer="dry")
+
+
+def test_a_tuning_that_makes_no_sense_is_refused() -> None:
+    with pytest.raises(InputError, match="following: step 0"):
+        Tuning(step=0.0)
+
+
+def test_a_trajectory_without_a_driver_makes_no_scenario() -> None:
+    train, trajectory = plan()
+    (scenario,) = trajectory_scenarios(
+        trajectory, hilly_line(), train, [MIDDLE], lambda: Follower(trajectory, hilly_line(), train)
+    )
+    with pytest.raises(InputError, match="go together"):
+        replace(scenario, follows=None)
