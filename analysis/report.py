@@ -27,7 +27,7 @@ from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import read_log
 from trainlog.mcap.convert import span_of
 from trainlog.railway import TrackConditionMap, Trajectory
-from trainlog.units import KMH
+from trainlog.units import KMH, clock
 
 
 def new_table(title: str, *columns: str, **options: Any) -> Table:
@@ -149,14 +149,18 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     audit = certificate["audit"]
     title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
     facts = new_table(title, "", "", show_header=False)
-    reserve = f"{certificate['reserve']:.1%} over {max(certificate['least_time']):.1f} s"
+    least = max(certificate["least_time"])
+    reserve = f"{certificate['reserve']:.1%} over {least:.1f} s ({clock(least)})"
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
     bound = f"at least {_kwh(certificate['lower_bound'])}"
     cells = f"{certificate['grid']['cells']} cells"
     agreed = certificate.get("agreement", {})
     shares = ", ".join(f"{name} {share:.2%}" for name, share in agreed.items())
     rows = (
-        ("timetable", f"{trajectory.running_time:.1f} s, {reserve}"),
+        (
+            "timetable",
+            f"{trajectory.running_time:.1f} s ({clock(trajectory.running_time)}), {reserve}",
+        ),
         ("configurations", deciding),
         ("worst-case energy", f"{_kwh(certificate['energy'])}, {bound}"),
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
@@ -237,7 +241,7 @@ def advice_table(points: Sequence[AdvicePoint]) -> Table:
     for point in points:
         table.add_row(
             f"{point.position / 1e3:.3f}",
-            f"{point.time:.0f} s",
+            clock(point.time),
             f"{KMH * point.speed:.0f} km/h",
             point.phase.label,
             f"{KMH * point.until:.0f} km/h",

@@ -184,3 +184,17 @@ def test_commands_write_sections_a_front_and_advice(
     assert "Journey one stop" in capsys.readouterr().out
     run("optimise", parameters, "--reverse", "--cells", 60, "-o", tmp_path / "b.json")
     assert '"reverse"' in (tmp_path / "b.json").read_text()
+
+
+def test_coasting_for_a_moment_while_cruising_is_no_advice() -> None:
+    """Ten seconds in which the speed stays the same; but braking for ten seconds is told."""
+    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
+    count = found.positions.size - 1
+    times = np.linspace(0.0, 10.0 * count, count + 1)[None]
+    speeds = np.full((1, count + 1), 20.0)
+    for letter, told in (("C", 1), ("H", 3)):
+        phases = "P" * 50 + letter + "P" * (count - 51)
+        given = replace(
+            found, speeds=speeds, times=times, certificate={**found.certificate, "phases": [phases]}
+        )
+        assert len(advice(given)) == told

@@ -26,7 +26,7 @@ from analysis.pictures.style import (
 )
 from analysis.trajectory.phases import Phase, phases_of
 from trainlog.railway import Line, Trajectory
-from trainlog.units import KMH, PER_MILLE
+from trainlog.units import KMH, PER_MILLE, clock
 
 FloatArray = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def _title(trajectory: Trajectory) -> str:
     certificate = trajectory.certificate
     count = len(trajectory.configurations)
     words = (
-        f"{trajectory.train} on {trajectory.line}: {trajectory.running_time:.0f} s,"
+        f"{trajectory.train} on {trajectory.line}: {clock(trajectory.running_time)},"
         f" {count} configuration{'s' * (count > 1)}"
     )
     if "energy" not in certificate:
@@ -131,6 +131,12 @@ def _draw_speeds(
     for station in line.stations:
         if start <= station.position <= end:
             axes.axvline(station.position / 1e3, color=PALE, linewidth=0.8, zorder=0)
+            share = (station.position - start) / (end - start)
+            axes.text(
+                station.position / 1e3, 0.995, station.name, fontsize=8, color=GREY, va="top",
+                ha="left" if share < 0.1 else "right" if share > 0.9 else "center",
+                transform=axes.get_xaxis_transform(),
+            )  # fmt: skip
     name = trajectory.configurations[chosen].name
     handles = [Line2D([], [], color=INK, linewidth=1.2, label="permitted speed")]
     handles += [
@@ -146,7 +152,7 @@ def _draw_speeds(
         handles=handles, fontsize=8, frameon=False, ncols=2, loc="lower center",
         title=f"in colours: {name}", title_fontsize=8,
     )  # fmt: skip
-    axes.set_ylim(0.0, 1.06 * KMH * float(line.speed_limit(edges[:-1]).max()))
+    axes.set_ylim(0.0, 1.1 * KMH * float(line.speed_limit(edges[:-1]).max()))
 
 
 def _in_phases(
@@ -189,10 +195,12 @@ def _draw_switching(axes: Axes, trajectory: Trajectory, switching: FloatArray) -
     for level in levels.values():
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
     shown = np.array([*costates.values()]) if 1 < len(costates) <= _FEW else switching
-    # At the start all of them rise without bound as the speed goes to nothing.
-    away = int(0.05 * switching.size)
-    low, high = (float(bound) for bound in np.quantile(shown[..., away:], (0.0, 1.0)))
-    axes.set_ylim(max(min(low, -0.1) - 0.05, -4.0), min(max(high, 1.2) + 0.3, 5.0))
+    # At either end they rise or fall without bound as the speed goes to nothing.
+    low, high = np.quantile(shown, (0.03, 0.97), axis=-1)
+    axes.set_ylim(
+        max(min(float(np.min(low)), -0.1), -3.0) - 0.4,
+        min(max(float(np.max(high)), 1.2), 4.0) + 0.4,
+    )
     above, below = levels["traction"], levels["braking"]
     title = (
         f"Switching function: above {above:.3g} full traction, below {below:.3g} braking,"

@@ -28,6 +28,13 @@ FloatArray = NDArray[np.float64]
 SHORTEST = 3.0
 """Phases shorter than this are no advice to a driver [s]."""
 
+_BRIEF = 5.0
+"""Times the shortest phase, below which one is no advice if it neither brakes nor changes the
+speed."""
+
+_SAME = 1.0 / KMH
+"""Change of speed that a driver would not notice [m/s]."""
+
 HEADER = ("position_m", "time_s", "speed_kmh", "phase", "until_kmh")
 
 
@@ -70,7 +77,8 @@ def advice(
     row : int, optional
         Configuration; the one that arrives last without it.
     shortest : float [s]
-        A shorter phase counts as part of the one before it.
+        A shorter phase counts as part of the one before it, and so does one that lasts little
+        longer and changes nothing: coasting for 5 s while cruising.
 
     Raises
     ------
@@ -80,12 +88,13 @@ def advice(
     chosen = slowest_row(trajectory) if row is None else row
     phases, times = phases_of(trajectory, chosen), trajectory.times[chosen]
     starts = np.flatnonzero(np.diff(phases, prepend=-1)).tolist()
-    kept: list[int] = []
+    speeds, kept = trajectory.speeds[chosen], list[int]()
     for start, end in zip(starts, [*starts[1:], phases.size], strict=True):
         same = kept and phases[kept[-1]] == phases[start]
-        if not kept or (times[end] - times[start] >= shortest and not same):
+        lasts = times[end] - times[start]
+        even = phases[start] < Phase.PARTIAL_BRAKING and abs(speeds[end] - speeds[start]) < _SAME
+        if not kept or (lasts >= (_BRIEF * shortest if even else shortest) and not same):
             kept.append(start)
-    speeds = trajectory.speeds[chosen]
     return tuple(
         AdvicePoint(
             float(trajectory.positions[start]),
