@@ -51,7 +51,7 @@ It damps configurations whose speed the optimum leaves open; at the fixed point 
 """
 
 
-_EVENNESS = 1e-3
+_EVENNESS = 7e-4
 """Price of the squared change of effort from cell to cell [s²/m]."""
 
 _SHORT_CELL = 20.0
