@@ -152,6 +152,21 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
         assert sum(parts) > plan.certificate["energy"]
 
 
+@pytest.mark.parametrize("objective", ["wheel", "line"])
+def test_a_journey_tells_the_configuration_that_takes_most_in_all(objective: str) -> None:
+    journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
+    configurations = drawn(FLIRT, 3, seed=3)
+    options = {"dwell": 30.0, "reserve": 0.12, "cells": 100, "objective": objective}
+    plan = optimise_journey(hilly_line(), FLIRT, configurations, journey, **options)  # type: ignore[arg-type]
+    certificate = plan.certificate
+    totals = sum(np.array(each.certificate[f"{objective}_energy"]) for each in plan.sections)
+    assert certificate["dearest_energy"] == pytest.approx(np.max(totals))
+    assert certificate["dearest"] == configurations[int(np.argmax(totals))].name
+    assert certificate["dearest_energy"] <= certificate["energy"] * (1.0 + 1e-12)
+    if objective == "wheel":
+        assert certificate["dearest_energy"] == pytest.approx(certificate["energy"])
+
+
 def test_arrivals_keep_their_windows_at_both_ends() -> None:
     points = (stop(0.0, 0.0, 0.0), stop(5_000.0, 250.0, 260.0), stop(5_000.0, 290.0, 300.0),
               stop(8_000.0, None, 470.0))  # fmt: skip

@@ -63,7 +63,9 @@ class JourneyPlan:
         Since the start of the journey; arrivals as planned, no configuration is later.
     certificate : dict
         Sums over the sections, and what other times might still save. The sections carry their
-        own certificates.
+        own certificates. At the line ``energy`` adds the worst of each section, which need not be
+        one and the same configuration; ``dearest_energy`` is that of the one which takes most in
+        all, never more, and the same at the wheel.
     """
 
     journey: Journey
@@ -157,16 +159,26 @@ def optimise_journey(
     found = tuple(solve(number, times, cells) for number in range(len(sections)))
     energy = sum(float(each.certificate["energy"]) for each in found)
     bound = sum(float(each.certificate["lower_bound"]) for each in found)
+    totals = np.sum([_energies(each) for each in found], axis=0)
     certificate = {
         "energy": energy,
         "lower_bound": bound,
         "gap": energy / bound - 1.0,
-        "bound_holds_for": "these departures and arrivals",
+        "bound_holds_for": "these departures and arrivals"
+        + (", the worst of each section added up" if len(found) > 1 else ""),
+        "dearest": configurations[int(np.argmax(totals))].name,
+        "dearest_energy": float(totals.max()),
         "other_times_might_save": saving,
         "least_running_times": least.tolist(),
         "certified": all(bool(each.certificate["certified"]) for each in found),
     }
     return JourneyPlan(journey, found, times[:, 0], times[:, 1], certificate)
+
+
+def _energies(section: Trajectory) -> FloatArray:
+    """Energy of each configuration by the section's objective, (q,) [J]."""
+    at_line = section.provenance["settings"]["objective"] != "wheel"
+    return np.array(section.certificate["line_energy" if at_line else "wheel_energy"])
 
 
 def _check(line: Line, journey: Journey, dwell: float) -> None:
