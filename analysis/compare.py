@@ -1,4 +1,4 @@
-"""What trips cost: running time, distance and energy, side by side."""
+"""What trips cost: running time, distance, energy and slip, side by side."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from trainlog.mcap import read_log
 from trainlog.mcap.stream import stream_log
 from trainlog.railway import Line, Train
 from trainlog.resampling import joined_pieces
+from trainlog.topics import EVENTS, REFERENCE
 from trainlog.trip import Trip, seconds
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +51,10 @@ class TripCost:
     line : float [J]
         Energy drawn from the line less what was fed back, with the train's efficiencies.
     top_speed : float [m/s]
+    slips : int or None
+        How often the slip protection acted; None if the log tells no events.
+    late : float or None [s]
+        On arrival, behind the trajectory that was followed; None if there was none.
     """
 
     name: str
@@ -62,6 +67,8 @@ class TripCost:
     dynamic_braking: float
     line: float
     top_speed: float
+    slips: int | None = None
+    late: float | None = None
 
 
 Recorded = Trip | Path
@@ -119,7 +126,27 @@ def trip_cost(trip: Recorded) -> TripCost:
         dynamic_braking=dynamic,
         line=line_energy(train, traction, dynamic),
         top_speed=float(meter.highest[0]),
+        slips=_slips(trip),
+        late=_late(trip),
     )
+
+
+def _slips(trip: Recorded) -> int | None:
+    """How often the slip protection acted, as the events say."""
+    whole = trip if isinstance(trip, Trip) else read_log(trip, [EVENTS.name])
+    if EVENTS.name not in whole:
+        return None
+    return int(whole[EVENTS.name]["message"].str.startswith("slip protection").sum())
+
+
+def _late(trip: Recorded) -> float | None:
+    """Lateness at the end of the trip."""
+    late = None
+    for piece in _pieces(trip, {REFERENCE.name: ["lateness"]}):
+        if REFERENCE.name in piece:
+            known = piece[REFERENCE.name]["lateness"].dropna()
+            late = float(known.iloc[-1]) if len(known) else late
+    return late
 
 
 def _described(trip: Recorded) -> Trip:
@@ -234,6 +261,45 @@ def fastest_nonstop(trips: Sequence[Recorded], line: Line) -> float:
             remedy="give the running time instead",
         )
     return min(times)
+
+
+@dataclass(frozen=True, slots=True)
+class Punctuality:
+    """How well trips followed their trajectory.
+
+    Attributes
+    ----------
+    trips : int
+    late : float [s]
+        On arrival behind the trajectory, of the trip furthest from it; signed.
+    slips : int
+        How often the slip protection acted on all of them.
+    """
+
+    trips: int
+    late: float
+    slips: int
+
+
+def punctuality(followed: Sequence[Recorded]) -> Punctuality:
+    """Lateness and slip of trips that followed a trajectory.
+
+    Raises
+    ------
+    LogError
+        If one of them has no reference.
+    """
+    late, slips = [], 0
+    for trip in followed:
+        found = _late(trip)
+        if found is None:
+            raise LogError(
+                f"trip '{_described(trip).name}' followed no trajectory: it has no /reference",
+                remedy="give the trips of 'trainlog simulate --trajectory'",
+            )
+        late.append(found)
+        slips += _slips(trip) or 0
+    return Punctuality(len(late), max(late, key=abs), slips)
 
 
 @dataclass(frozen=True, slots=True)

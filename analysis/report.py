@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 
-from analysis.compare import JOULES_PER_KWH, Saving, savings
+from analysis.compare import JOULES_PER_KWH, Saving, punctuality, savings
 from analysis.resistance import Fits
 from analysis.resistance.diagnostics import diagnosed
 from analysis.traction_map import summary
@@ -44,20 +44,23 @@ LISTED = 8
 
 def savings_table(pairs: Sequence[Saving]) -> Group:
     """What following the trajectory saved, pair by pair and together."""
-    title = "Tractive energy at the wheel rims, and running time"
-    table = new_table(title, "trip", "driver", "trajectory", "saved", "", "saved from the line")
+    title = "Tractive energy at the wheel rims, running time, how often slip protection acted"
+    table = new_table(
+        title, "trip", "driver", "trajectory", "saved", "from the line", "behind it", "slips"
+    )
     for pair in pairs:
-        share = pair.traction / pair.driver.traction
+        driver, own = pair.driver, pair.trajectory
         table.add_row(
-            pair.driver.name,
-            f"{_kwh(pair.driver.traction)} in {pair.driver.running_time:.0f} s",
-            f"{_kwh(pair.trajectory.traction)} in {pair.trajectory.running_time:.0f} s",
-            _kwh(pair.traction),
-            f"{share:.1%}",
+            driver.name,
+            f"{_kwh(driver.traction)}, {driver.running_time:.0f} s",
+            f"{_kwh(own.traction)}, {own.running_time:.0f} s",
+            f"{_kwh(pair.traction)}, {pair.traction / driver.traction:.1%}",
             _kwh(pair.line),
+            "-" if own.late is None else f"{own.late:+.1f} s",
+            " / ".join("-" if each.slips is None else f"{each.slips}" for each in (driver, own)),
         )
-    driver, saved = total_saved(pairs)
-    words = f"Saved on {len(pairs)} trips: {_kwh(saved)} of {_kwh(driver)}, {saved / driver:.1%};"
+    spent, saved = total_saved(pairs)
+    words = f"Saved on {len(pairs)} trips: {_kwh(saved)} of {_kwh(spent)}, {saved / spent:.1%};"
     words += f" {_kwh(sum(pair.line for pair in pairs))} from the line; {_times(pairs)}."
     return Group(table, words)
 
@@ -276,6 +279,7 @@ def results_table(folder: Path) -> Group:
         _mapped(folder / "map.json", truths),
         *_planned(folder / "trajectory.json"),
         _saved(folder / "driven", logs),
+        _followed(folder),
     ]
     found = [row for row in rows if row is not None]
     if not found:
@@ -358,6 +362,20 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
         f" ({len(pairs)} trips, {_times(pairs)})"
     )
     return "energy saved", words, str(folder)
+
+
+def _followed(folder: Path) -> tuple[str, str, str] | None:
+    """How punctual the trips on the trajectory were, with the map and without."""
+    told = []
+    for name, how in (("driven", "with the map"), ("driven-blind", "without")):
+        logs = sorted((folder / name).glob("*.mcap"))
+        if logs:
+            found = punctuality(logs)
+            told.append(
+                f"{how} at most {abs(found.late):.1f} s from the trajectory on arrival, slip"
+                f" protection acts {found.slips} times on {found.trips} trips"
+            )
+    return ("following", "; ".join(told), str(folder / "driven")) if told else None
 
 
 def _pm(value: float, std: float, unit: str = "") -> str:

@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from analysis import compare
-from analysis.compare import savings, trip_cost
+from analysis.compare import punctuality, savings, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
-from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.topics import EVENTS, REFERENCE, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 
 
@@ -93,8 +93,42 @@ def test_a_log_in_pieces_costs_what_the_trip_costs(
         monkeypatch.setattr(compare, "ROWS", 20 * rows)
         found = trip_cost(tmp_path / "trip.mcap")
         assert (found.name, found.direction) == (expected.name, expected.direction)
-        for name in expected.__slots__[2:]:
+        assert (found.slips, found.late) == (expected.slips, expected.late)
+        for name in expected.__slots__[2:-2]:
             assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9), name
+
+
+def test_slip_protection_and_lateness_are_told_where_the_log_tells_them() -> None:
+    plain = trip()
+    assert trip_cost(plain).slips is None
+    assert trip_cost(plain).late is None
+    with pytest.raises(LogError, match="'t' followed no trajectory"):
+        punctuality([plain])
+    told = [
+        followed("slip protection active in traction", "departure from A", late=late)
+        for late in (0.2, -0.7)
+    ]
+    assert trip_cost(told[0]).slips == 1
+    assert trip_cost(told[0]).late == pytest.approx(0.2)
+    found = punctuality(told)
+    assert (found.trips, found.slips) == (2, 2)
+    assert found.late == pytest.approx(-0.7)
+
+
+def followed(*messages: str, late: float) -> Trip:
+    """A trip that followed a trajectory, with events."""
+    time = np.arange(len(messages)) * 1_000_000_000
+    events = {
+        "level": np.full(time.size, 3),
+        "message": np.array(messages, dtype=object),
+        "name": np.full(time.size, "drive", dtype=object),
+    }
+    lateness = {"lateness": np.linspace(0.0, late, 6)}
+    return (
+        trip()
+        .with_topic(frame_of(EVENTS, time, events))
+        .with_topic(frame_of(REFERENCE, np.arange(6) * 1_000_000_000, lateness))
+    )
 
 
 def simulated(**options: bool) -> Trip:

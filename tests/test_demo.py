@@ -15,10 +15,11 @@ from rerun.chunk import McapReader
 from rich.console import Console
 
 import trainlog
-from analysis.compare import savings
+from analysis.compare import punctuality, savings
 from analysis.truth import curve_error, map_error, truth_of
 from trainlog import cli, demo
 from trainlog.errors import InputError
+from trainlog.formats.attached import line_of
 from trainlog.formats.condition import read_map
 from trainlog.formats.parameters import read_parameters
 from trainlog.formats.trajectory import read_trajectory
@@ -146,6 +147,21 @@ def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
         limit = trip["/environment"].speed_limit.max()
         assert trip["/truth"].speed.max() <= limit + 0.3
         assert trip["/reference"].speed.notna().any()
+
+
+def test_with_the_map_trips_are_on_time_and_hardly_slip(results: Path) -> None:
+    known, blind = (
+        punctuality(sorted((results / folder).glob("*.mcap")))
+        for folder in ("driven", "driven-blind")
+    )
+    assert known.trips == blind.trips == 12
+    assert abs(known.late) <= 1.0
+    assert known.slips <= 0.1 * blind.slips
+    for log in (results / "driven").glob("*.mcap"):
+        trip = trainlog.read(log)
+        truth, line = trip["/truth"], line_of(trip)
+        assert np.max(truth.speed - line.speed_limit(np.minimum(truth.position, line.length))) <= 0
+        assert abs(truth.position.iloc[-1] - line.length) <= 0.3
 
 
 def test_every_result_says_what_it_was_made_from(results: Path) -> None:

@@ -21,7 +21,7 @@ MARKER = ".trainlog-demo"
 def commands(output: Path) -> list[list[str]]:
     """The commands of the demo, without the leading ``trainlog``; results go to `output`."""
     samples, trips, recorded = output / "sample_logs", output / "trips", output / "recorded"
-    driven = output / "driven"
+    driven, blind = output / "driven", output / "driven-blind"
     parameters, condition = output / "parameters.json", output / "map.json"
     trajectory = output / "trajectory.json"
     known: list[str | Path] = ["--line", samples / DEFAULT_LINE, "--train", samples / DEFAULT_TRAIN]
@@ -29,7 +29,9 @@ def commands(output: Path) -> list[list[str]]:
     profile: list[str | Path] = ["--profile", samples / "recorder.profile.toml"]
     rail: list[str | Path] = ["--map", condition, "--layer", "wet"]
     every = ["--configurations", "all"]
-    plan: list[str | Path] = ["--trajectory", trajectory, "--map", condition]
+    known_rail: list[str | Path] = ["--map", condition]
+    plan: list[str | Path] = ["--trajectory", trajectory]
+    wet = ["--weather", "wet"]
     steps: list[list[str | Path]] = [
         ["samples", samples],
         ["simulate", "--count", "12", "--seed", "1", "-o", trips],
@@ -39,10 +41,11 @@ def commands(output: Path) -> list[list[str]]:
         ["fit", trips, "-o", parameters],
         ["map", "update", trips, "--map", condition],
         ["optimise", parameters, *rail, "--as-fast-as", trips, "-o", trajectory],
-        ["simulate", "--trajectory", trajectory, *every, "--weather", "wet", "-o", driven],
-        ["compare", trips, "--with", driven],
+        ["simulate", *plan, *known_rail, *every, *wet, "-o", driven],
+        ["simulate", *plan, *every, *wet, "-o", blind],
+        ["compare", trips, "--with", driven, "--with", blind],
         ["estimate", trips / "trip-03.mcap", "-o", output / "estimated"],
-        ["replay", output / "estimated", driven, *plan, "-o", output / "replay.rrd"],
+        ["replay", output / "estimated", driven, *plan, *known_rail, "-o", output / "replay.rrd"],
         ["report", output],
     ]
     return [[str(word) for word in step] for step in steps]

@@ -122,17 +122,23 @@ def replay(
 def compare(
     logs: Logs,
     followed: Annotated[
-        Path, typer.Option("--with", help="Log or folder of trips that followed a trajectory.")
+        list[Path],
+        typer.Option("--with", help="Log or folder of trips that followed a trajectory; several."),
     ],
 ) -> None:
-    """Compare drivers' trips with trips that followed a trajectory: time and energy.
+    """Compare drivers' trips with trips that followed a trajectory: time, energy and slip.
+
+    Given several times, --with makes a table each, as of trips that knew a map and of others.
 
     Example: trainlog compare results/trips --with results/driven
     """
     from analysis.compare import savings
     from analysis.report import savings_table
 
-    console.print(savings_table(savings(logs_in(logs), logs_in([followed]))))
+    for each in followed:
+        if len(followed) > 1:
+            console.print(f"with {each}", highlight=False)
+        console.print(savings_table(savings(logs_in(logs), logs_in([each]))))
 
 
 @app.command(rich_help_panel="Look")
