@@ -13,11 +13,12 @@ from itertools import count, product
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.trajectory.amend import amended
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.infeasible import LATE, brakes_explained, names_of, time_explained
 from analysis.trajectory.minimax import Solution, minimise, with_costates
-from analysis.trajectory.pace import capped_run, cell_times, delays, realise, ride_along
+from analysis.trajectory.pace import capped_run, cell_times, delays, energy_of, realise, ride_along
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
 from trainlog.errors import InfeasibleError
@@ -27,8 +28,20 @@ FloatArray = NDArray[np.float64]
 _OVER = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
 
-_COARSE = 1e-4
-"""Tolerance of a search that only prepares another, relative; of lateness 15 times that [s]."""
+_WIDER = 50.0
+"""Times the tolerances for others, in a search that only prepares another."""
+
+_EXACT = (2e-6, 3e-5)
+"""Relative change of energy, and lateness [s], that programs leave where nothing is amended."""
+
+_NEARLY = (3e-5, 0.05)
+"""The same where what they leave is amended."""
+
+_ROUGHLY = (1e-4, 0.05)
+"""The same in a search that only prepares another."""
+
+_DEARER = 1e-5
+"""Relative loss for which nothing is amended."""
 
 _IDLE = 1e-3
 """Switching function below which a configuration has no say, and leaves a prepared set."""
@@ -38,6 +51,9 @@ _SHORT = 0.05
 
 _MANY = 40
 """Configurations above which only those that stand out are scouted with."""
+
+_CONE_TOLERANCE = 1e-8
+"""Of the cone solver's value, absolute [J/kg] and relative."""
 
 _CLOSE = 0.1
 """Gap, times the number of cells, above which a better bound is looked for."""
@@ -183,28 +199,53 @@ def search(
         If there is no such trajectory; with the figures.
     """
     rows, plan, price = list(guess.rows), guess.plan, guess.price
-    wider, statuses = (_COARSE / 2e-6 if coarse else 1.0), list(guess.statuses)
+    wider, statuses = (_WIDER if coarse else 1.0), list(guess.statuses)
+    nearly = _ROUGHLY if coarse else _NEARLY
+    # What may be amended afterwards the programs need not find to the last digit.
+    exact = problem.common or bool(np.isfinite(problem.earliest).any())
     for turns in count(1):
-        part = problem.select(rows)
-        solution = _optimum(part, plan, price, speeds[rows], running_time, 2e-6 * wider)
+        part, accuracy = problem.select(rows), _EXACT if exact else nearly
+        solution = _optimum(part, plan, price, speeds[rows], running_time, *accuracy)
         statuses.extend(solution.statuses)
         everyone = _all_ride(problem, rows, part, solution.plan)
-        new = _violators(problem, everyone, running_time, rows, wider) - set(rows)
-        if not new:
+        own = delays(part, everyone.select(rows), running_time)[0]
+        overdue = max(float(own.max()), 0.0)
+        new = sorted(_violators(problem, everyone, running_time + overdue, rows, wider) - set(rows))
+        found = (solution, everyone) if not new and (coarse or exact) else None
+        if not (new or coarse or exact):
+            owed = solution.energy + overdue * float(solution.time_price.sum())
+            found = _amended(problem, rows, solution, running_time, owed)
+        if found is not None:
+            solution, everyone = found
             if not coarse:
                 solution = with_costates(part, solution, running_time)
                 statuses.append(solution.statuses[-1])
             return Answer(everyone, tuple(rows), solution, turns, tuple(statuses))
+        exact = exact or not new
         price = np.append(solution.time_price, np.zeros(len(new)))
-        late, plan = sorted(new), solution.plan
-        plan = Plan(
-            np.concatenate((plan.z, everyone.z[late])),
-            plan.traction,
-            np.concatenate((plan.braking, everyone.braking[late])),
-            np.concatenate((plan.dynamic, everyone.dynamic[late])),
-        )
-        rows += late
+        plan = solution.plan.joined(everyone.select(new))
+        rows += new
     raise AssertionError  # for ever is long enough
+
+
+def _amended(
+    problem: Problem, rows: list[int], solution: Solution, running_time: float, owed: float
+) -> tuple[Solution, Plan] | None:
+    """The solution made exact without another program, and how all ride.
+
+    None where that is not possible, or costs more than the energy `owed` anyway.
+    """
+    part = problem.select(rows)
+    traction = amended(part, solution.plan, running_time)
+    if traction is None:
+        return None
+    everyone = _all_ride(problem, rows, part, replace(solution.plan, traction=traction))
+    driven = everyone.select(rows)
+    others = _violators(problem, everyone, running_time, rows, 1.0)
+    energy = energy_of(part, driven)
+    if others or _violators(part, driven, running_time, [], 1.0) or energy > owed * (1.0 + _DEARER):
+        return None
+    return replace(solution, plan=driven, energy=energy), everyone
 
 
 def best_bound(
@@ -222,18 +263,15 @@ def best_bound(
     if bound >= close * solution.energy:
         return bound, "multipliers"
     priced = np.flatnonzero(solution.time_price > _SHORT * solution.time_price.max()).tolist()
-    rows, plan = [answer.active[row] for row in priced], solution.plan
+    rows = [answer.active[row] for row in priced]
     if problem.run.objective == "expected":
         priced, rows = list(range(len(answer.active))), list(answer.active)
     if len(priced) < len(answer.active):
         part = problem.select(rows)
-        alone = Plan(plan.z[priced], plan.traction, plan.braking[priced], plan.dynamic[priced])
-        try:
-            solution = minimise(part, alone, solution.time_price[priced], running_time, rounds=1)
-            solution = with_costates(part, solution, running_time)
-            bound = max(bound, _bounded(part, solution, running_time))
-        except NoSolutionError:
-            solution = answer.solution
+        told = solution.multipliers.select(priced)
+        alone = replace(solution, plan=solution.plan.select(priced), multipliers=told)
+        solution = with_costates(part, alone, running_time)
+        bound = max(bound, _bounded(part, solution, running_time))
         if bound >= close * answer.solution.energy:
             return bound, "multipliers of those short of time"
     try:
@@ -241,7 +279,9 @@ def best_bound(
     except NoSolutionError:
         return bound, "multipliers"
     spare = _spare(part, solution.plan)
-    relaxation = relaxed.bound - float(relaxed.time_price @ spare)
+    # The cone solver's value may be above the least by what it stops at.
+    value = relaxed.bound - _CONE_TOLERANCE * (1.0 + abs(relaxed.bound))
+    relaxation = value - float(relaxed.time_price @ spare)
     return max(bound, relaxation), f"cone relaxation: {relaxed.status}"
 
 
@@ -290,7 +330,7 @@ def _violators(
         ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
         ((plan.z - ceiling) / problem.ceiling.max()).max(axis=1),
     ]
-    if problem.run.at_line:
+    if problem.run.at_line and active:
         spent = -(plan.dynamic @ problem.step)
         excesses.append((spent - np.median(spent)) / (plan.traction @ problem.step))
     found: set[int] = set()
@@ -324,6 +364,7 @@ def _optimum(
     speeds: FloatArray,
     running_time: float,
     tolerance: float,
+    late: float,
 ) -> Solution:
     """The optimum for these configurations, from a plan, or else from their relaxation.
 
@@ -332,10 +373,11 @@ def _optimum(
     InfeasibleError
         With what is missing: time, or with common braking a higher speed at the end.
     """
-    late = max(LATE, 15.0 * tolerance)
     try:
-        solution = minimise(problem, plan, price, running_time, rounds=12, tolerance=tolerance)
-        if solution.settled and solution.lateness <= late:
+        solution = minimise(
+            problem, plan, price, running_time, rounds=12, tolerance=tolerance, lateness=late
+        )
+        if solution.settled and solution.lateness <= max(LATE, late):
             return solution
     except NoSolutionError:
         pass
@@ -348,9 +390,10 @@ def _optimum(
         raise time_explained(problem, relaxation, running_time, str(word)) from None
     try:
         solution = minimise(
-            problem, relaxed.plan, relaxed.time_price, running_time, tolerance=tolerance
-        )
-        if solution.lateness <= late:
+            problem, relaxed.plan, relaxed.time_price, running_time, tolerance=tolerance,
+            lateness=late,
+        )  # fmt: skip
+        if solution.lateness <= max(LATE, late):
             return replace(solution, statuses=(relaxed.status, *solution.statuses))
         why = f"{solution.lateness:.2f} s are missing"
     except NoSolutionError as failure:

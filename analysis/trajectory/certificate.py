@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from analysis.trajectory.active_set import Answer
 from analysis.trajectory.audit import SUBSTEPS, Audit
 from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.minimax import NEXT_TO_NOTHING
 from analysis.trajectory.pace import paced_run
 from analysis.trajectory.phases import agreement, phases_by_control, spelled
 from analysis.trajectory.problem import Plan, Problem
@@ -36,7 +37,8 @@ def certificate_of(
     energy, bound = float(energies.max()), lower[0] * problem.reference
     if run.objective == "expected":
         energy = float(problem.weights @ energies)
-    gap = energy / bound - 1.0
+    # Down a hill there may be next to nothing to spend, and no part of it to tell.
+    gap = (energy - bound) / max(bound, NEXT_TO_NOTHING * problem.reference)
     names = [configuration.name for configuration in run.configurations]
     return {
         "energy": energy,

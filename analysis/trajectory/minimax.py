@@ -8,6 +8,7 @@ its curvature, weighted with the multiplier of the time, goes into the objective
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,9 @@ FloatArray = NDArray[np.float64]
 
 _Limited = tuple[int, NDArray[np.int64], NDArray[np.int64]]
 """A configuration, cells in which its power is limited, and the rows that say so."""
+
+NEXT_TO_NOTHING = 1e-3
+"""Energy next to which differences are not told [J/kg]: that of a train at 5 cm/s."""
 
 _FLOOR = 1e-5
 """Smallest ``z`` between the two ends [m²/s²]."""
@@ -97,6 +101,11 @@ class Multipliers:
         """
         before = np.arange(problem.shape[1]) < problem.passed[:, None]
         return np.asarray(self.time[:, None] + (self.passing - self.opening) @ before)
+
+    def select(self, rows: Sequence[int]) -> Multipliers:
+        """Those of some of the configurations."""
+        chosen = list(rows)
+        return Multipliers(**{name: values[chosen] for name, values in vars(self).items()})
 
     def convex(self) -> Multipliers:
         """The same with no more on the earliest times than leaves every second worth something.
@@ -195,6 +204,7 @@ def minimise(
     *,
     rounds: int = 40,
     tolerance: float = 2e-6,
+    lateness: float | None = None,
 ) -> Solution:
     """Minimise the worst-case energy, beginning from a plan.
 
@@ -211,6 +221,8 @@ def minimise(
         Most quadratic programs to solve.
     tolerance : float
         Relative change of energy below which a round is the last.
+    lateness : float, optional [s]
+        That may be left besides; without it, 15 s times the tolerance.
 
     Raises
     ------
@@ -220,6 +232,7 @@ def minimise(
     plan, motion = start, Motion.about(problem, start)
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
+    allowed = 15.0 * tolerance if lateness is None else lateness
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
@@ -231,7 +244,7 @@ def minimise(
         late, early = delays(problem, realise(problem, plan), running_time)
         off = max(float(late.max()), float(early.max())) - solution.lateness
         changed = min(abs(solution.energy - energy), solution.moved)
-        settled = changed <= tolerance * abs(solution.energy) and off <= 15.0 * tolerance
+        settled = changed <= tolerance * max(solution.energy, NEXT_TO_NOTHING) and off <= allowed
         if settled or len(statuses) == rounds:
             return replace(solution, statuses=tuple(statuses), settled=settled)
         energy = solution.energy

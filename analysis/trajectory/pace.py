@@ -170,15 +170,34 @@ def ride_along(problem: Problem, traction: FloatArray, braking: FloatArray | Non
         z = np.broadcast_to(problem.ceiling, (q, n + 1)).copy()
         z[:, 0] = problem.initial
         return drive(problem, Plan(z, traction, everyone, np.minimum(everyone, problem.dynamic)))
-    curves = braking_curves(problem, traction)
+    z, braking = ride_below(problem, braking_curves(problem, traction), traction)
+    return Plan(z, traction, braking, dynamic_share(problem, z, braking))
+
+
+def ride_below(
+    problem: Problem, curves: FloatArray, traction: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """``z`` and braking under a given traction, braking as late as the `curves` allow."""
     z, braking = in_parts(
-        q,
+        problem.shape[0],
         lambda part: ride_late(
             curves[part], traction, problem.initial, problem.gain[part], problem.drag0[part],
             problem.drag1[part], problem.drag2[part], problem.step,
         ),
     )  # fmt: skip
-    return Plan(z, traction, braking, dynamic_share(problem, z, braking))
+    return z, braking
+
+
+def energy_of(problem: Problem, plan: Plan) -> float:
+    """What the run minimises of a plan as it is driven: worst or expected energy [J/kg]."""
+    run = problem.run
+    wheel = float(plan.traction @ problem.step)
+    if not run.at_line:
+        return wheel
+    train = run.train
+    regained = train.efficiency_regeneration * (plan.dynamic @ problem.step)
+    least = problem.weights @ regained if run.objective == "expected" else regained.min()
+    return float(wheel / train.efficiency_traction - least)
 
 
 def dynamic_share(problem: Problem, z: FloatArray, braking: FloatArray) -> FloatArray:

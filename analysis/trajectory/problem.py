@@ -146,6 +146,20 @@ class Plan:
     braking: FloatArray
     dynamic: FloatArray
 
+    def select(self, rows: Sequence[int]) -> Plan:
+        """The same plan for some of the configurations."""
+        chosen = list(rows)
+        return Plan(self.z[chosen], self.traction, self.braking[chosen], self.dynamic[chosen])
+
+    def joined(self, other: Plan) -> Plan:
+        """With the configurations of another plan of the same traction behind its own."""
+        return Plan(
+            np.concatenate((self.z, other.z)),
+            self.traction,
+            np.concatenate((self.braking, other.braking)),
+            np.concatenate((self.dynamic, other.dynamic)),
+        )
+
 
 def inside(positions: FloatArray, parts: int) -> FloatArray:
     """Positions [m] of the ends of equal parts of each cell, (n, parts + 1).
