@@ -17,7 +17,7 @@ from analysis.trajectory.amend import amended
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.infeasible import LATE, brakes_explained, names_of, time_explained
-from analysis.trajectory.minimax import Solution, minimise, with_costates
+from analysis.trajectory.minimax import EVENNESS, Solution, minimise, with_costates
 from analysis.trajectory.pace import capped_run, cell_times, delays, energy_of, realise, ride_along
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
@@ -31,13 +31,14 @@ _OVER = 5e-7
 _WIDER = 50.0
 """Times the tolerances for others, in a search that only prepares another."""
 
-_EXACT = (2e-6, 3e-5)
-"""Relative change of energy, and lateness [s], that programs leave where nothing is amended."""
+_EXACT = (2e-6, 3e-5, EVENNESS)
+"""Relative change of energy and lateness [s] that programs leave where nothing is amended, and the
+price of evenness."""
 
-_NEARLY = (3e-5, 0.05)
+_NEARLY = (3e-5, 0.05, EVENNESS)
 """The same where what they leave is amended."""
 
-_ROUGHLY = (1e-4, 0.05)
+_ROUGHLY = (1e-4, 0.05, 0.0)
 """The same in a search that only prepares another."""
 
 _DEARER = 1e-5
@@ -365,6 +366,7 @@ def _optimum(
     running_time: float,
     tolerance: float,
     late: float,
+    evenness: float,
 ) -> Solution:
     """The optimum for these configurations, from a plan, or else from their relaxation.
 
@@ -375,7 +377,14 @@ def _optimum(
     """
     try:
         solution = minimise(
-            problem, plan, price, running_time, rounds=12, tolerance=tolerance, lateness=late
+            problem,
+            plan,
+            price,
+            running_time,
+            rounds=12,
+            tolerance=tolerance,
+            lateness=late,
+            evenness=evenness,
         )
         if solution.settled and solution.lateness <= max(LATE, late):
             return solution
@@ -391,7 +400,7 @@ def _optimum(
     try:
         solution = minimise(
             problem, relaxed.plan, relaxed.time_price, running_time, tolerance=tolerance,
-            lateness=late,
+            lateness=late, evenness=evenness,
         )  # fmt: skip
         if solution.lateness <= max(LATE, late):
             return replace(solution, statuses=(relaxed.status, *solution.statuses))

@@ -26,7 +26,15 @@ SLOW = 0.2
 
 
 _SETTINGS: dict[str, dict[str, Any]] = {
-    cp.PIQP: {"eps_abs": 1e-7, "eps_rel": 1e-8, "eps_duality_gap_rel": 1e-8, "max_iter": 150}
+    cp.PIQP: {
+        "eps_abs": 1e-7,
+        "eps_rel": 1e-8,
+        "eps_duality_gap_rel": 1e-8,
+        "max_iter": 150,
+        # Regularised less, the last steps of programs of several configurations drown in
+        # rounding, and the solver stands still.
+        "reg_finetune_lower_limit": 1e-11,
+    }
 }
 """What the solvers stop at: beyond it the rounding of large programs makes some of them stall."""
 

@@ -55,7 +55,7 @@ It damps configurations whose speed the optimum leaves open; at the fixed point 
 """
 
 
-_EVENNESS = 7e-4
+EVENNESS = 7e-4
 """Price of the squared change of effort from cell to cell [s²/m]."""
 
 _SHORT_CELL = 20.0
@@ -204,7 +204,8 @@ def minimise(
     *,
     rounds: int = 40,
     tolerance: float = 2e-6,
-    lateness: float | None = None,
+    lateness: float = 3e-5,
+    evenness: float = EVENNESS,
 ) -> Solution:
     """Minimise the worst-case energy, beginning from a plan.
 
@@ -221,8 +222,10 @@ def minimise(
         Most quadratic programs to solve.
     tolerance : float
         Relative change of energy below which a round is the last.
-    lateness : float, optional [s]
-        That may be left besides; without it, 15 s times the tolerance.
+    lateness : float [s]
+        That may be left besides.
+    evenness : float [s²/m]
+        Price of the squared change of effort from cell to cell.
 
     Raises
     ------
@@ -232,19 +235,18 @@ def minimise(
     plan, motion = start, Motion.about(problem, start)
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
-    allowed = 15.0 * tolerance if lateness is None else lateness
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
         program = _Round(problem, plan, motion, price)
-        solution = program.solve(running_time, radius, lateness_price, evenness=_EVENNESS)
+        solution = program.solve(running_time, radius, lateness_price, evenness=evenness)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
         motion = Motion.about(problem, plan)
         late, early = delays(problem, realise(problem, plan), running_time)
         off = max(float(late.max()), float(early.max())) - solution.lateness
         changed = min(abs(solution.energy - energy), solution.moved)
-        settled = changed <= tolerance * max(solution.energy, NEXT_TO_NOTHING) and off <= allowed
+        settled = changed <= tolerance * max(solution.energy, NEXT_TO_NOTHING) and off <= lateness
         if settled or len(statuses) == rounds:
             return replace(solution, statuses=tuple(statuses), settled=settled)
         energy = solution.energy
