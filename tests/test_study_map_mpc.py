@@ -75,6 +75,17 @@ def test_with_the_map_no_axle_skids_or_slides_and_without_it_they_do(
     assert blind.worst[1] > 0.0
 
 
+def test_the_lever_does_not_swing_where_wheels_creep_much(
+    outcomes: dict[tuple[str, float], study.Outcome],
+) -> None:
+    for found in (
+        outcomes["weather turns bad", PAPER_000.mass].informed,
+        outcomes["weather turns bad", PAPER_000.mass].blind,
+    ):
+        at_work = found.lever[np.abs(found.lever) > 0.02]
+        assert np.count_nonzero(np.diff(np.sign(at_work))) < 10
+
+
 def test_the_delay_shrinks_but_not_below_what_physics_allows(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:

@@ -65,14 +65,15 @@ class Tuning:
     position : float [1/m²]
         Q is this times the unit matrix.
     lever : float
-        R likewise.
+        R likewise. The paper's 0.01 makes the lever swing where wheels creep much: on a rail that
+        holds little the effort comes late, and so high a gain does not bear that.
     mass : float [kg]
         What the controller takes the train to weigh.
     """
 
     horizon: int = 20
     position: float = 1.0
-    lever: float = 0.01
+    lever: float = 0.1
     mass: float = NOMINAL_MASS
 
     def __post_init__(self) -> None:
