@@ -137,7 +137,7 @@ def test_masses_at_both_ends_of_the_set_and_a_brake_that_takes_its_time() -> Non
         assert abs(found["position"][-1] - hilly_line().length) < 0.3
         assert found["over"] <= 0.0
         # What such a brake is not trusted with costs a little time at every lower limit.
-        assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 2.5
+        assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 3.0
 
 
 def test_a_late_train_catches_up_as_far_as_physics_allow() -> None:
@@ -269,11 +269,11 @@ def test_the_guard_keeps_every_train_of_the_set_within_bounds(
     can, road = known(name)
     speed = share * float(np.sqrt(highest(position, road)))
     past = np.zeros(20 if name == "friction" else 6)
-    found = kernels.guarded(position, speed, 0.0, past, effort, 5, 12, road, can)
+    found = kernels.guarded(position, speed, 0.0, past, 0.0, effort, 5, 12, road, can)
     low, high = kernels.allowed(position, speed, position, road, can)
     assert low - 1e-12 <= found <= high + 1e-12
     assert found <= max(effort, low) + 1e-12
-    safe = kernels.keeps(position, speed, 0.0, past, found, 5, 12, road, can)
+    safe = kernels.keeps(position, speed, 0.0, past, 0.0, found, 5, 12, road, can)
     assert safe or found == pytest.approx(
         kernels.allowed(position, speed, position + 0.5 * speed, road, can)[0]
     )

@@ -38,8 +38,8 @@ SHORTEST = 3
 SLOW = 1.0
 """Below this speed [m/s] nothing is learnt: brakes fade and grip."""
 
-CREEPING = 0.3
-"""Acceleration with which a train that stands short of its stop moves up [m/s²]."""
+CREEPING, MOVING_UP = 0.3, 10.0
+"""Acceleration [m/s²] with which a train moves up that stands short of its stop by this [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,14 +189,14 @@ class Follower:
         self._since = seen.position, seen.speed
         self._acted = []
 
-    def _decide(self, seen: Observation) -> float:
-        """The specific effort [m/s²] until the next decision."""
+    def program(self, seen: Observation) -> Program:
+        """The program of a decision at a state; its `levers` are specific efforts [m/s²].
+
+        The first is held until the next decision; the horizon ends at the stop at the latest.
+        """
         tuning, can, road = self.tuning, self._can, self._way
         belief = self._observer.belief
-        lasting = belief._replace(drift=0.0)
-        p, v = seen.position, seen.speed
-        if v < AT_REST and p > road.end - 10.0:
-            return self._guarded(seen, CREEPING)
+        p, v, lasting = seen.position, seen.speed, belief._replace(drift=0.0)
         left = self._arrival - seen.time
         self._factor, time, count = paced(left, self._factor, p, v, self._rows, lasting, road, can)
         most = round(tuning.step / TICK)
@@ -204,27 +204,28 @@ class Follower:
         n = int(np.clip(math.ceil(time / (ticks * TICK)), SHORTEST, tuning.horizon))
         target, aim = sampled(self._rows, count, n, ticks * TICK)
         aim = aim - belief.drift / belief.gain
+        plan = self._guess(aim, ticks, seen.time)
         states, response, kept, low, high = kernels.linearised(
-            p,
-            v,
-            self._friction,
-            self._past,
-            self._guess(aim, ticks, seen.time),
-            ticks,
-            belief,
-            road,
-            can,
+            p, v, self._friction, self._past, plan, ticks, belief, road, can
         )
-        found = kernels.condensed(
+        hessian, gradient, rows, upper, lower = kernels.condensed(
             states, response, kept, low, high, target, aim, self._effort, tuning.weights,
             ticks * TICK, belief, road,
         )  # fmt: skip
-        hessian, gradient, rows, upper, lower = found
-        change, status = solve(Program(hessian, gradient, rows, upper, lower, kept))
+        self._ticks = ticks
+        return Program(hessian, gradient, rows, upper, lower, kept)
+
+    def _decide(self, seen: Observation) -> float:
+        """The specific effort [m/s²] until the next decision."""
+        if seen.speed < AT_REST and seen.position > self._way.end - MOVING_UP:
+            back = kernels.resisted(seen.position, 0.0, self._observer.belief, self._way, self._can)
+            return self._guarded(seen, CREEPING + max(back, 0.0))
+        program = self.program(seen)
+        change, status = solve(program)
         if status <= 0:
             self.unsolved += 1
-            change = np.zeros(n)
-        self._plan, self._ticks = kept + change, ticks
+            change = np.zeros(program.levers.size)
+        self._plan = program.levers + change
         return self._guarded(seen, float(self._plan[0]))
 
     def _guarded(self, seen: Observation, effort: float) -> float:
@@ -232,11 +233,11 @@ class Follower:
         can = self._can
         held = max(round(min(self.tuning.every, self._ticks * TICK) / TICK), 1)
         lead = 2
-        if at_once(seen.speed, can) < 0.5 * can.braking:
+        if at_once(seen.speed, can) < can.braking:
             lead += len(self._past) + round(2.0 * can.lag / TICK)
         return float(
             kernels.guarded(
-                seen.position, seen.speed, self._friction, self._past, effort,
+                seen.position, seen.speed, self._friction, self._past, self._effort, effort,
                 held, held + lead, self._way, can,
             )
         )  # fmt: skip

@@ -240,12 +240,13 @@ def condensed(
 
 @njit(cache=True)
 def keeps(
-    p: float, v: float, f: float, past: FloatArray, u: float, held: int, ticks: int,
-    w: Way, can: Able,
+    p: float, v: float, f: float, past: FloatArray, before: float, u: float, held: int,
+    ticks: int, w: Way, can: Able,
 ) -> bool:  # fmt: skip
     """Whether every train of the set keeps its speed for so many ticks.
 
-    The specific effort `u` is held for some of them; after that it brakes with all it has.
+    The specific effort goes from `before` to `u`, which takes the drive a tick, and is held for
+    some of them; after that the train brakes with all it has.
     """
     over = max(v - math.sqrt(highest(p, w)) - MARGIN, 0.0)
     fade, dead = math.exp(-TICK / can.lag), past.size
@@ -257,14 +258,16 @@ def keeps(
             if i >= held:
                 wanted = min(u, -bounds(place, speed, w, can)[1] / can.inertia)
             quick, asked = split(wanted, speed, can)
+            if i == 0:
+                quick = max(quick, before)
             late = asked
             if i < dead:
                 late = past[i]
             elif i - dead < held:
                 late = split(u, speed, can)[1]
-            before = friction
+            earlier = friction
             friction = late + (friction - late) * fade
-            a = gain * (quick - 0.5 * (before + friction)) - held_back(place, speed, row, w)
+            a = gain * (quick - 0.5 * (earlier + friction)) - held_back(place, speed, row, w)
             after = max(speed + TICK * a, 0.0)
             place += 0.5 * TICK * (speed + after)
             speed = after
@@ -277,26 +280,28 @@ def keeps(
 
 @njit(cache=True)
 def guarded(
-    p: float, v: float, f: float, past: FloatArray, u: float, held: int, ticks: int,
-    w: Way, can: Able,
+    p: float, v: float, f: float, past: FloatArray, before: float, u: float, held: int,
+    ticks: int, w: Way, can: Able,
 ) -> float:  # fmt: skip
     """The specific effort next to `u` that keeps limits, adhesion and comfort for every train.
 
     Parameters
     ----------
+    before : float
+        The effort of now.
     held, ticks : int
         For how many ticks it is held, and how far is looked ahead.
     """
     low, high = allowed(p, v, p + v * held * TICK, w, can)
     u = min(max(u, low), high)
-    if keeps(p, v, f, past, u, held, ticks, w, can):
+    if keeps(p, v, f, past, before, u, held, ticks, w, can):
         return u
-    if not keeps(p, v, f, past, low, held, ticks, w, can):
+    if not keeps(p, v, f, past, before, low, held, ticks, w, can):
         return low
     good, bad = low, u
     for _ in range(14):
         middle = 0.5 * (good + bad)
-        if keeps(p, v, f, past, middle, held, ticks, w, can):
+        if keeps(p, v, f, past, before, middle, held, ticks, w, can):
             good = middle
         else:
             bad = middle

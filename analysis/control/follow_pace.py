@@ -35,6 +35,9 @@ LAST = 10.0
 SLOWEST, FASTEST = 0.6, 3.0
 """Bounds of the factor."""
 
+CRAWL = 0.3
+"""Least speed on the way [m/s]."""
+
 SETTLED = 0.02
 """To which the arrival is met [s]."""
 
@@ -55,7 +58,7 @@ def ahead(
     Returns
     -------
     time : float [s]
-        Until the stop; infinite if the train would come to a stand before.
+        Until the stop.
     count : int
         Of the rows filled.
     """
@@ -82,9 +85,8 @@ def ahead(
         goal = factor * factor * max(value(w.goal, w.origin, q), 0.0)
         found = min(max(min(goal, most), least), highest(q, w))
         if q < w.end:
-            if most <= 0.0:
-                return np.inf, count
-            found = max(found, 1e-3)
+            # Where it would stall it crawls: the time tells, and the train pulls all it can.
+            found = max(found, CRAWL * CRAWL)
         after = math.sqrt(max(found, 0.0))
         if count < rows.shape[0] - 1:
             rows[count, 0], rows[count, 1], rows[count, 2] = p, speed, time
@@ -127,7 +129,7 @@ def paced(
         for turn in range(20):
             # Regula falsi and bisection in turns: the time has kinks.
             share = 0.5
-            if turn % 2 == 0 and slow < 1e9:
+            if turn % 2 == 0:
                 share = min(max((slow - left) / max(slow - fast, 1e-9), 0.05), 0.95)
             factor = low + share * (high - low)
             time, count = ahead(factor, p, v, rows, b, w, can)

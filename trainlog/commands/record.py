@@ -88,11 +88,19 @@ def simulate(
             trajectory, the_line, the_train, configurations, seed, weather or "dry", condition, late
         )
     made_folder(output)
+    followed = []
     with progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
             trip = drive(scenario)
             write_log(trip, output / f"{trip.name}.mcap")
             progress.console.print(about(trip), highlight=False, markup=False)
+            if trajectory is not None:
+                followed.append(trip)
+    if followed:
+        from analysis.pictures.following import draw_following
+
+        draw_following(followed, output / "following.png")
+        wrote(output / "following.png")
 
 
 def _following(
