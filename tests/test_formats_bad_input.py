@@ -272,7 +272,7 @@ OTHER_CASES = [
     ),
     ("trajectory", "speeds.values.0.1", -3, "f.json, speeds.values: must not be negative"),
     ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times: rows differ in length"),
-    ("trajectory", "configurations", [], "f.json, configurations: has too few entries; give at l"),
+    ("trajectory", "configurations", [], "f.json, configurations: has too few entries; give at le"),
     ("map", "layers.dry.log_std.values", [1], "f.json, layers.dry.log_std: has 1 values, needs 2;"),
     (
         "map",
@@ -294,7 +294,7 @@ CONSIST_CASES = [
     ("vehicles.0.mass.value", -1, "f.json, vehicles[0]: vehicle 'wagon': mass -1000.0 is not"),
     ("vehicles.0.count", 0, "f.json, vehicles[0].count: input should be greater than 0"),
     ("vehicles.0.count", 9, "f.json: consist 'train of paper 004, 8 wagons': 9 vehicles need 8"),
-    ("vehicles", [], "f.json, vehicles: has too few entries; give at least one"),
+    ("vehicles", [], "f.json, vehicles: has too few entries; give at least 1 item"),
     (
         "vehicles.0.length.unit",
         "t",

@@ -44,6 +44,9 @@ NEIGHBOURS = 9
 ROUNDS = 6
 """Most rounds of leaving out outliers."""
 
+_BLOCK = 4096
+"""Windows whose covariance is turned into that of resistance and mass at once."""
+
 CLUSTER = 80.0
 """Windows that begin within the same so many seconds form a cluster: one or two kilometres."""
 
@@ -126,7 +129,7 @@ def regress(
             break
         kept[np.flatnonzero(kept)[far]] = False
     factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, covariances[-1], used.start))
-    beta, covariance = _physical(theta, factor * covariances)
+    beta, covariance = _physical(theta, covariances, factor)
     return Regression(
         beta=beta[-1],
         covariance=covariance[-1],
@@ -164,11 +167,21 @@ def _cluster_ratio(
     return float(spread / rows.shape[1])
 
 
-def _physical(theta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """From the acceleration form (n, 6) to r0, r1, r2 and mass (n, 4), with the covariance."""
+def _physical(
+    theta: FloatArray, covariance: FloatArray, factor: float
+) -> tuple[FloatArray, FloatArray]:
+    """From the acceleration form (n, 6) to r0, r1, r2 and mass (n, 4), with `factor` covariances.
+
+    In blocks: a log of days has a hundred thousand of them.
+    """
     inverse_mass = theta[:, :1]
     beta = np.column_stack([theta[:, 1:4] / inverse_mass, 1.0 / inverse_mass])
-    jacobian = np.zeros((len(theta), 4, theta.shape[1]))
-    jacobian[:, :, 0] = -beta / inverse_mass
-    jacobian[:, [0, 1, 2], [1, 2, 3]] = 1.0 / inverse_mass
-    return beta, jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+    spread = np.empty((len(theta), 4, 4))
+    for first in range(0, len(theta), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        scale = inverse_mass[part]
+        jacobian = np.zeros((len(scale), 4, theta.shape[1]))
+        jacobian[:, :, 0] = -beta[part] / scale
+        jacobian[:, [0, 1, 2], [1, 2, 3]] = 1.0 / scale
+        spread[part] = jacobian @ (factor * covariance[part]) @ jacobian.transpose(0, 2, 1)
+    return beta, spread

@@ -132,12 +132,17 @@ def told(error: ValidationError, file: str | Path) -> InputError:
         "missing": (f"'{key}' is missing", "add it"),
         "extra_forbidden": (f"unknown key '{key}'", "correct its spelling or remove it"),
         "finite_number": ("is not a finite number", "give one"),
-        "too_short": ("has too few entries", "give at least one"),
+        "too_short": ("has too few entries", f"give {_at_least(first)}"),
     }.get(first["type"], (_sentence(first["msg"]), None))
     others = len(complaints) - 1
     if others:
         problem += f" (and {others} more {'problem' if others == 1 else 'problems'})"
     return InputError(problem, file=file, place=place.lstrip(".") or None, remedy=remedy)
+
+
+def _at_least(complaint: ErrorDetails) -> str:
+    least = complaint.get("ctx", {}).get("min_length", 1)
+    return f"at least {least} item{'' if least == 1 else 's'}"
 
 
 def _sentence(message: str) -> str:

@@ -23,7 +23,10 @@ from trainlog.spans import ALWAYS
 from trainlog.trip import Trip
 
 ROWS = 750_000
-"""Rows of a stretch over all topics read."""
+"""Rows over all topics read up to which a log is one stretch."""
+
+FINER = 3
+"""Of a longer log a stretch has so many times fewer: beside it stands what was made of the rest."""
 
 MARGIN = 60.0
 """Time that is read before and after a stretch [s]."""
@@ -72,8 +75,8 @@ def stretches(
     topics : sequence of str, optional
         Default: all.
     rows : int, optional
-        A stretch has about so many rows over these topics at most, without its margins. Default:
-        `ROWS`.
+        A log with so many rows over these topics is one stretch; the stretches of a longer one
+        have `FINER` times fewer, without their margins. Default: `ROWS`.
 
     Yields
     ------
@@ -113,9 +116,9 @@ def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[
         }
         chunks = sorted(contents.chunks, key=lambda place: place.start)
     held = [sum(n for channel, n in each.counts.items() if channel in channels) for each in chunks]
-    count = -(-sum(held) // rows)
-    if count < 2:
+    if sum(held) <= rows:
         return []
+    count = -(-sum(held) * FINER // rows)
     before = np.cumsum(held) - held
     wanted = np.arange(1, count) * (sum(held) / count)
     firsts = np.unique(np.clip(np.searchsorted(before, wanted), 1, len(chunks) - 1))
