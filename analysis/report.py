@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -16,9 +16,6 @@ from analysis.compare import JOULES_PER_KWH, Saving, punctuality, savings
 from analysis.resistance import Fits
 from analysis.resistance.diagnostics import diagnosed
 from analysis.traction_map import summary
-from analysis.trajectory.advice import AdvicePoint
-from analysis.trajectory.front import Front
-from analysis.trajectory.journey import JourneyPlan
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
@@ -28,6 +25,12 @@ from trainlog.mcap import read_log
 from trainlog.mcap.convert import span_of
 from trainlog.railway import TrackConditionMap, Trajectory
 from trainlog.units import KMH, clock
+
+if TYPE_CHECKING:
+    # They bring the solvers, which most commands that print a table do without.
+    from analysis.trajectory.advice import AdvicePoint
+    from analysis.trajectory.front import Front
+    from analysis.trajectory.journey import JourneyPlan
 
 
 def new_table(title: str, *columns: str, **options: Any) -> Table:

@@ -72,6 +72,7 @@ def estimated(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Trip
     target = tmp_path_factory.mktemp("estimated") / "parts.mcap"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "ROWS", PARTS)
+        patch.setattr(module, "FINER", 1)
         estimate_log(log, target)
     return with_estimates(read_log(log))[0], read_log(target)
 
@@ -111,6 +112,7 @@ def test_what_was_recorded_stays_as_it_was(estimated: tuple[Trip, Trip], log: Pa
 def test_the_map_is_nearly_that_of_the_whole(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole, _ = update_logs(None, [log])
     monkeypatch.setattr(module, "ROWS", PARTS)
+    monkeypatch.setattr(module, "FINER", 1)
     parts, _ = update_logs(None, [log])
     assert [trip["trip"] for trip in parts.trips] == [trip["trip"] for trip in whole.trips]
     for name, layer in whole.layers.items():

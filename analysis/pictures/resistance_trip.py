@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from analysis.pictures.resistance import (
     KILONEWTON,
@@ -224,7 +224,7 @@ def _neighbours(axes: Axes, residuals: Residuals, title: str) -> None:
 def _distribution(axes: Axes, residuals: Residuals, title: str) -> None:
     """Quantiles of the residuals over those of the normal distribution."""
     value = np.sort(residuals.value)
-    expected = norm.ppf((np.arange(value.size) + 0.5) / value.size)
+    expected = ndtri((np.arange(value.size) + 0.5) / value.size)
     axes.plot(expected, value, ".", color=SKY, markersize=3)
     reach = float(np.max(np.abs(expected), initial=1.0))
     axes.plot([-reach, reach], [-reach, reach], color=INK, linewidth=0.8)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 FloatArray = NDArray[np.float64]
 
@@ -59,6 +59,6 @@ def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: fl
 
     def missed(factor: float) -> float:
         tube = length / np.pi * (1.0 + factor**2 / freedom) ** (-0.5 * freedom)
-        return float(tube + 2.0 * student.sf(factor, freedom) - (1.0 - CONFIDENCE))
+        return float(tube + 2.0 * stdtr(freedom, -factor) - (1.0 - CONFIDENCE))
 
     return float(brentq(missed, 0.5, 200.0))

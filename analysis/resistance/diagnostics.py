@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, jarque_bera, spearmanr
 
 FloatArray = NDArray[np.float64]
 
@@ -86,6 +85,8 @@ def diagnosed(residuals: Residuals) -> Diagnosis:
     value = residuals.value
     count = value.size
     std = float(np.sqrt(np.mean(value**2)))
+    from scipy.stats import chi2, jarque_bera, spearmanr
+
     correlation = residuals.correlation()
     lags = np.arange(1, correlation.size + 1)
     statistic = count * (count + 2.0) * float(np.sum(correlation**2 / (count - lags)))

@@ -45,7 +45,7 @@ ROUNDS = 6
 """Most rounds of leaving out outliers."""
 
 _BLOCK = 4096
-"""Windows whose covariance is turned into that of resistance and mass at once."""
+"""Windows whose history is made at once."""
 
 CLUSTER = 80.0
 """Windows that begin within the same so many seconds form a cluster: one or two kilometres."""
@@ -117,26 +117,25 @@ def regress(
         noise = estimate_noise(parts, columns, prior, expected_noise)
         rows = parts.whiten(noise, columns)
         recursion = RecursiveLeastSquares(spread, prior_mean=expected)
-        theta, covariances = (
-            np.asarray(after, dtype=np.float64)
-            for after in recursion.record(rows[:, :-1], rows[:, -1])
-        )
-        residual = rows[:, -1] - rows[:, :-1] @ theta[-1]
+        recursion.update(rows[:, :-1], rows[:, -1])
+        theta = np.asarray(recursion.result().estimate, dtype=np.float64)
+        residual = rows[:, -1] - rows[:, :-1] @ theta
         # An outlier spoils its neighbours' whitened residuals too: only the worst goes at a time.
         size = np.abs(residual)
         far = (size > OUTLIER) & (size == maximum_filter1d(size, NEIGHBOURS))
         if not np.any(far):
             break
         kept[np.flatnonzero(kept)[far]] = False
-    factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, covariances[-1], used.start))
-    beta, covariance = _physical(theta, covariances, factor)
+    found = np.asarray(recursion.result().covariance, dtype=np.float64)
+    factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, found, used.start))
+    beta, covariance = _history(RecursiveLeastSquares(spread, prior_mean=expected), rows, factor)
     return Regression(
         beta=beta[-1],
         covariance=covariance[-1],
         history=beta,
         history_covariance=covariance,
-        delay=float(theta[-1, 4] / theta[-1, 0]),
-        brake_scale=float(1.0 + theta[-1, 5] / theta[-1, 0]),
+        delay=float(theta[4] / theta[0]),
+        brake_scale=float(1.0 + theta[5] / theta[0]),
         noise=noise,
         cluster_factor=factor,
         residual=residual,
@@ -167,21 +166,29 @@ def _cluster_ratio(
     return float(spread / rows.shape[1])
 
 
-def _physical(
-    theta: FloatArray, covariance: FloatArray, factor: float
+def _history(
+    recursion: RecursiveLeastSquares, rows: FloatArray, factor: float
 ) -> tuple[FloatArray, FloatArray]:
-    """From the acceleration form (n, 6) to r0, r1, r2 and mass (n, 4), with `factor` covariances.
+    """Resistance and mass after each window (n, 4), and their covariance times `factor`.
 
-    In blocks: a log of days has a hundred thousand of them.
+    In blocks: a log of days has a hundred thousand windows.
     """
+    beta, covariance = np.empty((len(rows), 4)), np.empty((len(rows), 4, 4))
+    for first in range(0, len(rows), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        theta, spread = (
+            np.asarray(after, dtype=np.float64)
+            for after in recursion.record(rows[part, :-1], rows[part, -1])
+        )
+        beta[part], covariance[part] = _physical(theta, factor * spread)
+    return beta, covariance
+
+
+def _physical(theta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """From the acceleration form (n, 6) to r0, r1, r2 and mass (n, 4), with the covariance."""
     inverse_mass = theta[:, :1]
     beta = np.column_stack([theta[:, 1:4] / inverse_mass, 1.0 / inverse_mass])
-    spread = np.empty((len(theta), 4, 4))
-    for first in range(0, len(theta), _BLOCK):
-        part = slice(first, first + _BLOCK)
-        scale = inverse_mass[part]
-        jacobian = np.zeros((len(scale), 4, theta.shape[1]))
-        jacobian[:, :, 0] = -beta[part] / scale
-        jacobian[:, [0, 1, 2], [1, 2, 3]] = 1.0 / scale
-        spread[part] = jacobian @ (factor * covariance[part]) @ jacobian.transpose(0, 2, 1)
-    return beta, spread
+    jacobian = np.zeros((len(theta), 4, theta.shape[1]))
+    jacobian[:, :, 0] = -beta / inverse_mass
+    jacobian[:, [0, 1, 2], [1, 2, 3]] = 1.0 / inverse_mass
+    return beta, jacobian @ covariance @ jacobian.transpose(0, 2, 1)

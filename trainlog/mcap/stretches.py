@@ -25,7 +25,7 @@ from trainlog.trip import Trip
 ROWS = 750_000
 """Rows over all topics read up to which a log is one stretch."""
 
-FINER = 3
+FINER = 5
 """Of a longer log a stretch has so many times fewer: beside it stands what was made of the rest."""
 
 MARGIN = 60.0
