@@ -212,9 +212,11 @@ def search(
         own = delays(part, everyone.select(rows), running_time)[0]
         overdue = max(float(own.max()), 0.0)
         new = sorted(_violators(problem, everyone, running_time + overdue, rows, wider) - set(rows))
+        owed = solution.energy + overdue * float(solution.time_price.sum())
+        if coarse:
+            solution = replace(solution, energy=owed)
         found = (solution, everyone) if not new and (coarse or exact) else None
         if not (new or coarse or exact):
-            owed = solution.energy + overdue * float(solution.time_price.sum())
             found = _amended(problem, rows, solution, running_time, owed)
         if found is not None:
             solution, everyone = found

@@ -30,8 +30,12 @@ def certificate_of(
     fastest: Envelope,
     rollout: Audit,
     running_time: float,
+    coarser: tuple[int, float] | None,
 ) -> dict[str, Any]:
-    """What was found, how, and how good it is; plain numbers, energies in joules."""
+    """What was found, how, and how good it is; plain numbers, energies in joules.
+
+    `coarser` are the cells of the grid that was searched before, and the energy there [J/kg].
+    """
     run, solution = problem.run, answer.solution
     energies = rollout.line_energy if run.at_line else rollout.wheel_energy
     energy, bound = float(energies.max()), lower[0] * problem.reference
@@ -82,6 +86,7 @@ def certificate_of(
             "shortest": float(problem.step.min()),
             "longest": float(problem.step.max()),
         },
+        "convergence": _convergence(energy, coarser, problem.reference),
         "costates": {
             names[row]: costate.tolist()
             for row, costate in zip(
@@ -102,6 +107,17 @@ def _left_out(answer: Answer) -> str:
     if left.max(initial=0.0) <= 1e-3 * float(answer.solution.time_price.max()):
         return ""
     return ", early passing allowed where the train has to lose time"
+
+
+def _convergence(
+    energy: float, coarser: tuple[int, float] | None, reference: float
+) -> dict[str, float] | None:
+    """The energy on the coarser grid, and what the finer one changed; None where there was none."""
+    if coarser is None:
+        return None
+    before = coarser[1] * reference
+    change = (energy - before) / max(before, NEXT_TO_NOTHING * reference)
+    return {"cells": coarser[0], "energy": before, "change": change}
 
 
 def _levels(run: Run) -> dict[str, float]:

@@ -21,6 +21,7 @@ from analysis.trajectory.certificate import certificate_of, refereed
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.feasibility import check_time
 from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.pace import least_time_together
 from analysis.trajectory.problem import Problem, discretise
 from analysis.trajectory.run import Braking, Direction, Objective, Run
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
@@ -75,7 +76,8 @@ def optimise(
         What the timetable allows. Without it, the least time of the slowest configuration and
         `reserve` on top.
     reserve : float
-        Part of the least time.
+        Part of the least time. With 0 the run takes the least time in which all arrive together
+        under a traction constant in every cell: some 1e-5 of it more than the slowest by itself.
     start, end : float, optional [m]
         Section of the line; without them the whole line.
     initial_speed, final_speed : float [m/s]
@@ -141,13 +143,15 @@ def optimise(
     least_time = float(fastest.times[slowest])
     if running_time is None:
         running_time = (1.0 + reserve) * least_time
+        if reserve == 0.0:
+            running_time = least_time_together(discretise(run, _mesh(run, fastest, cells)))
     check_time(run, fastest, running_time)
 
-    problem, answer, rollout = _audited(run, fastest, running_time, cells)
+    problem, answer, rollout, coarser = _audited(run, fastest, running_time, cells)
     bound = best_bound(problem, answer, fastest.at(problem.positions), running_time)
     traction = answer.plan.traction * problem.reference
     brakes = answer.plan.braking * problem.reference
-    certificate = certificate_of(problem, answer, bound, fastest, rollout, running_time)
+    certificate = certificate_of(problem, answer, bound, fastest, rollout, running_time, coarser)
     if referee:
         certificate["referee"] = refereed(problem, answer, running_time)
     speeds = rollout.speeds
@@ -184,34 +188,46 @@ def optimise(
     )
 
 
+def _mesh(run: Run, fastest: Envelope, cells: int) -> FloatArray:
+    speeds = fastest.speeds[int(np.argmax(fastest.times))]
+    return graded_mesh(run.breakpoints, fastest.positions, speeds, cells)
+
+
 def _audited(
     run: Run, fastest: Envelope, running_time: float, cells: int
-) -> tuple[Problem, Answer, Audit]:
-    """The problem on its grid, its answer, and the audit that the answer passed.
+) -> tuple[Problem, Answer, Audit, tuple[int, float] | None]:
+    """The problem on its grid, its answer, the audit that the answer passed, and a coarser grid's.
 
-    A grid too coarse for the line shows in the audit; then it is made finer.
+    A grid too coarse for the line shows in the audit; then it is made finer. It is made finer once
+    where a configuration by itself seems not to keep a time longer than its least. Of the coarser grid told are the number of
+    its cells and the energy [J/kg], where there was one.
     """
-    speeds = fastest.speeds[int(np.argmax(fastest.times))]
-    sketch = graded_mesh(run.breakpoints, fastest.positions, speeds, SCOUTING_CELLS)
-    found = None
+    sketch = _mesh(run, fastest, SCOUTING_CELLS)
+    found, words = None, ""
     finer = [cells * 2**times for times in range(REFINEMENTS + 1)]
     for count in [each for each in finer if each <= MOST_CELLS]:
-        positions = graded_mesh(run.breakpoints, fastest.positions, speeds, count)
+        positions = _mesh(run, fastest, count)
         problem, envelope = discretise(run, positions), fastest.at(positions)
         if found is None and sketch.size < 0.6 * positions.size:
             found = _scouted(run, fastest, sketch, running_time)
         guess = first_guess(problem, envelope, running_time)
         if found is not None:
             guess = finer_guess(found, sketch, problem, range(problem.shape[0]))
-        answer = search(problem, guess, envelope, running_time)
+        try:
+            answer = search(problem, guess, envelope, running_time)
+        except InfeasibleError:
+            if problem.shape[0] > 1 or count > cells:
+                raise
+            continue
         traction = answer.plan.traction * problem.reference
         rollout = audit(run, positions, traction, answer.plan.braking * problem.reference)
         failures = rollout.failures(run, running_time)
         if not failures:
-            return problem, answer, rollout
+            coarser = None if found is None else (sketch.size - 1, found.solution.energy)
+            return problem, answer, rollout, coarser
+        words = failures[0] + (f" and {len(failures) - 1} more" if len(failures) > 1 else "")
     raise TrainlogError(
-        f"the trajectory does not pass its audit: {failures[0]}"
-        + (f" and {len(failures) - 1} more" if len(failures) > 1 else ""),
+        f"the trajectory does not pass its audit: {words}",
         remedy="more cells, or more reserve",
     )
 

@@ -15,6 +15,9 @@ from analysis.trajectory.problem import Plan, Problem
 
 FloatArray = NDArray[np.float64]
 
+_BESIDE_LEAST = 1e-6
+"""What a least time has to spare, relative: its own rounding."""
+
 
 def paced_run(problem: Problem, running_time: float) -> Plan:
     """The run at the slowest cruising speed that keeps `running_time` [s], or the fastest one."""
@@ -31,6 +34,15 @@ def paced_run(problem: Problem, running_time: float) -> Plan:
         else:
             fast, plan = middle, trial
     return plan
+
+
+def least_time_together(problem: Problem) -> float:
+    """Time [s] in which all arrive under one common traction that is constant in every cell.
+
+    A trifle above that of the fastest run of the slowest by itself, whose traction follows the
+    power from metre to metre.
+    """
+    return duration(problem, paced_run(problem, 0.0)) * (1.0 + _BESIDE_LEAST)
 
 
 def capped_run(

@@ -1,0 +1,134 @@
+"""Bad numerics: what a solver does not vouch for is solved again, and what fails does not leave."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from trajectory_world import FLIRT, drawn, hilly_line, level_line, observed, steps
+
+from analysis.trajectory import active_set, convex, optimise, optimiser
+from analysis.trajectory.active_set import Answer
+from analysis.trajectory.convex import NoSolutionError
+from analysis.trajectory.minimax import Solution
+from trainlog.errors import TrainlogError
+from trainlog.railway import Trajectory
+
+OPTIONS: dict[str, Any] = {"reserve": 0.1, "cells": 120}
+
+
+@pytest.fixture(scope="module")
+def usual() -> Trajectory:
+    return optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+
+
+def same(found: Trajectory, usual: Trajectory) -> bool:
+    """Whether an audited answer is the usual one, to what the programs leave."""
+    assert found.certificate["audit"]["passed"]
+    least = usual.certificate["energy"]
+    return bool(abs(found.certificate["energy"] / least - 1.0) <= 3e-5)
+
+
+def test_a_solver_that_stops_early_is_not_believed(
+    usual: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(convex._SETTINGS, cp.PIQP, {"max_iter": 3})
+    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    assert {word.split()[0] for word in found.certificate["solver"]["statuses"]} == {"CLARABEL"}
+    assert same(found, usual)
+
+
+def test_rounds_that_fail_begin_again_from_the_cone_relaxation(
+    usual: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    minimise, failed = active_set.minimise, []
+
+    def fails_first(*arguments: Any, **options: Any) -> Solution:
+        if not failed:
+            failed.append(True)
+            raise NoSolutionError("user_limit")
+        return minimise(*arguments, **options)
+
+    monkeypatch.setattr(active_set, "minimise", fails_first)
+    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    assert found.certificate["solver"]["statuses"][0].startswith("CLARABEL")
+    assert same(found, usual)
+
+
+def test_rounds_that_do_not_settle_begin_again_too(
+    usual: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    minimise, seen = active_set.minimise, []
+
+    def restless_first(*arguments: Any, **options: Any) -> Solution:
+        seen.append(True)
+        return replace(minimise(*arguments, **options), settled=len(seen) > 1)
+
+    monkeypatch.setattr(active_set, "minimise", restless_first)
+    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    assert same(found, usual)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(0.98, "arrives late"), (1.05, "(is too fast|exceeds the)")]
+)
+def test_an_answer_that_was_tampered_with_does_not_leave(
+    factor: float, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = optimiser.search
+
+    def tampered(*arguments: Any, **options: Any) -> Answer:
+        answer = search(*arguments, **options)
+        plan = answer.plan
+        return replace(answer, plan=replace(plan, traction=factor * plan.traction))
+
+    monkeypatch.setattr(optimiser, "search", tampered)
+    with pytest.raises(TrainlogError, match=f"does not pass its audit: .* {words}"):
+        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
+
+
+def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
+    line, train = hilly_line(), observed(FLIRT, 1.0)
+    least = optimise(line, FLIRT, train, reserve=0.0, cells=120).running_time
+    found = optimise(line, FLIRT, train, running_time=least, cells=80)
+    assert found.positions.size - 1 > 80
+    assert found.certificate["audit"]["passed"]
+
+
+@pytest.mark.parametrize("objective", ["wheel", "line"])
+def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str) -> None:
+    configurations = drawn(FLIRT, 3, seed=2)
+    times = []
+    for cells in (120, 240):
+        found = optimise(
+            hilly_line(), FLIRT, configurations, reserve=0.0, cells=cells,
+            objective=objective,  # type: ignore[arg-type]
+        )  # fmt: skip
+        assert found.certificate["audit"]["passed"]
+        times.append(found.running_time / max(found.certificate["least_time"]) - 1.0)
+    # Nobody is faster than alone under traction that follows the power; finer cells come closer.
+    assert 0.0 < times[1] < times[0] < 5e-3
+
+
+def test_the_certificate_tells_what_a_coarser_grid_gave() -> None:
+    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=400)
+    told, energy = found.certificate["convergence"], found.certificate["energy"]
+    assert told["cells"] < 0.6 * (found.positions.size - 1)
+    assert told["energy"] * (1.0 + told["change"]) == pytest.approx(energy)
+    assert abs(told["change"]) < 2e-3
+    coarse = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=120)
+    assert coarse.certificate["convergence"] is None
+    assert coarse.certificate["energy"] == pytest.approx(told["energy"], rel=5e-4)
+
+
+def test_a_run_on_next_to_no_energy_is_certified_all_the_same() -> None:
+    down = replace(level_line(3_000.0, (0.0, 43.2)), gradients=steps((0.0, -0.0234)))
+    found = optimise(down, FLIRT, drawn(FLIRT, 2, seed=0), reserve=0.5, cells=80)
+    certificate = found.certificate
+    assert certificate["lower_bound"] <= certificate["energy"] < 1.0
+    assert certificate["certified"]
+    assert len(certificate["solver"]["statuses"]) <= 15
+    assert np.all(found.speeds[:, 1:-1] > 0.0)
