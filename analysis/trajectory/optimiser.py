@@ -199,8 +199,8 @@ def _audited(
     """The problem on its grid, its answer, the audit that the answer passed, and a coarser grid's.
 
     A grid too coarse for the line shows in the audit; then it is made finer. It is made finer once
-    where a configuration by itself seems not to keep a time longer than its least. Of the coarser grid told are the number of
-    its cells and the energy [J/kg], where there was one.
+    where a configuration by itself seems not to keep a time longer than its least. Of the coarser
+    grid told are the number of its cells and the energy [J/kg], where there was one.
     """
     sketch = _mesh(run, fastest, SCOUTING_CELLS)
     found, words = None, ""
