@@ -85,6 +85,33 @@ def gain_table(runs: Mapping[str, Sequence[Run]]) -> Table:
     return table
 
 
+def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> Table:
+    """What it is worth to know the rail.
+
+    Parameters
+    ----------
+    runs : mapping of str to sequence of Run or None
+        By what is known of the rail; the same runs in the same order.
+    """
+    table = new_table(
+        "By what is known of the rail: force on it kN, 15-20 s / way m, 30 s; speeds measured",
+        "case",
+        "",
+        "asked N m",
+        *runs,
+    )
+    for found in zip(*runs.values(), strict=True):
+        first = next(run for run in found if run is not None)
+        cells = [
+            ""
+            if run is None
+            else f"{run.mean(run.force, 15.0, 20.0) / 1e3:.1f} / {run.position[-1]:.1f}"
+            for run in found
+        ]
+        table.add_row(str(first.case.number), first.case.name, f"{first.total:.0f}", *cells)
+    return table
+
+
 def _axles(values: np.ndarray, form: str) -> str:
     """Values of the axles; those that are alike are told once: ``3 x 3934, 3349``."""
     texts = [f"{value:{form}}" for value in values]

@@ -18,15 +18,18 @@ from analysis.control.cooperative import (
     peak_slips,
     within,
 )
+from analysis.control.cooperative_rail import RailEstimator, rail_ahead
 from analysis.control.cooperative_referee import Referee
 from analysis.estimates import with_estimates
-from analysis.pictures.cooperative_adhesion import draw_study
-from analysis.report_cooperative import gain_table, published_table, torque_table
+from analysis.pictures.cooperative_adhesion import draw_rail, draw_study
+from analysis.report_cooperative import gain_table, knowledge_table, published_table, torque_table
 from analysis.studies import cooperative_adhesion as study
 from analysis.studies.cooperative_adhesion_logs import trip_of
+from analysis.studies.cooperative_adhesion_rail import STEEP, driven
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
-from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway import StepProfile
+from trainlog.railway.adhesion import DRY, WET, creep_coefficients
 
 LOCOMOTIVE = study.PAPER_003
 STILL_DRY, WET_AT_REST = (5.0, 10.0), (15.0, 20.0)
@@ -240,6 +243,70 @@ def test_tables_and_pictures_are_made(
     assert published_table().row_count == 4
     assert torque_table([exact[2]]).row_count == 4
     assert gain_table(compared).row_count == 1
+    assert knowledge_table({"known": [exact[2]], "map": [None]}).row_count == 1
+    draw_rail([exact[2]], tmp_path / "rail.png")
+    assert (tmp_path / "rail.png").stat().st_size > 10_000
+
+
+def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:
+    """A wheel at the peaks of a dry, then of a wet rail; speeds with noise."""
+    locomotive, tuning = study.LOCOMOTIVE_85_T, study.SENSIBLE.tuning
+    estimator = RailEstimator(locomotive, tuning, 0.05, 0.02)
+    rng = np.random.default_rng(1)
+    state = np.concatenate([[10.0], np.full(4, 10.0)])
+    torques = np.full(4, 6_500.0)
+    found = {}
+    for k in range(100):
+        curve = DRY if k < 50 else WET
+        rail = coefficients([curve] * 4)
+        wanted = curve.peak_slip - (state[1:] - state[0])
+        torques = np.clip(7_200.0 * curve.peak / DRY.peak + 2_000.0 * wanted, 0.0, 8_500.0)
+        kernels.runge_kutta(state, torques, rail, locomotive.loads, locomotive.constants, 0.002, 50)
+        seen = state + np.array([0.05, 0.02, 0.02, 0.02, 0.02]) * rng.standard_normal(5)
+        found[k] = estimator.update(float(seen[0]), seen[1:], torques)
+    dry, wet = found[49], found[99]
+    assert dry.maximum == pytest.approx(DRY.peak, rel=0.15)
+    # At one slip speed a steeper rail beyond its peak looks like this one at it: the range says so.
+    assert np.all((wet.low <= WET.peak) & (wet.high >= WET.peak))
+    for each, curve in ((dry, DRY), (wet, WET)):
+        assert each.adhesion == pytest.approx(curve.peak, abs=0.02)
+        assert np.all((each.low <= each.maximum) & (each.maximum <= each.high))
+
+
+def test_before_anything_is_seen_the_estimator_says_that_it_knows_nothing() -> None:
+    estimator = RailEstimator(LOCOMOTIVE, Tuning(), 0.05, 0.02)
+    found = estimator.update(0.0, np.zeros(4), np.zeros(4))
+    assert np.all(found.high > 3.0 * found.low)
+    with pytest.raises(InputError, match="noise"):
+        RailEstimator(LOCOMOTIVE, Tuning(), -1.0, 0.02)
+
+
+def test_a_rail_that_is_learnt_pulls_nearly_as_much_as_one_that_is_known() -> None:
+    case, total = study.CASES[1], study.SCARCE
+    pulled = {}
+    for name in ("known", "learnt", "taken for wet"):
+        run = driven(name, case, total if name != "taken for wet" else 28_000.0, seed=1)
+        assert run is not None
+        pulled[name] = float(run.mean(run.force, *WET_AT_REST))
+    assert pulled["learnt"] > 0.98 * pulled["known"]
+    # A dry rail that is run at the slip speed of a wet one gives much less.
+    assert pulled["taken for wet"] < 160e3
+
+
+def test_learning_saves_from_a_rail_that_no_assumption_fits() -> None:
+    steep = {name: driven(name, STEEP, 28_000.0, seed=1) for name in ("learnt", "taken for dry")}
+    pulled = {name: float(run.mean(run.force, *WET_AT_REST)) for name, run in steep.items() if run}
+    assert pulled["learnt"] > 1.05 * pulled["taken for dry"]
+
+
+def test_a_map_tells_the_rail_under_each_axle_ahead() -> None:
+    places = StepProfile(np.array([0.0, 100.0]), np.array([0.25, 0.10]))
+    rail = rail_ahead(places, 99.0, 20.0, [0.0, 10.0], Tuning())
+    wet = creep_coefficients(0.10)
+    # Half a period ahead the first axle is at 100 m, the second at 90 m.
+    np.testing.assert_array_equal(rail[0], [wet, creep_coefficients(0.25)])
+    np.testing.assert_array_equal(rail[-1], [wet, wet])
+    assert driven("map", study.CASES[0], 28_000.0, seed=1) is None
 
 
 @pytest.mark.parametrize(

@@ -117,8 +117,7 @@ class Tuning:
     torque : float
         R likewise, on torques over the torque limit.
     margin : float [m/s]
-        Epsilon: how far the reference stays below the slip speed of maximum adhesion, and how far
-        the slip speed may stray from it.
+        Epsilon: how far the slip speed may stray from its reference.
     slack : float [s²/m²]
         Weight of the squared excess over these bounds, which must be soft: a rail that has just
         become wet, or a motor that fails, makes them impossible. Heavier ones take the other axles
@@ -254,9 +253,13 @@ class CooperativeController:
         return np.asarray(self._plan[0].copy())
 
     def demand(
-        self, rail: ArrayLike, limits: ArrayLike | None = None, total: float | None = None
+        self,
+        rail: ArrayLike,
+        limits: ArrayLike | None = None,
+        total: float | None = None,
+        reference: ArrayLike | None = None,
     ) -> Demand:
-        """What is asked of the motors on a rail: the slip speed of maximum adhesion, less a margin.
+        """What is asked of the motors on a rail.
 
         Parameters
         ----------
@@ -266,6 +269,8 @@ class CooperativeController:
             Of the motors; default: the torque limit.
         total : float [N m], optional
             Of all motors; default: that of the locomotive.
+        reference : (n,) array [m/s], optional
+            Slip speeds; default: those of the maximum adhesion of the curves.
 
         Raises
         ------
@@ -293,8 +298,13 @@ class CooperativeController:
         if not most >= 0.0:
             raise InputError(f"cooperative control: total torque {most} N m is negative")
         curves = np.ascontiguousarray(np.broadcast_to(curves, (horizon, n, 3)))
-        reference = peak_slips(curves)
-        return Demand(curves, reference, caps, most)
+        slips = peak_slips(curves)
+        if reference is not None:
+            given = np.asarray(reference, dtype=np.float64)
+            if given.shape != (n,) or not np.all(np.isfinite(given)):
+                raise InputError(f"cooperative control: reference slip speeds {given} of {n} axles")
+            slips = np.tile(given, (horizon, 1))
+        return Demand(curves, slips, caps, most)
 
     def guess(self, demand: Demand) -> FloatArray:
         """The plan of the last sample, shifted, and made to keep the limits."""

@@ -139,6 +139,34 @@ def _draw_case(run: Run, stepped: Run | None, path: Path) -> None:
     write_figure(figure, path)
 
 
+def draw_rail(runs: Sequence[Run], path: Path) -> None:
+    """Draw what the controller took the rail under an axle to be, beside the rail as it was.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        In which the rail was learnt.
+    path : path
+    """
+    figure = new_figure(11.0, 2.8 * len(runs))
+    rows = figure.subplots(len(runs), 2, sharex=True, squeeze=False)
+    for run, (maxima, slips) in zip(runs, rows, strict=True):
+        maxima.plot(run.time, run.maximum_adhesion[:, 3], color=GREY, linewidth=3.0, label="true")
+        maxima.plot(run.time, run.believed[:, 3], color=BLUE, linewidth=1.2, label="learnt")
+        maxima.plot(run.time, run.adhesion[:, 3], color=ORANGE, linewidth=1.0, label="in use")
+        slips.plot(run.time, run.reference[:, 3], color=GREY, linewidth=3.0, label="sought")
+        slips.plot(run.time, run.slip[:, 3], color=BLUE, linewidth=1.2, label="reached")
+        maxima.set_ylim(0.0, 0.36)
+        told = f"Case {run.case.number}, {run.total:.0f} N m asked, axle 4"
+        dress(maxima, x="", y="", title=f"{told}: maximum adhesion")
+        dress(slips, x="", y="m/s", title="slip speed")
+    for axes in rows[0]:
+        axes.legend(frameon=False, fontsize=8, ncols=3)
+    for axes in rows[-1]:
+        axes.set_xlabel(SECONDS)
+    write_figure(figure, path)
+
+
 def _dot(places: Sequence[Axes], time: FloatArray, values: Sequence[FloatArray]) -> None:
     for axes, each in zip(places, values, strict=True):
         axes.plot(time, each, ".", color=INK, markersize=1.2, zorder=3)

@@ -25,8 +25,8 @@ from analysis.control.cooperative import (
 )
 from analysis.control.slip_control import AxleByAxle, EqualTorque, NoSlipControl
 from trainlog.errors import InputError
-from trainlog.railway import RunningResistance
-from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway import RunningResistance, StepProfile
+from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
 
 FloatArray = NDArray[np.float64]
 Integration = Literal["euler", "runge-kutta"]
@@ -42,6 +42,9 @@ SAMPLE = 0.02
 
 WET_SPAN, RESTORED = (10.0, 20.0), 25.0
 """When the rail is wet, and when the failed motor of case 4 is back [s]."""
+
+AXLES = np.array([2.9, 5.5, 12.8, 15.4])
+"""How far the axles are behind the train's front [m]."""
 
 GRAVITY = 9.8
 """As the paper's table 2 has it [m/s²]."""
@@ -103,6 +106,10 @@ class Case:
         Whether the motor of axle 4 fails at 10 s and is back at 25 s.
     published : str
         What the paper tells of it.
+    wet_curve : CreepCurve
+        Of the wet rail.
+    places : StepProfile, optional
+        Maximum adhesion by chainage, of a rail that changes with the place instead of with time.
     """
 
     number: int
@@ -110,11 +117,22 @@ class Case:
     wet: tuple[int, ...]
     fails: bool
     published: str
+    wet_curve: CreepCurve = WET
+    places: StepProfile | None = None
 
-    def rail(self, time: float) -> FloatArray:
-        """Creep curves under the four axles, (4, 3)."""
+    def rail(self, time: float, position: float = 0.0) -> FloatArray:
+        """Creep curves under the four axles, (4, 3).
+
+        Parameters
+        ----------
+        time : float [s]
+        position : float [m]
+            Of the train's front.
+        """
+        if self.places is not None:
+            return creep_coefficients(self.places(np.maximum(position - AXLES, 0.0)))
         wet = self.wet if WET_SPAN[0] <= time < WET_SPAN[1] else ()
-        return coefficients([WET if axle in wet else DRY for axle in range(1, 5)])
+        return coefficients([self.wet_curve if axle in wet else DRY for axle in range(1, 5)])
 
     def limits(self, time: float, preset: Preset) -> FloatArray:
         """The most that each motor gives, (4,) [N m]."""
@@ -154,6 +172,72 @@ class Controller(Protocol):
     def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
         """Torques until the next sample, (n,) [N m]."""
         ...
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Of what the controller sees: standard deviations of train and wheel speeds [m/s]."""
+
+    speed: float = 0.0
+    wheel_speed: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a controller sees at a sample.
+
+    Attributes
+    ----------
+    time, position, speed : float [s], [m], [m/s]
+    wheel_speeds : (4,) array [m/s]
+    torques : (4,) array [N m]
+        At work since the last sample.
+    """
+
+    time: float
+    position: float
+    speed: float
+    wheel_speeds: FloatArray
+    torques: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What a controller takes the rail to be.
+
+    Attributes
+    ----------
+    rail : (4, 3) or (horizon, 4, 3) array
+        Creep curves under the axles.
+    maximum : (4,) array
+        Maximum adhesion now.
+    reference : (4,) array [m/s], optional
+        Slip speeds to be sought; default: those of the curves' maxima.
+    """
+
+    rail: FloatArray
+    maximum: FloatArray
+    reference: FloatArray | None = None
+
+
+class Knowledge(Protocol):
+    """Where a controller has its belief of the rail from."""
+
+    def belief(self, seen: Seen) -> Belief:
+        """What the rail is taken to be at a sample."""
+        ...
+
+
+@dataclass(frozen=True)
+class Informed:
+    """The rail under each axle is known, as in the paper."""
+
+    case: Case
+
+    def belief(self, seen: Seen) -> Belief:
+        """The rail as it is."""
+        rail = self.case.rail(seen.time, seen.position)
+        return Belief(rail, creep_maximum(*rail.T))
 
 
 STRATEGIES: dict[str, Callable[[Preset], Controller]] = {
@@ -197,7 +281,9 @@ class Run:
     torque : (m, 4) array [N m]
         At work from the sample on.
     reference : (m, 4) array [m/s]
-        Slip speeds.
+        Slip speeds that the controller sought.
+    believed : (m, 4) array
+        What the controller took the maximum adhesion to be.
     adhesion, maximum_adhesion : (m, 4) arrays
         In use, and the most that the rail under the axle gives.
     """
@@ -213,6 +299,7 @@ class Run:
     wheel_speed: FloatArray
     torque: FloatArray
     reference: FloatArray
+    believed: FloatArray
     adhesion: FloatArray
     maximum_adhesion: FloatArray
 
@@ -257,6 +344,9 @@ def run(
     *,
     strategy: str = "cooperative",
     integration: Integration = "runge-kutta",
+    knowledge: Knowledge | None = None,
+    noise: Noise | None = None,
+    seed: int = 1,
 ) -> Run:
     """Drive one case from a stand.
 
@@ -270,6 +360,12 @@ def run(
         One of `STRATEGIES`.
     integration : {"euler", "runge-kutta"}
         One explicit step a period, as in the paper, or steps of 2 ms.
+    knowledge : Knowledge, optional
+        Of the rail; default: all of it.
+    noise : Noise, optional
+        Of the speeds that are seen; default: none.
+    seed : int
+        Of the noise.
 
     Raises
     ------
@@ -280,44 +376,80 @@ def run(
         raise InputError(f"strategy '{strategy}' is unknown", remedy=f"one of {list(STRATEGIES)}")
     locomotive, period = preset.locomotive, preset.tuning.period
     asked = locomotive.total_torque if total is None else total
+    known, errors = knowledge or Informed(case), noise or Noise()
+    random = np.random.default_rng(seed)
     controller = STRATEGIES[strategy](preset)
     asking = CooperativeController(locomotive, preset.tuning)
-    literal = integration == "euler"
-    step, each = (period, 1) if literal else (STEP, round(SAMPLE / STEP))
-    advance = kernels.euler if literal else kernels.runge_kutta
-    state = np.zeros(1 + locomotive.axles)
-    rows = []
+    world = _World(case, preset, integration)
+    torques = np.zeros(locomotive.axles)
     for k in range(round(DURATION / period)):
-        now = k * period
-        rail = case.rail(now)
-        demand = asking.demand(rail, case.limits(now, preset), asked)
-        torques = controller.torques(float(state[0]), state[1:].copy(), demand)
-        for part in range(round(period / (step * each))):
-            rows.append(
-                np.concatenate([
-                    [now + part * step * each], state, torques, demand.reference[0], *rail.T
-                ])
+        seen = world.seen(k * period, torques, errors, random)
+        belief = known.belief(seen)
+        limits = case.limits(seen.time, preset)
+        demand = asking.demand(belief.rail, limits, asked, belief.reference)
+        torques = controller.torques(seen.speed, seen.wheel_speeds, demand)
+        world.advance(seen.time, torques, demand.reference[0], belief.maximum)
+    return Run(case, preset, strategy, integration, asked, **_columns(np.array(world.rows)))
+
+
+class _World:
+    """The train, and what is recorded of it."""
+
+    def __init__(self, case: Case, preset: Preset, integration: Integration) -> None:
+        self._case, self._locomotive, self._period = case, preset.locomotive, preset.tuning.period
+        literal = integration == "euler"
+        self._step, self._each = (self._period, 1) if literal else (STEP, round(SAMPLE / STEP))
+        self._integrate = kernels.euler if literal else kernels.runge_kutta
+        self._state = np.zeros(1 + self._locomotive.axles)
+        self._position = 0.0
+        self.rows: list[FloatArray] = []
+
+    def seen(
+        self, time: float, torques: FloatArray, noise: Noise, random: np.random.Generator
+    ) -> Seen:
+        """What the controller sees now; what stands is seen to stand."""
+        std = np.array([noise.speed] + [noise.wheel_speed] * self._locomotive.axles)
+        errors = std * random.standard_normal(std.size)
+        speeds = np.where(self._state > 0.0, np.maximum(self._state + errors, 0.0), 0.0)
+        return Seen(time, self._position, float(speeds[0]), speeds[1:], torques)
+
+    def advance(
+        self, time: float, torques: FloatArray, reference: FloatArray, believed: FloatArray
+    ) -> None:
+        """Record, and let a period pass."""
+        locomotive = self._locomotive
+        span = self._step * self._each
+        for part in range(round(self._period / span)):
+            rail, before = self._case.rail(time, self._position), float(self._state[0])
+            parts = (self._state, torques, reference, believed, *rail.T)
+            self.rows.append(np.concatenate([[time + part * span, self._position], *parts]))
+            self._integrate(
+                self._state, torques, rail, locomotive.loads, locomotive.constants,
+                self._step, self._each,
             )  # fmt: skip
-            advance(state, torques, rail, locomotive.loads, locomotive.constants, step, each)
-    columns = _columns(np.array(rows))
-    return Run(case, preset, strategy, integration, asked, **columns)
+            self._position += 0.5 * span * (before + float(self._state[0]))
 
 
 def _columns(rows: FloatArray) -> dict[str, FloatArray]:
     """The arrays of `Run` from its recorded rows."""
-    time, speed = rows[:, 0], rows[:, 1]
-    wheels, torque, reference, a, b, c = np.split(rows[:, 2:], 6, axis=1)
-    moved = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)
+    time, position, speed = rows[:, :3].T
+    wheels, torque, reference, believed, a, b, c = np.split(rows[:, 3:], 7, axis=1)
     return {
         "time": time,
-        "position": np.concatenate([[0.0], np.cumsum(moved)]),
+        "position": position,
         "speed": speed,
         "wheel_speed": wheels,
         "torque": torque,
         "reference": reference,
+        "believed": believed,
         "adhesion": creep(wheels - speed[:, None], a, b, c),
-        "maximum_adhesion": creep(np.log(b / a) / (b - a), a, b, c),
+        "maximum_adhesion": creep_maximum(a, b, c),
     }
+
+
+def creep_maximum(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """Maxima of many creep curves."""
+    return creep(np.log(b / a) / (b - a), a, b, c)
 
 
 def creep(slip: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:

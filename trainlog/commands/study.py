@@ -245,19 +245,27 @@ def robust_minimax(
 @study_app.command("cooperative-adhesion")
 def cooperative_adhesion(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
+    seed: Seed = 1,
 ) -> None:
     """Share torque among four motors while the rail under them changes (paper 003).
 
     Runs the paper's four cases with its parameters, stepped as in the paper and integrated
-    properly, and with those of a locomotive of 85 t; then the same without cooperation. Writes the
-    runs as logs, draws the paper's figures and prints them beside the published ones.
+    properly, and with those of a locomotive of 85 t; then the same without cooperation, and
+    without knowing the rail. Writes the runs as logs, draws the paper's figures and prints them
+    beside the published ones.
 
     Example: trainlog study cooperative-adhesion -o results/cooperative-adhesion
     """
-    from analysis.pictures.cooperative_adhesion import draw_study
-    from analysis.report_cooperative import gain_table, published_table, torque_table
+    from analysis.pictures.cooperative_adhesion import draw_rail, draw_study
+    from analysis.report_cooperative import (
+        gain_table,
+        knowledge_table,
+        published_table,
+        torque_table,
+    )
     from analysis.studies import cooperative_adhesion as study
     from analysis.studies.cooperative_adhesion_logs import name_of, trip_of
+    from analysis.studies.cooperative_adhesion_rail import by_knowledge
     from trainlog.mcap import write_log
 
     made_folder(output)
@@ -270,10 +278,14 @@ def cooperative_adhesion(
             strategy: [study.run(*plan, strategy=strategy) for plan in study.COMPARED]
             for strategy in progress.track(list(study.STRATEGIES), description="comparing")
         }
+    with working("driving on rails that are not known"):
+        known = by_knowledge(seed)
     logs = [output / f"{name_of(run)}.mcap" for run in runs]
     for run, log in zip(runs, logs, strict=True):
         write_log(trip_of(run), log)
-    pictures = draw_study(runs, compared, output)
+    pictures = [*draw_study(runs, compared, output), output / "rail-learnt.png"]
+    draw_rail([run for run in known["learnt"] if run is not None][:4], pictures[-1])
     for table in (published_table(), torque_table(runs), gain_table(compared)):
         console.print(table)
+    console.print(knowledge_table(known))
     wrote(*logs, *pictures)

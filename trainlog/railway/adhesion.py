@@ -58,3 +58,36 @@ DRY = CreepCurve(a=0.54, b=1.2, c=1.0, d=1.0)
 
 WET = CreepCurve(a=0.19, b=0.54, c=0.4, d=0.4)
 """Wet rail; paper 003, table 1."""
+
+
+def creep_coefficients(maximum: ArrayLike) -> NDArray[np.float64]:
+    """a, b and c = d of the creep curve of a rail with a given maximum adhesion, eq. (10).
+
+    The shape goes from the wet rail's (maximum 0.147 and below) to the dry rail's (0.286 and
+    above) with the maximum; the curve is scaled to it.
+
+    Parameters
+    ----------
+    maximum : (...) array
+        Between 0 and 1.
+
+    Returns
+    -------
+    (..., 3) array
+        a and b [s/m], and the common factor of both exponentials.
+
+    Raises
+    ------
+    InputError
+        If a maximum is not between 0 and 1.
+    """
+    peak = np.asarray(maximum, dtype=np.float64)
+    if not np.all((peak > 0.0) & (peak < 1.0)):
+        bad = peak[~((peak > 0.0) & (peak < 1.0))]
+        raise InputError(f"maximum adhesion {bad.flat[0]} is not between 0 and 1")
+    dryness = np.clip((peak - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
+    a = WET.a + dryness * (DRY.a - WET.a)
+    b = WET.b + dryness * (DRY.b - WET.b)
+    at_peak = np.log(b / a) / (b - a)
+    scale = peak / (np.exp(-a * at_peak) - np.exp(-b * at_peak))
+    return np.stack([a, b, scale], axis=-1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train
-from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway.adhesion import DRY, creep_coefficients
 from trainlog.simulation import dynamics
 from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, Parameters
 from trainlog.simulation.track import pieces
@@ -347,8 +347,7 @@ def track_table(line: Line, train: Train) -> FloatArray:
 def rail_table(maximum_adhesion: StepProfile) -> FloatArray:
     """Adhesion along the line: one row a step of the profile.
 
-    The creep curve is that of paper 003, eq. (10), scaled to the maximum. Its shape goes from the
-    wet rail's (maximum 0.147 and below) to the dry rail's (0.286 and above) with the maximum.
+    The creep curve is that of `creep_coefficients`.
 
     Returns
     -------
@@ -365,9 +364,5 @@ def rail_table(maximum_adhesion: StepProfile) -> FloatArray:
         bad = int(np.argmax((peak <= 0.0) | (peak >= 1.0)))
         at = maximum_adhesion.positions[bad] / 1e3
         raise InputError(f"maximum adhesion {peak[bad]} at km {at:.3f} is not between 0 and 1")
-    dryness = np.clip((peak - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
-    a = WET.a + dryness * (DRY.a - WET.a)
-    b = WET.b + dryness * (DRY.b - WET.b)
-    at_peak = np.log(b / a) / (b - a)
-    scale = peak / (np.exp(-a * at_peak) - np.exp(-b * at_peak))
-    return np.ascontiguousarray(np.column_stack([maximum_adhesion.positions, peak, a, b, scale]))
+    columns = [maximum_adhesion.positions, peak, *creep_coefficients(peak).T]
+    return np.ascontiguousarray(np.column_stack(columns))
