@@ -181,7 +181,7 @@ class RailEstimator:
         )
         flat = self._belief.reshape(adhesion.size, -1)
         reference = SLIPS[np.argmax(flat @ self._expected, axis=1)]
-        # The likeliest curve jumps from sample to sample, and the torques with it: the mean does not.
+        # The likeliest curve jumps from sample to sample, and the torques with it.
         rail = creep_coefficients(np.exp(self._belief.sum(axis=2) @ np.log(MAXIMA)))
         rail[:, :2] /= np.exp(self._belief.sum(axis=1) @ np.log(STRETCHES))[:, None]
         return RailEstimate(middle, low, high, reference, rail, adhesion)
