@@ -121,7 +121,7 @@ def _draw_measured(runs: Mapping[str, Run], measured: Mapping[str, Run], path: P
     noise = next(iter(measured.values())).noise
     for axes, group, title in (
         (first, runs, "Exact speed"),
-        (second, measured, f"Measured speed, standard deviation {noise:g} m/s"),
+        (second, measured, f"Measured speed, σ = {noise:g} m/s"),
     ):
         for name, run in group.items():
             largest = run.figures[0]
@@ -130,7 +130,16 @@ def _draw_measured(runs: Mapping[str, Run], measured: Mapping[str, Run], path: P
                 label=f"{name}: {largest:.2f} m",
             )  # fmt: skip
         dress(axes, x="", y="position error [m]", title=title)
-        axes.legend(frameon=False, fontsize=8, ncols=4)
+        # Beside the title: below the axes' edge it would hide the errors.
+        axes.legend(
+            frameon=False,
+            fontsize=8,
+            ncols=4,
+            handlelength=1.2,
+            columnspacing=1.2,
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+        )
     second.set_xlabel(SECONDS)
     write_figure(figure, path)
 
@@ -146,7 +155,9 @@ def _draw_wagons(runs: Mapping[str, Run], coupled: Sequence[Run], path: Path) ->
         single = runs[name]
         above.plot(single.time, single.position_error, color=GREY, label="one particle")
         above.plot(run.time, run.position_error, color=COLOURS[name], label="eight wagons")
-        above.legend(frameon=False, fontsize=8, ncols=2, loc="lower right")
+        above.legend(
+            frameon=False, fontsize=8, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0)
+        )
         dress(above, x="", y="m", title=f"Position error: {what}")
         forces = run.coupler_forces / 1e3
         below.fill_between(
