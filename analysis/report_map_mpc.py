@@ -8,49 +8,117 @@ import numpy as np
 from rich.table import Table
 
 from analysis.report import new_table
-from analysis.studies.map_mpc import Run
+from analysis.studies.map_mpc import Plan, Run
 from analysis.studies.map_mpc_days import Day, Days
 from analysis.studies.map_mpc_scenarios import SCENARIOS, Outcome
+from analysis.trajectory.reference_section import fastest, least_time_unweighed
+from trainlog.units import KMH
 
 
 def published_table() -> Table:
     """What paper 000 tells of its scenarios, for 78.2 t and a map that is lost."""
-    table = new_table("Paper 000: published", "scenario", "errors of position and speed; h is (7)")
+    table = new_table("Paper 000: published", "scenario", "errors; every constraint h is kept")
     for each in SCENARIOS:
         table.add_row(each.name, each.published)
     return table
 
 
+def references_table(plan: Plan) -> Table:
+    """The references that are followed, and how much time each has.
+
+    Parameters
+    ----------
+    plan : tuple of Reference
+    """
+    table = new_table(
+        f"References, {plan[0].mass / 1e3:.1f} t: multiple shooting",
+        "section",
+        "km",
+        "timetable s",
+        "least of a reference s",
+        "least of any driver s",
+        "nodes",
+        "iterations of IPOPT",
+        "rollout off by mm",
+        "nearest to a limit m/s²",
+    )
+    for each in plan:
+        section = each.section
+        table.add_row(
+            section.name,
+            f"{(section.destination.position - section.origin.position) / 1e3:.1f}",
+            f"{each.duration:.0f}",
+            f"{fastest(section, each.mass).duration:.1f}",
+            f"{least_time_unweighed(section, each.mass):.1f}",
+            f"{each.times.size}",
+            f"{each.iterations}",
+            f"{1e3 * each.rollout_error:.1f}",
+            f"{-each.worst[:2].max():.2f}",
+        )
+    return table
+
+
 def tracking_table(outcomes: Sequence[Outcome]) -> Table:
-    """Errors and constraints of the trips with the map.
+    """Errors of the trips with the map, and how near they came to the limits.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
     """
     table = new_table(
-        "Paper 000, with the map: largest errors, and largest of each constraint (7) at any mass",
+        "With the map: largest errors, and what was left of each limit at any mass (negative:"
+        " broken)",
         "scenario",
         "mass t",
         "position m",
         "speed m/s",
-        "safety m/s²",
-        "traction m/s²",
-        "speed m/s",
-        "late at next stop s (least)",
-        "latest s (least)",
+        "left of comfort m/s²",
+        "left of adhesion m/s²",
+        "left of speed limit km/h",
+        "stops off by m",
     )
     for each in outcomes:
         found = each.informed
-        late, worst = found.late, int(np.argmax(found.late))
+        comfort, adhesion, speed = -found.worst[:3]
         table.add_row(
             each.scenario.name,
             f"{found.mass / 1e3:.1f}",
             f"{np.abs(found.position_error).max():.2f}",
             f"{np.abs(found.speed_error).max():.2f}",
-            *(f"{value:.3f}" for value in found.worst[:3]),
-            f"{late[0]:.1f} ({each.bound[0]:.1f})",
-            f"{late[worst]:.1f} ({each.bound[worst]:.1f})",
+            f"{comfort:.3f}",
+            f"{adhesion:.3f}",
+            f"{speed * KMH:.2f}",
+            f"{np.abs(found.stop_error).max():.2f}",
+        )
+    return table
+
+
+def lateness_table(outcomes: Sequence[Outcome]) -> Table:
+    """How late the trips with the map were, beside the least that is possible.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    """
+    table = new_table(
+        "With the map: late at the stops [s] (negative: early), and the least by shortest times",
+        "scenario",
+        "mass t",
+        "next stop",
+        "least, mass not known",
+        "least, mass known",
+        "latest of all stops",
+        "least there, mass not known",
+    )
+    for each in outcomes:
+        late, worst = each.informed.late, int(np.argmax(each.informed.late))
+        table.add_row(
+            each.scenario.name,
+            f"{each.informed.mass / 1e3:.1f}",
+            f"{late[0]:.1f}",
+            *(f"{max(least[0], 0.0):.1f}" for least in (each.unweighed, each.bound)),
+            f"{late[worst]:.1f}",
+            f"{max(each.unweighed[worst], 0.0):.1f}",
         )
     return table
 

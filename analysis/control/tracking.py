@@ -33,13 +33,13 @@ HOLDING_SPEED = 0.5
 """Below it the holding brake is applied to a train that does not pull [m/s]."""
 
 APPROACH = 4.0
-"""The last seconds before the stop, which are driven to the place rather than by the clock [s]."""
+"""The last seconds before the stop are driven to the place rather than by the clock [s]."""
 
 LAST = 15.0
 """Nothing but the stop is ahead within this time [s]."""
 
-HARD = 0.92
-"""Share of the brake from which a late train is driven to the place, too."""
+HARD = 0.9
+"""Share of the brake from which a train is driven to the place before that, too."""
 
 HASTE = 0.97
 """The fastest run is followed when it takes more than this share of the time that is left."""
@@ -171,7 +171,7 @@ class TrackingController:
             self._feel()
             self._past = [(position, speed, self._held)]
             self._asked = self._demanded(time, position, speed)
-        asked = self._stopping(time, position, speed)
+        asked = self._stopping(position, speed)
         if asked is None:
             asked = self._asked
         low, high = self.mass
@@ -220,7 +220,7 @@ class TrackingController:
             )
         )
 
-    def _stopping(self, time: float, position: float, speed: float) -> float | None:
+    def _stopping(self, position: float, speed: float) -> float | None:
         """The lever of an even deceleration to the stop; None while it is too far."""
         t, c = self._tables, self._constants
         left = self.reference.section.destination.position - position
@@ -235,9 +235,7 @@ class TrackingController:
         )
         if not self._arriving:
             most = kernels.bounds_over(position, speed, position, speed, t, c)[0]
-            takes = 2.0 * left / speed
-            late = time + takes > self._due
-            self._arriving = takes < APPROACH or (late and lever < HARD * most)
+            self._arriving = 2.0 * left < APPROACH * speed or lever < HARD * most
         return lever if self._arriving else None
 
     def _demanded(self, time: float, position: float, speed: float) -> float:

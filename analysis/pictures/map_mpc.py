@@ -88,12 +88,15 @@ def _draw_speed(run: Run, path: Path) -> None:
     figure = new_figure(10.0, 4.5)
     axes = figure.subplots()
     rows = run.section < SECTIONS
-    axes.plot(
-        run.time[rows], run.target[rows, 1] * KMH, color=GREY, linewidth=2.5, label="reference"
-    )
-    axes.plot(run.time[rows], run.speed[rows] * KMH, color=BLUE, linewidth=1.0, label="train")
-    axes.legend(frameon=False, fontsize=8, ncols=2)
-    dress(axes, x="time [s]", y="km/h", title=f"Fig. 3  Speed, first {SECTIONS} sections")
+    minutes = run.time[rows] / 60.0
+    axes.plot(minutes, run.target[rows, 1] * KMH, color=PALE, linewidth=4.0, label="reference")
+    axes.plot(minutes, run.speed[rows] * KMH, color=BLUE, linewidth=1.0, label="train")
+    limit = np.where(run.speed[rows] > 0.0, run.line.speed_limit(run.position[rows]), np.nan)
+    axes.plot(minutes, limit * KMH, color=RED, linewidth=0.8, label="limit")
+    axes.legend(frameon=False, fontsize=8, ncols=3, loc="upper right")
+    axes.set_ylim(-2.0, 115.0)
+    title = f"Fig. 3  Speed, first {SECTIONS} sections, good track, {run.mass / 1e3:.1f} t"
+    dress(axes, x="min", y="km/h", title=title)
     write_figure(figure, path)
 
 
@@ -107,7 +110,7 @@ def _draw_errors(run: Run, path: Path) -> None:
         title=f"Fig. 4  Position less the reference's, {run.mass / 1e3:.1f} t, good track",
     )  # fmt: skip
     second.plot(run.time / 60.0, run.speed_error, color=GREEN, linewidth=0.8)
-    dress(second, x="time [min]", y="m/s", title="Speed less the reference's")
+    dress(second, x="min", y="m/s", title="Speed less the reference's")
     write_figure(figure, path)
 
 
@@ -116,17 +119,20 @@ def _draw_constraints(run: Run, title: str, path: Path) -> None:
     figure = new_figure(10.0, 6.0)
     first, second = figure.subplots(2, 1, sharex=True)
     for column, colour, label in (
-        (0, BLUE, "safety, max(h1, h2)"),
-        (1, ORANGE, "traction, max(h3, h4)"),
+        (0, BLUE, "comfort: acceleration less 1 m/s² (safety, h1 and h2)"),
+        (1, ORANGE, "adhesion: effort over mass less what the rail bears (traction, h3 and h4)"),
     ):
         x, y = _largest(run, run.constraints[:, column])
         first.plot(x / 1e3, y, color=colour, linewidth=0.8, label=label)
-    first.legend(frameon=False, fontsize=8, ncols=2, loc="lower left")
-    first.set_ylim(bottom=-1.3)
-    dress(first, x="", y="m/s²", title=f"{title}, {run.mass / 1e3:.1f} t, both ends of the mass")
+    first.legend(frameon=False, fontsize=8, loc="lower left")
+    first.set_ylim(-1.3, 0.1)
+    dress(
+        first, x="", y="m/s²",
+        title=f"{title}, {run.mass / 1e3:.1f} t; kept where not above 0, for every mass",
+    )  # fmt: skip
     x, y = _largest(run, run.constraints[:, 2])
     second.plot(x / 1e3, y * KMH, color=RED, linewidth=0.8)
-    dress(second, x="km", y="km/h", title="Speed less its limit, h5")
+    dress(second, x="km", y="km/h", title="Speed less its limit (h5)")
     for axes in (first, second):
         axes.axhline(0.0, color=GREY, linewidth=1.0)
     write_figure(figure, path)
@@ -137,16 +143,23 @@ def _draw_delay(run: Run, outcome: Outcome, path: Path) -> None:
     figure = new_figure(10.0, 6.0)
     first, second = figure.subplots(2, 1)
     rows = run.section < SECTIONS
-    first.plot(run.time[rows], run.position_error[rows], color=BLUE, linewidth=1.0)
-    dress(
-        first, x="time [s]", y="m", title=f"Fig. 7  Position error, {run.delay:g} s late at first"
-    )
-    numbers = np.arange(1, run.late.size + 1)
-    second.bar(numbers - 0.2, run.late, 0.4, color=BLUE, label="reached")
-    second.bar(numbers + 0.2, outcome.bound, 0.4, color=GREY, label="least, by the shortest times")
-    second.legend(frameon=False, fontsize=8, ncols=2)
+    first.plot(run.time[rows] / 60.0, run.position_error[rows], color=BLUE, linewidth=1.0)
+    title = f"Fig. 7  Position less the reference's, {run.delay:g} s late at first"
+    dress(first, x="min", y="m", title=f"{title}, {run.mass / 1e3:.1f} t")
+    late = np.concatenate([[run.delay], run.late])
+    numbers = np.arange(late.size)
+    second.bar(numbers, late, 0.5, color=BLUE, label="reached")
+    for bound, colour, width, label in (
+        (outcome.unweighed, ORANGE, 3.0, "least by the shortest times, mass not known"),
+        (outcome.bound, GREY, 1.0, "least, mass known"),
+    ):
+        least = np.maximum(np.concatenate([[run.delay], bound]), 0.0)
+        second.plot(numbers, least, color=colour, linewidth=width, marker=".", label=label)
+    second.legend(frameon=False, fontsize=8)
     second.set_xticks(numbers)
-    dress(second, x="stop", y="s", title="Lateness at the stops")
+    names = [stop.station for stop in run.stops]
+    second.set_xticklabels(names, rotation=40, ha="right", fontsize=7)
+    dress(second, x="", y="s", title="Lateness: at the departure, then on arrival at the stops")
     write_figure(figure, path)
 
 

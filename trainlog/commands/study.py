@@ -140,7 +140,9 @@ def map_mpc(
         counted_on,
         days_table,
         gain_table,
+        lateness_table,
         published_table,
+        references_table,
         tracking_table,
     )
     from analysis.studies import map_mpc_scenarios as study
@@ -177,8 +179,10 @@ def map_mpc(
     pictures.append(output / "two-days.png")
     draw_days(driven, pictures[-1])
     console.print(published_table())
-    for table in (tracking_table(outcomes), gain_table(outcomes), days_table(driven)):
-        console.print(table)
+    console.print(references_table(known.plan))
+    for made in (tracking_table, lateness_table, gain_table):
+        console.print(made(outcomes))
+    console.print(days_table(driven))
     console.print(counted_on(driven))
     wrote(*logs, *driven.logs, *pictures)
 
