@@ -204,8 +204,8 @@ class Run:
                 f"{where}: {self.sigmas} standard deviations off the map make no sense",
                 remedy="give 0 or more",
             )
-        bins = self._assured
-        wrong = np.flatnonzero(~(bins > 0.0))
+        told = self.condition.lower_bound(self.layer, self.condition.centres, self.sigmas)
+        wrong = np.flatnonzero(~((told > 0.0) & (self._assured > 0.0)))
         if wrong.size:
             raise InputError(
                 f"{where}: the track-condition map tells no adhesion at"
