@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,10 +18,11 @@ from analysis.control.follow_belief import Observer
 from analysis.control.follow_kernels import TICK, Belief
 from analysis.control.follow_pace import ahead, paced, sampled
 from analysis.control.follow_route import Able, Way, able, bounds, highest, way
+from analysis.pictures.following import draw_following
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.run import Run
-from trainlog.errors import InputError
+from trainlog.errors import InputError, LogError
 from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
 from trainlog.simulation.drivers import DEPARTURE, Observation
@@ -155,7 +157,7 @@ def test_a_late_train_catches_up_as_far_as_physics_allow() -> None:
     assert found["over"] <= 0.0
 
 
-def test_the_log_tells_the_reference_and_the_configuration() -> None:
+def test_the_log_tells_the_reference_and_the_configuration(tmp_path: Path) -> None:
     train, trajectory = plan()
     (scenario,) = trajectory_scenarios(
         trajectory, hilly_line(), train, [LIGHT],
@@ -170,6 +172,22 @@ def test_the_log_tells_the_reference_and_the_configuration() -> None:
     )
     assert trip.metadata["configuration"] == LIGHT
     assert float(trip.metadata["load"]) == 2_000.0
+    draw_following([trip], tmp_path / "following.png")
+    assert (tmp_path / "following.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(LogError, match=r"'driven-.*' followed no trajectory"):
+        draw_following([replace(trip, topics={"/events": trip["/events"]})], tmp_path / "none.png")
+    with pytest.raises(LogError, match="no trip to draw"):
+        draw_following([], tmp_path / "none.png")
+
+
+def test_where_the_map_was_not_observed_it_still_tells_what_is_likely() -> None:
+    track = map_of(steps((0.0, 0.2)), spread=0.1)
+    layer = track.layers["wet"]
+    unseen = replace(track, layers={"wet": replace(layer, observed=~layer.observed)})
+    place = np.array([500.0, 5_000.0])
+    assert np.all(np.isinf(unseen.lower_bound("wet", place)))
+    np.testing.assert_allclose(unseen.likely("wet", place, 1.0), 0.2 * np.exp(-0.1))
+    np.testing.assert_allclose(track.likely("wet", place), track.lower_bound("wet", place))
 
 
 def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> None:
