@@ -222,3 +222,14 @@ def test_a_tuning_that_makes_no_sense_is_refused() -> None:
 def test_an_unknown_linearisation_is_refused(plan: Reference) -> None:
     with pytest.raises(InputError, match="about 'nothing' is unknown"):
         TrackingController(plan, "nothing")
+
+
+def test_a_late_train_that_stands_short_of_its_stop_goes_on_to_it(plan: Reference) -> None:
+    controller = TrackingController(plan)
+    stop, now = plan.section.destination.position, plan.duration + 5.0
+    p, v = stop - 1.1, 0.0
+    while p < stop - 0.5 and now < plan.duration + 60.0:
+        lever = controller.drive(now, p, v)
+        p, v = kernels.step(p, v, lever, 0.1, NOMINAL, plan.section.tables, plan.section.constants)
+        now += 0.1
+    assert stop - 0.5 <= p < stop + 0.5

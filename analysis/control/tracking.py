@@ -198,9 +198,11 @@ class TrackingController:
             states, levers = np.ascontiguousarray(target[:, :2]), aim
             deviation = np.array([position, speed]) - states[0]
         else:
-            states, levers = kernels.predicted(
-                position, speed, self._guess(aim), SAMPLING, mass, t, c
-            )
+            guess = self._guess(aim)
+            if speed == 0.0:
+                # A lever that leaves the train standing tells nothing of what more would do.
+                guess = np.maximum(guess, self._starting(position))
+            states, levers = kernels.predicted(position, speed, guess, SAMPLING, mass, t, c)
             deviation = np.zeros(2)
         tuning = self.tuning
         found = kernels.condensed(
@@ -261,7 +263,7 @@ class TrackingController:
         if self.about == "reference":
             return rows, rows[:n, 2]
         positions, speeds, times, levers = self._fastest(position, speed)
-        if times[-1] <= HASTE * (self._due - time):
+        if times.size == 1 or times[-1] <= HASTE * (self._due - time):
             return rows, rows[:n, 2]
         n = int(np.clip(np.ceil(times[-1] / SAMPLING), SHORTEST, self.tuning.horizon))
         ahead = SAMPLING * np.arange(n + 1, dtype=np.float64)
@@ -289,6 +291,13 @@ class TrackingController:
         if told is not None and self._felt.observe(*told):
             self._mass = self._felt.middle
             self._tables = self.reference.section.braked_for(self._felt.high)
+
+    def _starting(self, position: float) -> float:
+        """The lever above which a train at rest begins to move."""
+        t, c = self._tables, self._constants
+        sine = float(dynamics.value(t.sine, t.origin, position))
+        weight = GRAVITY * (sine + c.rolling * np.sqrt(1.0 - sine**2))
+        return float(self._mass * weight / (c.k1 + c.k3))
 
     def _guess(self, aim: FloatArray) -> FloatArray:
         """The plan of the last second, shifted; the reference's levers where there is none."""

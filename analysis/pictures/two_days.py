@@ -80,7 +80,7 @@ def _draw_rail(axes: Axes, day: Day) -> None:
     km = track.centres / 1e3
     axes.plot(km, day.rail(track.centres), color=GREY, linewidth=0.7, label="the rail as it is")
     for where, colour, mark, size, label in (
-        (known.assumed, ORANGE, "_", 3.0, "assumed"),
+        (known.assumed, ORANGE, "_", 4.0, "assumed"),
         (known.borne, GREEN, "o", 3.0, "borne without slip"),
         (known.seen, BLUE, "o", 4.0, "seen: slip has shown the maximum"),
     ):
@@ -134,7 +134,7 @@ def _draw_lateness(axes: Axes, days: Days, first: Day, last: Day) -> None:
     axes.set_ylim(min(0.0, float(np.min(worst))), 1.3 * max(0.5, float(np.max(worst))))
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
-    dress(axes, x="km", y="s", title="Late at the stops, the latest of the trips")
+    dress(axes, x="km", y="s", title="Late at the stops, the latest of the trips; below 0: early")
 
 
 def slips_along(day: Day) -> tuple[FloatArray, FloatArray]:
