@@ -18,9 +18,18 @@ from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.infeasible import LATE, brakes_explained, names_of, time_explained
 from analysis.trajectory.minimax import EVENNESS, Solution, minimise, with_costates
-from analysis.trajectory.pace import capped_run, cell_times, delays, energy_of, realise, ride_along
+from analysis.trajectory.pace import (
+    capped_run,
+    cell_times,
+    delays,
+    energy_of,
+    realise,
+    ride_along,
+    ride_behind,
+)
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
+from analysis.trajectory.representatives import kinds, multipliers_for_all, shared
 from trainlog.errors import InfeasibleError
 
 FloatArray = NDArray[np.float64]
@@ -146,7 +155,7 @@ def first_guess(problem: Problem, speeds: FloatArray, running_time: float) -> Gu
         rows |= {int(np.argmin(times))}
     chosen = tuple(sorted(rows))
     if problem.run.objective == "expected":
-        chosen = tuple(range(problem.shape[0]))
+        chosen = tuple(sorted(rows | set(kinds(problem, int(np.argmax(times))))))
     part = problem.select(chosen)
     return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
 
@@ -204,11 +213,15 @@ def search(
     nearly = _ROUGHLY if coarse else _NEARLY
     # What may be amended afterwards the programs need not find to the last digit.
     exact = problem.common or bool(np.isfinite(problem.earliest).any())
+    exact = exact or problem.run.objective == "expected"
+    slowest = _slowest(problem, speeds)
     for turns in count(1):
-        part, accuracy = problem.select(rows), _EXACT if exact else nearly
+        part, accuracy = _program(problem, rows, slowest), _EXACT if exact else nearly
         solution = _optimum(part, plan, price, speeds[rows], running_time, *accuracy)
         statuses.extend(solution.statuses)
         everyone = _all_ride(problem, rows, part, solution.plan)
+        if problem.run.objective == "expected" and len(rows) < problem.shape[0]:
+            everyone = _all_follow(problem, rows, slowest, everyone, running_time)
         own = delays(part, everyone.select(rows), running_time)[0]
         overdue = max(float(own.max()), 0.0)
         new = sorted(_violators(problem, everyone, running_time + overdue, rows, wider) - set(rows))
@@ -261,6 +274,11 @@ def best_bound(
     this comes close, the cone relaxation.
     """
     part, solution = problem.select(answer.active), answer.solution
+    if problem.run.objective == "expected" and part.shape[0] < problem.shape[0]:
+        shares = shared(problem, answer.active, _slowest(problem, speeds))
+        every = multipliers_for_all(problem, shares, solution.multipliers)
+        spare, start = _spare(problem, answer.plan), np.sqrt(2.0 * answer.plan.z)
+        return lower_bound(problem, every, start, running_time, spare), "shared multipliers"
     close = 1.0 - _CLOSE / problem.shape[1]
     bound = _bounded(part, solution, running_time)
     if bound >= close * solution.energy:
@@ -307,6 +325,30 @@ def _spare(problem: Problem, plan: Plan) -> FloatArray:
     return np.asarray(np.maximum(ahead.max(axis=1), 0.0))
 
 
+def _slowest(problem: Problem, speeds: FloatArray) -> int:
+    """The configuration that takes longest on its fastest run."""
+    return int(np.argmax((problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)))
+
+
+def _program(problem: Problem, rows: Sequence[int], slowest: int) -> Problem:
+    """The problem of few configurations, each with the weight of those that it stands for."""
+    part = problem.select(rows)
+    if problem.run.objective != "expected":
+        return part
+    return replace(part, weights=shared(problem, rows, slowest).weights)
+
+
+def _all_follow(
+    problem: Problem, rows: list[int], slowest: int, riding: Plan, running_time: float
+) -> Plan:
+    """The same traction; who is not in the program brakes as gently as those that stand for it."""
+    ahead = shared(problem, rows, slowest).parts @ riding.z[rows]
+    found = ride_behind(problem, riding.traction, ahead, running_time)
+    for name in ("z", "braking", "dynamic"):
+        getattr(found, name)[rows] = getattr(riding, name)[rows]
+    return found
+
+
 def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -> Plan:
     """The optimum for the active configurations, and how the others follow it."""
     common = optimum.braking[0] if problem.common else None
@@ -333,7 +375,7 @@ def _violators(
         ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
         ((plan.z - ceiling) / problem.ceiling.max()).max(axis=1),
     ]
-    if problem.run.at_line and active:
+    if problem.run.objective == "line" and active:
         spent = -(plan.dynamic @ problem.step)
         excesses.append((spent - np.median(spent)) / (plan.traction @ problem.step))
     found: set[int] = set()

@@ -86,8 +86,7 @@ def optimise(
     objective : {"wheel", "line", "expected"}
         Energy at the wheel rims without regeneration, as the paper has it; or energy from the
         line with the train's efficiencies and its dynamic brake, of the worst configuration or as
-        expected with `weights`. All configurations then have a say: it takes as long as they are
-        many.
+        expected with `weights`; of more than twelve few then stand for the others.
     weights : sequence of float
         Of the configurations, for the expected energy; equal without them.
     condition_map : TrackConditionMap, optional

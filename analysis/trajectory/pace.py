@@ -15,6 +15,9 @@ from analysis.trajectory.problem import Plan, Problem
 
 FloatArray = NDArray[np.float64]
 
+_TRIALS = 6
+"""Of how much faster than another a configuration has to be to arrive in time."""
+
 _BESIDE_LEAST = 1e-6
 """What a least time has to spare, relative: its own rounding."""
 
@@ -183,6 +186,44 @@ def ride_along(problem: Problem, traction: FloatArray, braking: FloatArray | Non
         z[:, 0] = problem.initial
         return drive(problem, Plan(z, traction, everyone, np.minimum(everyone, problem.dynamic)))
     z, braking = ride_below(problem, braking_curves(problem, traction), traction)
+    return Plan(z, traction, braking, dynamic_share(problem, z, braking))
+
+
+def ride_behind(
+    problem: Problem, traction: FloatArray, leader: FloatArray, running_time: float
+) -> Plan:
+    """How each configuration runs under a common traction, no faster than another, if in time.
+
+    It brakes as gently as the other does, and so regains more than one that brakes late; it may
+    be so much faster than the other as its time asks for.
+
+    Parameters
+    ----------
+    traction : (n,) array [m/s²]
+    leader : (q, n + 1) array [m²/s²]
+        ``z`` of the one that each follows.
+    running_time : float [s]
+    """
+    curves = braking_curves(problem, traction)
+    found = _below(problem, traction, curves)
+    low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
+    for _ in range(_TRIALS):
+        share = low if _ == 0 else 0.5 * (low + high)
+        below = np.minimum(curves, leader * (1.0 + 0.2 * share[:, None]))
+        trial = _below(problem, traction, below)
+        late = delays(problem, trial, running_time)[0] > 0.0
+        for name in ("z", "braking", "dynamic"):
+            getattr(found, name)[~late] = getattr(trial, name)[~late]
+        if _ == 0:
+            high = np.where(late, high, 0.0)
+            continue
+        low, high = np.where(late, share, low), np.where(late, high, share)
+    return found
+
+
+def _below(problem: Problem, traction: FloatArray, curves: FloatArray) -> Plan:
+    """The ride below the curves as a plan."""
+    z, braking = ride_below(problem, curves, traction)
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
 

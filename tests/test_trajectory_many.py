@@ -1,0 +1,50 @@
+"""Many configurations at the line: few stand for the others, and the bound holds for all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from trajectory_world import FLIRT, drawn, hilly_line
+
+from analysis.trajectory import optimise, representatives
+from analysis.trajectory.problem import discretise
+from analysis.trajectory.run import Run
+
+OPTIONS = {"reserve": 0.1, "cells": 80}
+
+
+def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPatch) -> None:
+    configurations = drawn(FLIRT, 14, seed=2, spread=0.05)
+    found = {}
+    for few in (12, 14):
+        monkeypatch.setattr(representatives, "FEW", few)
+        found[few] = optimise(
+            hilly_line(), FLIRT, configurations, objective="expected", **OPTIONS
+        ).certificate  # type: ignore[arg-type]
+    some, everyone = found[12], found[14]
+    assert len(some["active"]) < 10
+    assert len(everyone["active"]) == 14
+    assert some["audit"]["passed"]
+    mean = float(np.mean(some["line_energy"]))
+    assert some["energy"] == pytest.approx(mean)
+    # Not less than the optimum of all, not much more, and bounded from below by the truth.
+    assert some["energy"] >= everyone["lower_bound"]
+    assert some["energy"] <= 1.005 * everyone["energy"]
+    assert some["lower_bound"] <= everyone["energy"]
+    assert some["gap"] <= 0.03
+
+
+def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
+    configurations = tuple(drawn(FLIRT, 20, seed=4))
+    line = hilly_line()
+    weights = tuple(np.arange(1.0, 21.0).tolist())
+    run = Run(line, FLIRT, configurations, 0.0, line.length, weights=weights)
+    problem = discretise(run, run.breakpoints)
+    rows = representatives.kinds(problem, slowest=7)
+    assert len(rows) == 1 + representatives.KINDS
+    assert len(set(rows)) == len(rows)
+    shares = representatives.shared(problem, rows, slowest=7)
+    assert shares.parts.sum(axis=1) == pytest.approx(1.0)
+    assert shares.parts.min() >= 0.0
+    assert shares.weights.sum() == pytest.approx(1.0)
+    assert shares.weights[rows.index(7)] == pytest.approx(problem.weights[7])
