@@ -44,6 +44,9 @@ def new_table(title: str, *columns: str, **options: Any) -> Table:
 LISTED = 8
 """Configurations of a trajectory that are listed one by one."""
 
+VOUCHED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+"""Words of IPOPT by which it vouches for what it found."""
+
 
 def savings_table(pairs: Sequence[Saving]) -> Group:
     """What following the trajectory saved, pair by pair and together."""
@@ -168,7 +171,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
             f"{trajectory.running_time:.1f} s ({clock(trajectory.running_time)}), {reserve}",
         ),
         ("configurations", deciding),
-        ("worst-case energy", f"{_kwh(certificate['energy'])}, {bound}"),
+        (trajectory.energy_told, f"{_kwh(certificate['energy'])}, {bound}"),
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
         ("latest arrival", f"{_never(audit['lateness']):.4f} s after the timetable"),
         ("speed over the limit", f"{_never(audit['overspeed']) * KMH:.5f} km/h"),
@@ -180,10 +183,16 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         facts.add_row(*row)
     if "referee" in certificate:
         judge = certificate["referee"]
-        words = f"{_kwh(judge['energy'])}, ours {judge['difference']:+.4%} ({judge['status']})"
+        words = f"{_kwh(judge['energy'])}, ours {judge['difference']:+.4%}"
+        if judge["status"] not in VOUCHED:
+            words += f"; {judge['name']} stopped before it was sure: its last point, no proof"
         facts.add_row(f"second opinion by {judge['name']}", words)
-    table = new_table("", "configuration", "mass", "arrival", "top speed", "energy")
-    order = np.argsort(-np.asarray(certificate["wheel_energy"]))
+    table = new_table(
+        "Energy of each configuration",
+        *("configuration", "mass", "arrival", "top speed", "at the wheels", "from the line"),
+    )
+    energies = certificate["wheel_energy"], certificate["line_energy"]
+    order = np.argsort(-np.asarray(energies[trajectory.objective != "wheel"]), kind="stable")
     for row in order[:LISTED]:
         configuration = trajectory.configurations[row]
         table.add_row(
@@ -191,7 +200,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
             f"{configuration.mass / 1e3:.1f} t",
             f"{trajectory.times[row, -1]:.2f} s",
             f"{trajectory.speeds[row].max() * KMH:.1f} km/h",
-            _kwh(certificate["wheel_energy"][row]),
+            *(_kwh(each[row]) for each in energies),
         )
     rest = len(order) - LISTED
     return Group(facts, table, *([f"and {rest} more"] if rest > 0 else []))
@@ -201,7 +210,7 @@ def front_table(front: Front) -> Table:
     """Energy against running time, and what a second more saves."""
     first = front.trajectories[0]
     table = new_table(
-        f"Energy against running time on {first.line}, {first.train}",
+        f"Running time on {first.line}, {first.train}, against {first.energy_told}",
         *("running time", "reserve", "energy", "gap", "a second more saves"),
     )
     for each, price in zip(front.trajectories, front.prices, strict=True):
@@ -220,9 +229,9 @@ def journey_table(plan: JourneyPlan) -> Table:
     """Sections of a journey: when, how much, and what a second is worth in each."""
     certificate = plan.certificate
     title = (
-        f"Journey {plan.journey.name} on {plan.journey.line}: {_kwh(certificate['energy'])}, at"
-        f" least {_kwh(certificate['lower_bound'])} at these times; other times might save"
-        f" {certificate['other_times_might_save']:.2%}"
+        f"Journey {plan.journey.name} on {plan.journey.line}: {plan.sections[0].energy_told}"
+        f" {_kwh(certificate['energy'])}, at least {_kwh(certificate['lower_bound'])} at these"
+        f" times; other times might save {certificate['other_times_might_save']:.2%}"
     )
     table = new_table(
         title, "from km", "departs", "to km", "arrives", "energy", "gap", "a second is worth"
@@ -249,7 +258,7 @@ def advice_table(points: Sequence[AdvicePoint]) -> Table:
             f"{point.position / 1e3:.3f}",
             clock(point.time),
             f"{KMH * point.speed:.0f} km/h",
-            point.phase.label,
+            point.words,
             f"{KMH * point.until:.0f} km/h",
         )
     return table
@@ -344,8 +353,8 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
     certificate = trajectory.certificate
     audit = certificate["audit"]
     energy = (
-        f"{_kwh(certificate['energy'])} at worst over {len(trajectory.configurations)}"
-        f" configurations in {trajectory.running_time:.0f} s"
+        f"{trajectory.energy_told} {_kwh(certificate['energy'])} over"
+        f" {len(trajectory.configurations)} configurations in {trajectory.running_time:.0f} s"
     )
     proof = (
         f"gap {certificate['gap']:.3%}, latest arrival {_never(audit['lateness']):.4f} s after"

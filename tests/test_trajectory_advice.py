@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -52,10 +53,32 @@ def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly: 
 
 def test_advice_tells_every_phase_where_none_is_too_short(hilly: Trajectory) -> None:
     row = 0
-    points, phases = advice(hilly, row, shortest=0.0), phases_of(hilly, row)
+    points, phases = advice(hilly, row, shortest=0.0, held=0.0), phases_of(hilly, row)
     cells = hilly.cell_of([point.position for point in points])
     assert [int(point.phase) for point in points] == phases[cells].tolist()
     assert len(points) == 1 + np.count_nonzero(np.diff(phases))
+
+
+def _spelled(letters: str, speeds: Sequence[float]) -> Trajectory:
+    """A trajectory of given phases, 20 s a cell; speeds in km/h at the nodes."""
+    n, speed = len(letters), np.array(speeds) / 3.6
+    return Trajectory(
+        "L", "T", 300.0 * np.arange(n + 1), (Configuration.of(FLIRT),), speed[None],
+        20.0 * np.arange(n + 1)[None], np.zeros(n), np.zeros((1, n)), 20.0 * n,
+        certificate={"phases": [letters]},
+    )  # fmt: skip
+
+
+def test_at_one_speed_a_driver_is_told_to_hold_it() -> None:
+    speeds = [0, 100, 100.5, 101, 100.2, 101.1, 100.5, 60, 0]
+    points = advice(_spelled("TPHPCPCB", speeds))
+    assert [point.words for point in points] == [
+        "maximum traction", "hold 100 km/h", "coasting", "maximum braking",
+    ]  # fmt: skip
+    assert points[1].until == points[2].speed == pytest.approx(100.5 / 3.6)
+    # A dip between two equal speeds is coasting all the same.
+    dip = advice(_spelled("TPCCPB", [0, 100, 100, 80, 100, 100, 0]))
+    assert [point.phase.letter for point in dip] == list("TPCPB")
 
 
 def test_advice_as_a_table(hilly: Trajectory, tmp_path: Path) -> None:
@@ -119,7 +142,7 @@ def test_a_front_of_nothing_is_refused() -> None:
     with pytest.raises(InputError, match="no reserves"):
         energy_against_time(*asked, reserves=())
     with pytest.raises(InfeasibleError, match="under one common traction"):
-        energy_against_time(*asked, reserves=(0.0,), cells=100)
+        energy_against_time(*asked, reserves=(1e-7,), cells=100)
 
 
 def test_against_the_chainage_the_map_is_read_backwards() -> None:
@@ -187,12 +210,12 @@ def test_commands_write_sections_a_front_and_advice(
 
 
 def test_coasting_for_a_moment_while_cruising_is_no_advice() -> None:
-    """Ten seconds in which the speed stays the same; but braking for ten seconds is told."""
+    """Nor is a little braking at a speed that stays; but full braking for ten seconds is told."""
     found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
     count = found.positions.size - 1
     times = np.linspace(0.0, 10.0 * count, count + 1)[None]
     speeds = np.full((1, count + 1), 20.0)
-    for letter, told in (("C", 1), ("H", 3)):
+    for letter, told in (("C", 1), ("H", 1), ("B", 3)):
         phases = "P" * 50 + letter + "P" * (count - 51)
         given = replace(
             found, speeds=speeds, times=times, certificate={**found.certificate, "phases": [phases]}

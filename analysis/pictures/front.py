@@ -36,7 +36,7 @@ def draw_front(front: Front, path: str | Path) -> None:
     ]  # fmt: skip
     above.legend(handles=handles, fontsize=8, frameon=False)
     first = front.trajectories[0]
-    title = f"{first.train} on {first.line}: energy against running time"
+    title = f"{first.train} on {first.line}: {first.energy_told}"
     dress(above, x="", y="kWh", title=title)
     below.plot(times, 1e3 * prices, "o-", color=BLUE, markersize=4, linewidth=1.2)
     below.set_ylim(bottom=0.0)

@@ -95,7 +95,7 @@ def _title(trajectory: Trajectory) -> str:
     if "energy" not in certificate:
         return words
     return (
-        f"{words}; at most {certificate['energy'] / _KWH:.1f} kWh,"
+        f"{words}\n{trajectory.energy_told} {certificate['energy'] / _KWH:.1f} kWh,"
         f" gap {100.0 * certificate['gap']:.3f} %"
     )
 

@@ -35,6 +35,12 @@ speed."""
 _SAME = 1.0 / KMH
 """Change of speed that a driver would not notice [m/s]."""
 
+_EVEN = (Phase.CRUISING, Phase.COASTING, Phase.PARTIAL_BRAKING)
+"""Phases that a driver does not tell apart while the speed stays: a little effort up or down."""
+
+HELD = 2.0 / KMH
+"""Speeds within this of each other are one speed to hold [m/s]."""
+
 HEADER = ("position_m", "time_s", "speed_kmh", "phase", "until_kmh")
 
 
@@ -60,6 +66,13 @@ class AdvicePoint:
     phase: Phase
     until: float
 
+    @property
+    def words(self) -> str:
+        """The advice as a driver reads it: the phase, or the speed to hold."""
+        if self.phase is Phase.CRUISING and abs(self.until - self.speed) <= HELD:
+            return f"hold {KMH * self.speed:.0f} km/h"
+        return self.phase.label
+
 
 def slowest_row(trajectory: Trajectory) -> int:
     """The configuration that arrives last; who drives as it does is not late in any other."""
@@ -67,7 +80,11 @@ def slowest_row(trajectory: Trajectory) -> int:
 
 
 def advice(
-    trajectory: Trajectory, row: int | None = None, *, shortest: float = SHORTEST
+    trajectory: Trajectory,
+    row: int | None = None,
+    *,
+    shortest: float = SHORTEST,
+    held: float = HELD,
 ) -> tuple[AdvicePoint, ...]:
     """The phases of a trajectory, as points at which they begin.
 
@@ -79,6 +96,9 @@ def advice(
     shortest : float [s]
         A shorter phase counts as part of the one before it, and so does one that lasts little
         longer and changes nothing: coasting for 5 s while cruising.
+    held : float [m/s]
+        Neighbouring phases over which the speed stays within this, and none of which is full
+        traction or full braking, are one: cruising, to hold that speed.
 
     Raises
     ------
@@ -95,16 +115,34 @@ def advice(
         even = phases[start] < Phase.PARTIAL_BRAKING and abs(speeds[end] - speeds[start]) < _SAME
         if not kept or (lasts >= (_BRIEF * shortest if even else shortest) and not same):
             kept.append(start)
+    told = _held(speeds, [(start, Phase(phases[start])) for start in kept], held)
+    ends = [*(start for start, _ in told[1:]), phases.size]
     return tuple(
         AdvicePoint(
             float(trajectory.positions[start]),
             float(times[start]),
             float(speeds[start]),
-            Phase(phases[start]),
+            phase,
             float(speeds[end]),
         )
-        for start, end in zip(kept, [*kept[1:], phases.size], strict=True)
+        for (start, phase), end in zip(told, ends, strict=True)
     )
+
+
+def _held(
+    speeds: FloatArray, begun: list[tuple[int, Phase]], held: float
+) -> list[tuple[int, Phase]]:
+    """Phases, by the node where each begins, with those at one speed made one."""
+    told = list[tuple[int, Phase]]()
+    ends = [*(start for start, _ in begun[1:]), speeds.size - 1]
+    for (start, phase), end in zip(begun, ends, strict=True):
+        if told and phase in _EVEN and told[-1][1] in _EVEN:
+            first = told[-1][0]
+            if np.ptp(speeds[first : end + 1]) <= held:
+                told[-1] = first, Phase.CRUISING
+                continue
+        told.append((start, phase))
+    return [each for row, each in enumerate(told) if row == 0 or told[row - 1][1] is not each[1]]
 
 
 def write_advice(points: tuple[AdvicePoint, ...], path: str | Path) -> None:

@@ -39,6 +39,10 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 """What the solvers stop at: beyond it the rounding of large programs makes some of them stall."""
 
 
+BEYOND = "beyond the solver's arithmetic (numbers too far apart: check the lengths and the masses)"
+"""Said where a solver breaks off; its own words speak of its settings."""
+
+
 class NoSolutionError(Exception):
     """The solver's word when it is not a solution: infeasible, unbounded, or a failure."""
 
@@ -157,7 +161,7 @@ def solve(
     Raises
     ------
     NoSolutionError
-        With the solver's word.
+        With the solver's word, or `BEYOND`.
     """
     x = bounded(unknowns) if variable is None else variable
     objective = cost @ x
@@ -173,8 +177,8 @@ def solve(
                 # The status says what the warning would, and the certificate carries it.
                 warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
                 program.solve(solver=solver, **_SETTINGS.get(solver, {}))
-        except cp.SolverError as error:
-            word = f"failed: {error}"
+        except cp.SolverError:
+            word = BEYOND
             continue
         word = str(program.status)
         good = (cp.OPTIMAL,) if solver == cp.PIQP else (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)

@@ -144,9 +144,11 @@ def optimise(
         running_time = (1.0 + reserve) * least_time
         if reserve == 0.0:
             running_time = least_time_together(discretise(run, _mesh(run, fastest, cells)))
-    check_time(run, fastest, running_time)
-
-    problem, answer, rollout, coarser = _audited(run, fastest, running_time, cells)
+    try:
+        check_time(run, fastest, running_time)
+        problem, answer, rollout, coarser = _audited(run, fastest, running_time, cells)
+    except InfeasibleError as refusal:
+        raise _with_time_to_allow(refusal, run, fastest, running_time, cells) from None
     bound = best_bound(problem, answer, fastest.at(problem.positions), running_time)
     traction = answer.plan.traction * problem.reference
     brakes = answer.plan.braking * problem.reference
@@ -184,6 +186,23 @@ def optimise(
                 "cells": cells,
             },
         },
+    )
+
+
+def _with_time_to_allow(
+    refusal: InfeasibleError, run: Run, fastest: Envelope, running_time: float, cells: int
+) -> InfeasibleError:
+    """The refusal; where time is missing, with a time that all keep under one common traction."""
+    if running_time > 1.01 * float(fastest.times.max()) or run.windows:
+        return refusal
+    together = least_time_together(discretise(run, _mesh(run, fastest, cells)))
+    if not running_time < together < np.inf:
+        return refusal
+    return InfeasibleError(
+        refusal.problem,
+        file=refusal.file,
+        place=refusal.place,
+        remedy=f"allow at least {np.ceil(together):.0f} s",
     )
 
 

@@ -13,6 +13,13 @@ from trainlog.railway.configuration import Configuration
 
 FloatArray = NDArray[np.float64]
 
+_ENERGY = {
+    "wheel": "worst-case energy at the wheel rims",
+    "line": "worst-case energy from the line",
+    "expected": "expected energy from the line",
+}
+"""What an objective of the optimisation counts."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -126,6 +133,16 @@ class Trajectory:
         power = [c.max_power / c.inertia for c in every]
         rows = (int(np.argmax(drag)), int(np.argmin(drag)), int(np.argmin(power)))
         return tuple(every[row].name for row in dict.fromkeys(rows))
+
+    @property
+    def objective(self) -> str:
+        """What was minimised: ``"wheel"``, ``"line"`` or ``"expected"``."""
+        return str(self.provenance.get("settings", {}).get("objective", "wheel"))
+
+    @property
+    def energy_told(self) -> str:
+        """What the ``energy`` of the certificate is, and where it is taken, in words."""
+        return _ENERGY.get(self.objective, "energy")
 
     @property
     def latest(self) -> int:

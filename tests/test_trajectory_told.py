@@ -1,0 +1,84 @@
+"""What people are told of a trajectory: which energy, where, and how sure."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import pytest
+from rich.console import Console
+from trajectory_world import FLIRT, hilly_line, observed
+
+from analysis.pictures.trajectory import _title
+from analysis.report import trajectory_table
+from analysis.trajectory import optimise
+from trainlog.errors import InfeasibleError
+from trainlog.formats.trajectory import read_trajectory, write_trajectory
+from trainlog.railway import Trajectory
+
+ENERGY = {
+    "wheel": "worst-case energy at the wheel rims",
+    "line": "worst-case energy from the line",
+    "expected": "expected energy from the line",
+}
+
+
+def printed(trajectory: Trajectory) -> str:
+    console = Console(width=200, record=True, quiet=False)
+    with console.capture() as captured:
+        console.print(trajectory_table(trajectory))
+    return captured.get()
+
+
+@pytest.mark.parametrize("objective", list(ENERGY))
+def test_table_and_picture_say_which_energy_and_where(objective: Any, tmp_path: Path) -> None:
+    found = optimise(
+        hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=60,
+        objective=objective,
+    )  # fmt: skip
+    write_trajectory(found, tmp_path / "t.json")
+    found = read_trajectory(tmp_path / "t.json")
+    told = printed(found)
+    for name, words in ENERGY.items():
+        assert (words in told) == (words in _title(found)) == (name == objective)
+    assert "at the wheels" in told
+    certificate = found.certificate
+    for energies in (certificate["wheel_energy"], certificate["line_energy"]):
+        assert f"{energies[0] / 3.6e6:.2f} kWh" in told
+
+
+def test_an_opinion_that_ipopt_does_not_vouch_for_is_none() -> None:
+    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
+    judge = {"name": "IPOPT", "energy": 1e8, "difference": 1e-5, "iterations": 9}
+    for status, sure in (("Solve_Succeeded", True), ("Error_In_Step_Computation", False)):
+        certificate = found.certificate | {"referee": judge | {"status": status}}
+        told = printed(replace(found, certificate=certificate))
+        assert ("stopped before it was sure" in told) is not sure
+        assert status not in told
+
+
+def test_a_solver_that_breaks_off_does_not_speak_of_its_settings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise cp.SolverError("Try another solver, or solve with verbose=True")
+
+    monkeypatch.setattr(cp.Problem, "solve", broken)
+    with pytest.raises(InfeasibleError, match="beyond the solver's arithmetic") as refusal:
+        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
+    assert "verbose" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0 + 1e-7])
+def test_the_time_that_a_refusal_names_is_accepted(share: float) -> None:
+    asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.1))
+    least = max(optimise(*asked, reserve=0.0, cells=60).certificate["least_time"])
+    with pytest.raises(InfeasibleError) as refusal:
+        optimise(*asked, running_time=share * least, cells=60)
+    named = re.fullmatch(r"allow at least (\d+) s", refusal.value.remedy or "")
+    assert named
+    found = optimise(*asked, running_time=float(named[1]), cells=60)
+    assert found.certificate["audit"]["lateness"] <= 1e-4
