@@ -338,21 +338,39 @@ def savings(drivers: Sequence[Recorded], followed: Sequence[Recorded]) -> tuple[
         If no pair is comparable.
     """
     by_name = {_described(trip).name: trip for trip in drivers}
-    pairs = []
+    pairs, unlike = [], list[tuple[int, str]]()
     for trip in followed:
         observed = by_name.get(_described(trip).metadata.get("configuration", ""))
         if observed is None:
+            name = _described(trip).name
+            unlike.append((0, f"there is no trip of the configuration that '{name}' drove with"))
             continue
         driver, cost = trip_cost(observed), trip_cost(trip)
-        if (
-            cost.direction == driver.direction
-            and cost.stops == driver.stops == 0
-            and abs(cost.distance - driver.distance) < 0.02 * cost.distance
-        ):
+        differs = _unlike(driver, cost)
+        if differs is None:
             pairs.append(Saving(driver, cost))
+        else:
+            unlike.append(differs)
     if not pairs:
+        nearest = max(unlike, key=lambda each: each[0], default=(0, "no trip followed one"))[1]
         raise LogError(
-            "no trip that followed the trajectory has a comparable trip by a driver",
+            f"no trip that followed the trajectory has a comparable trip by a driver: {nearest}",
             remedy="needs one non-stop trip of the same configuration, direction and distance",
         )
     return tuple(pairs)
+
+
+def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:
+    """Why two trips cannot be compared, with how near they come to it; None if they can."""
+    names = f"'{driver.name}'", f"'{followed.name}'"
+    if driver.direction != followed.direction:
+        return 1, f"{names[0]} ran {driver.direction}, {names[1]} {followed.direction}"
+    if not abs(followed.distance - driver.distance) < 0.02 * followed.distance:
+        return 2, (
+            f"{names[0]} ran {driver.distance / 1e3:.1f} km, {names[1]}"
+            f" {followed.distance / 1e3:.1f} km"
+        )
+    if driver.stops or followed.stops:
+        each = zip(names, (driver.stops, followed.stops), strict=True)
+        return 3, " and ".join(f"{name} stopped {stops}x" for name, stops in each if stops)
+    return None

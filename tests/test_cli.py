@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -382,6 +383,23 @@ def test_an_interrupted_command_says_so(
     assert "interrupted" in complaint
 
 
+def test_ctrl_c_while_python_still_loads_is_one_line() -> None:
+    loading = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "trainlog.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from trainlog.__main__ import main
+main()
+"""
+    ended = subprocess.run([sys.executable, "-c", loading], capture_output=True, text=True)
+    assert ended.returncode == 130
+    assert ended.stderr.strip() == "trainlog: interrupted"
+    assert not ended.stdout
+
+
 def test_simulated_logs_are_the_same_for_the_same_seed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -439,14 +457,20 @@ def test_parameters_of_another_train_are_refused(
     assert "observed on train 'CH_Stadler_FLIRT_TPF', not on 'OTHER'" in complaint
 
 
+@pytest.mark.parametrize(
+    "words",
+    [("--weather", "wet"), ("--configurations", "all"), ("--map", "m.json"), ("--late", "9")],
+)
 def test_options_that_contradict_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    status, _, complaint = run(
-        monkeypatch, capsys, "simulate", "--weather", "wet", "-o", tmp_path / "out"
-    )
+    status, _, complaint = run(monkeypatch, capsys, "simulate", *words, "-o", tmp_path / "out")
     assert status == 2
-    assert "--trajectory" in complaint
+    told = f"{words[0]} goes with --trajectory; give a trajectory, or leave out {words[0]}"
+    assert told in " ".join(complaint.split())
     assert not (tmp_path / "out").exists()
 
 

@@ -146,5 +146,16 @@ def simulated(**options: bool) -> Trip:
 
 def test_nothing_comparable_is_told() -> None:
     backwards = replace(trip("a"), metadata={**trip("a").metadata, "direction": "reverse"})
-    with pytest.raises(LogError, match="comparable trip by a driver; needs one non-stop trip"):
-        savings([backwards], [trip("driven-a", configuration="a")])
+    followed = [trip("driven-a", configuration="a"), trip("driven-c", configuration="c")]
+    for drivers, nearest in (
+        ([], "there is no trip of the configuration that 'driven-a' drove with"),
+        ([backwards], "'a' ran reverse, 'driven-a' forward"),
+        ([trip("a", stop=True)], "'a' ran 11.6 km, 'driven-a' 12.0 km"),
+        ([trip("a", stop=True), trip("c", stop=True)], "'a' ran 11.6 km, 'driven-a' 12.0 km"),
+    ):
+        words = f"comparable trip by a driver: {nearest}; needs one non-stop trip"
+        with pytest.raises(LogError, match=words):
+            savings(drivers, followed)
+    stopping = trip("driven-b", stop=True, configuration="b")
+    with pytest.raises(LogError, match="driver: 'b' stopped 1x and 'driven-b' stopped 1x; needs"):
+        savings([backwards, trip("b", stop=True)], [*followed, stopping])

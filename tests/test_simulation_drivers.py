@@ -121,6 +121,24 @@ def test_a_train_that_cannot_climb_is_told() -> None:
         drive(journey(line, adhesion=0.05))
 
 
+def test_a_train_that_never_moves_is_given_up_after_twenty_minutes() -> None:
+    weak = replace(flirt(), max_tractive_effort=500.0)
+    with pytest.raises(InfeasibleError, match=r"does not arrive; at km 0\.000 after 12\d\d s"):
+        drive(journey(train=weak))
+
+
+def test_a_train_that_waits_long_at_a_stop_is_not_given_up() -> None:
+    stops = plan(hilly_line(), flirt(), hilly_line().stations)
+    late = 2_000.0
+    waits = [replace(stops[0], departure=stops[0].departure + late)]
+    waits += [
+        replace(stop, arrival=stop.arrival + late, departure=stop.departure + late)
+        for stop in stops[1:]
+    ]
+    run = drive(journey(stops=tuple(waits)))
+    assert run.seconds[-1] > late
+
+
 def test_running_time_of_a_level_run() -> None:
     """Constant acceleration, cruising and braking in closed form."""
     train = replace(flirt(), max_traction_power=1e9, max_tractive_effort=100e3, length=0.0)

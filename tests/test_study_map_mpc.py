@@ -196,3 +196,8 @@ def test_over_the_whole_line() -> None:
             if scenario.weather == "good" and scenario.delay == 0.0:
                 assert np.abs(each.informed.position_error).max() <= 5.0
                 assert np.abs(each.informed.speed_error).max() < 3.0
+
+
+def test_more_sections_than_the_line_has_are_refused() -> None:
+    with pytest.raises(InputError, match=r"has \d+ sections, not 99; ask for 1 to \d+"):
+        study.prepared(seed=1, sections=99)

@@ -17,6 +17,7 @@ from analysis.trajectory.reference_section import (
     least_time_unweighed,
     sections_of,
 )
+from trainlog.errors import InputError
 from trainlog.railway import StepProfile
 from trainlog.railway.lever import PAPER_000
 
@@ -106,12 +107,19 @@ def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -
 
     Raises
     ------
+    InputError
+        If the line has fewer sections.
     InfeasibleError
         If the timetable cannot be kept.
     """
     track = world.line()
     rails = {"good": world.good_rail(track, seed), "bad": world.bad_rail(track, seed)}
     stops = world.timetable(track, rail=rails["good"])
+    if sections is not None and sections >= len(stops):
+        raise InputError(
+            f"line '{track.name}' has {len(stops) - 1} sections, not {sections}",
+            remedy=f"ask for 1 to {len(stops) - 1}, or for all",
+        )
     every = sections_of(track, PAPER_000, rails["good"], stops)[:sections]
     check_timetable(every)
     return World(tuple(reference(section) for section in watched(every)), rails)

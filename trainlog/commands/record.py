@@ -48,9 +48,11 @@ def simulate(
         Path | None, typer.Option(help="Follow this trajectory instead of a driver's habits.")
     ] = None,
     configurations: Annotated[
-        str,
-        typer.Option(help="With --trajectory: 'hardest', 'all', or names separated by commas."),
-    ] = "hardest",
+        str | None,
+        typer.Option(
+            help="With --trajectory: 'hardest' (default), 'all', or names separated by commas."
+        ),
+    ] = None,
     weather: Annotated[
         Literal["dry", "wet"] | None,
         typer.Option(help="With --trajectory: the rail's condition; default dry."),
@@ -79,14 +81,16 @@ def simulate(
 
     the_line, the_train = line_and_train(line, train)
     if trajectory is None:
-        for option, given in (("weather", weather), ("map", condition), ("late", late or None)):
-            if given is not None:
-                raise InputError(f"--{option} goes with --trajectory", remedy="leave it out")
+        _check_alone(
+            {"configurations": configurations, "weather": weather, "map": condition}
+            | {"late": late or None}
+        )
         scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
     else:
         scenarios = _following(
-            trajectory, the_line, the_train, configurations, seed, weather or "dry", condition, late
-        )
+            trajectory, the_line, the_train, configurations or "hardest", seed,
+            weather or "dry", condition, late,
+        )  # fmt: skip
     made_folder(output)
     followed = []
     with progress_bar() as progress:
@@ -101,6 +105,16 @@ def simulate(
 
         draw_following(followed, output / "following.png")
         wrote(output / "following.png")
+
+
+def _check_alone(options: dict[str, object]) -> None:
+    """Refuse options that say how to follow a trajectory where none is given."""
+    for option, given in options.items():
+        if given is not None:
+            raise InputError(
+                f"--{option} goes with --trajectory",
+                remedy=f"give a trajectory, or leave out --{option}",
+            )
 
 
 def _following(

@@ -42,6 +42,9 @@ SURVEY_ERROR = 0.1e-3
 STANDING = 10.0
 """Recorded after the arrival [s]."""
 
+STUCK = 1200.0
+"""A train that is not braked and has not moved for so long [s] will not."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
@@ -221,7 +224,8 @@ def drive(scenario: Scenario) -> Run:
     Raises
     ------
     InfeasibleError
-        If the train does not arrive within three times its planned time.
+        If the train does not arrive within three times its planned time, or has not moved for
+        `STUCK` though it is not braked, as it is at a stop.
     """
     plant = scenario.plant()
     driver = scenario.driver()
@@ -237,6 +241,7 @@ def drive(scenario: Scenario) -> Run:
     demands: list[Demand] = []
     acceleration = 0.0
     arrived: float | None = None
+    moved, place = 0.0, origin
     while True:
         time = len(blocks) * PERIOD
         seen = Observation(time, state.position, state.speed, acceleration)
@@ -245,7 +250,9 @@ def drive(scenario: Scenario) -> Run:
             arrived = time
         if arrived is not None and time >= arrived + STANDING:
             break
-        if time > patience + 600.0:
+        if demands[-1].braking_effort > 0.0 or abs(state.position - place) > 1.0:
+            moved, place = time, state.position
+        if time > patience + 600.0 or time > moved + STUCK:
             raise InfeasibleError(
                 f"trip '{scenario.name}': the train does not arrive; at km"
                 f" {state.position / 1e3:.3f} after {time:.0f} s",
