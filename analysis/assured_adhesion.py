@@ -3,6 +3,10 @@
 Slip shows the maximum where it is met. Everywhere else a trip only shows that the rail bore what
 was asked of it; and where little was asked the map tells nothing, so that what is counted on there
 is an assumption, and is called one.
+
+This is right for what is planned ahead and must hold: trajectories, references, the guarantees of
+studies. A driver on the way, who sees slip and eases off, expects the likely where the map was not
+observed: `TrackConditionMap.likely`. Where it was observed both are the same.
 """
 
 from __future__ import annotations

@@ -169,7 +169,8 @@ def way(run: Run, trajectory: Trajectory, can: Able) -> Way:
 def _adhesion(run: Run, positions: FloatArray) -> FloatArray:
     """Maximum adhesion that the driver counts on; infinite without a map.
 
-    Where the map was not observed he expects what its own places and neighbours make likely.
+    Where the map was not observed he expects what its own places and neighbours make likely
+    (`TrackConditionMap.likely`), which a plan must not rest on; he sees slip and eases off.
     """
     known = run.adhesion_at(positions)
     if run.condition is None:

@@ -127,6 +127,11 @@ class TrackConditionMap:
 
         There it is what the layer's own places and its neighbours make likely, with the larger
         deviation of that: good enough to drive with care, not to be shown as data.
+
+        It is an expectation, right for a driver or controller that sees the train slip and eases
+        off, and it never says that nothing limits. What a plan rests on must not be guessed:
+        `analysis.assured_adhesion` takes there only what a trip bore without slip, or an
+        assumption that is called one.
         """
         chosen = self.layer(layer)
         index = self.bin_of(position)
