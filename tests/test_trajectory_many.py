@@ -34,6 +34,27 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     assert some["gap"] <= 0.03
 
 
+def test_who_brakes_gently_is_no_dearer_than_the_few_that_decide_at_the_line() -> None:
+    configurations = drawn(FLIRT, 30, seed=2)
+    many = optimise(hilly_line(), FLIRT, configurations, objective="line", **OPTIONS)  # type: ignore[arg-type]
+    certificate = many.certificate
+    # The worst case is that of all, as audited, whoever was optimised for.
+    assert len(certificate["line_energy"]) == len(certificate["audit"]["arrival"]) == 30
+    assert certificate["energy"] == max(certificate["line_energy"])
+    assert certificate["audit"]["passed"]
+    assert certificate["certified"]
+    assert len(certificate["active"]) <= 8
+    # Those that decided need as much without the others, but for the lightest and the heaviest,
+    # by which the largest common traction and the efforts are measured.
+    extremes = [pick(configurations, key=lambda each: each.mass) for pick in (min, max)]
+    names = {*certificate["active"], *(each.name for each in extremes)}
+    deciding = [each for each in configurations if each.name in names]
+    few = optimise(
+        hilly_line(), FLIRT, deciding, objective="line", running_time=many.running_time, cells=80
+    ).certificate
+    assert few["energy"] == pytest.approx(certificate["energy"], rel=2e-4)
+
+
 def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
     configurations = tuple(drawn(FLIRT, 20, seed=4))
     line = hilly_line()

@@ -220,10 +220,12 @@ def search(
         solution = _optimum(part, plan, price, speeds[rows], running_time, *accuracy)
         statuses.extend(solution.statuses)
         everyone = _all_ride(problem, rows, part, solution.plan)
-        if problem.run.objective == "expected" and len(rows) < problem.shape[0]:
-            everyone = _all_follow(problem, rows, slowest, everyone, running_time)
         own = delays(part, everyone.select(rows), running_time)[0]
         overdue = max(float(own.max()), 0.0)
+        if problem.run.objective == "expected" and len(rows) < problem.shape[0]:
+            everyone = _all_follow(problem, rows, slowest, everyone, running_time)
+        leader = rows[int(np.argmax(solution.time_price))]
+        everyone = _dearer_follow(problem, rows, leader, everyone, running_time + overdue)
         new = sorted(_violators(problem, everyone, running_time + overdue, rows, wider) - set(rows))
         owed = solution.energy + overdue * float(solution.time_price.sum())
         if coarse:
@@ -256,6 +258,8 @@ def _amended(
     if traction is None:
         return None
     everyone = _all_ride(problem, rows, part, replace(solution.plan, traction=traction))
+    leader = rows[int(np.argmax(solution.time_price))]
+    everyone = _dearer_follow(problem, rows, leader, everyone, running_time)
     driven = everyone.select(rows)
     others = _violators(problem, everyone, running_time, rows, 1.0)
     energy = energy_of(part, driven)
@@ -349,6 +353,28 @@ def _all_follow(
     return found
 
 
+def _dearer_follow(
+    problem: Problem, rows: list[int], leader: int, riding: Plan, running_time: float
+) -> Plan:
+    """The same traction; who regains less than all in the program brakes as gently as the leader.
+
+    Only at the line, and where each brakes for itself. Who brakes late regains less than it could,
+    which is no reason to optimise for it.
+    """
+    regained = riding.dynamic @ problem.step
+    dearer = np.flatnonzero(regained < regained[rows].min()).tolist()
+    if problem.run.objective != "line" or problem.common or not dearer:
+        return riding
+    some = problem.select(dearer)
+    ahead = np.broadcast_to(riding.z[leader], (len(dearer), riding.z.shape[1]))
+    behind = ride_behind(some, riding.traction, ahead, running_time)
+    better = behind.dynamic @ problem.step > regained[dearer]
+    chosen = np.asarray(dearer)[better]
+    for name in ("z", "braking", "dynamic"):
+        getattr(riding, name)[chosen] = getattr(behind, name)[better]
+    return riding
+
+
 def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -> Plan:
     """The optimum for the active configurations, and how the others follow it."""
     common = optimum.braking[0] if problem.common else None
@@ -377,7 +403,7 @@ def _violators(
     ]
     if problem.run.objective == "line" and active:
         spent = -(plan.dynamic @ problem.step)
-        excesses.append((spent - np.median(spent)) / (plan.traction @ problem.step))
+        excesses.append((spent - spent[active].max()) / (plan.traction @ problem.step))
     found: set[int] = set()
     for excess in excesses:
         excess[active] = -np.inf
