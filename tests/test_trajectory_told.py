@@ -15,7 +15,7 @@ from trajectory_world import FLIRT, hilly_line, observed
 from analysis.pictures.trajectory import _title
 from analysis.report import trajectory_table
 from analysis.trajectory import optimise
-from trainlog.errors import InfeasibleError
+from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import Trajectory
 
@@ -82,3 +82,11 @@ def test_the_time_that_a_refusal_names_is_accepted(share: float) -> None:
     assert named
     found = optimise(*asked, running_time=float(named[1]), cells=60)
     assert found.certificate["audit"]["lateness"] <= 1e-4
+
+
+def test_a_set_that_cannot_be_planned_for_comes_with_a_remedy() -> None:
+    one = observed(FLIRT, 1.0)
+    with pytest.raises(InputError, match="no parameter configuration given; give a set"):
+        optimise(hilly_line(), FLIRT, [])
+    with pytest.raises(InputError, match="are called 'x1'; give each a name"):
+        optimise(hilly_line(), FLIRT, [*one, *one])

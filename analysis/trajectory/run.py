@@ -172,11 +172,17 @@ class Run:
     def _check_configurations(self, where: str) -> None:
         """Refuse a set that is empty, ambiguous, or whose resistance falls as the speed rises."""
         if not self.configurations:
-            raise InputError(f"{where}: no parameter configuration given")
+            raise InputError(
+                f"{where}: no parameter configuration given",
+                remedy="give a set with at least one: 'trainlog fit' makes it from trips",
+            )
         names = [configuration.name for configuration in self.configurations]
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"{where}: two configurations are called '{twice}'")
+            raise InputError(
+                f"{where}: two configurations are called '{twice}'",
+                remedy="give each a name of its own",
+            )
         for configuration in self.configurations:
             resistance = configuration.resistance
             for name, value in (("r1", resistance.r1), ("r2", resistance.r2)):
