@@ -59,7 +59,9 @@ def draw_study(world: World, outcomes: Sequence[Outcome], folder: Path) -> list[
     _draw_constraints(good, "Fig. 5  Constraints, good track", paths[3])
     _draw_constraints(bad, "Fig. 6  Constraints, bad track", paths[4])
     _draw_delay(late, outcomes[2], paths[5])
-    _draw_gain(outcomes[1].informed, outcomes[1].blind, ("with the map", "without"), paths[6])
+    _draw_gain(
+        outcomes[1].informed, outcomes[1].blind, ("with the map", "without the map"), paths[6]
+    )
     return paths
 
 
@@ -71,8 +73,13 @@ def _draw_map(world: World, path: Path) -> None:
     s = np.arange(0.0, line.length, 25.0)
     places[0].plot(s / 1e3, line.speed_limit(s) * KMH, color=RED, drawstyle="steps-post")
     for station in line.stations:
-        places[0].axvline(station.position / 1e3, color=PALE, linewidth=0.8)
-    dress(places[0], x="", y="km/h", title="Fig. 2  Map (reconstruction): speed limits, stations")
+        places[0].axvline(station.position / 1e3, color=GREY, linewidth=1.0, linestyle=":")
+    dress(
+        places[0],
+        x="",
+        y="km/h",
+        title="Fig. 2  Map (reconstruction): speed limits; stations dotted",
+    )
     places[1].plot(s / 1e3, line.gradient(s) * PER_MILLE, color=GREEN, drawstyle="steps-post")
     dress(places[1], x="", y="per mille", title="Gradient")
     for name, colour in (("good", BLUE), ("bad", ORANGE)):
@@ -124,8 +131,8 @@ def _draw_constraints(run: Run, title: str, path: Path) -> None:
     ):
         x, y = _largest(run, run.constraints[:, column])
         first.plot(x / 1e3, y, color=colour, linewidth=0.8, label=label)
-    first.legend(frameon=False, fontsize=8, loc="lower left")
-    first.set_ylim(-1.3, 0.1)
+    first.legend(edgecolor="none", framealpha=1.0, fontsize=8, loc="lower left")
+    first.set_ylim(-1.5, 0.1)
     dress(
         first, x="", y="m/s²",
         title=f"{title}, {run.mass / 1e3:.1f} t; kept where not above 0, for every mass",
@@ -148,7 +155,12 @@ def _draw_delay(run: Run, outcome: Outcome, path: Path) -> None:
     dress(first, x="min", y="m", title=f"{title}, {run.mass / 1e3:.1f} t")
     late = np.concatenate([[run.delay], run.late])
     numbers = np.arange(late.size)
-    second.bar(numbers, late, 0.5, color=BLUE, label="reached")
+    second.bar_label(
+        second.bar(numbers, late, 0.5, color=BLUE, label="reached"),
+        fmt="%.1f",
+        padding=4,
+        fontsize=7,
+    )
     for bound, colour, width, label in (
         (outcome.unweighed, ORANGE, 3.0, "least by the shortest times, mass not known"),
         (outcome.bound, GREY, 1.0, "least, mass known"),
@@ -156,10 +168,16 @@ def _draw_delay(run: Run, outcome: Outcome, path: Path) -> None:
         least = np.maximum(np.concatenate([[run.delay], bound]), 0.0)
         second.plot(numbers, least, color=colour, linewidth=width, marker=".", label=label)
     second.legend(frameon=False, fontsize=8)
+    second.set_ylim(min(float(late.min()), 0.0) - 5.0, 1.15 * float(late.max()))
     second.set_xticks(numbers)
     names = [stop.station for stop in run.stops]
     second.set_xticklabels(names, rotation=40, ha="right", fontsize=7)
-    dress(second, x="", y="s", title="Lateness: at the departure, then on arrival at the stops")
+    dress(
+        second,
+        x="",
+        y="s",
+        title="Lateness at the first departure, then on arrival; below 0: early",
+    )
     write_figure(figure, path)
 
 
@@ -181,6 +199,9 @@ def _draw_gain(one: Run, other: Run, names: tuple[str, str], path: Path) -> None
 
 def _slips(axes: Axes, runs: Sequence[Run]) -> None:
     """Largest slip along the line: stable creep as grey lines, beyond the peak as red dots."""
+    axes.plot([], color=GREY, linewidth=0.5, label="stable creep")
+    axes.plot([], color=RED, linestyle="", marker=".", label="beyond the peak")
+    axes.legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
     for run in runs:
         slip = np.abs(run.slip_speed)
         x, y = _largest(run, np.max(slip, axis=1, initial=-np.inf, where=~run.slipping))
