@@ -30,6 +30,9 @@ MARGIN = 0.04
 SHARE = 0.96
 """Of the brake that is counted on ahead of lower limits and of the stop; the rest corrects."""
 
+BLENDING = 0.995
+"""Of the largest braking effort; while the dynamic brake takes over, friction lags behind."""
+
 UNEVEN = 0.95
 """Of the map's adhesion that is used: the powered axles do not share the effort alike."""
 
@@ -124,7 +127,7 @@ def able(run: Run) -> Able:
     return Able(
         traction=min(train.max_tractive_effort, train.max_acceleration * inertias[0]),
         power=min(c.max_power for c in every),
-        braking=min(train.max_braking_effort, train.max_deceleration * inertias[0]),
+        braking=BLENDING * min(train.max_braking_effort, train.max_deceleration * inertias[0]),
         dynamic=train.max_dynamic_braking_effort,
         dynamic_power=train.max_dynamic_braking_power,
         on_powered=train.adhesive_weight(masses[0] - train.mass),
