@@ -205,7 +205,8 @@ def map_update(trip: Trip) -> Figures:
 
 
 def cost(trip: Trip) -> Figures:
-    return {"cost": [value for value in astuple(trip_cost(trip)) if not isinstance(value, str)]}
+    told = astuple(trip_cost(trip))
+    return {"cost": [value for value in told if isinstance(value, int | float)]}
 
 
 def coasting(trip: Trip) -> Figures:
