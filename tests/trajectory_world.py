@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from analysis.studies.robust_minimax import TRAIN
 from trainlog.railway import (
     Configuration,
     CurvatureProfile,
@@ -24,21 +25,7 @@ from trainlog.railway.condition import BIN_LENGTH, ConditionLayer
 
 KMH = 3.6
 
-VIRM6 = Train(
-    name="NL_Intercity_VIRM6",
-    mass=391_000.0,
-    rotating_mass_factor=0.06,
-    resistance=RunningResistance(5_854.0, 74.16, 12.96),
-    max_tractive_effort=213_900.0,
-    max_traction_power=2_157_000.0,
-    max_dynamic_braking_effort=142_500.0,
-    max_dynamic_braking_power=3_616_000.0,
-    max_pneumatic_braking_effort=273_500.0,
-    max_speed=140.0 / KMH,
-    max_deceleration=0.66,
-    efficiency_traction=0.875,
-    efficiency_regeneration=0.7,
-)
+VIRM6 = replace(TRAIN, efficiency_traction=0.875, efficiency_regeneration=0.7)
 
 FLIRT = Train(
     name="CH_Stadler_FLIRT_TPF",

@@ -207,14 +207,14 @@ def ride_behind(
     curves = braking_curves(problem, traction)
     found = _below(problem, traction, curves)
     low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
-    for _ in range(_TRIALS):
-        share = low if _ == 0 else 0.5 * (low + high)
+    for turn in range(_TRIALS):
+        share = low if turn == 0 else 0.5 * (low + high)
         below = np.minimum(curves, leader * (1.0 + 0.2 * share[:, None]))
         trial = _below(problem, traction, below)
         late = delays(problem, trial, running_time)[0] > 0.0
         for name in ("z", "braking", "dynamic"):
             getattr(found, name)[~late] = getattr(trial, name)[~late]
-        if _ == 0:
+        if turn == 0:
             high = np.where(late, high, 0.0)
             continue
         low, high = np.where(late, share, low), np.where(late, high, share)

@@ -10,10 +10,8 @@ linearisation about a plan made for another rail, so the second after it is told
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
+from benchmark_tracking import timed
 from rich.console import Console
 from rich.table import Table
 
@@ -36,17 +34,6 @@ EVERY = 5
 
 SETTLING = 1.0
 """After a change of rail or motor [s]."""
-
-
-def timed(work: Callable[[], object], repeats: int) -> float:
-    """Processor time of one call [ms], the best of three batches."""
-    best = np.inf
-    for _ in range(3):
-        begun = time.process_time()
-        for _ in range(repeats):
-            work()
-        best = min(best, 1e3 * (time.process_time() - begun) / repeats)
-    return float(best)
 
 
 def states(case: Case, preset: Preset) -> list[tuple[float, np.ndarray, np.ndarray, Demand]]:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.studies.robust_minimax import TRAIN as VIRM6
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.mesh import graded_mesh
@@ -31,7 +32,6 @@ from trainlog.formats.train import read_train
 from trainlog.railway import (
     Configuration,
     Line,
-    RunningResistance,
     Station,
     StepProfile,
     Train,
@@ -49,20 +49,6 @@ LEVEL = Line(
     speed_limits=StepProfile(np.array([0.0]), np.array([140.0 / 3.6])),
     gradients=StepProfile(np.array([0.0]), np.array([0.0])),
     source="TTOBench v1.5, 00_reference",
-)
-VIRM6 = Train(
-    name="VIRM6",
-    mass=391_000.0,
-    rotating_mass_factor=0.06,
-    resistance=RunningResistance(5_854.0, 74.16, 12.96),
-    max_tractive_effort=213_900.0,
-    max_traction_power=2_157_000.0,
-    max_dynamic_braking_effort=142_500.0,
-    max_dynamic_braking_power=3_616_000.0,
-    max_pneumatic_braking_effort=273_500.0,
-    max_speed=140.0 / 3.6,
-    max_deceleration=0.66,
-    source="TTOBench v1.5, NL_Intercity_VIRM6",
 )
 
 
