@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from trainlog.railway.resistance import CURVE_COEFFICIENT
@@ -93,7 +94,10 @@ class Parameters(NamedTuple):
     step: float
 
 
-@njit(cache=True)
+CONSTANTS = len(Parameters._fields)
+
+
+@njit(cache=True, error_model="numpy")
 def adhesion(slip: float, rail: FloatArray) -> float:
     """Adhesion at a slip speed [m/s] on one row of the rail table (start, mu_max, a, b, scale)."""
     size = abs(slip)
@@ -101,7 +105,7 @@ def adhesion(slip: float, rail: FloatArray) -> float:
     return found if slip >= 0.0 else -found
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def motor_effort(lagged: float, wheel: float, p: Parameters) -> float:
     """Effort of one axle's motor [N] within its power limit; braking fades out at low speed."""
     if lagged >= 0.0:
@@ -111,7 +115,7 @@ def motor_effort(lagged: float, wheel: float, p: Parameters) -> float:
     return -min(-lagged, limit)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def holding_effort(speed: float, command: FloatArray, rail: FloatArray, p: Parameters) -> float:
     """Effort of the holding brake [N]: applied below its speed unless a motor is to pull."""
     if speed >= p.holding_speed:
@@ -122,10 +126,42 @@ def holding_effort(speed: float, command: FloatArray, rail: FloatArray, p: Param
     return min(p.holding_effort, rail[1] * p.mass * GRAVITY)
 
 
-@njit(cache=True)
-def derivative(
+@njit(cache=True, error_model="numpy")
+def held_back(
+    y: FloatArray, v: float, command: FloatArray, track: FloatArray, rail: FloatArray, p: Parameters
+) -> tuple[float, float, float]:
+    """Running resistance, force along the track and friction braking effort on the train [N]."""
+    resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
+    curvature = track[2] + track[3] * (y[0] - track[0])
+    along = p.mass * GRAVITY * (track[1] + CURVE_COEFFICIENT * abs(curvature))
+    friction = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], command, rail, p)
+    return resistance, along, friction
+
+
+@njit(cache=True, error_model="numpy")
+def net_force(
     y: FloatArray,
-    out: FloatArray,
+    command: FloatArray,
+    track: FloatArray,
+    rail: FloatArray,
+    weights: FloatArray,
+    p: Parameters,
+) -> float:
+    """Net force on a train that moves or is about to [N]; rows of the tables under it."""
+    pull, v = 0.0, y[1]
+    for i in range(command.size):
+        pull += adhesion(y[3 + i] - v, rail) * weights[i]
+    resistance, along, friction = held_back(y, v, command, track, rail, p)
+    return pull - resistance - along - friction
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def stage(
+    y: FloatArray,
+    at: FloatArray,
+    end: FloatArray,
+    share: float,
+    reach: float,
     command: FloatArray,
     friction_demand: float,
     track: FloatArray,
@@ -133,50 +169,55 @@ def derivative(
     moving: bool,
     weights: FloatArray,
     p: Parameters,
-) -> float:
-    """Right-hand side; returns the net force on the train [N].
+) -> None:
+    """One stage of Runge-Kutta: the right-hand side at `at`, used as it is found.
 
-    `track` and `rail` are the rows of the two tables under the train. Unless `moving`, the brakes
-    and the resistances hold the train where it stands.
+    `end` gains `share` times it, and `at` becomes `y` and `reach` times it; the works of `at` are
+    left alone, as nothing depends on them. Unless `moving`, the brakes and the resistances hold the
+    train where it stands.
     """
     n = command.size
-    v = y[1] if moving else 0.0
+    v = at[1] if moving else 0.0
     works = 3 + 2 * n
-    resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
-    curvature = track[2] + track[3] * (y[0] - track[0])
-    along = p.mass * GRAVITY * (track[1] + CURVE_COEFFICIENT * abs(curvature))
-    friction = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], command, rail, p)
+    resistance, along, friction = held_back(at, v, command, track, rail, p)
     pull = 0.0
     traction = 0.0
     braking = 0.0
     slip_power = 0.0
     for i in range(n):
-        wheel = y[3 + i]
-        lagged = y[3 + n + i]
+        wheel = at[3 + i]
+        lagged = at[3 + n + i]
         effort = motor_effort(lagged, wheel, p)
         contact = adhesion(wheel - v, rail) * weights[i]
-        out[3 + i] = (effort - contact) / p.axle_inertia
-        out[3 + n + i] = (command[i] - lagged) / p.motor_lag
+        change = (effort - contact) / p.axle_inertia
+        end[3 + i] += share * change
+        at[3 + i] = y[3 + i] + reach * change
+        change = (command[i] - lagged) / p.motor_lag
+        end[3 + n + i] += share * change
+        at[3 + n + i] = y[3 + n + i] + reach * change
         pull += contact
         slip_power += contact * (wheel - v)
         if effort >= 0.0:
             traction += effort * wheel
         else:
             braking -= effort * wheel
-    net = pull - resistance - along - friction
-    out[0] = v
-    out[1] = net / p.body_inertia if moving else 0.0
-    out[2] = (friction_demand - y[2]) / p.friction_lag
-    out[works] = traction
-    out[works + 1] = braking
-    out[works + 2] = friction * v
-    out[works + 3] = resistance * v
-    out[works + 4] = along * v
-    out[works + 5] = slip_power
-    return net
+    acceleration = (pull - resistance - along - friction) / p.body_inertia if moving else 0.0
+    change = (friction_demand - at[2]) / p.friction_lag
+    end[0] += share * v
+    end[1] += share * acceleration
+    end[2] += share * change
+    at[0] = y[0] + reach * v
+    at[1] = y[1] + reach * acceleration
+    at[2] = y[2] + reach * change
+    end[works] += share * traction
+    end[works + 1] += share * braking
+    end[works + 2] += share * (friction * v)
+    end[works + 3] += share * (resistance * v)
+    end[works + 4] += share * (along * v)
+    end[works + 5] += share * slip_power
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def runge_kutta(
     y: FloatArray,
     h: float,
@@ -187,25 +228,21 @@ def runge_kutta(
     moving: bool,
     weights: FloatArray,
     p: Parameters,
-    work: FloatArray,
+    end: FloatArray,
+    at: FloatArray,
 ) -> None:
-    """One classical Runge-Kutta step of `h` [s] from `y` into ``work[0]``."""
-    end, stage, slope = work[0], work[1], work[2]
+    """One classical Runge-Kutta step of `h` [s] from `y` into `end`; `at` is scratch."""
+    for j in range(y.size):
+        end[j] = at[j] = y[j]
     for k in range(4):
-        if k == 0:
-            stage[:] = y
-            end[:] = y
-        else:
-            reach = h if k == 3 else 0.5 * h
-            for j in range(y.size):
-                stage[j] = y[j] + reach * slope[j]
-        derivative(stage, slope, command, friction_demand, track, rail, moving, weights, p)
         share = h / 6.0 if k in (0, 3) else h / 3.0
-        for j in range(y.size):
-            end[j] += share * slope[j]
+        reach = h if k == 2 else 0.5 * h
+        stage(
+            y, at, end, share, reach, command, friction_demand, track, rail, moving, weights, p
+        )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def protect(
     y: FloatArray,
     wanted: float,
@@ -241,7 +278,7 @@ def protect(
         command[i] = held if wanted >= 0.0 else -held
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def locate(table: FloatArray, position: float, index: int) -> int:
     """Row of `table` (first column: start) that holds `position`, walking from `index`."""
     last = table.shape[0] - 1
@@ -252,13 +289,13 @@ def locate(table: FloatArray, position: float, index: int) -> int:
     return index
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def dynamic_limit(speed: float, p: Parameters) -> float:
     """Largest dynamic braking effort of one axle [N] at a speed [m/s]."""
     return -motor_effort(-p.axle_braking_effort, speed, p)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def move(
     y: FloatArray,
     command: FloatArray,
@@ -267,56 +304,70 @@ def move(
     rail: FloatArray,
     weights: FloatArray,
     p: Parameters,
-    work: FloatArray,
+    end: FloatArray,
+    at: FloatArray,
 ) -> None:
     """Advance the state by one step, in place; a train that comes to rest stays at rest."""
-    moving = y[1] > 0.0 or (
-        derivative(y, work[2], command, friction_demand, track, rail, True, weights, p) > 0.0
-    )
-    runge_kutta(y, p.step, command, friction_demand, track, rail, moving, weights, p, work)
-    if not moving or work[0, 1] > 0.0:
-        y[:] = work[0]
-        return
-    if y[1] <= 0.0:
-        runge_kutta(y, p.step, command, friction_demand, track, rail, False, weights, p, work)
-        y[:] = work[0]
-        return
-    # The train stops within this step: find the instant (secant), then hold it there.
-    before, after = 0.0, p.step
-    v_before, v_after = y[1], work[0, 1]
-    instant = after
-    for _ in range(40):
-        instant = before + (after - before) * v_before / (v_before - v_after)
-        runge_kutta(y, instant, command, friction_demand, track, rail, True, weights, p, work)
-        if abs(work[0, 1]) < 1e-13:
-            break
-        if work[0, 1] > 0.0:
-            before, v_before = instant, work[0, 1]
+    moving = y[1] > 0.0 or net_force(y, command, track, rail, weights, p) > 0.0
+    runge_kutta(y, p.step, command, friction_demand, track, rail, moving, weights, p, end, at)
+    if moving and end[1] <= 0.0:
+        if y[1] <= 0.0:
+            runge_kutta(
+                y, p.step, command, friction_demand, track, rail, False, weights, p, end, at
+            )
         else:
-            after, v_after = instant, work[0, 1]
-    y[:] = work[0]
-    y[1] = 0.0
-    rest = p.step - instant
-    runge_kutta(y, rest, command, friction_demand, track, rail, False, weights, p, work)
-    y[:] = work[0]
+            stop(y, command, friction_demand, track, rail, weights, p, end, at)
+    y[:] = end
 
 
-@njit(cache=True)
-def sample(
+@njit(cache=True, error_model="numpy")
+def stop(
     y: FloatArray,
-    out: FloatArray,
     command: FloatArray,
     friction_demand: float,
     track: FloatArray,
     rail: FloatArray,
     weights: FloatArray,
+    p: Parameters,
+    end: FloatArray,
+    at: FloatArray,
+) -> None:
+    """A step within which the train stops: find the instant (secant), then hold the train there.
+
+    `end` holds the end of the whole step with the train moving, and is overwritten.
+    """
+    before, after = 0.0, p.step
+    v_before, v_after = y[1], end[1]
+    instant = after
+    for _ in range(40):
+        instant = before + (after - before) * v_before / (v_before - v_after)
+        runge_kutta(y, instant, command, friction_demand, track, rail, True, weights, p, end, at)
+        if abs(end[1]) < 1e-13:
+            break
+        if end[1] > 0.0:
+            before, v_before = instant, end[1]
+        else:
+            after, v_after = instant, end[1]
+    y[:] = end
+    y[1] = 0.0
+    rest = p.step - instant
+    runge_kutta(y, rest, command, friction_demand, track, rail, False, weights, p, end, at)
+
+
+@njit(cache=True, error_model="numpy")
+def sample(
+    y: FloatArray,
+    out: FloatArray,
+    command: FloatArray,
+    track: FloatArray,
+    rail: FloatArray,
+    weights: FloatArray,
     modes: IntArray,
     p: Parameters,
-    work: FloatArray,
 ) -> None:
     """Write what `SAMPLE` lists, then wheel speeds and wheel efforts, into `out`."""
     n = command.size
-    net = derivative(y, work[2], command, friction_demand, track, rail, True, weights, p)
+    net = net_force(y, command, track, rail, weights, p)
     out[0] = y[0]
     out[1] = y[1]
     out[2] = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
@@ -336,10 +387,11 @@ def sample(
     out[9] = np.sum(modes == CUT)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance(
     y: FloatArray,
-    demand: FloatArray,
+    tractive_effort: float,
+    braking_effort: float,
     steps: int,
     every: int,
     out: FloatArray,
@@ -349,7 +401,7 @@ def advance(
     memory: FloatArray,
     delay: FloatArray,
     places: IntArray,
-    p: Parameters,
+    constants: FloatArray,
 ) -> None:
     """Advance the state by `steps` steps under one demand, recording before every `every`-th.
 
@@ -357,8 +409,8 @@ def advance(
     ----------
     y : (3 + 2n + 6,) array
         State, changed in place.
-    demand : (2,) array [N]
-        Tractive and braking effort of the whole train.
+    tractive_effort, braking_effort : float [N]
+        Demanded of the whole train.
     out : (ceil(steps / every), 10 + 2n) array
     memory : (3, n) array
         Of the slip protection of each axle (see `protect`), changed in place.
@@ -367,12 +419,15 @@ def advance(
     places : (3 + n,) array
         Rows under the train in the two tables, head of the ring, and mode of each axle's slip
         protection; changed in place.
+    constants : (25,) array
+        The `Parameters`: an array crosses into compiled code faster than a tuple does.
     """
+    p = Parameters(*to_fixed_tuple(constants, CONSTANTS))
     n = weights.size
-    work = np.empty((3, y.size))
+    end, at = np.empty(y.size), np.empty(y.size)
     command = np.empty(n)
-    traction = min(max(demand[0], 0.0) / n, p.axle_effort)
-    braking = max(demand[1], 0.0)
+    traction = min(max(tractive_effort, 0.0) / n, p.axle_effort)
+    braking = max(braking_effort, 0.0)
     dead_time = p.friction_dead_time + p.friction_lag
     for k in range(steps):
         places[0] = locate(track_table, y[0], places[0])
@@ -400,5 +455,5 @@ def advance(
             friction_demand = delayed
         if k % every == 0:
             row = out[k // every]
-            sample(y, row, command, friction_demand, track, rail, weights, places[3:], p, work)
-        move(y, command, friction_demand, track, rail, weights, p, work)
+            sample(y, row, command, track, rail, weights, places[3:], p)
+        move(y, command, friction_demand, track, rail, weights, p, end, at)

@@ -7,6 +7,7 @@ along; `PlantState` is where the train is.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +110,10 @@ class Plant:
     rail: FloatArray
     weights: FloatArray
     length: float = field(default=np.inf)
+
+    @cached_property
+    def _constants(self) -> FloatArray:
+        return np.array(self.parameters, dtype=np.float64)
 
     @staticmethod
     def of(
@@ -277,10 +282,11 @@ class Plant:
         (ceil(steps / every), columns) array
             Samples taken before every `every`-th step, the first at the beginning; see `columns`.
         """
-        out = np.empty((-(-steps // every), len(SAMPLE) + 2 * self.axles))
+        out = np.empty((-(-steps // every), len(SAMPLE) + 2 * self.weights.size))
         dynamics.advance(
             state.values,
-            np.array([tractive_effort, braking_effort], dtype=np.float64),
+            float(tractive_effort),
+            float(braking_effort),
             steps,
             every,
             out,
@@ -290,7 +296,7 @@ class Plant:
             state.slip_memory,
             state.friction_delay,
             state.places,
-            self.parameters,
+            self._constants,
         )
         return out
 

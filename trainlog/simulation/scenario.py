@@ -16,7 +16,6 @@ from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajec
 from trainlog.simulation.adhesion_truth import base_map, trip_profile
 from trainlog.simulation.drivers import (
     PERIOD,
-    Demand,
     Driver,
     Habits,
     Observation,
@@ -238,39 +237,35 @@ def drive(scenario: Scenario) -> Run:
     steps = round(PERIOD / plant.parameters.step)
     rate = round(scenario.sensors.rate * PERIOD)
     blocks: list[FloatArray] = []
-    demands: list[Demand] = []
+    demands: list[tuple[float, float]] = []
     acceleration = 0.0
     arrived: float | None = None
     moved, place = 0.0, origin
+    position, speed = origin, 0.0
     while True:
         time = len(blocks) * PERIOD
-        seen = Observation(time, state.position, state.speed, acceleration)
-        demands.append(driver.demand(seen))
+        wanted = driver.demand(Observation(time, position, speed, acceleration))
+        demands.append((wanted.tractive_effort, wanted.braking_effort))
         if arrived is None and driver.finished:
             arrived = time
         if arrived is not None and time >= arrived + STANDING:
             break
-        if demands[-1].braking_effort > 0.0 or abs(state.position - place) > 1.0:
-            moved, place = time, state.position
+        if wanted.braking_effort > 0.0 or abs(position - place) > 1.0:
+            moved, place = time, position
         if time > patience + 600.0 or time > moved + STUCK:
             raise InfeasibleError(
                 f"trip '{scenario.name}': the train does not arrive; at km"
-                f" {state.position / 1e3:.3f} after {time:.0f} s",
+                f" {position / 1e3:.3f} after {time:.0f} s",
                 remedy="check adhesion, gradients and tractive effort there",
             )
-        wanted, speed = demands[-1], state.speed
-        blocks.append(
-            plant.advance(
-                state, wanted.tractive_effort, wanted.braking_effort, steps, steps // rate
-            )
-        )
-        acceleration = (state.speed - speed) / PERIOD
+        blocks.append(plant.advance(state, *demands[-1], steps, steps // rate))
+        position, before, speed = state.position, speed, state.speed
+        acceleration = (speed - before) / PERIOD
     samples = np.concatenate(blocks)
-    asked = np.array([(d.tractive_effort, d.braking_effort) for d in demands[: len(blocks)]])
     return Run(
         np.arange(len(samples)) / scenario.sensors.rate,
         samples,
-        np.repeat(asked, rate, axis=0),
+        np.repeat(np.array(demands[: len(blocks)]), rate, axis=0),
     )
 
 
