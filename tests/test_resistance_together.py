@@ -62,6 +62,7 @@ def fit_of(
         mass=mass,
         covariance=full,
         freedom=90,
+        survey=np.zeros((4, 4)),
         rotating_mass=12e3,
         max_power=None,
         max_power_std=None,

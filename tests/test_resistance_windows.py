@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, constant_speed, recording
 
-from analysis.resistance.noise import FLOOR, NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.regression import condition_number, regress
 from analysis.resistance.windows import Windows, build_windows
 from trainlog.railway import RunningResistance
@@ -170,7 +170,7 @@ def test_noise_is_found_as_large_as_it_is() -> None:
     for seed in range(5):
         columns = np.column_stack([windows.x, windows.x @ np.array([1.0, 1e3, 10.0, 1.0]) / 1e5])
         columns[:, -1] += drawn_errors(windows, NOISE, seed)
-        found.append(estimate_noise(parts, columns, np.zeros((0, 5))).sizes)
+        found.append(estimate_noise(Likelihood(parts, columns, np.zeros((0, 5)))).sizes)
     ratio = np.median(found, axis=0)[:3] / np.array(NOISE.sizes)[:3]
     assert np.all((ratio > 0.75) & (ratio < 1.35)), ratio
 

@@ -93,7 +93,10 @@ class TripFit:
     covariance : (4, 4) array
         Of r0 [N], r1 [N/(m/s)], r2 [N/(m/s)²] and mass [kg].
     freedom : int
-        Degrees of freedom of the residuals.
+        Degrees of freedom of the covariance: how well the noise's sizes are known.
+    survey : (4, 4) array
+        The part of the covariance that errors of the line's gradients bring in; trips over the
+        same line share them.
     rotating_mass : float [kg]
         Taken from the train's file.
     max_power, max_power_std : float or None [W]
@@ -136,6 +139,7 @@ class TripFit:
     mass: float
     covariance: FloatArray
     freedom: int
+    survey: FloatArray
     rotating_mass: float
     max_power: float | None
     max_power_std: float | None
@@ -269,7 +273,8 @@ def fit_evidence(
         resistance=RunningResistance(*regression.beta[:3].tolist()),
         mass=float(regression.beta[3]),
         covariance=covariance,
-        freedom=used.count - 4,
+        freedom=round(regression.freedom),
+        survey=regression.survey,
         rotating_mass=train.rotating_mass,
         max_power=None if limit is None else limit.power,
         max_power_std=None if limit is None else limit.std,

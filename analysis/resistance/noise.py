@@ -76,6 +76,9 @@ class NoiseModel:
         return tuple(float(getattr(self, item.name)) for item in fields(self))
 
 
+CAUSES = tuple(item.name for item in fields(NoiseModel))
+"""The causes, in the order of `NoiseModel.sizes`."""
+
 PRIOR = NoiseModel(speed=0.01, gradient=0.5e-3, position=10.0, effort=0.01)
 """Where the search begins: an ordinary survey and odometer."""
 
@@ -183,12 +186,13 @@ def _passages(first_entry: IntArray, column: IntArray, start: FloatArray) -> Int
     return passage
 
 
-def estimate_noise(
-    parts: NoiseParts, columns: FloatArray, prior: FloatArray, expected: NoiseModel = PRIOR
-) -> NoiseModel:
-    """Size of each cause of noise by restricted maximum likelihood.
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Restricted likelihood of the noise's sizes, and what is expected of them.
 
-    Parameters
+    Sizes are given by their place: natural logarithm over what is expected, in units of `width`.
+
+    Attributes
     ----------
     parts : NoiseParts
     columns : (n, p + 1) array
@@ -198,26 +202,50 @@ def estimate_noise(
     expected : NoiseModel
         Where the search begins, and towards what it is drawn.
     """
-    centre, width = np.log(expected.sizes), np.array(PRIOR_WIDTH.sizes)
 
-    def penalised(z: FloatArray) -> float:
-        sizes = NoiseModel(*np.exp(centre + width * z).tolist())
-        white, log_determinant = parts._filtered(sizes, columns)
-        square = white.T @ white + prior.T @ prior
+    parts: NoiseParts
+    columns: FloatArray
+    prior: FloatArray
+    expected: NoiseModel = PRIOR
+
+    @property
+    def width(self) -> FloatArray:
+        """Standard deviation of the natural logarithm of each size around what is expected."""
+        return np.array(PRIOR_WIDTH.sizes)
+
+    def sizes(self, place: FloatArray) -> NoiseModel:
+        """The sizes at a place (4,)."""
+        return NoiseModel(*np.exp(np.log(self.expected.sizes) + self.width * place).tolist())
+
+    def place(self, noise: NoiseModel) -> FloatArray:
+        """Where the sizes are, (4,)."""
+        return np.asarray(np.log(np.divide(noise.sizes, self.expected.sizes)) / self.width)
+
+    def square(self, place: FloatArray) -> tuple[FloatArray, float]:
+        """Products (p + 1, p + 1) of the whitened columns, and half the log determinant."""
+        white, log_determinant = self.parts._filtered(self.sizes(place), self.columns)
+        return white.T @ white + self.prior.T @ self.prior, log_determinant
+
+    def deviance(self, place: FloatArray) -> float:
+        """Minus the logarithm of likelihood times what is expected, up to a constant."""
+        square, log_determinant = self.square(place)
         # The triangle of [X y]: its last entry is the norm of the residual.
         scale = np.sqrt(np.maximum(np.diag(square), np.finfo(np.float64).tiny))
         triangle = scale * np.diag(np.linalg.cholesky(square / np.outer(scale, scale)))
         deviance = log_determinant + np.sum(np.log(triangle[:-1])) + 0.5 * triangle[-1] ** 2
-        return float(deviance + 0.5 * z @ z)
+        return float(deviance + 0.5 * place @ place)
 
+
+def estimate_noise(likelihood: Likelihood) -> NoiseModel:
+    """Size of each cause of noise by restricted maximum likelihood."""
     start = np.concatenate((np.zeros((1, 4)), -0.5 * np.eye(4)))
     found = minimize(
-        penalised,
+        likelihood.deviance,
         start[0],
         method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 0.02, "maxfev": 400, "initial_simplex": start},
     )
-    return NoiseModel(*np.exp(centre + width * found.x).tolist())
+    return likelihood.sizes(np.asarray(found.x))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from analysis.resistance.noise import PRIOR, NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.noise import PRIOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.shares import shares
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
 
@@ -60,6 +61,10 @@ class Regression:
     beta : (4,) array
         r0 [N], r1 [N/(m/s)], r2 [N/(m/s)²] and mass [kg].
     covariance : (4, 4) array
+    survey : (4, 4) array
+        What the map's errors bring into it.
+    freedom : float
+        Degrees of freedom of the covariance: how well the noise's sizes are known.
     history, history_covariance : (n, 4), (n, 4, 4) array
         The same after each window used.
     delay, brake_scale : float [s], [1]
@@ -77,6 +82,8 @@ class Regression:
 
     beta: FloatArray
     covariance: FloatArray
+    survey: FloatArray
+    freedom: float
     history: FloatArray
     history_covariance: FloatArray
     delay: float
@@ -114,7 +121,8 @@ def regress(
         used = windows.select(kept)
         parts = NoiseParts.of(used, mass)
         columns = np.column_stack([used.x, used.effort_change, used.braking, used.y])
-        noise = estimate_noise(parts, columns, prior, expected_noise)
+        likelihood = Likelihood(parts, columns, prior, expected_noise)
+        noise = estimate_noise(likelihood)
         rows = parts.whiten(noise, columns)
         recursion = RecursiveLeastSquares(spread, prior_mean=expected)
         recursion.update(rows[:, :-1], rows[:, -1])
@@ -129,9 +137,13 @@ def regress(
     found = np.asarray(recursion.result().covariance, dtype=np.float64)
     factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, found, used.start))
     beta, covariance = _history(RecursiveLeastSquares(spread, prior_mean=expected), rows, factor)
+    share = shares(likelihood, noise)
+    _, survey = _physical(theta[None], factor * share.survey[None])
     return Regression(
         beta=beta[-1],
         covariance=covariance[-1],
+        survey=survey[0],
+        freedom=max(min(share.freedom, len(rows) - 4.0), 1.0),
         history=beta,
         history_covariance=covariance,
         delay=float(theta[4] / theta[0]),
