@@ -48,7 +48,14 @@ NODES = powers(np.linspace(5.0, 35.0, 3))
 
 
 def fit_of(
-    name: str, beta: Array, covariance: Array, *, mass: float = 130e3, train: str = "unit"
+    name: str,
+    beta: Array,
+    covariance: Array,
+    *,
+    mass: float = 130e3,
+    train: str = "unit",
+    gradients: str = "",
+    survey: Array | None = None,
 ) -> TripFit:
     """A trip's fit without a trip."""
     full = np.zeros((4, 4))
@@ -62,7 +69,8 @@ def fit_of(
         mass=mass,
         covariance=full,
         freedom=90,
-        survey=np.zeros((4, 4)),
+        survey=np.zeros((4, 4)) if survey is None else survey,
+        gradients=gradients,
         rotating_mass=12e3,
         max_power=None,
         max_power_std=None,

@@ -18,9 +18,10 @@ from scipy.optimize import nnls
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import TripFit
 from analysis.resistance.random_effects import random_effects
+from analysis.resistance.shared import shared_variance
 from analysis.resistance.summary import summarised
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.summaries import covariances_of, ordered, parameters_of
+from trainlog.formats.summaries import covariances_of, ordered, parameters_of, surveys_of
 from trainlog.railway.resistance import RunningResistance
 
 FloatArray = NDArray[np.float64]
@@ -42,7 +43,7 @@ class CommonFit:
     resistance : RunningResistance
         Mean of the trips.
     covariance : (3, 3) array
-        Of the mean's r0, r1, r2.
+        Of the mean's r0, r1, r2, with what errors of lines bring in that trips share.
     between : (3, 3) array
         Covariance of one trip's r0, r1, r2 around the mean.
     freedom : int
@@ -105,8 +106,10 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     variances = nodes @ covariances_of(rows)[:, :3, :3] @ nodes.T
     expected = BETWEEN_TRIPS**2 * np.eye(3)
     found = random_effects(values, variances, expected, PRIOR_TRIPS)
+    weights = found.variance @ np.linalg.inv(variances + found.between)
+    shared = shared_variance(weights, nodes @ surveys_of(rows) @ nodes.T, _lines(rows))
     back = np.linalg.inv(nodes)
-    covariance = back @ found.variance @ back.T
+    covariance = back @ (found.variance + shared) @ back.T
     return CommonFit(
         train=str(rows["train"].iloc[0]),
         resistance=nearest_physical(back @ found.mean, covariance),
@@ -119,6 +122,14 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
         betas=found.single @ back.T,
         covariances=back @ found.single_variance @ back.T,
     )
+
+
+def _lines(rows: pd.DataFrame) -> NDArray[np.int64]:
+    """Number of the line and direction of each trip; trips of which it is not known share none."""
+    known = rows["gradients"].to_numpy() != ""
+    numbers = np.arange(len(rows), dtype=np.int64)
+    numbers[known] = len(rows) + pd.factorize(rows["gradients"][known])[0]
+    return numbers
 
 
 def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:

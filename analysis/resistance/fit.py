@@ -17,7 +17,8 @@ from analysis.resistance.refusal import Reason, Timeline, TripRefusedError
 from analysis.resistance.regression import Regression, regress
 from analysis.resistance.windows import Windows
 from trainlog.formats.attached import line_of, train_of
-from trainlog.railway.line import Line
+from trainlog.formats.files import sha256
+from trainlog.railway.line import Line, StepProfile
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
@@ -97,6 +98,8 @@ class TripFit:
     survey : (4, 4) array
         The part of the covariance that errors of the line's gradients bring in; trips over the
         same line share them.
+    gradients : str
+        SHA-256 of the line's gradients as travelled: which trips share its errors.
     rotating_mass : float [kg]
         Taken from the train's file.
     max_power, max_power_std : float or None [W]
@@ -140,6 +143,7 @@ class TripFit:
     covariance: FloatArray
     freedom: int
     survey: FloatArray
+    gradients: str
     rotating_mass: float
     max_power: float | None
     max_power_std: float | None
@@ -275,6 +279,7 @@ def fit_evidence(
         covariance=covariance,
         freedom=round(regression.freedom),
         survey=regression.survey,
+        gradients=_digest(line.gradients),
         rotating_mass=train.rotating_mass,
         max_power=None if limit is None else limit.power,
         max_power_std=None if limit is None else limit.std,
@@ -348,6 +353,11 @@ def mass_prior(train: Train) -> tuple[float, float]:
 
 def _line_speed(line: Line, train: Train) -> float:
     return float(min(np.max(line.speed_limits.values), train.max_speed))
+
+
+def _digest(profile: StepProfile) -> str:
+    """SHA-256 of a profile's numbers."""
+    return sha256(np.stack([profile.positions, profile.values]).astype("<f8").tobytes())
 
 
 def _with_scale(regression: Regression, scale: SpeedScale) -> FloatArray:

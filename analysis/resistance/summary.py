@@ -10,7 +10,7 @@ import pandas as pd
 from analysis.resistance.fit import TripFit
 from analysis.resistance.refusal import TripRefusedError
 from trainlog import __version__
-from trainlog.formats.summaries import COLUMNS, COVARIANCE, PARAMETERS, ordered
+from trainlog.formats.summaries import COLUMNS, COVARIANCE, PARAMETERS, SURVEY, ordered
 
 SOFTWARE = f"trainlog {__version__}"
 
@@ -64,6 +64,7 @@ def summarised(
 
 def _row(fit: TripFit) -> dict[str, object]:
     upper = fit.covariance[np.triu_indices(4)].tolist()
+    survey = fit.survey[:3, :3][np.triu_indices(3)].tolist()
     number: dict[str, float | None] = {
         "freedom": fit.freedom,
         "rotating_mass": fit.rotating_mass,
@@ -91,8 +92,10 @@ def _row(fit: TripFit) -> dict[str, object]:
         "refused": "",
         "message": "",
         "speed_scale_source": fit.scale.source,
+        "gradients": fit.gradients,
         **dict(zip(PARAMETERS, [*fit.beta.tolist(), fit.mass], strict=True)),
         **dict(zip(COVARIANCE, upper, strict=True)),
+        **dict(zip(SURVEY, survey, strict=True)),
         **number,
         **{f"noise_{cause}": size for cause, size in fit.noise.items()},
         **{f"masked_{reason}": time for reason, time in fit.masked.items()},

@@ -36,6 +36,8 @@ COVARIANCE = tuple(
     f"covariance_{PARAMETERS[i]}_{PARAMETERS[j]}" for i in range(4) for j in range(i, 4)
 )
 """The upper triangle of the covariance of `PARAMETERS`, row by row."""
+SURVEY = tuple(f"survey_{PARAMETERS[i]}_{PARAMETERS[j]}" for i in range(3) for j in range(i, 3))
+"""The upper triangle of what errors of the line bring into that of r0, r1 and r2, row by row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ COLUMNS: tuple[Column, ...] = (
             COVARIANCE, ((i, j) for i in range(4) for j in range(i, 4)), strict=True
         )
     ),
-    Column("freedom", "1", "degrees of freedom of the residuals", "count"),
+    Column("freedom", "1", "degrees of freedom of the covariance", "count"),
     Column("rotating_mass", "kg", "from the train's file"),
     Column("train_power", "W", "largest traction power that the train's file states"),
     Column("max_power", "W", "from stretches at the power limit; null if there was none"),
@@ -91,11 +93,21 @@ COLUMNS: tuple[Column, ...] = (
     Column("speed_scale", "1", "measured over true speed"),
     Column("speed_scale_std", "1", "its standard deviation"),
     Column("speed_scale_source", "", "what it was calibrated against", "text"),
+    Column("gradients", "", "SHA-256 of the line's gradients as travelled", "text"),
+    *(
+        Column(name, f"{_UNITS[i]} {_UNITS[j]}", "what errors of the gradients bring into it")
+        for name, (i, j) in zip(
+            SURVEY, ((i, j) for i in range(3) for j in range(i, 3)), strict=True
+        )
+    ),
     Column("masked_gap", "s", "time masked: gaps"),
     Column("masked_standstill", "s", "time masked: standstill"),
     Column("masked_braking", "s", "time masked: braking effort not known well enough"),
     Column("masked_slip", "s", "time masked: slip"),
 )
+
+_LATER = {"gradients", *SURVEY}
+"""Columns that older files lack: then nothing is known of what the trip shares with others."""
 
 _ALWAYS = (*PARAMETERS, *COVARIANCE, "rotating_mass", "train_power", "asked_highest")
 """What no accepted trip can be without."""
@@ -161,6 +173,8 @@ def read_summaries(path: str | Path) -> pd.DataFrame:
             for name, column in zip(table.column_names, table.columns, strict=True)
         }
     )
+    for name in _LATER - set(frame):
+        frame[name] = "" if name == "gradients" else np.nan
     _check(frame, path)
     return ordered(frame[[column.name for column in COLUMNS]])
 
@@ -200,6 +214,18 @@ def covariances_of(summaries: pd.DataFrame) -> FloatArray:
     full[:, rows, columns] = triangle
     full[:, columns, rows] = triangle
     return full
+
+
+def surveys_of(summaries: pd.DataFrame) -> FloatArray:
+    """What errors of the line bring into the covariance of r0, r1 and r2 of each trip (k, 3, 3).
+
+    Zero where it is not known.
+    """
+    full = np.empty((len(summaries), 3, 3))
+    rows, columns = np.triu_indices(3)
+    full[:, rows, columns] = summaries[list(SURVEY)].to_numpy(np.float64)
+    full[:, columns, rows] = full[:, rows, columns]
+    return np.nan_to_num(full)
 
 
 def _version(software: str) -> tuple[int, ...]:

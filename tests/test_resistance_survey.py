@@ -1,0 +1,143 @@
+"""Errors of the surveyed line: what they bring into a fit, and into many trips that share them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from numpy.typing import NDArray
+from resistance_trips import recording
+from test_resistance_together import SPEED, TRUE, covariance_of, fit_of
+from test_resistance_windows import NOISE, dense, drawn_errors, rough
+
+from analysis.resistance import TripFit, combine, summarised
+from analysis.resistance.curve import powers
+from analysis.resistance.noise import NoiseModel
+from analysis.resistance.regression import regress
+from analysis.resistance.shared import shared_variance
+from analysis.resistance.windows import build_windows
+from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries
+
+Array = NDArray[np.float64]
+
+
+def test_what_the_survey_brings_in_is_what_its_errors_do() -> None:
+    """Against least squares with dense matrices, the map's errors propagated one by one."""
+    windows = rough(build_windows(recording(duration=3000.0)))
+    windows = replace(windows, y=windows.y + drawn_errors(windows, NOISE, seed=4))
+    fit = regress(windows, 130e3, 20e3)
+    precision = np.linalg.inv(dense(windows, fit.noise))
+    x = np.column_stack([windows.x, windows.effort_change, windows.braking])
+    prior = np.array([20e3 / 130e3**2, 1.0, 0.1, 0.01, 0.05 / 130e3, 0.02 / 130e3])
+    scaled = x * prior
+    gain = np.linalg.solve(scaled.T @ precision @ scaled + np.eye(6), scaled.T @ precision)
+    gain *= prior[:, None]
+    only_map = replace(fit.noise, speed=0.0, effort=0.0)
+    found = gain @ dense(windows, only_map) @ gain.T
+    mass = fit.beta[3]
+    jacobian = np.zeros((4, 6))
+    jacobian[:, 0] = -fit.beta * mass
+    jacobian[[0, 1, 2], [1, 2, 3]] = mass
+    expected = fit.cluster_factor * jacobian @ found @ jacobian.T
+    size = np.sqrt(np.diag(fit.covariance))
+    np.testing.assert_allclose(
+        fit.survey / np.outer(size, size), expected / np.outer(size, size), atol=0.05
+    )
+
+
+@pytest.mark.parametrize(
+    "noise", [NoiseModel(0.01, 5e-4, 8.0, 0.01), NoiseModel(0.03, 1e-4, 1.0, 0.01)]
+)
+def test_a_covariance_scatters_as_its_degrees_of_freedom_say(noise: NoiseModel) -> None:
+    """The logarithm of a variance known from n draws has the variance 2/n."""
+    windows = rough(build_windows(recording(duration=1500.0)))
+    sizes, freedom = [], []
+    for seed in range(80):
+        wrong = replace(windows, y=windows.y + drawn_errors(windows, noise, seed))
+        fit = regress(wrong, 130e3, 20e3)
+        sizes.append(np.linalg.slogdet(fit.covariance / fit.cluster_factor)[1] / 4.0)
+        freedom.append(fit.freedom)
+    assert 0.6 < np.median(freedom) * np.var(sizes) / 2.0 < 1.6
+    assert max(freedom) < 0.2 * windows.count
+
+
+def test_errors_that_all_trips_share_do_not_average_out() -> None:
+    survey = np.diag([4.0, 1.0, 9.0])
+    count = 10
+    weights, surveys = np.tile(np.eye(3) / count, (count, 1, 1)), np.tile(survey, (count, 1, 1))
+    one_line = shared_variance(weights, surveys, np.zeros(count, dtype=np.int64))
+    np.testing.assert_allclose(survey / count + one_line, survey, atol=1e-12)
+    two = shared_variance(weights, surveys, np.arange(count) % 2)
+    np.testing.assert_allclose(survey / count + two, survey / 2.0, atol=1e-12)
+    apart = shared_variance(weights, surveys, np.arange(count))
+    np.testing.assert_allclose(apart, 0.0, atol=1e-12)
+
+
+def over_one_line(count: int, seed: int, gradients: tuple[str, ...]) -> list[TripFit]:
+    """Trips that hardly differ, over a line whose errors are most of what is uncertain."""
+    generator = np.random.default_rng(seed)
+    own, survey = covariance_of((60.0, 30.0, 60.0)), covariance_of((150.0, 80.0, 150.0))
+    full = np.zeros((4, 4))
+    full[:3, :3] = survey
+    errors = {
+        name: np.linalg.cholesky(survey) @ generator.standard_normal(3)
+        for name in sorted(set(gradients))
+    }
+    root = np.linalg.cholesky(own)
+    fits = []
+    for k in range(count):
+        line = gradients[k % len(gradients)]
+        beta = TRUE * (1.0 + 0.02 * generator.standard_normal(3)) + errors[line]
+        beta = beta + root @ generator.standard_normal(3)
+        fits.append(fit_of(f"trip-{k:03d}", beta, own + survey, gradients=line, survey=full))
+    return fits
+
+
+@pytest.mark.parametrize("gradients", [("there",), ("there", "back")])
+def test_the_common_band_covers_whatever_the_lines_errors_are(gradients: tuple[str, ...]) -> None:
+    inside, without = [], []
+    true = powers(SPEED) @ TRUE
+    for seed in range(200):
+        fits = over_one_line(20, seed, gradients)
+        for told, kept in ((fits, inside), ([replace(f, gradients="") for f in fits], without)):
+            low, high = combine(told).band(SPEED)
+            kept.append(np.all((low < true) & (true < high)))
+    assert np.mean(inside) >= 0.92
+    assert np.mean(without) < 0.85
+
+
+def test_a_line_travelled_once_adds_nothing() -> None:
+    """Trips over lines of their own are combined as independent ones are."""
+    fits = over_one_line(8, 1, tuple(f"line-{k}" for k in range(8)))
+    one, other = combine(fits), combine([replace(f, gradients="") for f in fits])
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9)
+
+
+def test_the_mean_is_no_better_known_than_the_line() -> None:
+    """A thousand trips in one direction leave the line's errors as they are."""
+    fits = over_one_line(1000, 2, ("there",))
+    survey = np.sqrt(np.einsum("ki,ij,kj->k", powers(SPEED), fits[0].survey[:3, :3], powers(SPEED)))
+    std = combine(fits).std(SPEED)
+    assert np.all((std > 0.95 * survey) & (std < 1.1 * survey))
+
+
+def test_summaries_tell_what_trips_share(tmp_path: Path) -> None:
+    fits = over_one_line(6, 3, ("there", "back"))
+    rows = summarised(fits)
+    write_summaries(rows, tmp_path / "rows.parquet")
+    back = read_summaries(tmp_path / "rows.parquet")
+    np.testing.assert_allclose(surveys_of(back), [f.survey[:3, :3] for f in fits], rtol=1e-12)
+    np.testing.assert_array_equal(combine(back).covariance, combine(fits).covariance)
+
+
+def test_summaries_of_older_versions_are_taken_for_independent(tmp_path: Path) -> None:
+    fits = over_one_line(6, 3, ("there",))
+    write_summaries(summarised(fits), tmp_path / "rows.parquet")
+    table = pq.read_table(tmp_path / "rows.parquet").drop_columns(["gradients", *SURVEY])
+    pq.write_table(table, tmp_path / "old.parquet")
+    old = combine(read_summaries(tmp_path / "old.parquet"))
+    apart = combine([replace(fit, gradients="") for fit in fits])
+    np.testing.assert_allclose(old.covariance, apart.covariance, rtol=1e-9)
