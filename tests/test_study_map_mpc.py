@@ -93,6 +93,18 @@ def test_the_lever_does_not_swing_where_wheels_creep_much(
         assert np.count_nonzero(np.diff(np.sign(at_work))) < 10
 
 
+def test_where_the_rail_forbids_the_reference_the_lever_changes_no_oftener_than_its_own(
+    known: study.World, outcomes: dict[tuple[str, float], study.Outcome]
+) -> None:
+    def changes(lever: np.ndarray) -> int:
+        at_work = lever[np.abs(lever) > 0.02]
+        return int(np.count_nonzero(np.diff(np.sign(at_work))))
+
+    planned = changes(known.plan[0].sampled()[:, 2])
+    for mass in (PAPER_000.mass, PAPER_000.max_mass):
+        assert changes(outcomes["weather turns bad", mass].informed.lever) <= planned
+
+
 def test_the_delay_shrinks_but_not_below_what_physics_allows(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:

@@ -19,8 +19,9 @@ from analysis.control.tracking import (
     Tuning,
     solve,
 )
+from analysis.control.tracking_target import GENTLE, latest, returning, with_lead
 from analysis.trajectory import reference_dynamics as dynamics
-from analysis.trajectory.reference import Reference, reference
+from analysis.trajectory.reference import SAMPLING, Reference, reference
 from analysis.trajectory.reference_section import least_time_unweighed, section_of
 from trainlog.errors import InputError
 from trainlog.railway import Line, Station, StepProfile
@@ -212,6 +213,60 @@ def test_a_late_driver_arrives_near_the_least_time_that_an_unknown_mass_allows(
     assert high - low < 5e3
     least = least_time_unweighed(section, mass)
     assert least <= now - 70.0 < least + 2.5
+
+
+@settings(deadline=None)
+@given(off=st.floats(-600.0, 600.0))
+def test_a_train_that_is_off_returns_without_a_jerk(off: float) -> None:
+    """Never past its target, at a speed that never changes faster than is gentle."""
+    left, rate = returning(off, 300).T
+    assert np.all(np.abs(np.diff(rate)) <= GENTLE * SAMPLING + 1e-9)
+    assert np.all(left * np.sign(off) >= 0.0)
+    assert abs(left[0]) <= abs(off) + 1e-9
+    assert abs(left[-1]) < 0.01
+    moved = np.diff(left)
+    np.testing.assert_allclose(moved, 0.5 * (rate[1:] + rate[:-1]) * SAMPLING, atol=2e-3)
+
+
+def test_a_reference_is_led_where_it_would_be_late_and_nowhere_else(plan: Reference) -> None:
+    section = plan.section
+    stop = section.destination.position
+    run = dynamics.fastest_run(
+        section.origin.position, 0.0, stop, 5.0, np.inf, NOMINAL, 1.0,
+        section.tables, section.driving_constants,
+    )  # fmt: skip
+    rows = plan.sampled()
+    in_time = latest(run, plan.duration, len(rows))
+    assert in_time[-1, 0] == stop
+    np.testing.assert_array_equal(with_lead(rows, in_time), rows)
+    hurried = latest(run, run[2][-1] / 0.98, len(rows))
+    led = with_lead(rows, hurried)
+    assert np.all(led[:, 0] >= np.maximum(rows[:, 0], hurried[:, 0]))
+    assert np.any(led[:, 0] > rows[:, 0] + 5.0)
+    assert np.all(np.diff(led[:, 0]) >= -1e-9)
+
+
+def test_a_train_that_is_late_but_can_be_in_time_is_neither_late_nor_early(
+    plan: Reference,
+) -> None:
+    """It takes all the time that is left, and brakes for the lower limit and the stop alone."""
+    controller = TrackingController(plan)
+    section = plan.section
+    t, c = section.tables, section.constants
+    now = float(np.floor(plan.duration - 1.02 * least_time_unweighed(section, NOMINAL)))
+    p, v, levers = section.origin.position, 0.0, []
+    assert now > 10.0
+    while not (v == 0.0 and p > section.destination.position - 0.5):
+        lever = controller.drive(now, p, v)
+        if v < HOLDING_SPEED and lever <= 0.0:
+            v = max(v - 0.1 * HOLDING, 0.0)
+        levers.append(lever)
+        p, v = kernels.step(p, v, lever, 0.1, NOMINAL, t, c)
+        now += 0.1
+        assert now < 400.0
+    assert abs(now - plan.duration) < 1.0
+    at_work = np.array(levers)[np.abs(levers) > 0.02]
+    assert np.count_nonzero(np.diff(np.sign(at_work))) == 3
 
 
 def test_a_tuning_that_makes_no_sense_is_refused() -> None:

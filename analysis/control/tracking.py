@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.control import tracking_kernels as kernels
 from analysis.control.tracking_mass import ObservedMass, window
+from analysis.control.tracking_target import Fast, latest, paced, returning, with_lead
 from analysis.trajectory import reference_dynamics as dynamics
 from analysis.trajectory.reference import SAMPLING, Reference
 from trainlog.errors import InputError
@@ -41,8 +42,8 @@ LAST = 15.0
 HARD = 0.9
 """Share of the brake from which a train is driven to the place before that, too."""
 
-HASTE = 0.97
-"""The fastest run is followed when it takes more than this share of the time that is left."""
+HASTE = 0.985
+"""A train hurries when the fastest run takes more than this share of the time that is left."""
 
 FAST_STEP = 5.0
 """Of the fastest run from where the train is [m]."""
@@ -73,7 +74,7 @@ class Tuning:
 
     horizon: int = 20
     position: float = 1.0
-    lever: float = 0.1
+    lever: float = 1.0
     mass: float = NOMINAL_MASS
 
     def __post_init__(self) -> None:
@@ -140,13 +141,14 @@ class TrackingController:
         self._past: list[tuple[float, float, float]] = []
         self._held = 0.0
         self._asked = 0.0
-        self._arriving = False
+        self._arriving = self._hurrying = False
         rows = self.reference.sampled()
         # The lever is held for a second: that of its middle stands for it.
         rows[:, 2] = [self.reference.at((k + 0.5) * SAMPLING)[2] for k in range(len(rows))]
         rest = np.tile([rows[-1, 0], 0.0, 0.0], (self.tuning.horizon + SHORTEST + 1, 1))
         rows[-1, 1:] = 0.0
         self._rows = np.concatenate([rows, rest])
+        self._keep()
 
     @property
     def mass(self) -> tuple[float, float]:
@@ -251,39 +253,49 @@ class TrackingController:
         return -1.0 if change < program.lower[0] + 1e-6 else float(plan[0])
 
     def _target(self, time: float, position: float, speed: float) -> tuple[FloatArray, FloatArray]:
-        """Rows of the horizon to follow, and levers: the reference's, or the fastest run's.
+        """Rows of the horizon to follow, and levers; the horizon shrinks at the stop.
 
-        The horizon shrinks at the stop. Where only the fastest run arrives in time it is followed:
-        a reference for a better rail would wait too long.
+        The reference with its lead, and a gentle return to it; where hardly more than the fastest
+        run arrives in time that run, at the pace that arrives in time, until the reference is
+        reached.
         """
         last = int(np.ceil(self.reference.duration / SAMPLING))
         at = min(max(round(time / SAMPLING), 0), last)
         n = int(np.clip(last - at, SHORTEST, self.tuning.horizon))
-        rows = self._rows[at : at + n + 1]
         if self.about == "reference":
+            rows = self._rows[at : at + n + 1]
             return rows, rows[:n, 2]
-        positions, speeds, times, levers = self._fastest(position, speed)
-        if times.size == 1 or times[-1] <= HASTE * (self._due - time):
-            return rows, rows[:n, 2]
-        n = int(np.clip(np.ceil(times[-1] / SAMPLING), SHORTEST, self.tuning.horizon))
-        ahead = SAMPLING * np.arange(n + 1, dtype=np.float64)
-        found = np.column_stack([
-            np.interp(ahead, times, positions), np.interp(ahead, times, speeds),
-            np.interp(ahead + 0.5 * SAMPLING, times, levers),
-        ])  # fmt: skip
-        return found, found[:n, 2].copy()
+        rows = self._kept[at : at + n + 1]
+        off = position - rows[0, 0]
+        run = self._fastest(position, speed)
+        least, left = run[2][-1], max(self._due - time, 1e-3)
+        self._hurrying = least > HASTE * left or (self._hurrying and off < 0.0)
+        if least > 0.0 and self._hurrying:
+            pace = min(least / left, 1.0)
+            n = int(np.clip(np.ceil(least / (pace * SAMPLING)), SHORTEST, self.tuning.horizon))
+            rows = paced(run, pace, n)
+        else:
+            rows = rows + np.pad(returning(off, n), ((0, 0), (0, 1)))
+        return rows, rows[:n, 2].copy()
 
-    def _fastest(self, position: float, speed: float) -> tuple[FloatArray, ...]:
+    def _fastest(self, position: float, speed: float) -> Fast:
         """The fastest run to the stop by positions, speeds, times, levers; no time if it stalls."""
         stop = self.reference.section.destination.position
         nothing = np.zeros(1)
         if stop - position < FAST_STEP:
             return nothing, nothing, nothing, nothing
-        found: tuple[FloatArray, ...] = dynamics.fastest_run(
+        found: Fast = dynamics.fastest_run(
             position, speed, stop, FAST_STEP, np.inf, self._mass, 1.0,
             self._tables, self._constants,
         )  # fmt: skip
         return found if found[0][-1] > stop - 1e-6 else (nothing, nothing, nothing, nothing)
+
+    def _keep(self) -> None:
+        """The reference with the lead that it needs on this rail to be in time."""
+        run = self._fastest(self.reference.section.origin.position, 0.0)
+        self._kept = self._rows
+        if run[2].size > 1:
+            self._kept = with_lead(self._rows, latest(run, self._due, len(self._rows)))
 
     def _feel(self) -> None:
         """Learn of the mass from the last second, and raise the ceiling by what was learnt."""
@@ -291,6 +303,7 @@ class TrackingController:
         if told is not None and self._felt.observe(*told):
             self._mass = self._felt.middle
             self._tables = self.reference.section.braked_for(self._felt.high)
+            self._keep()
 
     def _starting(self, position: float) -> float:
         """The lever above which a train at rest begins to move."""
