@@ -22,8 +22,9 @@ from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
+from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import Configuration, Trajectory
+from trainlog.railway import Configuration, ParameterSet, Trajectory
 from trainlog.replay import record_replay
 
 
@@ -46,8 +47,10 @@ def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly: 
     assert points[-1].until == 0.0
     for before, point in pairwise(points):
         assert before.position < point.position
-        assert before.phase is not point.phase
-        assert point.time - before.time >= 3.0
+        assert before.words != point.words
+        # What is shorter is told only where it changes the speed.
+        brief = point.time - before.time < 3.0
+        assert not brief or abs(before.until - before.speed) >= 4.0 / 3.6
         assert before.until == point.speed
 
 
@@ -79,6 +82,27 @@ def test_at_one_speed_a_driver_is_told_to_hold_it() -> None:
     # A dip between two equal speeds is coasting all the same.
     dip = advice(_spelled("TPCCPB", [0, 100, 100, 80, 100, 100, 0]))
     assert [point.phase.letter for point in dip] == list("TPCPB")
+
+
+def test_a_speed_held_within_a_longer_phase_is_told_until_the_brake() -> None:
+    """Braking downhill at one speed, then to a lower one: two speeds to hold, and a brake."""
+    speeds = [0, 99, 100, 100, 100, 100, 85, 80, 80.5, 80, 60, 0]
+    assert [point.words for point in advice(_spelled("TPPPPHHPPCB", speeds))] == [
+        "maximum traction", "hold 99 km/h", "partial braking", "hold 80 km/h", "coasting",
+        "maximum braking",
+    ]  # fmt: skip
+    # Partial traction at a falling speed is no speed to hold, nor is what lasts for a moment.
+    falling = advice(_spelled("TPPCB", [0, 100, 100, 80, 60, 0]))
+    assert [point.words for point in falling][1:3] == ["hold 100 km/h", "partial traction"]
+
+
+def test_a_short_full_brake_to_a_lower_speed_is_told() -> None:
+    given = _spelled("TPBPB", [0, 115, 115, 105, 105, 0])
+    times = np.array([0.0, 60.0, 120.0, 122.5, 200.0, 240.0])[None]
+    points = advice(replace(given, times=times))
+    assert [point.words for point in points] == [
+        "maximum traction", "hold 115 km/h", "maximum braking", "hold 105 km/h", "maximum braking",
+    ]  # fmt: skip
 
 
 def test_advice_as_a_table(hilly: Trajectory, tmp_path: Path) -> None:
@@ -205,8 +229,22 @@ def test_commands_write_sections_a_front_and_advice(
         for suffix in ("json", "png", "csv"):
             assert (tmp_path / f"a-{number}.{suffix}").exists()
     assert "Journey one stop" in capsys.readouterr().out
-    run("optimise", parameters, "--reverse", "--cells", 60, "-o", tmp_path / "b.json")
-    assert '"reverse"' in (tmp_path / "b.json").read_text()
+    expected = ("--reverse", "--cells", 60, "--objective", "expected")
+    run("optimise", parameters, *expected, "-o", tmp_path / "b.json")
+    settings = read_trajectory(tmp_path / "b.json").provenance["settings"]
+    assert read_trajectory(tmp_path / "b.json").direction == "reverse"
+    assert settings["weights"] == [1.0]  # the trip that the set was observed on
+
+
+def test_a_set_knows_how_many_trips_each_configuration_stands_for() -> None:
+    configurations = tuple(drawn(FLIRT, 2, seed=1))
+    details = [
+        {"configuration": each.name, "stands_for": count}
+        for each, count in zip(configurations, (3, 1), strict=True)
+    ]
+    told = ParameterSet("T", configurations, details=[*details, {"trip": "refused"}])
+    assert told.weights == (3.0, 1.0)
+    assert ParameterSet("T", configurations, details=details[:1]).weights == ()
 
 
 def test_coasting_for_a_moment_while_cruising_is_no_advice() -> None:

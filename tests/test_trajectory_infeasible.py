@@ -29,6 +29,13 @@ def test_too_little_time_names_the_slowest_and_what_is_missing() -> None:
     assert found.certificate["audit"]["passed"]
 
 
+def test_a_moment_too_little_is_not_told_as_nothing() -> None:
+    run = hilly_line(), FLIRT, observed(FLIRT, 1.0)
+    least = optimise(*run, reserve=0.1, cells=60).certificate["least_time"][0]
+    with pytest.raises(InfeasibleError, match=r", 0\.0[34] s are missing"):
+        optimise(*run, running_time=least - 0.034)
+
+
 def test_the_least_time_of_free_traction_cannot_be_met_on_cells() -> None:
     fastest = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.0, cells=80)
     alone = fastest.certificate["least_time"][0]

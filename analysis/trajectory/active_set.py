@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from analysis.trajectory.amend import amended
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import NoSolutionError
-from analysis.trajectory.infeasible import LATE, brakes_explained, names_of, time_explained
+from analysis.trajectory.infeasible import (
+    LATE,
+    brakes_explained,
+    still_late,
+    time_explained,
+    unsettled,
+)
 from analysis.trajectory.minimax import EVENNESS, Solution, minimise, with_costates
 from analysis.trajectory.pace import (
     capped_run,
@@ -30,7 +36,6 @@ from analysis.trajectory.pace import (
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
 from analysis.trajectory.representatives import kinds, multipliers_for_all, shared
-from trainlog.errors import InfeasibleError
 
 FloatArray = NDArray[np.float64]
 
@@ -474,13 +479,9 @@ def _optimum(
         )  # fmt: skip
         if solution.lateness <= max(LATE, late):
             return replace(solution, statuses=(relaxed.status, *solution.statuses))
-        why = f"{solution.lateness:.2f} s are missing"
+        refusal = still_late(problem, running_time, solution.lateness)
     except NoSolutionError as failure:
-        why = f"a convex step is {failure}"
+        refusal = unsettled(problem, running_time, f"a convex step is {failure}")
     if problem.common:
         raise brakes_explained(problem, speeds, running_time)
-    raise InfeasibleError(
-        f"{running_time:.2f} s are not enough for {names_of(problem)} under one common traction on"
-        f" {problem.shape[1]} cells: {why}",
-        remedy="allow more time or more cells",
-    )
+    raise refusal

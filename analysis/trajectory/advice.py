@@ -7,7 +7,8 @@ is, and how late it is.
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +36,17 @@ speed."""
 _SAME = 1.0 / KMH
 """Change of speed that a driver would not notice [m/s]."""
 
+_OTHER = 4.0 / KMH
+"""Change of speed that a driver has to be told of, however short it is [m/s]."""
+
 _EVEN = (Phase.CRUISING, Phase.COASTING, Phase.PARTIAL_BRAKING)
 """Phases that a driver does not tell apart while the speed stays: a little effort up or down."""
 
 HELD = 2.0 / KMH
 """Speeds within this of each other are one speed to hold [m/s]."""
+
+_STEADY = 20.0
+"""Time from which a speed that stays within a longer phase is one to hold [s]."""
 
 HEADER = ("position_m", "time_s", "speed_kmh", "phase", "until_kmh")
 
@@ -58,6 +65,8 @@ class AdvicePoint:
     phase : Phase
     until : float [m/s]
         Speed at which it ends.
+    hold : bool
+        Whether the speed stays.
     """
 
     position: float
@@ -65,13 +74,24 @@ class AdvicePoint:
     speed: float
     phase: Phase
     until: float
+    hold: bool = False
 
     @property
     def words(self) -> str:
         """The advice as a driver reads it: the phase, or the speed to hold."""
-        if self.phase is Phase.CRUISING and abs(self.until - self.speed) <= HELD:
+        if self.hold:
             return f"hold {KMH * self.speed:.0f} km/h"
-        return self.phase.label
+        return "partial traction" if self.phase is Phase.CRUISING else self.phase.label
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """A phase between two nodes, or a speed that is held there."""
+
+    start: int
+    phase: Phase
+    end: int
+    hold: bool = False
 
 
 def slowest_row(trajectory: Trajectory) -> int:
@@ -94,11 +114,12 @@ def advice(
     row : int, optional
         Configuration; the one that arrives last without it.
     shortest : float [s]
-        A shorter phase counts as part of the one before it, and so does one that lasts little
-        longer and changes nothing: coasting for 5 s while cruising.
+        A shorter phase counts as part of the one before it, unless the speed changes by 4 km/h in
+        it; and so does one that lasts little longer and changes nothing: coasting for 5 s while
+        cruising.
     held : float [m/s]
-        Neighbouring phases over which the speed stays within this, and none of which is full
-        traction or full braking, are one: cruising, to hold that speed.
+        Where the speed stays within this, and there is neither full traction nor full braking,
+        all is one: cruising, to hold that speed. With 0 every phase is told as it is.
 
     Raises
     ------
@@ -111,38 +132,99 @@ def advice(
     speeds, kept = trajectory.speeds[chosen], list[int]()
     for start, end in zip(starts, [*starts[1:], phases.size], strict=True):
         same = kept and phases[kept[-1]] == phases[start]
-        lasts = times[end] - times[start]
-        even = phases[start] < Phase.PARTIAL_BRAKING and abs(speeds[end] - speeds[start]) < _SAME
-        if not kept or (lasts >= (_BRIEF * shortest if even else shortest) and not same):
+        lasts, change = times[end] - times[start], abs(speeds[end] - speeds[start])
+        even = phases[start] < Phase.PARTIAL_BRAKING and change < _SAME
+        long = lasts >= (_BRIEF * shortest if even else shortest) or change >= _OTHER
+        if not kept or (long and not same):
             kept.append(start)
-    told = _held(speeds, [(start, Phase(phases[start])) for start in kept], held)
-    ends = [*(start for start, _ in told[1:]), phases.size]
+    told = _held(speeds, times, [(start, Phase(phases[start])) for start in kept], held)
+    ends = [*(piece.start for piece in told[1:]), phases.size]
     return tuple(
         AdvicePoint(
-            float(trajectory.positions[start]),
-            float(times[start]),
-            float(speeds[start]),
-            phase,
+            float(trajectory.positions[piece.start]),
+            float(times[piece.start]),
+            float(speeds[piece.start]),
+            piece.phase,
             float(speeds[end]),
+            piece.hold,
         )
-        for (start, phase), end in zip(told, ends, strict=True)
+        for piece, end in zip(told, ends, strict=True)
     )
 
 
 def _held(
-    speeds: FloatArray, begun: list[tuple[int, Phase]], held: float
-) -> list[tuple[int, Phase]]:
-    """Phases, by the node where each begins, with those at one speed made one."""
-    told = list[tuple[int, Phase]]()
+    speeds: FloatArray, times: FloatArray, begun: list[tuple[int, Phase]], held: float
+) -> list[_Piece]:
+    """Phases, by the node where each begins; where the speed stays they are one: cruising."""
+    told = list[_Piece]()
     ends = [*(start for start, _ in begun[1:]), speeds.size - 1]
-    for (start, phase), end in zip(begun, ends, strict=True):
-        if told and phase in _EVEN and told[-1][1] in _EVEN:
-            first = told[-1][0]
-            if np.ptp(speeds[first : end + 1]) <= held:
-                told[-1] = first, Phase.CRUISING
+    spans = [_Piece(*each, end) for each, end in zip(begun, ends, strict=True)]
+    for even, group in groupby(spans, key=lambda piece: piece.phase in _EVEN):
+        run = list(group)
+        first, last = run[0].start, run[-1].end
+        if even and held > 0.0:
+            working = np.zeros(speeds.size - 1, dtype=bool)
+            for piece in run:
+                working[piece.start : piece.end] = piece.phase is not Phase.COASTING
+            whole = [_Piece(first, Phase.CRUISING, last, hold=True)]
+            same = working.any() and np.ptp(speeds[first : last + 1]) <= held
+            holds = whole if same else _holds(speeds, times, working, held, first, last)
+            run = _beside(run, holds)
+        told += run
+    kept = told[:1]
+    for piece in told[1:]:
+        before, brief = kept[-1], held > 0.0 and not piece.hold
+        brief = brief and times[piece.end] - times[piece.start] < SHORTEST
+        alike = piece.phase is before.phase and not (piece.hold or before.hold)
+        if alike or (brief and abs(speeds[piece.end] - speeds[piece.start]) < _OTHER):
+            continue
+        if brief and before.phase is Phase.PARTIAL_BRAKING < piece.phase:
+            piece = replace(piece, start=kept.pop().start)
+            if kept and kept[-1].phase is piece.phase:
                 continue
-        told.append((start, phase))
-    return [each for row, each in enumerate(told) if row == 0 or told[row - 1][1] is not each[1]]
+        kept.append(piece)
+    return kept
+
+
+def _holds(
+    speeds: FloatArray,
+    times: FloatArray,
+    working: NDArray[np.bool_],
+    held: float,
+    first: int,
+    last: int,
+) -> list[_Piece]:
+    """Where one speed is held between two nodes: the longest such stretch, and so on beside it.
+
+    None begins or ends in coasting.
+    """
+    longest, begin, end = _STEADY, first, first
+    for start in (first + np.flatnonzero(working[first:last])).tolist():
+        ahead = speeds[start : last + 1]
+        beyond = np.maximum.accumulate(ahead) - np.minimum.accumulate(ahead) > held
+        reach = start + (int(np.argmax(beyond)) - 1 if beyond.any() else ahead.size - 1)
+        reach = start + int(np.flatnonzero(working[start:reach]).max(initial=-1)) + 1
+        if times[reach] - times[start] >= longest:
+            longest, begin, end = float(times[reach] - times[start]), start, reach
+    if end == begin:
+        return []
+    return [
+        *_holds(speeds, times, working, held, first, begin),
+        _Piece(begin, Phase.CRUISING, end, hold=True),
+        *_holds(speeds, times, working, held, end, last),
+    ]
+
+
+def _beside(run: list[_Piece], holds: list[_Piece]) -> list[_Piece]:
+    """Speeds held, and what is left of a run's phases before, between and after them."""
+    found, left = list(holds), run[0].start
+    for stop, resume in [*((hold.start, hold.end) for hold in holds), (run[-1].end, run[-1].end)]:
+        for piece in run:
+            start, end = max(piece.start, left), min(piece.end, stop)
+            if start < end:
+                found.append(_Piece(start, piece.phase, end))
+        left = resume
+    return sorted(found, key=lambda piece: piece.start)
 
 
 def write_advice(points: tuple[AdvicePoint, ...], path: str | Path) -> None:

@@ -34,6 +34,11 @@ def place_of(line: Line, position: float) -> str:
     return f"km {position / 1e3:.3f}" + (f" ({name})" if name else "")
 
 
+def seconds(time: float) -> str:
+    """What is missing of a time, never as nothing: tenths, or the first figure that tells."""
+    return f"{time:.1f} s" if time >= 0.1 else f"{time:.1g} s"
+
+
 def check_time(run: Run, fastest: Envelope, running_time: float) -> None:
     """Refuse a timetable or windows that some configuration cannot keep by itself.
 
@@ -66,7 +71,7 @@ def check_time(run: Run, fastest: Envelope, running_time: float) -> None:
         raise InfeasibleError(
             f"{running_time:.1f} s ({clock(running_time)}) are not enough from {section}:"
             f" configuration '{run.configurations[slowest].name}' needs at least {least:.1f} s"
-            f" ({clock(least)}), {least - running_time:.1f} s are missing ({late} of"
+            f" ({clock(least)}), {seconds(least - running_time)} are missing ({late} of"
             f" {len(run.configurations)} configurations would be late)"
             f"; its fastest run is {held_back(run, fastest, slowest)}",
             remedy=f"allow at least {np.ceil(least):.0f} s",
@@ -164,13 +169,13 @@ def _told(
     if pair[0] == 0:
         return (
             f"configuration '{name}' passes {there} after {spent:.1f} s at the earliest,"
-            f" {missing:.1f} s after its window closes ({clock(spent - missing)})"
+            f" {seconds(missing)} after its window closes ({clock(spent - missing)})"
         )
     end = "the end" if pair[1] == len(points) - 1 else there
     return (
         f"configuration '{name}' needs at least {spent:.1f} s from"
         f" {place_of(run.line, first.position)} to {end} ({clock(spent)}); passed after"
-        f" {first.earliest or 0.0:.1f} s or later, {missing:.1f} s are missing"
+        f" {first.earliest or 0.0:.1f} s or later, {seconds(missing)} are missing"
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.convex import NoSolutionError
+from analysis.trajectory.feasibility import seconds
 from analysis.trajectory.minimax import minimise
 from analysis.trajectory.problem import Problem
 from analysis.trajectory.relaxation import Relaxation
@@ -30,12 +31,30 @@ def time_explained(
     except NoSolutionError:
         return InfeasibleError(f"no common run of {names}: the relaxation is {word}")
     if time <= running_time:
-        return InfeasibleError(f"the convex solver gave up: {word}", remedy="allow more cells")
+        return unsettled(problem, running_time, f"the relaxation is {word}")
     return InfeasibleError(
         f"under one common traction, in {problem.shape[1]} cells, at least {time:.1f} s are needed"
-        f" by {names}; the timetable gives {running_time:.1f} s, {time - running_time:.1f} s are"
+        f" by {names}; the timetable gives {running_time:.1f} s, {seconds(time - running_time)} are"
         " missing",
         remedy=f"allow at least {np.ceil(time):.0f} s",
+    )
+
+
+def still_late(problem: Problem, running_time: float, late: float) -> InfeasibleError:
+    """Why nothing was found where the programs settle on a plan that is late by some seconds."""
+    return InfeasibleError(
+        f"{running_time:.2f} s are not enough for {names_of(problem)} under one common traction on"
+        f" {problem.shape[1]} cells: {seconds(late)} are missing",
+        remedy=f"allow {seconds(1.1 * late)} more, or more cells",
+    )
+
+
+def unsettled(problem: Problem, running_time: float, word: str) -> InfeasibleError:
+    """Why nothing was found where the programs do not settle; that nothing exists is not proven."""
+    return InfeasibleError(
+        f"no trajectory of {names_of(problem)} was found for {running_time:.1f} s on"
+        f" {problem.shape[1]} cells, and none was proven impossible: {word}",
+        remedy="try more cells, or another running time",
     )
 
 

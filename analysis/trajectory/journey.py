@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.feasibility import check_speeds, held_back, place_of
+from analysis.trajectory.feasibility import check_speeds, held_back, place_of, seconds
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.run import Run
 from trainlog.errors import InfeasibleError, InputError
@@ -292,7 +292,7 @@ def _check_times(
                 raise InfeasibleError(
                     f"journey '{journey.name}': configuration '{fastest[number].name}', the"
                     f" slowest, is at {place_of(line, point.position)} after {time:.1f} s"
-                    f" at the earliest ({clock(time)}), {time - closing:.1f} s after its window"
+                    f" at the earliest ({clock(time)}), {seconds(time - closing)} after its window"
                     f" closes; from {place_of(line, section.departure.position)} to"
                     f" {place_of(line, section.arrival.position)} its fastest run is"
                     f" {fastest[number].held}",

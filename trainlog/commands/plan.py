@@ -50,7 +50,8 @@ def optimise(
         Literal["wheel", "line", "expected"],
         typer.Option(
             help="Traction at the wheel rims as in the paper; or energy from the line, with"
-            " efficiencies and what the dynamic brake feeds back, at worst or as expected."
+            " efficiencies and what the dynamic brake feeds back, at worst or as expected of the"
+            " trips that the configurations stand for."
         ),
     ] = "wheel",
     condition: Annotated[
@@ -122,6 +123,7 @@ def optimise(
         "reserve": reserve / 100.0,
         "braking": braking,
         "objective": objective,
+        "weights": observed.weights if objective == "expected" else (),
         "condition_map": None if condition is None else read_map(condition),
         "layer": layer,
         "assumed_adhesion": inf if assumed_adhesion is None else assumed_adhesion,

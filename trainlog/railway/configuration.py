@@ -95,6 +95,15 @@ class ParameterSet:
     provenance: dict[str, Any] = field(default_factory=dict)
     cover: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """How many trips each configuration stands for; empty where that was not noted."""
+        known = {str(each.get("configuration")): each.get("stands_for") for each in self.details}
+        found = [known.get(each.name) for each in self.configurations]
+        if not all(isinstance(count, (int, float)) for count in found):
+            return ()
+        return tuple(float(count) for count in found if count is not None)
+
     def check_train(self, train: str) -> None:
         """Refuse to be used for another train.
 
