@@ -21,6 +21,7 @@ from trainlog.railway import (
     RunningResistance,
     Station,
     StepProfile,
+    Survey,
     TrackConditionMap,
     Train,
     Trajectory,
@@ -92,6 +93,7 @@ def lines(draw: Callable[..., Any]) -> Line:
         braking_parameters=draw(
             st.dictionaries(st.sampled_from(["M_NVAVADH", "Kt_int"]), sizes(0.0, 2.0))
         ),
+        survey=draw(st.none() | st.builds(Survey, sizes(1e-6, 0.01), st.none() | sizes(1.0, 1e5))),
     )
 
 

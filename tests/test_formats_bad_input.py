@@ -229,6 +229,16 @@ LINE_CASES = [
         "f.json: geometry: a coordinate is beyond 90° of latitude or 180° of longitude; give degr",
     ),
     (
+        "survey",
+        {"gradient_std": {"value": -0.1, "unit": "permil"}},
+        "f.json: survey: gradient std -0.0001 is not positive; give how far off gradients are",
+    ),
+    (
+        "survey",
+        {"correlation_length": {"value": 100, "unit": "m"}},
+        "f.json, survey.gradient_std: 'gradient_std' is missing; add it",
+    ),
+    (
         "braking_parameters",
         {"Kt_ind": {"value": 1, "unit": "1"}},
         "f.json, braking_parameters.Kt_ind: unknown key 'Kt_ind'; correct its spelling",

@@ -9,17 +9,20 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
-from resistance_trips import recording
+from resistance_trips import LINE, recording, trip
 from test_resistance_together import SPEED, TRUE, covariance_of, fit_of
 from test_resistance_windows import NOISE, dense, drawn_errors, rough
 
-from analysis.resistance import TripFit, combine, summarised
+from analysis.resistance import TripFit, combine, fit_trip, summarised
 from analysis.resistance.curve import powers
 from analysis.resistance.noise import NoiseModel
 from analysis.resistance.regression import regress
 from analysis.resistance.shared import shared_variance
 from analysis.resistance.windows import build_windows
+from trainlog.formats.line import line_to_bytes
 from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries
+from trainlog.railway import StepProfile, Survey
+from trainlog.trip import LINE_ATTACHMENT
 
 Array = NDArray[np.float64]
 
@@ -62,6 +65,42 @@ def test_a_covariance_scatters_as_its_degrees_of_freedom_say(noise: NoiseModel) 
         freedom.append(fit.freedom)
     assert 0.6 < np.median(freedom) * np.var(sizes) / 2.0 < 1.6
     assert max(freedom) < 0.2 * windows.count
+
+
+def on_wrong_map(length: float, survey: Survey | None, seed: int) -> TripFit:
+    """A level trip whose line's file has elements of 100 m, equally wrong over each `length`."""
+    starts = np.arange(0.0, LINE.length, 100.0)
+    errors = 2e-4 * np.random.default_rng(seed).standard_normal(starts.size)
+    gradients = StepProfile(starts, errors[(starts // length).astype(np.int64)])
+    line = line_to_bytes(replace(LINE, gradients=gradients, survey=survey))
+    made = trip(seed=seed)
+    return fit_trip(replace(made, attachments={**made.attachments, LINE_ATTACHMENT: line}))
+
+
+def distance(fit: TripFit) -> float:
+    """Mean square of r0, r1 and r2 less their true values, in the metric of the covariance."""
+    off = fit.beta - TRUE
+    return float(off @ np.linalg.solve(fit.covariance[:3, :3], off)) / 3.0
+
+
+def test_errors_that_reach_over_several_elements_are_told_by_the_lines_file() -> None:
+    told = [on_wrong_map(1000.0, Survey(2e-4, 1000.0), seed) for seed in range(16)]
+    untold = [on_wrong_map(1000.0, None, seed) for seed in range(16)]
+    assert np.mean([distance(fit) for fit in told]) < 1.3
+    assert np.median([fit.noise["gradient"] for fit in told]) == pytest.approx(2e-4, rel=0.2)
+    curve = powers(20.0) @ TRUE
+    better, worse = (
+        np.sqrt(np.mean([(fit.resistance(20.0) - curve) ** 2 for fit in fits]))
+        for fits in (told, untold)
+    )
+    assert better < 0.85 * worse
+
+
+def test_a_survey_that_is_told_is_known_before_the_trip() -> None:
+    told = on_wrong_map(100.0, Survey(2e-4), seed=1)
+    untold = on_wrong_map(100.0, None, seed=1)
+    assert told.freedom > untold.freedom
+    assert abs(np.log(told.noise["gradient"] / 2e-4)) < abs(np.log(untold.noise["gradient"] / 2e-4))
 
 
 def test_errors_that_all_trips_share_do_not_average_out() -> None:

@@ -22,7 +22,7 @@ from analysis.coast_down.detection import Segment
 from analysis.coast_down.hidden_effort import SPACING
 from analysis.coast_down.motion import Motion
 from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.noise import PRIOR, NoiseParts
+from analysis.resistance.noise import Expected, NoiseParts
 from analysis.resistance.recording import POSITION_STEP, SpeedScale, gradient_pieces
 from analysis.resistance.regression import Regression, regress
 from analysis.resistance.windows import WINDOW, Recording, Windows, build_windows
@@ -253,7 +253,9 @@ def fit_segments(
     strays: tuple[Segment, ...] = ()
     width = max(WINDOW, SAMPLES * motion.period)
     # How noisy the speed is was seen on the whole trip, not only where it coasts.
-    noise = replace(PRIOR, speed=motion.noise * np.sqrt(motion.period / width))
+    ordinary = Expected.on(line)
+    speed_noise = motion.noise * np.sqrt(motion.period / width)
+    noise = replace(ordinary, sizes=replace(ordinary.sizes, speed=speed_noise))
     while True:
         windows = build_windows(coasting_recording(motion, line, segments), width)
         _check_windows(motion, windows)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.diagnostics import Residuals
 from analysis.resistance.evidence import Evidence, part_of
+from analysis.resistance.noise import Expected
 from analysis.resistance.power import power_limit
 from analysis.resistance.recording import SpeedScale, check_recorded, speed_scale
 from analysis.resistance.refusal import Reason, Timeline, TripRefusedError
@@ -263,7 +264,7 @@ def fit_evidence(
     windows, timeline = evidence.windows, evidence.timeline
     _check_windows(name, evidence)
     mass, mass_std = mass_prior(train)
-    regression = regress(windows, mass, mass_std)
+    regression = regress(windows, mass, mass_std, Expected.on(line))
     covariance = _with_scale(regression, scale)
     _check_curve(name, regression, covariance, asked, timeline)
     used = windows.select(regression.kept)

@@ -25,7 +25,7 @@ filtered beside the observations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numba import njit
@@ -34,6 +34,7 @@ from scipy.optimize import minimize
 from scipy.sparse import hstack
 
 from analysis.resistance.windows import Windows
+from trainlog.railway.line import Line
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -84,6 +85,34 @@ PRIOR = NoiseModel(speed=0.01, gradient=0.5e-3, position=10.0, effort=0.01)
 
 PRIOR_WIDTH = NoiseModel(speed=0.5, gradient=1.5, position=1.5, effort=1.0)
 """Standard deviation of the natural logarithm of each size around what is expected."""
+
+SURVEYED_WIDTH = 0.2
+"""The same of a gradient error that the line's file states: believed to a fifth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What is expected of the sizes before a trip.
+
+    Attributes
+    ----------
+    sizes : NoiseModel
+    width : NoiseModel
+        Standard deviation of the natural logarithm of each.
+    """
+
+    sizes: NoiseModel = PRIOR
+    width: NoiseModel = PRIOR_WIDTH
+
+    @staticmethod
+    def on(line: Line) -> Expected:
+        """On a line, whose file may state how well its gradients are known."""
+        if line.survey is None:
+            return Expected()
+        return Expected(
+            replace(PRIOR, gradient=line.survey.gradient_std),
+            replace(PRIOR_WIDTH, gradient=SURVEYED_WIDTH),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,27 +228,27 @@ class Likelihood:
         Regressors, and last the left-hand side.
     prior : (p, p + 1) array
         What is known of the parameters, as further rows of unit variance.
-    expected : NoiseModel
+    expected : Expected
         Where the search begins, and towards what it is drawn.
     """
 
     parts: NoiseParts
     columns: FloatArray
     prior: FloatArray
-    expected: NoiseModel = PRIOR
+    expected: Expected = field(default_factory=Expected)
 
     @property
     def width(self) -> FloatArray:
         """Standard deviation of the natural logarithm of each size around what is expected."""
-        return np.array(PRIOR_WIDTH.sizes)
+        return np.array(self.expected.width.sizes)
 
     def sizes(self, place: FloatArray) -> NoiseModel:
         """The sizes at a place (4,)."""
-        return NoiseModel(*np.exp(np.log(self.expected.sizes) + self.width * place).tolist())
+        return NoiseModel(*np.exp(np.log(self.expected.sizes.sizes) + self.width * place).tolist())
 
     def place(self, noise: NoiseModel) -> FloatArray:
         """Where the sizes are, (4,)."""
-        return np.asarray(np.log(np.divide(noise.sizes, self.expected.sizes)) / self.width)
+        return np.asarray(np.log(np.divide(noise.sizes, self.expected.sizes.sizes)) / self.width)
 
     def square(self, place: FloatArray) -> tuple[FloatArray, float]:
         """Products (p + 1, p + 1) of the whitened columns, and half the log determinant."""

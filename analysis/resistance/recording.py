@@ -418,14 +418,20 @@ def widened(time: FloatArray, mask: BoolArray) -> BoolArray:
 def gradient_pieces(
     line: Line, position: FloatArray
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Piece of the gradient profile at each position, and number of the nearest change."""
+    """Piece of the gradient profile at each position, and number of the nearest change.
+
+    A piece is what one error of the survey holds for.
+    """
     edges = line.gradients.positions
+    changes = edges[1:]
+    nearest = np.searchsorted(0.5 * (changes[1:] + changes[:-1]), position).astype(np.int64)
+    if line.survey is not None and line.survey.correlation_length is not None:
+        piece = np.floor(np.maximum(position, 0.0) / line.survey.correlation_length)
+        return piece.astype(np.int64), nearest
     lengths = np.diff(np.append(edges, max(line.length, edges[-1] + 1.0)))
     parts = np.maximum(np.ceil(lengths / LONGEST_SECTION), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(edges.size), parts)
     number = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
     starts = edges[owner] + number * (lengths / parts)[owner]
     section = np.searchsorted(starts, position, side="right") - 1
-    changes = edges[1:]
-    nearest = np.searchsorted(0.5 * (changes[1:] + changes[:-1]), position)
-    return section.astype(np.int64), nearest.astype(np.int64)
+    return section.astype(np.int64), nearest

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from analysis.resistance.noise import PRIOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
+from analysis.resistance.noise import Expected, Likelihood, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.shares import shares
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
@@ -96,7 +96,7 @@ class Regression:
 
 
 def regress(
-    windows: Windows, mass: float, mass_std: float, expected_noise: NoiseModel = PRIOR
+    windows: Windows, mass: float, mass_std: float, expected_noise: Expected | None = None
 ) -> Regression:
     """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``.
 
@@ -106,8 +106,8 @@ def regress(
         At least a handful; refusing too few is the caller's business.
     mass, mass_std : float [kg]
         What is known beforehand; weak.
-    expected_noise : NoiseModel
-        Where the search for the noise begins.
+    expected_noise : Expected, optional
+        Where the search for the noise begins, and towards what it is drawn.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def regress(
         used = windows.select(kept)
         parts = NoiseParts.of(used, mass)
         columns = np.column_stack([used.x, used.effort_change, used.braking, used.y])
-        likelihood = Likelihood(parts, columns, prior, expected_noise)
+        likelihood = Likelihood(parts, columns, prior, expected_noise or Expected())
         noise = estimate_noise(likelihood)
         rows = parts.whiten(noise, columns)
         recursion = RecursiveLeastSquares(spread, prior_mean=expected)

@@ -26,6 +26,7 @@ from trainlog.railway.line import (
     Line,
     Station,
     StepProfile,
+    Survey,
     Tunnel,
 )
 
@@ -66,6 +67,19 @@ class _Geometry(Part):
         return Geometry(positions, latitudes, longitudes, self.quality)
 
 
+class _Survey(Part):
+    gradient_std: Annotated[float, Quantity("permil", "1")]
+    correlation_length: _Length | None = None
+
+    @staticmethod
+    def of(survey: Survey | None) -> _Survey | None:
+        if survey is None:
+            return None
+        return _Survey.model_construct(
+            gradient_std=survey.gradient_std, correlation_length=survey.correlation_length
+        )
+
+
 class _LineFile(File):
     FORMAT: ClassVar[str] = "trainlog/line"
 
@@ -76,6 +90,7 @@ class _LineFile(File):
     stations: _Stations
     speed_limits: _Limits
     gradients: _Gradients
+    survey: _Survey | None = None
     curvatures: _Curvatures | None = None
     tunnels: _Tunnels | None = None
     braking_parameters: _Braking | None = None
@@ -98,6 +113,7 @@ class _LineFile(File):
             geometry=None if geometry is None else geometry.geometry(),
             source=self.source,
             braking_parameters=self.braking_parameters or {},
+            survey=None if self.survey is None else Survey(**dict(self.survey)),
         )
 
     @staticmethod
@@ -112,6 +128,7 @@ class _LineFile(File):
             stations=([s.name for s in line.stations], [s.position for s in line.stations]),
             speed_limits=(limits.positions, limits.values),
             gradients=(line.gradients.positions, line.gradients.values),
+            survey=_Survey.of(line.survey),
             curvatures=None if curves is None else radii(curves),
             tunnels=tunnel_columns(line.tunnels),
             braking_parameters=line.braking_parameters or None,

@@ -7,7 +7,15 @@ from trainlog.railway.adhesion import CreepCurve
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.configuration import Configuration, ParameterSet
 from trainlog.railway.journey import Journey, TimingPoint
-from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile, Tunnel
+from trainlog.railway.line import (
+    CurvatureProfile,
+    Geometry,
+    Line,
+    Station,
+    StepProfile,
+    Survey,
+    Tunnel,
+)
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
 from trainlog.railway.trajectory import Trajectory
@@ -26,6 +34,7 @@ __all__ = [
     "RunningResistance",
     "Station",
     "StepProfile",
+    "Survey",
     "TimingPoint",
     "TrackConditionMap",
     "Train",

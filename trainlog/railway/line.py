@@ -180,6 +180,31 @@ class Geometry:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """How well the gradients of a line are known.
+
+    Attributes
+    ----------
+    gradient_std : float
+        Standard deviation of their errors (rise over run).
+    correlation_length : float [m] or None
+        Over how long the same error holds; None: each gradient has one of its own.
+    """
+
+    gradient_std: float
+    correlation_length: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(
+                    f"survey: {name.replace('_', ' ')} {value} is not positive",
+                    remedy="give how far off gradients are, or leave the survey out",
+                )
+
+
 @dataclass(frozen=True)
 class Line:
     """A railway line between two ends.
@@ -202,6 +227,8 @@ class Line:
         Where the data come from.
     braking_parameters : dict of str to float
         ETCS braking parameters of the track by their published names and in published units.
+    survey : Survey or None
+        How well the gradients are known, where it is.
     """
 
     name: str
@@ -215,6 +242,7 @@ class Line:
     geometry: Geometry | None = None
     source: str = ""
     braking_parameters: dict[str, float] = field(default_factory=dict)
+    survey: Survey | None = None
 
     def __post_init__(self) -> None:
         where = f"line '{self.name}'"
@@ -339,6 +367,7 @@ class Line:
             geometry=None if self.geometry is None else self.geometry.reversed(self.length),
             source=self.source,
             braking_parameters=self.braking_parameters,
+            survey=self.survey,
         )
 
 
