@@ -59,7 +59,9 @@ def references_table(plan: Plan) -> Table:
 
 
 def tracking_table(outcomes: Sequence[Outcome]) -> Table:
-    """Errors of the trips with the map, and how near they came to the limits.
+    """Errors of the trips with the map, the least there could be, and what was left of the limits.
+
+    The lever changes from traction to braking or back; the reference's changes stand beside.
 
     Parameters
     ----------
@@ -71,11 +73,13 @@ def tracking_table(outcomes: Sequence[Outcome]) -> Table:
         "scenario",
         "mass t",
         "position m",
+        "least of any driver as punctual m",
         "speed m/s",
         "left of comfort m/s²",
         "left of adhesion m/s²",
         "left of speed limit km/h",
         "stops off by m",
+        "changes of the lever, all / most (reference)",
     )
     for each in outcomes:
         found = each.informed
@@ -84,11 +88,14 @@ def tracking_table(outcomes: Sequence[Outcome]) -> Table:
             each.scenario.name,
             f"{found.mass / 1e3:.1f}",
             f"{np.abs(found.position_error).max():.2f}",
+            f"{each.deviation.max():.2f}",
             f"{np.abs(found.speed_error).max():.2f}",
             f"{comfort:.3f}",
             f"{adhesion:.3f}",
             f"{speed * KMH:.2f}",
             f"{np.abs(found.stop_error).max():.2f}",
+            f"{found.lever_changes.sum()} / {found.lever_changes.max()}"
+            f" ({found.planned_changes.sum()} / {found.planned_changes.max()})",
         )
     return table
 

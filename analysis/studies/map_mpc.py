@@ -7,7 +7,7 @@ controller does not know.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,12 +18,7 @@ from analysis.control.tracking import HOLDING_SPEED, PERIOD, About, TrackingCont
 from analysis.studies import map_mpc_world as world
 from analysis.trajectory import reference_dynamics as dynamics
 from analysis.trajectory.reference import Reference
-from analysis.trajectory.reference_section import (
-    STOPPING_TOLERANCE,
-    Section,
-    least_time,
-    sections_of,
-)
+from analysis.trajectory.reference_section import STOPPING_TOLERANCE, sections_of
 from trainlog.errors import InfeasibleError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.adhesion import DRY, WET
@@ -52,6 +47,9 @@ DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
 
 AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
 """Of the six axles over the rail's: each cleans it for the next."""
+
+COASTING = 0.02
+"""A lever below this is neither traction nor braking."""
 
 NO_MAP = StepProfile(np.zeros(1), np.array([0.999]))
 """What a controller believes that knows no map: that the rail holds anything."""
@@ -145,9 +143,24 @@ class Run:
         return np.asarray(self.arrivals[1:] - planned)
 
     @property
+    def lever_changes(self) -> NDArray[np.int64]:
+        """How often the lever went from traction to braking or back, by section; (k - 1,)."""
+        return self._by_section(self.lever)
+
+    @property
+    def planned_changes(self) -> NDArray[np.int64]:
+        """`lever_changes` of the reference."""
+        full = np.asarray(self.train.full_effort(self.target[:, 1]), dtype=np.float64)
+        return self._by_section(self.target[:, 2] / full)
+
+    @property
     def stop_error(self) -> FloatArray:
         """Where the train stood beyond its stops [m]."""
         return np.asarray(self.places[1:] - [stop.position for stop in self.stops[1:]])
+
+    def _by_section(self, lever: FloatArray) -> NDArray[np.int64]:
+        count = len(self.stops) - 1
+        return np.array([changes(lever[self.section == k]) for k in range(count)], dtype=np.int64)
 
     @cached_property
     def constraints(self) -> FloatArray:
@@ -200,6 +213,12 @@ class Run:
         """How often the slip protection of the drive took hold of an axle."""
         active = self.column("protected_axles")
         return int(np.maximum(np.diff(active, prepend=0.0), 0.0).sum())
+
+
+def changes(lever: FloatArray) -> int:
+    """How often a lever goes from traction to braking or back, whatever it coasts between."""
+    at_work = np.sign(lever[np.abs(lever) > COASTING])
+    return int(np.count_nonzero(np.diff(at_work)))
 
 
 def constraint_table(rows: FloatArray, c: dynamics.Constants) -> FloatArray:
@@ -333,39 +352,6 @@ def run(
         slip_energy=recorder.state.works["slip"],
         unsolved=unsolved,
     )
-
-
-def least_lateness(
-    sections: Sequence[Section],
-    mass: float,
-    delay: float,
-    least: Callable[[Section, float, float], float] = least_time,
-) -> FloatArray:
-    """Bound on how late [s] a train of one mass arrives that left the first stop late.
-
-    From the least time of every section under (7), without any reserve, and the shortest dwell;
-    below 0 where it could be early.
-
-    Parameters
-    ----------
-    sections : sequence of Section
-    mass : float [kg]
-    delay : float [s]
-    least : callable
-        `least_time` or `least_time_unweighed`.
-    """
-    late, bound = delay, []
-    for section in sections:
-        rotating = section.train.on_axles(AXLE_ADHESION.size).rotating_mass
-        bound.append(late + least(section, mass, rotating) - section.duration)
-        planned = planned_dwell(section)
-        late = max(bound[-1] + SHORTEST_DWELL - planned, 0.0)
-    return np.array(bound, dtype=np.float64)
-
-
-def planned_dwell(section: Section) -> float:
-    """Planned standing at the section's destination [s]."""
-    return section.destination.departure - section.destination.arrival
 
 
 class _Recorder:

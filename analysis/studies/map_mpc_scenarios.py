@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.studies import map_mpc_world as world
-from analysis.studies.map_mpc import NO_MAP, Plan, Run, least_lateness, run, with_map
+from analysis.studies.map_mpc import NO_MAP, Plan, Run, run, with_map
+from analysis.studies.map_mpc_bounds import least_deviation, least_lateness
 from analysis.trajectory.reference import reference
 from analysis.trajectory.reference_section import (
     Section,
@@ -84,6 +85,8 @@ class Outcome:
     bound, unweighed : (k,) array [s]
         How late a train of this mass must be at each stop, whoever drives it: by a driver who
         knows the mass, and by one who does not.
+    deviation : (k,) array [m]
+        How far from its reference `informed` must be at some time in each section.
     """
 
     scenario: Scenario
@@ -91,6 +94,7 @@ class Outcome:
     blind: Run
     bound: FloatArray
     unweighed: FloatArray
+    deviation: FloatArray
 
 
 def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -> World:
@@ -139,10 +143,12 @@ def outcome(known: World, scenario: Scenario, mass: float) -> Outcome:
     blind = with_map(known.plan, NO_MAP)
     sections = [each.section for each in informed]
     name = f"{scenario.name}, {mass / 1e3:.1f} t"
+    driven = run(name, informed, rail, mass, delay=scenario.delay)
     return Outcome(
         scenario,
-        run(name, informed, rail, mass, delay=scenario.delay),
+        driven,
         run(f"{name}, no map", blind, rail, mass, delay=scenario.delay),
         least_lateness(sections, mass, scenario.delay),
         least_lateness(sections, mass, scenario.delay, least_time_unweighed),
+        least_deviation(informed, driven),
     )

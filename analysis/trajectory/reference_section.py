@@ -313,13 +313,26 @@ def least_time(section: Section, mass: float = NOMINAL_MASS, rotating_mass: floa
     """
     section.train.check_mass(mass)
     alone = replace(section.train, mass=mass, max_load=0.0)
-    return _least(section, alone, mass, rotating_mass)
+    return _least(section, alone, mass, rotating_mass).duration
 
 
 def least_time_unweighed(
     section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
 ) -> float:
-    """Least time [s] of any driver who does not know the mass: (7) holds for every mass of (6).
+    """Least time [s] of any driver who does not know the mass: that of `fastest_unweighed`.
+
+    Raises
+    ------
+    InputError, InfeasibleError
+        As `least_time`.
+    """
+    return fastest_unweighed(section, mass, rotating_mass).duration
+
+
+def fastest_unweighed(
+    section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
+) -> FastRun:
+    """The fastest run of any driver who does not know the mass: (7) holds for every mass of (6).
 
     The motion and the brake are those of the true mass, as if it had been guessed right; see
     `least_time`.
@@ -333,7 +346,7 @@ def least_time_unweighed(
     return _least(section, section.train, mass, rotating_mass)
 
 
-def _least(section: Section, train: LeverTrain, mass: float, rotating_mass: float) -> float:
+def _least(section: Section, train: LeverTrain, mass: float, rotating_mass: float) -> FastRun:
     inertia = 1.0 + rotating_mass / mass
     freed = section_of(
         section.line, train, section.maximum_adhesion, section.origin, section.destination,
@@ -342,7 +355,7 @@ def _least(section: Section, train: LeverTrain, mass: float, rotating_mass: floa
     c, t = freed.driving_constants, freed.tables._replace(ceiling=freed.allowed)
     ceiling = dynamics.braking_envelope(t.ceiling, t.sine, t.adhesion, 1.0, mass, mass, inertia, c)
     t = t._replace(ceiling=ceiling)
-    return _fastest(freed, t, c, mass, np.inf, 1.0, inertia).duration
+    return _fastest(freed, t, c, mass, np.inf, 1.0, inertia)
 
 
 def check_timetable(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> None:
