@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 CHECKOUT = Path(__file__).parents[1]
+OUTSIDE = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+"""The environment of somebody who knows nothing of the checkout."""
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,7 @@ def trainlog(python: Path, *arguments: str, cwd: Path) -> str:
         text=True,
         cwd=cwd,
         timeout=300,
-        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+        env=OUTSIDE,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -53,6 +55,7 @@ def installed_works(python: Path, folder: Path) -> None:
         capture_output=True,
         text=True,
         cwd=folder,
+        env=OUTSIDE,
     )
     assert str(CHECKOUT) not in where.stdout
     assert "optimise" in trainlog(python, "--help", cwd=folder)
