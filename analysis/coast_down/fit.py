@@ -99,7 +99,7 @@ class Curve:
         k, c0 [m/s²], c1 [1/s], c2 [1/m].
     covariance : (4, 4) array
     freedom : float
-        Degrees of freedom of the residuals.
+        Degrees of freedom of the covariance: how well the noise's sizes are known.
     covered : (float, float) [m/s]
         Speeds at which the train coasted.
     supported : (float, float) [m/s] or None
@@ -374,7 +374,7 @@ def _result(
     return TripCoastDown(
         trip=motion.trip,
         motion=motion,
-        curve=Curve(theta, covariance, max(used.count - 4, 1), covered),
+        curve=Curve(theta, covariance, regression.freedom, covered),
         ratio=ratio,
         free=free,
         segments=segments,
