@@ -85,17 +85,6 @@ def to_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:
     return np.asarray(converted + offset if offset else converted, dtype=np.float64)
 
 
-def from_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:
-    """Convert `value` in the SI unit `si` to `unit`, rounded to 12 significant digits.
-
-    The rounding undoes the last-digit noise of the conversion, so that reading a file and writing
-    it again changes nothing.
-    """
-    slope, offset = factor(unit, si)
-    converted = (np.asarray(value, dtype=np.float64) - offset) / slope
-    return np.array([float(f"{x:.12g}") for x in converted.ravel()]).reshape(converted.shape)
-
-
 def _spelled(unit: str) -> str:
     """The unit in pint's spelling: '-' and '1' are pure numbers, '%' and '‰' have names."""
     cleaned = unit.strip().replace("²", "^2").replace("³", "^3").replace("·", "*")

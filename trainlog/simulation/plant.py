@@ -300,12 +300,6 @@ class Plant:
         )
         return out
 
-    def kinetic_energy(self, state: PlantState) -> float:
-        """Kinetic energy of the train and of its powered axles [J]."""
-        p = self.parameters
-        wheels = float(np.sum(state.wheel_speeds**2))
-        return 0.5 * (p.body_inertia * state.speed**2 + p.axle_inertia * wheels)
-
 
 def check_train(train: Train, mass: float, rotating: float, power: float, step: float) -> None:
     """Refuse trains that cannot be.

@@ -122,9 +122,7 @@ def controls(
     train = scenario.train
     service = train.max_deceleration * (scenario.mass + scenario.rotating_mass)
     traction, braking = run.demands.T
-    available = np.minimum(
-        train.max_tractive_effort, train.max_traction_power / np.maximum(columns["speed"], 0.1)
-    )
+    available = train.tractive_effort_limit(columns["speed"])
     lever = np.where(braking > 0.0, -braking / service, traction / available)
     data = {
         name: measuring.measured_effort(columns[name], scenario.sensors, generator)
