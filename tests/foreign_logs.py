@@ -59,6 +59,8 @@ def schema_text(main: str, **others: str) -> str:
     return SEPARATOR.join(f"{part.rstrip()}\n" for part in [main, *parts])
 
 
+COVARIANCE = [4.0, 0.5, 0.0, 0.5, 9.0, 0.0, 0.0, 0.0, 25.0]
+
 FIX_1 = schema_text(
     NAV_SAT_FIX.format(header="Header", status="NavSatStatus"),
     std_msgs__Header=HEADER_1,

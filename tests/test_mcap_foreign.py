@@ -1,10 +1,8 @@
 """Files of other programs become frames: every encoding, with known values, as far as it reads."""
 
 import json
-import struct
 import tempfile
 import tracemalloc
-import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,23 +10,20 @@ import numpy as np
 import pandas as pd
 import pytest
 from foreign_logs import (
+    COVARIANCE,
     FIX_1,
     FIX_2,
     IMU_2,
     START,
     ForeignLog,
-    cdr,
     cdr_numbers,
     json_log,
-    schema_text,
 )
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap_mutations import mutated
-from mcap_protobuf.schema import build_file_descriptor_set
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros1.decoder import DecoderFactory as Ros1DecoderFactory
 from mcap_ros1.writer import Writer as Ros1Writer
@@ -37,16 +32,12 @@ from mcap_trips import trip_of
 
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import frames_of, write_log
-from trainlog.mcap.account import DamageWarning
 from trainlog.mcap.flatbuffer_wire import SchemaError
 from trainlog.mcap.flatbuffer_wire import decoder as flatbuffer_decoder
-from trainlog.mcap.foreign_rows import BYTES, LONG_ARRAY, MOST_ELEMENTS, BrokenMessage, leaves
-from trainlog.mcap.ros_definitions import NUMBERS, DefinitionError
-from trainlog.mcap.ros_wire import decoder
+from trainlog.mcap.foreign_rows import MOST_ELEMENTS, BrokenMessage, leaves
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 KEPT = Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap"
-COVARIANCE = [4.0, 0.5, 0.0, 0.5, 9.0, 0.0, 0.0, 0.0, 25.0]
 
 
 def fix_message(row):
@@ -240,148 +231,6 @@ def test_what_does_not_become_columns_is_named_and_counted(tmp_path):
     assert found.frames["/things"]["a.b"].iloc[2] == 1
 
 
-NAMES = [f"f{number}" for number in range(6)]
-
-
-@st.composite
-def ros_fields(draw):
-    """Lines of a definition, and a value for each field."""
-    lines, values = [], {}
-    for name in draw(st.lists(st.sampled_from(NAMES), min_size=1, unique=True)):
-        kind = draw(st.sampled_from([*NUMBERS, "string"]))
-        if kind == "string":
-            one = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
-        elif kind == "bool":
-            one = st.booleans()
-        elif kind.startswith("float"):
-            one = st.floats(width=int(kind[5:]), allow_nan=False)
-        else:
-            bits = int(kind.lstrip("uint"))
-            low = 0 if kind.startswith("u") else -(2 ** (bits - 1))
-            one = st.integers(low, low + 2**bits - 1)
-        count = draw(st.sampled_from([None, None, 0, 1, 3, 70]))
-        fixed = draw(st.booleans()) and count
-        bound = "" if count is None else f"[{count if fixed else ''}]"
-        lines.append(f"{kind}{bound} {name}")
-        if count is None:
-            values[name] = draw(one)
-        elif kind in ("uint8", "int8") and not fixed:
-            values[name] = BYTES
-        elif count > MOST_ELEMENTS:
-            values[name] = LONG_ARRAY
-        else:
-            values[name] = draw(st.lists(one, min_size=count, max_size=count))
-    return lines, values
-
-
-def written(lines, values):
-    """The bytes of a message by the official writer; long arrays and blobs are filled up."""
-    from mcap_ros2._dynamic import serialize_dynamic
-
-    given_values = {}
-    for line, (name, value) in zip(lines, values.items(), strict=True):
-        if value is BYTES:
-            value = [1, 2, 3, 4, 5]
-        elif value is LONG_ARRAY:
-            value = ["" if line.startswith("string") else 0] * 70
-        given_values[name] = value
-    text = "\n".join(lines)
-    return serialize_dynamic("p/msg/Thing", text)["p/msg/Thing"](given_values)
-
-
-def expanded(found):
-    """A decoded message with its fixed arrays as lists again."""
-    joined = {}
-    for path, value in found.items():
-        name, _, index = path.partition("[")
-        if index:
-            joined.setdefault(name, []).append(value)
-        else:
-            joined[name] = value
-    return joined
-
-
-@settings(max_examples=100, deadline=None)
-@given(ros_fields(), st.integers(0, 3))
-def test_ros2_messages_come_back_as_the_official_writer_got_them(drawn, padding):
-    lines, values = drawn
-    data = written(lines, values)
-    decode = decoder("p/msg/Thing", "\n".join(lines).encode(), "ros2")
-    assert expanded(decode(data + bytes(padding))) == values
-    for end in range(len(data)):
-        with pytest.raises(BrokenMessage):
-            decode(data[:end])
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=200))
-def test_no_bytes_raise_anything_but_a_broken_message(data):
-    for schema, dialect in ((FIX_1, "ros1"), (FIX_2, "ros2")):
-        decode = decoder("sensor_msgs/NavSatFix", schema.encode(), dialect)
-        for payload in (data, cdr(data)):
-            try:
-                decode(payload)
-            except BrokenMessage as error:
-                assert str(error)  # noqa: PT017
-
-
-def test_nested_messages_and_arrays_of_them():
-    text = schema_text(
-        "Point[2] ends\nPoint[] way\nstring[] names\nfloat32[<=3] few\nwide/Name one\nint8 last=7",
-        geo__Point="float64 x\nint8 y -3\nint8 Y=5\n",
-        wide__Name="string<=5 text\n",
-    )
-    decode = decoder("geo/msg/Path", text.encode(), "ros2")
-    body = struct.pack("<db7xdb7x", 1.0, 2, 3.0, 4)[:-7]
-    body += b"\0" * (-len(body) % 4) + struct.pack("<I", 1)
-    body += b"\0" * (-len(body) % 8) + struct.pack("<db", 5.0, 6)
-    body += b"\0" * (-len(body) % 4) + struct.pack("<II2s", 1, 2, b"n\0")
-    body += b"\0" * (-len(body) % 4) + struct.pack("<I", 0)
-    body += struct.pack("<I3s", 3, b"ab\0")
-    assert decode(cdr(body)) == {
-        "ends[0].x": 1.0,
-        "ends[0].y": 2,
-        "ends[1].x": 3.0,
-        "ends[1].y": 4,
-        "way": [{"x": 5.0, "y": 6}],
-        "names": ["n"],
-        "few": [],
-        "one.text": "ab",
-    }
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("Thing again", "nested more than 32"),
-        ("Other x", "does not define 'Other'"),
-        ("float64", "is no field"),
-        ("int32 a\nint32 a", "two fields of the same name"),
-        ("float64[9999999999] x", "elements"),
-        ("float64[0] x", "elements"),
-        ("float64[64] a\nrow[64] b\n" + "=" * 80 + "\nMSG: p/row\nfloat64[64] x", "fields"),
-        ("import os; os.abort() x", "is no field"),
-        ("print() x", "is no field"),
-        ("wstring x", "does not define 'wstring'"),
-        ("a" * 2_000_000, "bytes"),
-        ("int32 x\n" + "=" * 80 + "\nint32 y", "which message"),
-    ],
-)
-def test_definitions_that_make_no_sense_are_refused(text, problem):
-    with pytest.raises(DefinitionError, match=problem):
-        decoder("p/Thing", text.encode(), "ros1")
-
-
-def test_forged_lengths_take_neither_memory_nor_time():
-    empty = schema_text("Nothing[] x", p__Nothing="")
-    for dialect, head in (("ros1", b""), ("ros2", b"\0\1\0\0")):
-        for kind in ("string", "float64", "uint8", "p/Nothing"):
-            text = empty if kind == "p/Nothing" else f"{kind}[] x"
-            decode = decoder("p/Thing", text.encode(), dialect)
-            with pytest.raises(BrokenMessage):
-                decode(head + struct.pack("<I", 2**32 - 1) + bytes(100))
-
-
 def test_a_mislabelled_or_broken_message_costs_only_itself(tmp_path):
     log = ForeignLog(tmp_path / "odd.mcap")
     numbers = ("p/msg/Pair", "ros2msg", b"float64 x\nfloat64 y")
@@ -491,118 +340,6 @@ def test_a_log_of_trainlog_is_an_mcap_file_like_any(tmp_path):
     frame = found.frames["/train/state"]
     np.testing.assert_array_equal(frame["speed"], trip["/train/state"]["speed"])
     assert found.skipped == ()
-
-
-def test_of_a_damaged_file_what_is_readable_comes(tmp_path):
-    path = json_log(tmp_path / "json.mcap", "/things", [{"x": row} for row in range(60_000)])
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.warns(DamageWarning) as caught:
-        found = frames_of(path)
-    rows = len(found.frames["/things"])
-    assert 0 < rows < 60_000
-    assert found.frames["/things"]["x"].tolist() == list(range(rows))
-    assert caught[0].message.account.messages == rows
-    assert not caught[0].message.account.whole
-
-
-def test_every_damage_of_a_small_file_is_told_or_harmless(tmp_path):
-    whole = json_log(tmp_path / "json.mcap", "/x", [{"x": row} for row in range(5)]).read_bytes()
-    path = tmp_path / "damaged.mcap"
-    for at in range(0, len(whole), 3):
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DamageWarning)
-            try:
-                found = frames_of(path)
-            except LogError as error:
-                assert error.file == path  # noqa: PT017
-                continue
-        assert all(len(frame) <= 5 for frame in found.frames.values())
-
-
-def every_encoding(path):
-    """A file with messages of every encoding, in several chunks."""
-    log = ForeignLog(path)
-    fix = struct.pack("<IIII4sbH3d9dB", 1, 2, 3, 4, b"gnss", 0, 1, 47.0, 8.0, 1.0, *COVARIANCE, 2)
-    ros1 = ("sensor_msgs/NavSatFix", "ros1msg", FIX_1.encode())
-    log.add(log.channel("/ros1", "ros1", ros1), [fix] * 30)
-    ros2 = ("p/msg/Pair", "ros2msg", b"float64 x\nstring[] y")
-    words = struct.pack("<dII2s", 1.0, 1, 2, b"a\0")
-    log.add(log.channel("/ros2", "cdr", ros2), [cdr(words)] * 30)
-    descriptors = build_file_descriptor_set(LocationFix).SerializeToString()
-    protobuf = ("foxglove.LocationFix", "protobuf", descriptors)
-    position = LocationFix(latitude=47.0, position_covariance=COVARIANCE).SerializeToString()
-    log.add(log.channel("/protobuf", "protobuf", protobuf), [position] * 30)
-    log.add(log.channel("/json", "json"), [b'{"a": [{"b": 1}, {"b": "c"}]}'] * 30)
-    return log.close().read_bytes()
-
-
-def read_mutated(folder, whole, seeds):
-    path = folder / "mutated.mcap"
-    outcomes = {"refused": 0, "told": 0, "silent": 0}
-    for seed in seeds:
-        kind, data = mutated(whole, seed)
-        path.write_bytes(data)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                found = frames_of(path)
-            except LogError:
-                outcomes["refused"] += 1
-                continue
-            except BaseException as error:
-                raise AssertionError(f"seed {seed} ({kind})") from error
-        assert all(item.category is DamageWarning for item in caught), (seed, kind)
-        told = caught or found.skipped or not found.account.whole
-        outcomes["told" if told else "silent"] += 1
-        if not told and data == whole:
-            assert [len(frame) for frame in found.frames.values()] == [30] * 4
-    return outcomes
-
-
-def test_mutated_files_raise_nothing_but_our_errors(tmp_path):
-    outcomes = read_mutated(tmp_path, every_encoding(tmp_path / "all.mcap"), range(120))
-    assert outcomes["told"] > 30
-
-
-@pytest.mark.long
-def test_many_mutated_files_raise_nothing_but_our_errors(tmp_path):
-    outcomes = read_mutated(tmp_path, every_encoding(tmp_path / "all.mcap"), range(120, 20_000))
-    assert outcomes["told"] > 5_000
-
-
-@settings(max_examples=150, deadline=None)
-@given(st.data())
-def test_mutated_schemas_and_messages_cost_only_themselves(data):
-    with tempfile.TemporaryDirectory() as folder:
-        _damage_contents(Path(folder) / "odd.mcap", data)
-
-
-def _damage_contents(path, data):
-    """Damage inside of messages and schemas, where no checksum of the file tells."""
-    descriptors = build_file_descriptor_set(LocationFix).SerializeToString()
-    position = LocationFix(latitude=47.0, position_covariance=COVARIANCE).SerializeToString()
-    kinds = {
-        "ros1": ("ros1msg", FIX_1.encode(), bytes(120)),
-        "cdr": ("ros2msg", FIX_2.encode(), cdr(bytes(130))),
-        "protobuf": ("protobuf", descriptors, position),
-    }
-    encoding = data.draw(st.sampled_from(sorted(kinds)))
-    schema_encoding, schema, message = kinds[encoding]
-
-    def damage(content):
-        at = data.draw(st.integers(0, len(content) - 1))
-        change = data.draw(st.binary(max_size=4))
-        return content[:at] + change + content[at + data.draw(st.integers(0, 4)) :]
-
-    name = "foxglove.LocationFix" if encoding == "protobuf" else "sensor_msgs/NavSatFix"
-    log = ForeignLog(path)
-    channel = log.channel("/x", encoding, (name, schema_encoding, damage(schema)))
-    log.add(channel, [message, damage(message)])
-    found = frames_of(log.close())
-    rows = sum(len(frame) for frame in found.frames.values())
-    assert rows + sum(item.messages for item in found.skipped if not item.field) == 2
 
 
 def test_no_mcap_file_and_no_such_topic(tmp_path):
