@@ -257,7 +257,10 @@ class Likelihood:
 
     def deviance(self, place: FloatArray) -> float:
         """Minus the logarithm of likelihood times what is expected, up to a constant."""
-        square, log_determinant = self.square(place)
+        return self.deviance_of(place, *self.square(place))
+
+    def deviance_of(self, place: FloatArray, square: FloatArray, log_determinant: float) -> float:
+        """The deviance of products that are at hand."""
         # The triangle of [X y]: its last entry is the norm of the residual.
         scale = np.sqrt(np.maximum(np.diag(square), np.finfo(np.float64).tiny))
         triangle = scale * np.diag(np.linalg.cholesky(square / np.outer(scale, scale)))

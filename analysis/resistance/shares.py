@@ -65,10 +65,7 @@ def shares(likelihood: Likelihood, noise: NoiseModel) -> Shares:
     """
     centre, unit = likelihood.place(noise), STEP * np.eye(len(CAUSES))
     here = likelihood.deviance(centre)
-    ahead, behind = (
-        [(likelihood.deviance(z), _covariance(likelihood, z)) for z in centre + sign * unit]
-        for sign in (1.0, -1.0)
-    )
+    ahead, behind = ([_judged(likelihood, z) for z in centre + sign * unit] for sign in (1.0, -1.0))
     curvature = np.empty(unit.shape)
     change = np.empty(len(CAUSES))
     survey = np.zeros_like(ahead[0][1])
@@ -88,11 +85,13 @@ def shares(likelihood: Likelihood, noise: NoiseModel) -> Shares:
     return Shares(2.0 / variance, survey)
 
 
-def _covariance(likelihood: Likelihood, place: FloatArray) -> FloatArray:
-    """Covariance (p, p) of all parameters."""
-    information = likelihood.square(place)[0][:-1, :-1]
-    size = np.sqrt(np.diag(information))
-    return np.asarray(np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size))
+def _judged(likelihood: Likelihood, place: FloatArray) -> tuple[float, FloatArray]:
+    """The deviance, and the covariance (p, p) of all parameters."""
+    square, log_determinant = likelihood.square(place)
+    size = np.sqrt(np.diag(square)[:-1])
+    both = np.outer(size, size)
+    covariance = np.linalg.inv(square[:-1, :-1] / both) / both
+    return likelihood.deviance_of(place, square, log_determinant), covariance
 
 
 def _size(covariance: FloatArray) -> float:
