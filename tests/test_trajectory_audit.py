@@ -39,6 +39,7 @@ def audited(
         run,
         trajectory.positions,
         traction * trajectory.tractive_effort,
+        0.5 * traction * trajectory.tractive_effort_fall,
         braking * trajectory.braking_effort,
     )
     return found, found.failures(run, trajectory.running_time)
@@ -88,10 +89,11 @@ def test_audit_agrees_with_an_integrator_in_time(hilly: Trajectory) -> None:
     configuration = hilly.configurations[row]
 
     def motion(
-        _t: float, state: NDArray[np.float64], effort: float, low: float, high: float
+        _t: float, state: NDArray[np.float64], cell: int, low: float, high: float
     ) -> list[float]:
         position, speed = state
         inside = np.array([np.clip(position, low, high)])
+        effort = hilly.tractive_effort_at(inside) - hilly.braking_effort[row, cell]
         drag = configuration.resistance(speed) + configuration.mass * line.track_acceleration(
             inside
         )
@@ -101,7 +103,6 @@ def test_audit_agrees_with_an_integrator_in_time(hilly: Trajectory) -> None:
     time, speed = 0.0, 0.0
     for k in range(hilly.positions.size - 5):
         start, end = hilly.positions[k], hilly.positions[k + 1]
-        effort = float(hilly.tractive_effort[k] - hilly.braking_effort[row, k])
 
         def at_end(_t: float, state: NDArray[np.float64], *_: float, goal: float = end) -> float:
             return float(state[0] - goal)
@@ -109,7 +110,7 @@ def test_audit_agrees_with_an_integrator_in_time(hilly: Trajectory) -> None:
         at_end.terminal = True  # type: ignore[attr-defined]
         found = solve_ivp(
             motion, (0.0, 200.0), [start, speed], events=at_end, rtol=1e-10, atol=1e-10,
-            args=(effort, start + 1e-9, end - 1e-9),
+            args=(k, start + 1e-9, end - 1e-9),
         )  # fmt: skip
         time += float(found.t_events[0][0])
         speed = float(found.y_events[0][0][1])

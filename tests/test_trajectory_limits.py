@@ -12,7 +12,7 @@ from trajectory_world import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, o
 from analysis.trajectory import optimise
 from trainlog.errors import InputError
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
-from trainlog.railway import Line, TrackConditionMap, Trajectory
+from trainlog.railway import Configuration, Line, TrackConditionMap, Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +30,24 @@ def test_every_configuration_keeps_the_limits(set_of_twelve: Trajectory) -> None
 
 def test_power_is_kept_at_both_ends_of_every_cell(set_of_twelve: Trajectory) -> None:
     found = set_of_twelve
-    fastest = np.maximum(found.speeds[:, 1:], found.speeds[:, :-1])
     power = np.array([[c.max_power] for c in found.configurations])
-    assert np.all(found.tractive_effort * fastest <= power * (1.0 + 1e-6))
+    most, half = power * (1.0 + 1e-6), 0.5 * found.tractive_effort_fall
+    assert np.all((found.tractive_effort + half) * found.speeds[:, :-1] <= most)
+    assert np.all((found.tractive_effort - half) * found.speeds[:, 1:] <= most)
+
+
+def test_all_the_power_is_used_inside_the_cells() -> None:
+    """Traction that is constant in a cell would waste half of what the speed gains there."""
+    train = Configuration.of(FLIRT)
+    found = optimise(hilly_line(), FLIRT, [train], reserve=0.05, cells=120)
+    middle = 0.5 * (found.positions[1:] + found.positions[:-1])
+    speed = np.interp(middle, found.positions, found.speeds[0] ** 2) ** 0.5
+    used = found.tractive_effort_at(middle) * speed / train.max_power
+    gains = np.diff(found.speeds[0]) / np.maximum(found.speeds[0, :-1], 1.0)
+    pulling = (used > 0.99) & (gains > 0.015)
+    assert pulling.sum() >= 20
+    assert used[pulling].max() <= 1.0
+    assert np.all(1.0 - used[pulling] < 0.02 * gains[pulling])
 
 
 def test_runs_from_standstill_to_standstill(set_of_twelve: Trajectory) -> None:

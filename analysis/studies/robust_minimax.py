@@ -243,7 +243,8 @@ def driven(
     return Driven(
         *_driven(
             instance.initial_speed, trajectory.positions, problem.step,
-            trajectory.tractive_effort / problem.reference, brake, problem.mean_drag0,
+            trajectory.tractive_effort / problem.reference,
+            trajectory.tractive_effort_fall / problem.reference, brake, problem.mean_drag0,
             problem.drag1, problem.drag2, problem.power, curves,
         )
     )  # fmt: skip
@@ -252,7 +253,7 @@ def driven(
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _driven(
     initial_speed: float, positions: FloatArray, step: FloatArray, traction: FloatArray,
-    braking: FloatArray, drag0: FloatArray, drag1: FloatArray, drag2: FloatArray,
+    fall: FloatArray, braking: FloatArray, drag0: FloatArray, drag1: FloatArray, drag2: FloatArray,
     power: FloatArray, curves: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Runge-Kutta of order four on ``dv/ds = (u_f - u_b - r(v)) / v`` and ``dt/ds = 1 / v``."""
@@ -266,7 +267,8 @@ def _driven(
         for k in range(n):
             h = step[k] / SUBSTEPS
             for j in range(SUBSTEPS):
-                pull = min(traction[k], power[a] / v)
+                wanted = traction[k] + fall[k] * (0.5 - (j + 0.5) / SUBSTEPS)
+                pull = min(wanted, power[a] / v)
                 pace = 0.0
                 for stage in range(4):
                     at = v if stage == 0 else v + shares[stage] * h * slopes[stage - 1]
@@ -283,7 +285,8 @@ def _driven(
                 curve = curves[a, k] + share * (curves[a, k + 1] - curves[a, k])
                 v = min(v, np.sqrt(2.0 * curve))
                 energy[a] += h * pull
-                most[a] = max(most[a], pull * v)
+                wanted = traction[k] + fall[k] * (0.5 - share)
+                most[a] = max(most[a], min(wanted, pull) * v)
             if stands[a] < np.inf:
                 break
             speeds[a, k + 1], times[a, k + 1] = v, t
@@ -383,7 +386,8 @@ def as_printed(problem: Problem, trajectory: Trajectory, found: Driven) -> dict[
     found : Driven
         Under its efforts as planned.
     """
-    traction = trajectory.tractive_effort / problem.reference
+    traction = trajectory.tractive_effort + 0.5 * np.abs(trajectory.tractive_effort_fall)
+    traction /= problem.reference
     braking = trajectory.braking_effort[0] / problem.reference
     return {
         "(5) power [W/kg]": float((found.power - problem.power).max()),

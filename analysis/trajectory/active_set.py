@@ -100,6 +100,8 @@ class Answer:
 
     Attributes
     ----------
+    problem : Problem
+        With the traction tapered as the plan has it.
     plan : Plan
     active : tuple of int
         Rows of the configurations that it was optimised for.
@@ -111,6 +113,7 @@ class Answer:
         The solver's word on every program.
     """
 
+    problem: Problem
     plan: Plan
     active: tuple[int, ...]
     solution: Solution
@@ -219,10 +222,11 @@ def search(
     # What may be amended afterwards the programs need not find to the last digit.
     exact = problem.common or bool(np.isfinite(problem.earliest).any())
     exact = exact or problem.run.objective == "expected"
-    slowest = _slowest(problem, speeds)
+    slowest, even = _slowest(problem, speeds), problem
     for turns in count(1):
-        part, accuracy = _program(problem, rows, slowest), _EXACT if exact else nearly
+        part, accuracy = _program(even, rows, slowest), _EXACT if exact else nearly
         solution = _optimum(part, plan, price, speeds[rows], running_time, *accuracy)
+        problem, part = even.tapered(solution.taper), part.tapered(solution.taper)
         statuses.extend(solution.statuses)
         everyone = _all_ride(problem, rows, part, solution.plan)
         own = delays(part, everyone.select(rows), running_time)[0]
@@ -243,7 +247,7 @@ def search(
             if not coarse:
                 solution = with_costates(part, solution, running_time)
                 statuses.append(solution.statuses[-1])
-            return Answer(everyone, tuple(rows), solution, turns, tuple(statuses))
+            return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses))
         exact = exact or not new
         price = np.append(solution.time_price, np.zeros(len(new)))
         plan = solution.plan.joined(everyone.select(new))
@@ -402,7 +406,7 @@ def _violators(
         late * (_OVER / LATE),
         soon * (_OVER / LATE),
         ((problem.floor - plan.z) / problem.ceiling.max()).max(axis=1),
-        (plan.traction * fastest).max(axis=1) / problem.power - 1.0,
+        (plan.traction / problem.traction_by_power(plan.z)).max(axis=1) - 1.0,
         ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
         ((plan.z - ceiling) / problem.ceiling.max()).max(axis=1),
     ]

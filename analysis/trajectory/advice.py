@@ -290,7 +290,7 @@ def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> T
         index,
         {
             "speed": trajectory.speed_at(chosen, position),
-            "tractive_effort": trajectory.tractive_effort[cell],
+            "tractive_effort": trajectory.tractive_effort_at(position),
             "braking_effort": trajectory.braking_effort[chosen, cell],
             "lateness": seconds - departed + float(planned[0]) - planned,
         },

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.pace import delays, realise
-from analysis.trajectory.problem import Plan, Problem
+from analysis.trajectory.problem import Plan, Problem, most_traction
 
 FloatArray = NDArray[np.float64]
 
@@ -56,9 +56,8 @@ def amended(problem: Problem, plan: Plan, running_time: float) -> FloatArray | N
 
 def _room(problem: Problem, plan: Plan) -> FloatArray:
     """By how much each cell of partial traction may change, (n,) [m/s²]."""
-    fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge + 1e-9))
-    most = np.minimum(problem.traction, (problem.power[:, None] / fastest).min(axis=0))
-    return np.asarray(np.maximum(np.minimum(plan.traction, most - plan.traction), 0.0))
+    most, least = most_traction(problem, plan.z), np.abs(problem.taper.fall)
+    return np.asarray(np.maximum(np.minimum(plan.traction - least, most - plan.traction), 0.0))
 
 
 def _in_time(late: Callable[[float], float]) -> float | None:

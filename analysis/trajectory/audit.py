@@ -102,13 +102,22 @@ class Audit:
         ]
 
 
-def audit(run: Run, positions: FloatArray, traction: FloatArray, braking: FloatArray) -> Audit:
+def audit(
+    run: Run,
+    positions: FloatArray,
+    traction: FloatArray,
+    taper: FloatArray,
+    braking: FloatArray,
+) -> Audit:
     """Drive every configuration of `run` along the given efforts.
 
     Parameters
     ----------
     positions : (n + 1,) array [m]
     traction : (n,) array [N]
+        Mean of each cell.
+    taper : (n,) array [N]
+        By how much traction is above its mean where a cell begins, and below where it ends.
     braking : (q, n) array [N]
     """
     train, line = run.train, run.line
@@ -145,7 +154,7 @@ def audit(run: Run, positions: FloatArray, traction: FloatArray, braking: FloatA
     speeds, times, found = in_parts(
         len(run.configurations),
         lambda part: _roll(
-            run.initial_speed, step, traction, braking[part], constants[part], brakes, track,
+            run.initial_speed, step, traction, taper, braking[part], constants[part], brakes, track,
             tunnel, limit, adhesion,
         ),
     )  # fmt: skip
@@ -195,9 +204,9 @@ def _force(v: float, r0: float, r1: float, r2: float) -> float:
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _roll(
-    initial_speed: float, step: FloatArray, traction: FloatArray, braking: FloatArray,
-    constants: FloatArray, brakes: FloatArray, track: FloatArray, tunnel: FloatArray,
-    limit: FloatArray, adhesion: FloatArray,
+    initial_speed: float, step: FloatArray, traction: FloatArray, taper: FloatArray,
+    braking: FloatArray, constants: FloatArray, brakes: FloatArray, track: FloatArray,
+    tunnel: FloatArray, limit: FloatArray, adhesion: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Runge-Kutta on half the squared speed; the time of a sub-step is 2 h / (v + v')."""
     q, n = braking.shape
@@ -210,15 +219,17 @@ def _roll(
         speeds[a, 0] = initial_speed
         for k in range(n):
             h = step[k] / SUBSTEPS
-            found[a, 3] = max(found[a, 3], traction[k] / pull)
+            found[a, 3] = max(found[a, 3], (traction[k] + abs(taper[k])) / pull)
+            fall = 2.0 * taper[k] / SUBSTEPS
             for j in range(SUBSTEPS):
                 if stopped:
                     found[a, 0] += h
                     continue
-                effort = traction[k] - braking[a, k]
+                begun = traction[k] + taper[k] - j * fall
+                effort = begun - braking[a, k]
                 first = effort - mass * track[k, 2 * j]
-                middle = effort - mass * track[k, 2 * j + 1]
-                last = effort - mass * track[k, 2 * j + 2]
+                middle = effort - 0.5 * fall - mass * track[k, 2 * j + 1]
+                last = effort - fall - mass * track[k, 2 * j + 2]
                 drag = r2 + tunnel[k, j]
                 v = np.sqrt(2.0 * half)
                 k1 = (first - _force(v, r0, r1, drag)) / inertia
@@ -242,13 +253,13 @@ def _roll(
                 fastest = max(v, after)
                 dynamic = min(brakes[0], brakes[1] / max(fastest, 1e-6), adhesion[k, j] * adhesive)
                 found[a, 1] = max(found[a, 1], fastest - limit[k, j])
-                found[a, 2] = max(found[a, 2], traction[k] * fastest / power)
+                found[a, 2] = max(found[a, 2], begun * v / power, (begun - fall) * after / power)
                 found[a, 4] = max(
                     found[a, 4], braking[a, k] / max(min(brake, dynamic + brakes[2]), 1.0)
                 )
                 found[a, 5] = max(
                     found[a, 5],
-                    traction[k] / (adhesion[k, j] * adhesive),
+                    max(begun, begun - fall) / (adhesion[k, j] * adhesive),
                     braking[a, k] / (adhesion[k, j] * weight),
                 )
                 found[a, 6] += min(braking[a, k], dynamic) * h * part

@@ -13,7 +13,7 @@ from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.minimax import NEXT_TO_NOTHING
 from analysis.trajectory.pace import paced_run
 from analysis.trajectory.phases import agreement, phases_by_control, spelled
-from analysis.trajectory.problem import Plan, Problem
+from analysis.trajectory.problem import Plan, Problem, most_traction
 from analysis.trajectory.referee import second_opinion
 from analysis.trajectory.run import Run
 
@@ -171,7 +171,7 @@ def refereed(problem: Problem, answer: Answer, running_time: float) -> dict[str,
 def _most(problem: Problem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """The most that common traction, (n,), and each brake, (q, n), can do at the plan's speeds."""
     fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge + 1e-9))
-    pull = np.minimum(problem.traction, (problem.power[:, None] / fastest).min(axis=0))
+    pull = most_traction(problem, plan.z)
     by_power = problem.dynamic_power / fastest
     brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
     if problem.common:

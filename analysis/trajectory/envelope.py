@@ -121,10 +121,14 @@ def braking_curves(problem: Problem, traction: FloatArray | None = None) -> Floa
     if traction is None:
         traction = np.zeros(problem.shape[1])
     else:
-        fastest = problem.power[:, None] / np.maximum(traction, 1e-9)
-        highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
-        ceiling[:, :-1] = np.minimum(ceiling[:, :-1], highest)
-        ceiling[:, 1:] = np.minimum(ceiling[:, 1:], highest)
+        usable = problem.power[:, None] * (1.0 - problem.taper.crest)
+        for nodes, above in (
+            (slice(0, -1), problem.taper.fall),
+            (slice(1, None), -problem.taper.fall),
+        ):
+            fastest = usable / np.maximum(traction + above, 1e-9)
+            highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
+            ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
     return in_parts(
         problem.shape[0],
         lambda part: (

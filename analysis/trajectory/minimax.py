@@ -26,7 +26,7 @@ from analysis.trajectory.convex import (
     solve,
 )
 from analysis.trajectory.pace import cross, delays, realise
-from analysis.trajectory.problem import Plan, Problem
+from analysis.trajectory.problem import Plan, Problem, Taper, taper_for
 
 FloatArray = NDArray[np.float64]
 
@@ -47,6 +47,12 @@ _FREE_ROUNDS = 10
 
 _NEAR_POWER = 1.5
 """A power limit above this many times the largest effort is left out of a round."""
+
+_NOT_AT_ALL = 1e-4
+"""Part of the largest traction below which a brake is not applied."""
+
+_NEAR_OTHERS = 1.02
+"""Times the least of all configurations: power that counts as short, too."""
 
 _LEAST_SHARE = 0.02
 """Curvature of a configuration that is not short of time, over that of the one that is.
@@ -129,6 +135,8 @@ class Solution:
     Attributes
     ----------
     plan : Plan
+    taper : Taper
+        Of the common traction in this plan.
     energy : float [J/kg]
         Worst case, per unit reference inertia.
     multipliers : Multipliers
@@ -147,6 +155,7 @@ class Solution:
     """
 
     plan: Plan
+    taper: Taper
     energy: float
     multipliers: Multipliers
     switching: FloatArray
@@ -232,18 +241,18 @@ def minimise(
     NoSolutionError
         If the solver finds a round infeasible, or fails.
     """
-    plan, motion = start, Motion.about(problem, start)
+    plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
-        program = _Round(problem, plan, motion, price)
+        tapered = problem.tapered(taper_for(problem, plan))
+        program = _Round(tapered, plan, Motion.about(tapered, plan), price)
         solution = program.solve(running_time, radius, lateness_price, evenness=evenness)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
-        motion = Motion.about(problem, plan)
-        late, early = delays(problem, realise(problem, plan), running_time)
+        late, early = delays(tapered, realise(tapered, plan), running_time)
         off = max(float(late.max()), float(early.max())) - solution.lateness
         changed = min(abs(solution.energy - energy), solution.moved)
         settled = changed <= tolerance * max(solution.energy, NEXT_TO_NOTHING) and off <= lateness
@@ -319,6 +328,10 @@ class _Round:
         brake_limits(problem, unknowns, self.below, np.zeros((q, 1)))
         power, dynamic = self._power()
         self._speeds(radius)
+        # Where traction is tapered neither end of the cell leaves what it may be.
+        spare = np.abs(problem.taper.fall)
+        unknowns.low[unknowns.traction] = spare
+        unknowns.high[unknowns.traction] = np.maximum(problem.traction - spare, spare)
         priced = cost.copy()
         priced[self.late] = lateness_price
         bends = curvature + evenness * self._unevenness()
@@ -344,6 +357,7 @@ class _Round:
                 braking,
                 share,
             ),
+            taper=problem.taper,
             energy=float(cost @ x),
             multipliers=multipliers,
             switching=multipliers.pull.sum(axis=0) / problem.step,
@@ -441,28 +455,74 @@ class _Round:
         self.unknowns.high[self.unknowns.z] = (high - z) / self.scale
 
     def _power(self) -> tuple[list[_Limited], list[_Limited]]:
-        """Eq. (5) at both ends of each cell, of traction and of the dynamic brake."""
+        """Eq. (5) of traction and of the dynamic brake, at both ends of each cell.
+
+        Where traction follows the power of one configuration all the way, at their mean.
+        """
         problem, unknowns, n = self.problem, self.unknowns, self.problem.shape[1]
+        taper, level, alone = problem.taper, np.zeros(n), self._alone_at_power()
         pulled, braked = [], []
-        for nodes in (slice(0, n), slice(1, n + 1)):
-            for a, power in enumerate(problem.power.tolist()):
-                pulled.append(self._below(a, nodes, power, unknowns.traction, problem.traction))
+        for a, power in enumerate(problem.power.tolist()):
+            usable, effort = power * (1.0 - taper.crest), unknowns.traction
+            pulled.append(self._mean_below(a, usable, effort, np.flatnonzero(alone[a])))
+            most = np.where(alone[a], 0.0, problem.traction)
+            for nodes, above in ((slice(0, n), taper.fall), (slice(1, n + 1), -taper.fall)):
+                pulled.append(self._below(a, nodes, usable, effort, most, above))
                 if unknowns.dynamic is not None:
-                    power, effort = problem.dynamic_power, unknowns.dynamic[a]
-                    braked.append(self._below(a, nodes, power, effort, problem.dynamic[a]))
+                    usable_brake, own = np.full(n, problem.dynamic_power), unknowns.dynamic[a]
+                    limit = problem.dynamic[a]
+                    braked.append(self._below(a, nodes, usable_brake, own, limit, level))
         return pulled, braked
 
+    def _alone_at_power(self) -> NDArray[np.bool_]:
+        """Cells in which each configuration is the only one to be short of power, (q, n).
+
+        Others, and who brakes not to need more, must keep the limit at both ends.
+        """
+        problem = self.problem
+        limit = problem.power[:, None] / np.maximum(self.speed, SLOW)
+        near = limit < _NEAR_OTHERS * limit.min(axis=0)
+        near = near[:, :-1] | near[:, 1:]
+        driving = self.plan.braking < _NOT_AT_ALL * problem.traction
+        return np.asarray(problem.taper.full & near & (near.sum(axis=0) == 1) & driving)
+
     def _below(
-        self, a: int, nodes: slice, power: float, effort: NDArray[np.int64], most: FloatArray
+        self,
+        a: int,
+        nodes: slice,
+        power: FloatArray,
+        effort: NDArray[np.int64],
+        most: FloatArray,
+        above: FloatArray,
     ) -> _Limited:
-        """Effort below the tangent of ``power / v`` in z, where that is not far above `most`."""
+        """Effort below the tangent of ``power / v`` in z, where that is not far above `most`.
+
+        At the node the effort is so much `above` its mean in the cell.
+        """
         highest = np.sqrt(self.speed[a, nodes] ** 2 + 2.0 * self.problem.bulge)
         v = np.maximum(highest, SLOW)
-        at = power_cells(self.problem, power, most)
-        at = at[power / v[at] < _NEAR_POWER * most[at]]
-        slope = power * (self.scale[a, nodes] / v**3)[at]
-        change = self.unknowns.z[a, nodes][at]
-        return a, at, self.below.add(power / v[at], (effort[at], 1.0), (change, slope))
+        at = power_cells(self.problem, float(power.min()), most)
+        at = at[power[at] / v[at] < _NEAR_POWER * most[at]]
+        slope = (power * self.scale[a, nodes] / v**3)[at]
+        change, right = self.unknowns.z[a, nodes][at], (power / v - above)[at]
+        return a, at, self.below.add(right, (effort[at], 1.0), (change, slope))
+
+    def _mean_below(
+        self, a: int, power: FloatArray, effort: NDArray[np.int64], at: NDArray[np.int64]
+    ) -> _Limited:
+        """Mean effort in the cells `at` below the mean of ``power / v`` at their ends.
+
+        By the tangent of what the power does in the time ``2 ds / (v + v')``, which the lower
+        bound has too; it is a trifle less than the mean, by a factor taken as of the plan.
+        """
+        ends = np.stack((at, at + 1), axis=1)
+        v = np.sqrt(self.speed[a, ends] ** 2 + 2.0 * self.problem.bulge[at, None])
+        v = np.maximum(v, SLOW)
+        total = v.sum(axis=1)
+        most = power[at] * total / (2.0 * v.prod(axis=1))
+        slope = (most / total)[:, None] * self.scale[a, ends] / v
+        change = self.unknowns.z[a, ends]
+        return a, at, self.below.add(most, (effort[at], 1.0), (change, slope))
 
 
 def _until(gradient: FloatArray, node: int) -> FloatArray:

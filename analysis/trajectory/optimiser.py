@@ -166,6 +166,7 @@ def optimise(
         speeds=speeds,
         times=rollout.times,
         tractive_effort=traction,
+        tractive_effort_fall=2.0 * problem.taper.fall * problem.reference,
         braking_effort=brakes,
         running_time=running_time,
         direction=direction,
@@ -238,11 +239,12 @@ def _audited(
                 raise
             continue
         traction = answer.plan.traction * problem.reference
-        rollout = audit(run, positions, traction, answer.plan.braking * problem.reference)
+        taper = answer.problem.taper.fall * problem.reference
+        rollout = audit(run, positions, traction, taper, answer.plan.braking * problem.reference)
         failures = rollout.failures(run, running_time)
         if not failures:
             coarser = None if found is None else (sketch.size - 1, found.solution.energy)
-            return problem, answer, rollout, coarser
+            return answer.problem, answer, rollout, coarser
         words = failures[0] + (f" and {len(failures) - 1} more" if len(failures) > 1 else "")
     raise TrainlogError(
         f"the trajectory does not pass its audit: {words}",

@@ -1,7 +1,8 @@
 """A run cut into cells: the arrays of the trajectory problem.
 
 Space is the independent variable. Every configuration has its own ``z = v²/2`` at the nodes
-between the cells; the controls are constant in a cell. All forces are divided by one reference
+between the cells; the controls are constant in a cell, but for traction where it follows the power
+as the speed changes: there it is linear. All forces are divided by one reference
 inertia, so that efforts are accelerations and energies are in J/kg of that inertia::
 
     dz/ds = gain (u_f - u_b) - drag0 - drag1 v - drag2 v²,        paper 002, eq. (2)
@@ -20,11 +21,40 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.dynamics import SUBSTEPS
 from analysis.trajectory.run import Run
+from trainlog.railway import Trajectory
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
 
 _BULGE_PARTS = 16
+
+_STANDING = 1e-8
+"""``z`` below which a train stands [m²/s²]."""
+
+_HALF_FULL, _NEARLY_FULL = 0.5, 0.95
+"""Parts of the power from which traction begins to follow it, and follows it all the way."""
+
+_CREST_SPARE, _ROUNDING = 1.1, 1e-7
+"""What is left below the power in a tapered cell, over what its own curve asks for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taper:
+    """Traction that is linear in a cell, where it follows the power as the speed changes.
+
+    Attributes
+    ----------
+    fall : (n,) array [m/s²]
+        By how much it is above its mean where the cell begins, and below where it ends.
+    crest : (n,) array
+        By what part it has to stay below the power at both ends, since that is curved between.
+    full : (n,) array of bool
+        Where it follows the power all the way, from the beginning of the cell to its end.
+    """
+
+    fall: FloatArray
+    crest: FloatArray
+    full: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +82,8 @@ class Problem:
         Largest common tractive effort; eq. (6) with comfort and adhesion.
     power : (q,) array [W/kg]
         Largest tractive effort times speed; eq. (5).
+    taper : Taper
+        Of the common traction; `drag0` holds it, so that the motion is that of the cells' means.
     braking : (q, n) array [m/s²]
         Largest braking effort, all brakes together; eq. (7) with comfort and adhesion.
     friction, dynamic : (q, n) array [m/s²]
@@ -81,6 +113,7 @@ class Problem:
     bulge: FloatArray
     traction: FloatArray
     power: FloatArray
+    taper: Taper
     braking: FloatArray
     friction: FloatArray
     dynamic: FloatArray
@@ -113,6 +146,28 @@ class Problem:
     def final_ceiling(self) -> float:
         """Largest permitted ``z`` at the end [m²/s²]: the asked speed or the limit there."""
         return min(self.final, float(self.ceiling[-1]))
+
+    def traction_by_power(self, z: FloatArray) -> FloatArray:
+        """Largest mean traction that each configuration's power allows, (q, n) [m/s²].
+
+        Parameters
+        ----------
+        z : (q, n + 1) array [m²/s²]
+        """
+        speed = np.sqrt(2.0 * (z[:, :-1] + self.bulge)), np.sqrt(2.0 * (z[:, 1:] + self.bulge))
+        usable = self.power[:, None] * (1.0 - self.taper.crest)
+        begin, end = (usable / np.maximum(v, 1e-6) for v in speed)
+        return np.asarray(np.minimum(begin - self.taper.fall, end + self.taper.fall))
+
+    def tapered(self, taper: Taper) -> Problem:
+        """The same problem with the common traction tapered so; this one must not be."""
+        profile = 1.0 - 2.0 * np.linspace(0.0, 1.0, SUBSTEPS + 1)
+        fall = self.gain[:, None, None] * taper.fall[:, None] * profile
+        # Who gains speed and loses it again in such a cell is fastest inside.
+        rise = 0.25 * self.gain.max() * np.maximum(taper.fall, 0.0) * self.step
+        ceiling = self.ceiling - np.maximum(np.append(rise, 0.0), np.insert(rise, 0, 0.0))
+        ceiling[0] = max(ceiling[0], self.initial)
+        return replace(self, drag0=self.drag0 - fall, taper=taper, ceiling=ceiling)
 
     def select(self, rows: Sequence[int]) -> Problem:
         """The same problem for some of the configurations; common limits stay those of all."""
@@ -159,6 +214,49 @@ class Plan:
             np.concatenate((self.braking, other.braking)),
             np.concatenate((self.dynamic, other.dynamic)),
         )
+
+
+def most_traction(problem: Problem, z: FloatArray) -> FloatArray:
+    """Largest common traction at the speeds of all configurations, (n,) [m/s²]: a cell's mean."""
+    by_effort = problem.traction - np.abs(problem.taper.fall)
+    return np.asarray(np.minimum(by_effort, problem.traction_by_power(z + 1e-9).min(axis=0)))
+
+
+def taper_for(problem: Problem, plan: Plan) -> Taper:
+    """Traction tapered where a plan pulls with all the power of a configuration.
+
+    Traction that is constant in a cell wastes the power of its slower part; what is lost is
+    proportional to the length of the cells. On the chord of ``power / v`` it goes with the square.
+    """
+    speed = np.sqrt(2.0 * np.maximum(plan.z, _STANDING))
+    ends = plan.z[:, :-1] + problem.bulge, plan.z[:, 1:] + problem.bulge
+    most = [(problem.power[:, None] / np.sqrt(2.0 * np.maximum(z, _STANDING))).min(0) for z in ends]
+    begin, end = (np.minimum(each, problem.traction) for each in most)
+    mean = 0.5 * (begin + end)
+    # Between half and nearly all of it by degrees: else a cell in which traction ends would be
+    # tapered in every other round.
+    share = (plan.traction / mean - _HALF_FULL) / (_NEARLY_FULL - _HALF_FULL)
+    fall = 0.5 * (begin - end) * np.clip(share, 0.0, 1.0)
+    # How far the chord rises above the curve inside the cells, for whoever has just the power for
+    # both ends. The speed is higher there than between the ends as the net effort falls with it.
+    shares = np.linspace(0.0, 1.0, 2 * SUBSTEPS + 1)[1:-1, None]
+    drag = 0.5 * problem.drag1[:, None] / np.maximum(speed[:, :-1], 1e-3) + problem.drag2
+    lift = problem.gain[:, None] * fall + drag * np.diff(plan.z, axis=1)
+    lift = np.max(np.maximum(lift, 0.0) / np.maximum(plan.z[:, :-1], _STANDING), axis=0)
+    lift = lift * problem.step * shares * (1.0 - shares)
+    left = (mean - fall) / (mean + fall)
+    used = (1.0 - shares * (1.0 - left)) * np.sqrt(1.0 - shares + shares / left**2 + lift)
+    crest = _CREST_SPARE * (used.max(axis=0) - 1.0) + _ROUNDING
+    crest = np.where(fall != 0.0, np.minimum(crest, 0.5), 0.0)
+    full = (fall != 0.0) & (share >= 1.0) & (most[0] == begin) & (most[1] == end)
+    return Taper(fall * (1.0 - crest), crest, full)
+
+
+def tapered_as(problem: Problem, trajectory: Trajectory) -> Problem:
+    """The problem with its common traction tapered as in a trajectory on the same grid."""
+    none = np.zeros(problem.step.size)
+    fall = 0.5 * trajectory.tractive_effort_fall / problem.reference
+    return problem.tapered(Taper(fall, none, none > 0.0))
 
 
 def inside(positions: FloatArray, parts: int) -> FloatArray:
@@ -217,6 +315,7 @@ def discretise(run: Run, positions: FloatArray) -> Problem:
         bulge=bulge,
         traction=efforts.traction.min(axis=0) / reference,
         power=np.array([c.max_power for c in run.configurations]) / reference,
+        taper=Taper(np.zeros(step.size), np.zeros(step.size), np.zeros(step.size, dtype=bool)),
         braking=efforts.braking / reference,
         friction=efforts.friction / reference,
         dynamic=efforts.dynamic / reference,

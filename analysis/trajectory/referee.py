@@ -62,7 +62,7 @@ def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinio
     worst = ca.MX.sym("worst")
     rules: list[tuple[Any, float, float]] = []  # expression, least, most
     cell = _cell().map(n)
-    bulge = ca.DM(problem.bulge)
+    bulge, fall = ca.DM(problem.bulge), ca.DM(problem.taper.fall)
     train, expected = problem.run.train, ca.MX(0.0)
     for a in range(q):
         brakes = braking[:, 0 if problem.common else a]
@@ -81,10 +81,11 @@ def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinio
                 problem.passed, problem.earliest, problem.latest, strict=True
             )
         ]
-        for nodes in (slice(0, n), slice(1, n + 1)):
+        usable = problem.power[a] * (1.0 - problem.taper.crest)
+        for nodes, above in ((slice(0, n), fall), (slice(1, n + 1), -fall)):
             at = power_cells(problem, problem.power[a], problem.traction).tolist()
             v = _speed(z[nodes, a] + bulge)
-            rules.append((traction[at] * v[at], -np.inf, float(problem.power[a])))
+            rules.append((((traction + above)[at] * v[at]) / usable[at], -np.inf, 1.0))
             if dynamic.numel():
                 at = power_cells(problem, problem.dynamic_power, problem.dynamic[a]).tolist()
                 rules.append((dynamic[at, a] * v[at], -np.inf, problem.dynamic_power))
@@ -146,11 +147,10 @@ def _bounded(
     brakes = problem.braking.min(axis=0, keepdims=True) if problem.common else problem.braking
     most_dynamic = problem.dynamic if dynamic.numel() else np.empty((0, n))
     unknowns = ca.veccat(z, traction, braking, dynamic, worst)
-    zeros = np.zeros(n + brakes.size + most_dynamic.size)
-    low = np.concatenate((low_z.ravel(), zeros, [-np.inf]))
-    high = np.concatenate(
-        (high_z.ravel(), problem.traction, brakes.ravel(), most_dynamic.ravel(), [np.inf])
-    )
+    zeros, spare = np.zeros(brakes.size + most_dynamic.size), np.abs(problem.taper.fall)
+    low = np.concatenate((low_z.ravel(), spare, zeros, [-np.inf]))
+    pull = np.maximum(problem.traction - spare, spare)
+    high = np.concatenate((high_z.ravel(), pull, brakes.ravel(), most_dynamic.ravel(), [np.inf]))
     first = np.concatenate(
         (
             start.z.ravel(),

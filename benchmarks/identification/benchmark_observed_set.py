@@ -19,7 +19,7 @@ from analysis.resistance import TripFit, TripRefusedError, fit_trip, parameter_s
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.pace import cell_times, ride_along
-from analysis.trajectory.problem import discretise
+from analysis.trajectory.problem import discretise, tapered_as
 from analysis.trajectory.run import Run
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
@@ -62,11 +62,10 @@ def judge(line: Line, train: Train, found: ParameterSet, true: list[Configuratio
         for each in (chosen, true)
     )
     run = Run(line, train, tuple(true), 0.0, line.length)
-    problem = discretise(run, trajectory.positions)
+    problem = tapered_as(discretise(run, trajectory.positions), trajectory)
     plan = ride_along(problem, trajectory.tractive_effort / problem.reference, None)
     arrival = cell_times(problem, plan).sum(axis=1)
-    fastest = np.sqrt(2.0 * np.maximum(plan.z[:, :-1], plan.z[:, 1:]))
-    power = (plan.traction * fastest).max(axis=1) / problem.power
+    power = (plan.traction / problem.traction_by_power(plan.z)).max(axis=1)
     late = arrival - trajectory.running_time
     on_time, in_power = late <= 0.01, power <= 1.0 + 1e-4
     return (

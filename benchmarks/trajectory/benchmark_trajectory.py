@@ -23,7 +23,7 @@ from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.mesh import graded_mesh
 from analysis.trajectory.pace import paced_run
-from analysis.trajectory.problem import discretise
+from analysis.trajectory.problem import discretise, tapered_as
 from analysis.trajectory.referee import Opinion, second_opinion
 from analysis.trajectory.run import Run
 from trainlog.formats.line import read_line
@@ -102,7 +102,9 @@ def referee(case: Case, found: Trajectory, repeats: int) -> tuple[Opinion, float
     slowest = int(np.argmax(fastest.times))
     mesh = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[slowest], case.cells)
     names = [configuration.name for configuration in run.configurations]
-    problem = discretise(run, mesh).select([names.index(name) for name in active])
+    problem = tapered_as(discretise(run, mesh), found).select(
+        [names.index(name) for name in active]
+    )
     start = paced_run(problem, found.running_time)
     seconds = []
     for _ in range(repeats):

@@ -30,6 +30,9 @@ class _TrajectoryFile(File):
     configurations: list[ConfigurationPart] = Field(min_length=1)
     positions: Annotated[FloatArray, Array("m")]
     tractive_effort: Annotated[FloatArray, Array("N")]
+    tractive_effort_fall: Annotated[FloatArray, Array("N")] = Field(
+        default_factory=lambda: np.zeros(0)
+    )
     braking_effort: Annotated[FloatArray, Array("N", dimensions=2)]
     speeds: Annotated[FloatArray, Array("m/s", dimensions=2)]
     times: Annotated[FloatArray, Array("s", dimensions=2)]
@@ -47,6 +50,7 @@ class _TrajectoryFile(File):
             speeds=self.speeds,
             times=self.times,
             tractive_effort=self.tractive_effort,
+            tractive_effort_fall=self.tractive_effort_fall,
             braking_effort=self.braking_effort,
             running_time=self.running_time,
             direction=self.direction,
@@ -67,6 +71,14 @@ class _TrajectoryFile(File):
         for name in ("tractive_effort", "braking_effort", "speeds"):
             if np.any(getattr(self, name) < -_ROUNDING):
                 raise InputError("must not be negative", place=f"{name}.values")
+        fall = self.tractive_effort_fall
+        if fall.size == self.tractive_effort.size:
+            steep = np.flatnonzero(0.5 * np.abs(fall) > self.tractive_effort + _ROUNDING)
+            if steep.size:
+                raise InputError(
+                    "the tractive effort must not fall below zero within a cell",
+                    place=f"tractive_effort_fall.values[{steep[0]}]",
+                )
 
     @staticmethod
     def of(trajectory: Trajectory) -> _TrajectoryFile:
@@ -79,6 +91,7 @@ class _TrajectoryFile(File):
             configurations=[ConfigurationPart.of(item) for item in trajectory.configurations],
             positions=trajectory.positions,
             tractive_effort=trajectory.tractive_effort,
+            tractive_effort_fall=trajectory.tractive_effort_fall,
             braking_effort=trajectory.braking_effort,
             speeds=trajectory.speeds,
             times=trajectory.times,

@@ -25,7 +25,8 @@ _ENERGY = {
 class Trajectory:
     """A robust trajectory between two stops.
 
-    Efforts are constant in each cell between two neighbouring positions.
+    The braking effort is constant in each cell between two neighbouring positions, the tractive
+    effort linear: where it takes all the power it falls as the speed rises.
 
     Attributes
     ----------
@@ -36,11 +37,13 @@ class Trajectory:
     times : (q, n + 1) array [s]
         Since departure.
     tractive_effort : (n,) array [N]
-        The same for every configuration.
+        The same for every configuration; its mean in each cell.
     braking_effort : (q, n) array [N]
         Equal rows where braking is common too.
     running_time : float [s]
         What the timetable allows.
+    tractive_effort_fall : (n,) array [N]
+        Tractive effort where the cell begins less that where it ends; empty stands for none.
     direction : {"forward", "reverse"}
         Of travel against the line file's chainage; `positions` grow in the direction of travel.
     certificate : dict
@@ -57,6 +60,7 @@ class Trajectory:
     tractive_effort: FloatArray
     braking_effort: FloatArray
     running_time: float
+    tractive_effort_fall: FloatArray = field(default_factory=lambda: np.zeros(0))
     direction: Literal["forward", "reverse"] = "forward"
     certificate: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -65,10 +69,13 @@ class Trajectory:
         if self.direction not in ("forward", "reverse"):
             raise InputError(f"trajectory: direction '{self.direction}' is unknown")
         q, n = len(self.configurations), self.positions.size - 1
+        if self.tractive_effort_fall.size == 0:
+            object.__setattr__(self, "tractive_effort_fall", np.zeros(n))
         expected = {
             "speeds": (q, n + 1),
             "times": (q, n + 1),
             "tractive_effort": (n,),
+            "tractive_effort_fall": (n,),
             "braking_effort": (q, n),
         }
         for name, shape in expected.items():
@@ -153,6 +160,13 @@ class Trajectory:
         """Index of the cell that holds each position [m]; ends are extended."""
         index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1
         return np.asarray(np.clip(index, 0, self.positions.size - 2), dtype=np.int64)
+
+    def tractive_effort_at(self, position: ArrayLike) -> FloatArray:
+        """Tractive effort [N] at each position [m]."""
+        cell, place = self.cell_of(position), np.asarray(position, dtype=np.float64)
+        step = self.positions[cell + 1] - self.positions[cell]
+        share = np.clip((place - self.positions[cell]) / step, 0.0, 1.0)
+        return self.tractive_effort[cell] + self.tractive_effort_fall[cell] * (0.5 - share)
 
     def speed_at(self, row: int, position: ArrayLike) -> FloatArray:
         """Reference speed [m/s] of configuration `row` at each position [m].

@@ -227,7 +227,7 @@ def reference(
         time,
         {
             "speed": trajectory.speed_at(row, position),
-            "tractive_effort": trajectory.tractive_effort[cell],
+            "tractive_effort": trajectory.tractive_effort_at(position),
             "braking_effort": trajectory.braking_effort[row, cell],
             "lateness": under_way
             - np.interp(position, trajectory.positions, trajectory.times[row]),
