@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 def test_what_the_survey_brings_in_is_what_its_errors_do() -> None:
     """Against least squares with dense matrices, the map's errors propagated one by one."""
-    windows = rough(build_windows(recording(duration=3000.0)))
+    windows = rough(build_windows(recording(duration=1500.0)))
     windows = replace(windows, y=windows.y + drawn_errors(windows, NOISE, seed=4))
     fit = regress(windows, 130e3, 20e3)
     precision = np.linalg.inv(dense(windows, fit.noise))
@@ -141,9 +141,11 @@ def test_the_common_band_covers_whatever_the_lines_errors_are(gradients: tuple[s
     true = powers(SPEED) @ TRUE
     for seed in range(200):
         fits = over_one_line(20, seed, gradients)
-        for told, kept in ((fits, inside), ([replace(f, gradients="") for f in fits], without)):
-            low, high = combine(told).band(SPEED)
-            kept.append(np.all((low < true) & (true < high)))
+        low, high = combine(fits).band(SPEED)
+        inside.append(np.all((low < true) & (true < high)))
+        if seed < 50:
+            low, high = combine([replace(fit, gradients="") for fit in fits]).band(SPEED)
+            without.append(np.all((low < true) & (true < high)))
     assert np.mean(inside) >= 0.92
     assert np.mean(without) < 0.85
 
