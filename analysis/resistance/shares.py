@@ -82,7 +82,7 @@ def shares(likelihood: Likelihood, noise: NoiseModel) -> Shares:
     # No less is known than before the trip.
     values, vectors = np.linalg.eigh(curvature)
     variance = float(np.sum((vectors.T @ change) ** 2 / np.maximum(values, 1.0)))
-    return Shares(2.0 / variance, survey)
+    return Shares(2.0 / max(variance, 1e-12), survey)
 
 
 def _judged(likelihood: Likelihood, place: FloatArray) -> tuple[float, FloatArray]:
