@@ -227,24 +227,32 @@ def front_table(front: Front) -> Table:
 
 def journey_table(plan: JourneyPlan) -> Table:
     """Sections of a journey: when, how much, and what a second is worth in each."""
-    certificate = plan.certificate
+    certificate, first = plan.certificate, plan.sections[0]
+    dearest, mixed = certificate["dearest"], bool(certificate["mixture"])
     title = (
-        f"Journey {plan.journey.name} on {plan.journey.line}: {plan.sections[0].energy_told}"
+        f"Journey {plan.journey.name} on {plan.journey.line}:"
+        f" {'worst-case energy from the line' if mixed else first.energy_told}"
         f" {_kwh(certificate['energy'])}, at least {_kwh(certificate['lower_bound'])} at these"
         f" times; other times might save {certificate['other_times_might_save']:.2%}"
     )
     table = new_table(
-        title, "from km", "departs", "to km", "arrives", "energy", "gap", "a second is worth"
+        title,
+        *("from km", "departs", "to km", "arrives", "energy", "gap", "a second is worth"),
+        caption=f"{dearest} takes most in all, {_kwh(certificate['dearest_energy'])}"
+        + ("; energies are its own" if mixed else ""),
+        caption_justify="left",
     )
+    row = first.index_of(dearest)
     for each, departs, arrives in zip(plan.sections, plan.departures, plan.arrivals, strict=True):
-        price = sum(each.certificate["time_price"].values())
+        found = each.certificate
+        price = sum(found["time_price"].values())
         table.add_row(
             f"{each.positions[0] / 1e3:.3f}",
             f"{departs:.1f} s",
             f"{each.positions[-1] / 1e3:.3f}",
             f"{arrives:.1f} s",
-            _kwh(each.certificate["energy"]),
-            f"{each.certificate['gap']:.3%}",
+            _kwh(found["line_energy"][row] if mixed else found["energy"]),
+            f"{found['gap']:.3%}",
             f"{price / 3.6e3:.1f} Wh",
         )
     return table

@@ -35,7 +35,12 @@ from analysis.trajectory.pace import (
 )
 from analysis.trajectory.problem import Plan, Problem
 from analysis.trajectory.relaxation import Relaxation
-from analysis.trajectory.representatives import kinds, multipliers_for_all, shared
+from analysis.trajectory.representatives import (
+    kinds,
+    multipliers_for_all,
+    shared,
+    short_of_time,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -86,12 +91,15 @@ class Guess:
     price : (rows,) array [J/(kg s)]
     statuses : tuple of str
         The solver's words on the way here.
+    alone : frozenset of int
+        Rows that stand for themselves only in the expected energy.
     """
 
     rows: tuple[int, ...]
     plan: Plan
     price: FloatArray
     statuses: tuple[str, ...] = ()
+    alone: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +119,8 @@ class Answer:
         How often configurations were added, and once more.
     statuses : tuple of str
         The solver's word on every program.
+    alone : frozenset of int
+        Rows that stand for themselves only in the expected energy.
     """
 
     problem: Problem
@@ -119,6 +129,7 @@ class Answer:
     solution: Solution
     turns: int
     statuses: tuple[str, ...]
+    alone: frozenset[int] = frozenset()
 
 
 def outstanding(problem: Problem, least_times: FloatArray) -> list[int]:
@@ -192,7 +203,8 @@ def finer_guess(answer: Answer, coarse: FloatArray, problem: Problem, rows: Sequ
         z, plan.traction[cell], *(e[active][:, cell] for e in (plan.braking, plan.dynamic))
     )
     chosen = tuple(rows[answer.active[row]] for row in active)
-    return Guess(chosen, guess, solution.time_price[active], answer.statuses)
+    alone = frozenset(rows[row] for row in answer.alone)
+    return Guess(chosen, guess, solution.time_price[active], answer.statuses, alone)
 
 
 def search(
@@ -222,24 +234,29 @@ def search(
     # What may be amended afterwards the programs need not find to the last digit.
     exact = problem.common or bool(np.isfinite(problem.earliest).any())
     exact = exact or problem.run.objective == "expected"
-    slowest, even = _slowest(problem, speeds), problem
+    alone, even = guess.alone | {_slowest(problem, speeds)}, problem
     for turns in count(1):
-        part, accuracy = _program(even, rows, slowest), _EXACT if exact else nearly
+        part, accuracy = _program(even, rows, alone), _EXACT if exact else nearly
         solution = _optimum(part, plan, price, speeds[rows], running_time, *accuracy)
         problem, part = even.tapered(solution.taper), part.tapered(solution.taper)
         statuses.extend(solution.statuses)
         everyone = _all_ride(problem, rows, part, solution.plan)
         own = delays(part, everyone.select(rows), running_time)[0]
         overdue = max(float(own.max()), 0.0)
-        if problem.run.objective == "expected" and len(rows) < problem.shape[0]:
-            everyone = _all_follow(problem, rows, slowest, everyone, running_time)
+        short = frozenset[int]()
+        if problem.run.objective == "expected" and (
+            len(rows) < problem.shape[0] or not problem.weights.all()
+        ):
+            everyone = _all_follow(problem, rows, alone, everyone, running_time)
+            short = alone | short_of_time(part, rows, solution.multipliers)
         leader = rows[int(np.argmax(solution.time_price))]
         everyone = _dearer_follow(problem, rows, leader, everyone, running_time + overdue)
         new = sorted(_violators(problem, everyone, running_time + overdue, rows, wider) - set(rows))
         owed = solution.energy + overdue * float(solution.time_price.sum())
         if coarse:
             solution = replace(solution, energy=owed)
-        found = (solution, everyone) if not new and (coarse or exact) else None
+        found = (solution, everyone) if not (new or short > alone) and (coarse or exact) else None
+        alone |= short
         if not (new or coarse or exact):
             found = _amended(problem, rows, solution, running_time, owed)
         if found is not None:
@@ -247,7 +264,7 @@ def search(
             if not coarse:
                 solution = with_costates(part, solution, running_time)
                 statuses.append(solution.statuses[-1])
-            return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses))
+            return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses), alone)
         exact = exact or not new
         price = np.append(solution.time_price, np.zeros(len(new)))
         plan = solution.plan.joined(everyone.select(new))
@@ -287,8 +304,9 @@ def best_bound(
     this comes close, the cone relaxation.
     """
     part, solution = problem.select(answer.active), answer.solution
-    if problem.run.objective == "expected" and part.shape[0] < problem.shape[0]:
-        shares = shared(problem, answer.active, _slowest(problem, speeds))
+    expected = problem.run.objective == "expected"
+    if expected and not set(np.flatnonzero(problem.weights).tolist()) <= set(answer.active):
+        shares = shared(problem, answer.active, answer.alone)
         every = multipliers_for_all(problem, shares, solution.multipliers)
         spare, start = _spare(problem, answer.plan), np.sqrt(2.0 * answer.plan.z)
         return lower_bound(problem, every, start, running_time, spare), "shared multipliers"
@@ -296,10 +314,9 @@ def best_bound(
     bound = _bounded(part, solution, running_time)
     if bound >= close * solution.energy:
         return bound, "multipliers"
-    priced = np.flatnonzero(solution.time_price > _SHORT * solution.time_price.max()).tolist()
+    said = solution.time_price > _SHORT * solution.time_price.max()
+    priced = np.flatnonzero(said | (expected & (part.weights > 0.0))).tolist()
     rows = [answer.active[row] for row in priced]
-    if problem.run.objective == "expected":
-        priced, rows = list(range(len(answer.active))), list(answer.active)
     if len(priced) < len(answer.active):
         part = problem.select(rows)
         told = solution.multipliers.select(priced)
@@ -343,22 +360,30 @@ def _slowest(problem: Problem, speeds: FloatArray) -> int:
     return int(np.argmax((problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)))
 
 
-def _program(problem: Problem, rows: Sequence[int], slowest: int) -> Problem:
+def _program(problem: Problem, rows: Sequence[int], alone: frozenset[int]) -> Problem:
     """The problem of few configurations, each with the weight of those that it stands for."""
     part = problem.select(rows)
     if problem.run.objective != "expected":
         return part
-    return replace(part, weights=shared(problem, rows, slowest).weights)
+    return replace(part, weights=shared(problem, rows, alone).weights)
 
 
 def _all_follow(
-    problem: Problem, rows: list[int], slowest: int, riding: Plan, running_time: float
+    problem: Problem, rows: list[int], alone: frozenset[int], riding: Plan, running_time: float
 ) -> Plan:
-    """The same traction; who is not in the program brakes as gently as those that stand for it."""
-    ahead = shared(problem, rows, slowest).parts @ riding.z[rows]
+    """The same traction; who is not in the program brakes as gently as those that stand for it.
+
+    So does who is in it without weight, for its limits alone, where that regains more.
+    """
+    ahead = shared(problem, rows, alone).parts @ riding.z[rows]
+    idle = problem.weights == 0.0
+    ahead[idle] = problem.weights @ ahead
     found = ride_behind(problem, riding.traction, ahead, running_time)
+    kept = np.zeros(idle.size, dtype=bool)
+    kept[rows] = True
+    kept &= ~idle | (riding.dynamic @ problem.step > found.dynamic @ problem.step)
     for name in ("z", "braking", "dynamic"):
-        getattr(found, name)[rows] = getattr(riding, name)[rows]
+        getattr(found, name)[kept] = getattr(riding, name)[kept]
     return found
 
 

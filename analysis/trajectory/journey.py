@@ -1,25 +1,27 @@
 """A whole journey: sections between stops, and the departures that make it cheapest.
 
-Sections are coupled by their times alone. The least energy of a section is convex in its departure
-and arrival, and the multipliers of a solution are its slopes: each solution cuts away what cannot
-be cheaper, and a linear program over the cuts and the windows chooses the next times (Kelley,
-1960). That is how the reserve of a timetable is shared among its sections.
+Sections are coupled by their times (`schedule`): that is how the reserve of a timetable is shared
+among them. And by the train, which runs in one configuration from the first stop to the last
+(`mixture`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
+from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, held_back, place_of, seconds
+from analysis.trajectory.mixture import worst_mixture
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.run import Run
+from analysis.trajectory.schedule import Schedule, best_times
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Configuration, Line, Train, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
@@ -28,12 +30,12 @@ from trainlog.units import clock
 FloatArray = NDArray[np.float64]
 
 _SCOUTING_CELLS = 120
-_TURNS = 12
-_CLOSE = 2e-4
-"""Energy that other times might still save, relative, when the search for them ends."""
 
-_LEAST_MARGIN = 1.01
-"""Least running time over that of the slowest configuration by itself."""
+_MIXTURES = 3
+"""How often the mixture of configurations and the times are found in turn."""
+
+_SAME_TIMES = 0.5
+"""Change of the times [s] below which the mixture is that of before."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +64,11 @@ class JourneyPlan:
     departures, arrivals : (m,) array [s]
         Since the start of the journey; arrivals as planned, no configuration is later.
     certificate : dict
-        Sums over the sections, and what other times might still save. The sections carry their
-        own certificates. At the line ``energy`` adds the worst of each section, which need not be
-        one and the same configuration; ``dearest_energy`` is that of the one which takes most in
-        all, never more, and the same at the wheel.
+        Of all sections together, and what other times might still save. The sections carry their
+        own certificates. ``energy`` is that of the configuration that takes most in all, the
+        ``dearest``, or the expected one. At the line the sections are optimised for the
+        ``mixture`` of configurations that makes the journey dearest; ``lower_bound`` holds for it,
+        and so for the worst.
     """
 
     journey: Journey
@@ -142,43 +145,98 @@ def optimise_journey(
     least = np.array([each.times[-1] for each in fastest])
     low, high = _windows(sections, least, dwell, reserve)
     _check_times(line, journey, sections, fastest, low, high, dwell)
-    schedule = _Schedule(least, low, high, dwell)
-
-    def solve(number: int, times: FloatArray, cells: int) -> Trajectory:
-        return _solved(
-            line,
-            train,
-            configurations,
-            sections[number],
-            times[number],
-            {**options, "cells": cells},
-        )
-
+    asked = _Asked(line, train, tuple(configurations), sections, options)
+    schedule = Schedule(least, low, high, dwell)
     cells = int(options.get("cells", 500))
-    times, saving = _best_times(schedule, solve, min(cells, _SCOUTING_CELLS))
-    found = tuple(solve(number, times, cells) for number in range(len(sections)))
-    energy = sum(float(each.certificate["energy"]) for each in found)
+    times, saving, mixture = _planned(asked, schedule, min(cells, _SCOUTING_CELLS))
+    found = asked.all(times, cells=cells, **_mixed(mixture))
+    totals = _totals(found)
+    energy = float(totals.max())
+    if options.get("objective") == "expected":
+        energy = sum(float(each.certificate["energy"]) for each in found)
     bound = sum(float(each.certificate["lower_bound"]) for each in found)
-    totals = np.sum([_energies(each) for each in found], axis=0)
+    gap = (energy - bound) / max(abs(bound), 1.0)
     certificate = {
         "energy": energy,
         "lower_bound": bound,
-        "gap": energy / bound - 1.0,
-        "bound_holds_for": "these departures and arrivals"
-        + (", the worst of each section added up" if len(found) > 1 else ""),
+        "gap": gap,
+        "bound_holds_for": "these departures and arrivals",
         "dearest": configurations[int(np.argmax(totals))].name,
         "dearest_energy": float(totals.max()),
+        "mixture": {
+            each.name: float(part)
+            for each, part in zip(configurations, mixture, strict=False)
+            if part > 0.0
+        },
         "other_times_might_save": saving,
         "least_running_times": least.tolist(),
-        "certified": all(bool(each.certificate["certified"]) for each in found),
+        "certified": gap <= GAP_TOLERANCE,
     }
     return JourneyPlan(journey, found, times[:, 0], times[:, 1], certificate)
 
 
-def _energies(section: Trajectory) -> FloatArray:
-    """Energy of each configuration by the section's objective, (q,) [J]."""
-    at_line = section.provenance["settings"]["objective"] != "wheel"
-    return np.array(section.certificate["line_energy" if at_line else "wheel_energy"])
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What is asked of every section."""
+
+    line: Line
+    train: Train
+    configurations: tuple[Configuration, ...]
+    sections: tuple[Section, ...]
+    options: dict[str, Any]
+
+    def section(self, number: int, times: FloatArray, **more: Any) -> Trajectory:
+        """One section between its departure and arrival, (2,) [s]."""
+        return _solved(
+            self.line,
+            self.train,
+            self.configurations,
+            self.sections[number],
+            times,
+            {**self.options, **more},
+        )
+
+    def all(self, times: FloatArray, **more: Any) -> tuple[Trajectory, ...]:
+        """All of them, between times (m, 2) [s]."""
+        return tuple(self.section(number, each, **more) for number, each in enumerate(times))
+
+
+def _planned(asked: _Asked, schedule: Schedule, cells: int) -> tuple[FloatArray, float, FloatArray]:
+    """Times of least energy, what others might save, and the mixture of configurations it is of.
+
+    At the wheel all configurations take the same, and the expected energy adds up; at the line the
+    worst of a journey is worst in all its sections together. There is no mixture but there.
+    """
+    times, saving = best_times(schedule, partial(asked.section, cells=cells), schedule.even())
+    several = min(len(asked.sections), len(asked.configurations)) > 1
+    if asked.options.get("objective") != "line" or not several:
+        return times, saving, np.zeros(0)
+    totals = _totals(asked.all(times, cells=cells))
+    mixture = np.eye(totals.size)[int(np.argmax(totals))]
+    for _ in range(_MIXTURES):
+        at = times
+
+        def energies(parts: FloatArray, at: FloatArray = at) -> FloatArray:
+            return _totals(asked.all(at, cells=cells, **_mixed(parts)))
+
+        mixture = worst_mixture(energies, mixture)
+        solve = partial(asked.section, cells=cells, **_mixed(mixture))
+        times, saving = best_times(schedule.anew(), solve, at)
+        if float(np.abs(times - at).max()) <= _SAME_TIMES:
+            break
+    return times, saving, mixture
+
+
+def _mixed(mixture: FloatArray) -> dict[str, Any]:
+    """How a section is asked for its part in a journey whose worst is that of a mixture."""
+    return {"objective": "expected", "weights": tuple(mixture.tolist())} if mixture.size else {}
+
+
+def _totals(sections: Sequence[Trajectory]) -> FloatArray:
+    """Energy of each configuration over all sections, by their objective, (q,) [J]."""
+    kinds = ["line_energy" if each.objective != "wheel" else "wheel_energy" for each in sections]
+    energies = [each.certificate[kind] for each, kind in zip(sections, kinds, strict=True)]
+    return np.asarray(np.sum(energies, axis=0))
 
 
 def _check(line: Line, journey: Journey, dwell: float) -> None:
@@ -299,104 +357,6 @@ def _check_times(
                     remedy="open that window longer, or those before it earlier",
                 )
             time = max(time, float(opening))
-
-
-class _Schedule:
-    """Departures and arrivals that keep the windows, and the linear programs over them."""
-
-    def __init__(self, least: FloatArray, low: FloatArray, high: FloatArray, dwell: float) -> None:
-        self.least, self.low, self.high = least, low, high
-        m = least.size
-        self.rows: list[FloatArray] = []
-        self.right: list[float] = []
-        self.cuts: list[FloatArray] = []
-        self.levels: list[float] = []
-        for number in range(m - 1):
-            # departure of the next section not before this arrival and the dwell time
-            row = np.zeros(3 * m + 1)
-            row[2 * number + 1], row[2 * number + 2] = 1.0, -1.0
-            self.rows.append(row)
-            self.right.append(-dwell)
-
-    @property
-    def count(self) -> int:
-        """How many sections."""
-        return self.least.size
-
-    def even(self) -> FloatArray:
-        """Times that give every section the same reserve over its least time, (m, 2) [s]."""
-        m = self.count
-        rows, right = list(self.rows), list(self.right)
-        for number in range(m):
-            row = np.zeros(3 * m + 1)
-            row[2 * number], row[2 * number + 1], row[-1] = 1.0, -1.0, self.least[number]
-            rows.append(row)
-            right.append(-float(self.least[number]))
-        cost = np.zeros(3 * m + 1)
-        cost[-1] = -1.0
-        bounds = [*self._bounds(), *[(0.0, 0.0)] * m, (-0.5, 3.0)]
-        return self._solved(cost, rows, right, bounds)[0]
-
-    def cheapest(self) -> tuple[FloatArray, float]:
-        """Times of the least energy that the cuts allow, (m, 2) [s], and that energy [J]."""
-        m = self.count
-        rows, right = list(self.rows), list(self.right)
-        for number in range(m):
-            row = np.zeros(3 * m + 1)
-            row[2 * number], row[2 * number + 1] = 1.0, -1.0
-            rows.append(row)
-            right.append(-_LEAST_MARGIN * float(self.least[number]))
-        cost = np.zeros(3 * m + 1)
-        cost[2 * m : 3 * m] = 1.0
-        bounds = [*self._bounds(), *[(0.0, None)] * m, (0.0, 0.0)]
-        return self._solved(cost, [*rows, *self.cuts], [*right, *self.levels], bounds)
-
-    def cut(self, number: int, times: FloatArray, energy: float, slopes: FloatArray) -> None:
-        """Energy of a section is at least that at `times` and what the slopes add."""
-        row = np.zeros(3 * self.count + 1)
-        row[2 * number : 2 * number + 2] = slopes / 1e6
-        row[2 * self.count + number] = -1.0
-        self.cuts.append(row)
-        self.levels.append(float(slopes @ times - energy) / 1e6)
-
-    def _bounds(self) -> list[tuple[float, float | None]]:
-        pairs = zip(self.low.ravel().tolist(), self.high.ravel().tolist(), strict=True)
-        return [(low, None if high == np.inf else high) for low, high in pairs]
-
-    def _solved(
-        self, cost: FloatArray, rows: list[FloatArray], right: list[float], bounds: Any
-    ) -> tuple[FloatArray, float]:
-        found = linprog(cost, A_ub=np.array(rows), b_ub=np.array(right), bounds=bounds)
-        if found.status != 0:
-            raise InfeasibleError(
-                "journey: the windows leave no times for the slowest configuration",
-                remedy="open the windows longer",
-            )
-        return np.asarray(found.x[: 2 * self.count]).reshape(-1, 2), 1e6 * float(found.fun)
-
-
-def _best_times(
-    schedule: _Schedule, solve: Callable[[int, FloatArray, int], Trajectory], cells: int
-) -> tuple[FloatArray, float]:
-    """Times of least energy, and what others might still save, relative."""
-    times, best, chosen, saving = schedule.even(), np.inf, schedule.even(), np.inf
-    for _ in range(_TURNS):
-        energy = 0.0
-        for number in range(schedule.count):
-            certificate = solve(number, times, cells).certificate
-            energy += certificate["energy"]
-            arriving = sum(certificate["time_price"].values())
-            slopes = np.array([certificate["departure_price"], -arriving])
-            schedule.cut(number, times[number], certificate["energy"], slopes)
-        if energy < best:
-            best, chosen = energy, times
-        times, least = schedule.cheapest()
-        saving = max(1.0 - least / best, 0.0)
-        if saving <= _CLOSE:
-            break
-        # Half way to the cuts' optimum: cuts far from it mislead.
-        times = 0.5 * (times + chosen)
-    return chosen, saving
 
 
 def _solved(

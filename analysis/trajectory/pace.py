@@ -6,6 +6,8 @@ how a configuration that was not optimised for would drive.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -206,6 +208,7 @@ def ride_behind(
     """
     curves = braking_curves(problem, traction)
     found = _below(problem, traction, curves)
+    curves = _gentler(problem, traction, curves)
     low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
     for turn in range(_TRIALS):
         share = low if turn == 0 else 0.5 * (low + high)
@@ -219,6 +222,15 @@ def ride_behind(
             continue
         low, high = np.where(late, share, low), np.where(late, high, share)
     return found
+
+
+def _gentler(problem: Problem, traction: FloatArray, curves: FloatArray) -> FloatArray:
+    """The braking curves of the dynamic brake alone, for those that it can bring to a stand."""
+    dynamic = np.minimum(problem.braking, problem.dynamic)
+    alone = replace(problem, braking=dynamic, friction=np.zeros_like(dynamic))
+    gentle = braking_curves(alone, traction)
+    able = np.all(gentle[:, 1:-1] > 0.0, axis=1) & (gentle[:, 0] >= problem.initial)
+    return np.where(able[:, None], gentle, curves)
 
 
 def _below(problem: Problem, traction: FloatArray, curves: FloatArray) -> Plan:

@@ -180,7 +180,8 @@ class Problem:
             )
         }  # fmt: skip
         configurations = tuple(self.run.configurations[row] for row in chosen)
-        return replace(self, run=replace(self.run, configurations=configurations), **arrays)
+        run = replace(self.run, configurations=configurations, weights=())
+        return replace(self, run=run, **arrays)
 
 
 @dataclass(frozen=True, eq=False)

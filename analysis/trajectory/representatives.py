@@ -8,7 +8,7 @@ takes its share of the multipliers of the one that stands for it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,11 @@ FloatArray = NDArray[np.float64]
 FEW = 12
 """Configurations up to which each is in the program itself."""
 
-KINDS = 5
+KINDS = 10
 """Configurations that stand for others, where there are more."""
+
+_SHORT = 1.1
+"""Worth of traction over the usual, from which a configuration is short of time."""
 
 _SUM = 30.0
 """How strictly shares add up to 1, over how well they match the properties."""
@@ -50,24 +53,29 @@ class Shares:
 
 
 def kinds(problem: Problem, slowest: int) -> list[int]:
-    """Rows of few configurations that differ most, the slowest among them (farthest first)."""
-    unit = _properties(problem)
-    if unit.shape[0] <= FEW:
-        return list(range(unit.shape[0]))
-    found = [slowest]
+    """Rows of few configurations that differ most, the slowest among them (farthest first).
+
+    Those without weight have no say in what is expected.
+    """
+    counted = np.flatnonzero(problem.weights > 0.0)
+    if counted.size <= FEW:
+        return counted.tolist()
+    unit, found = _properties(problem)[counted], [slowest]
+    others = _properties(problem)[found]
     while len(found) <= KINDS:
-        away = np.linalg.norm(unit[:, None] - unit[found], axis=2).min(axis=1)
-        found.append(int(np.argmax(away)))
+        away = np.linalg.norm(unit[:, None] - others, axis=2).min(axis=1)
+        found.append(int(counted[np.argmax(away)]))
+        others = np.vstack((others, unit[np.argmax(away)]))
     return found
 
 
-def shared(problem: Problem, rows: Sequence[int], slowest: int) -> Shares:
-    """Mix every configuration of `rows`, by its properties; the slowest stands for itself alone.
+def shared(problem: Problem, rows: Sequence[int], alone: Collection[int]) -> Shares:
+    """Mix every configuration of `rows`, by its properties.
 
-    It alone is short of time, which the others are not.
+    Those `alone` stand for themselves only: they are short of time, which the others are not.
     """
     unit, chosen = _properties(problem), list(rows)
-    others = [number for number, row in enumerate(chosen) if row != slowest] or [0]
+    others = [number for number, row in enumerate(chosen) if row not in alone] or [0]
     corners = np.vstack((unit[[chosen[number] for number in others]].T, np.full(len(others), _SUM)))
     parts = np.zeros((unit.shape[0], len(chosen)))
     for row, each in enumerate(unit):
@@ -75,6 +83,26 @@ def shared(problem: Problem, rows: Sequence[int], slowest: int) -> Shares:
         parts[row, others] = found / found.sum()
     parts[chosen] = np.eye(len(chosen))
     return Shares(tuple(chosen), parts, problem.weights @ parts)
+
+
+def short_of_time(problem: Problem, rows: Sequence[int], found: Multipliers) -> set[int]:
+    """Those of `rows` to which traction is worth more than to the others, being short of time.
+
+    Where the common traction is more than a configuration needs it brakes a little, and to all
+    that do traction is worth what braking regains. Who never does cannot stand for them.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of `rows`, each with the weight of all that it stands for.
+    found : Multipliers
+        Of its optimum.
+    """
+    worth = found.pull.sum(axis=1) / np.maximum(problem.weights, 1e-300)
+    weighty = problem.weights > 0.0
+    usual = float(np.median(worth[weighty]))
+    short = np.flatnonzero(weighty & (worth > _SHORT * usual)).tolist()
+    return {rows[each] for each in short}
 
 
 def multipliers_for_all(problem: Problem, shares: Shares, found: Multipliers) -> Multipliers:
