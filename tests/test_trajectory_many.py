@@ -31,7 +31,7 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     assert some["energy"] >= everyone["lower_bound"]
     assert some["energy"] <= 1.002 * everyone["energy"]
     assert some["lower_bound"] <= everyone["energy"]
-    assert some["gap"] <= 4e-3
+    assert some["gap"] <= 5e-3
 
 
 def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None:
