@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from simulated_world import flirt, hilly_line, level_line, steps
 
 from analysis.control import follow_kernels as kernels
-from analysis.control.follow import Follower, Tuning
+from analysis.control.follow import Follower, Margin, Tuning
 from analysis.control.follow_belief import Observer
 from analysis.control.follow_kernels import TICK, Belief
+from analysis.control.follow_odometry import MARGIN, Odometry
 from analysis.control.follow_pace import ahead, paced, sampled
 from analysis.control.follow_route import Able, Way, able, bounds, highest, way
 from analysis.pictures.following import draw_following
@@ -26,7 +27,15 @@ from trainlog.errors import InputError, LogError
 from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
 from trainlog.simulation.drivers import DEPARTURE, Observation
-from trainlog.simulation.scenario import Scenario, drive, simulate, trajectory_scenarios
+from trainlog.simulation.instruments import Instruments, Reading, balises
+from trainlog.simulation.scenario import (
+    Locator,
+    Scenario,
+    drive,
+    simulate,
+    trajectory_scenarios,
+)
+from trainlog.simulation.sensors import Sensors
 
 NEUTRAL = Belief(1.0, 0.0, 0.0)
 
@@ -100,7 +109,7 @@ def test_it_is_on_time_at_its_place_and_below_the_limits(weather: str, name: str
 
     def follows() -> Follower:
         known_rail = None if weather == "dry" else map_of(rail)
-        return Follower(trajectory, hilly_line(), train, condition=known_rail)
+        return Follower(trajectory, hilly_line(), train, condition=known_rail, layer=weather)
 
     (scenario,) = trajectory_scenarios(trajectory, hilly_line(), train, [name], follows, seed=3)
     found = driven(replace(scenario, maximum_adhesion=rail))
@@ -117,14 +126,31 @@ def test_it_is_on_time_at_its_place_and_below_the_limits(weather: str, name: str
     assert braking.max() <= train.max_deceleration * inertia * 1.001
 
 
-def test_without_the_map_the_same_rail_makes_it_slip() -> None:
+@pytest.mark.parametrize("name", [LIGHT, HEAVY])
+def test_without_the_map_the_same_rail_makes_it_slip_and_it_keeps_the_limits(name: str) -> None:
     train, trajectory = plan()
     (scenario,) = trajectory_scenarios(
-        trajectory, hilly_line(), train, [MIDDLE],
+        trajectory, hilly_line(), train, [name],
         lambda: Follower(trajectory, hilly_line(), train), seed=3,
     )  # fmt: skip
     found = driven(replace(scenario, maximum_adhesion=slippery()))
     assert found["protected_axles"].max() > 0.0
+    assert found["over"] <= 0.0
+    assert abs(found["position"][-1] - hilly_line().length) < 0.3
+
+
+def test_what_creeping_wheels_hold_is_kept_below_the_limit() -> None:
+    """The guard lets a pulling train come less near to the ceiling than a coasting one."""
+    can, road = known()
+    p, past = 6_000.0, np.zeros(6)
+    top = float(np.sqrt(highest(p, road)))
+    pull = kernels.allowed(p, top, p, road, can)[1]
+    held = kernels.spun(pull, p, road, can)
+    assert held == pytest.approx(can.spinning * kernels.CREEP, rel=0.7)
+    assert kernels.spun(-0.5, p, road, can) == 0.0
+    near = top - 0.05
+    free = kernels.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can._replace(spinning=0.0))
+    assert kernels.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can) < free
 
 
 def test_masses_at_both_ends_of_the_set_and_a_brake_that_takes_its_time() -> None:
@@ -147,7 +173,10 @@ def test_a_late_train_catches_up_as_far_as_physics_allow() -> None:
     due, delay = float(trajectory.times[trajectory.latest, -1]), 40.0
     (scenario,) = trajectory_scenarios(
         trajectory, hilly_line(), train, [HEAVY],
-        lambda: Follower(trajectory, hilly_line(), train, departure=DEPARTURE + delay), seed=3,
+        lambda: Follower(
+            trajectory, hilly_line(), train, layer="dry", departure=DEPARTURE + delay
+        ),
+        seed=3,
     )  # fmt: skip
     found = driven(replace(scenario, maximum_adhesion=steps((0.0, 0.3))))
     least = float(fastest_run(run_of(train, trajectory)).times.max())
@@ -201,6 +230,105 @@ def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> N
     assert driver.demand(short).tractive_effort > 0.0  # it moves up
     assert driver.demand(replace(short, position=10_999.9)).braking_effort > 0.0
     assert driver.finished
+
+
+# ---- by its own instruments -----------------------------------------------------------------
+
+
+def seen_by_itself(scenario: Scenario, told: list[Observation]) -> Scenario:
+    """The scenario with a driver who sees the train by its instruments; what he saw is kept."""
+
+    def locates(sensors: Sensors, start: float) -> Locator:
+        odometry = Odometry(sensors, start)
+
+        def locate(reading: Reading) -> Observation:
+            told.append(odometry(reading))
+            return told[-1]
+
+        return locate
+
+    return replace(scenario, locates=locates)
+
+
+@pytest.mark.parametrize("name", [LIGHT, HEAVY])
+def test_it_keeps_limits_and_stop_by_what_its_own_instruments_tell(name: str) -> None:
+    train, trajectory = plan()
+
+    def follows() -> Follower:
+        return Follower(
+            trajectory, hilly_line(), train, condition=map_of(slippery()), margin=MARGIN
+        )
+
+    (scenario,) = trajectory_scenarios(trajectory, hilly_line(), train, [name], follows, seed=3)
+    told: list[Observation] = []
+    found = driven(seen_by_itself(replace(scenario, maximum_adhesion=slippery()), told))
+    assert found["over"] <= 0.0
+    assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 1.5
+    assert abs(found["position"][-1] - hilly_line().length) < 1.0
+    assert found["speed"][-1] == 0.0
+    # And the odometry is as good as it says, which is never the truth.
+    count = found["position"].size
+    for quantity, least in (("position", 0.005), ("speed", 0.003)):
+        seen = np.array([getattr(each, quantity) for each in told])[:count]
+        std = np.array([getattr(each, f"{quantity}_std") for each in told])[:count]
+        moving = found["speed"] > 0.5
+        off = np.abs(seen - found[quantity])[moving]
+        assert np.mean(off > least) > 0.5
+        assert np.mean(off < 3.0 * std[moving]) > 0.97
+        assert np.quantile(std[moving], 0.99) < 0.5 * getattr(MARGIN, quantity)
+
+
+def test_a_train_that_lost_its_odometry_drives_as_if_it_were_further_and_faster() -> None:
+    train, trajectory = plan()
+    near = Observation(DEPARTURE + 150.0, 2_800.0, 32.0, 0.0)  # 90 km/h from km 3.2 on
+    asked = []
+    for unsure in (near, replace(near, position_std=60.0), replace(near, speed_std=2.0)):
+        driver = Follower(trajectory, hilly_line(), train, layer="dry", margin=MARGIN)
+        demand = driver.demand(unsure)
+        asked.append(demand.tractive_effort - demand.braking_effort)
+    assert asked[1] < asked[0]
+    assert asked[2] < asked[0]
+
+
+def test_balises_lie_before_stations_and_set_the_chainage_right() -> None:
+    line, sensors = hilly_line(), Sensors(balise_error=0.0, diameter_error=0.0)
+    places = balises(line, sensors, 100.0, np.random.default_rng(3))
+    for station in (3_900.0, 7_050.0, line.length):
+        assert {station - 150.0, station - 25.0} <= set(places)
+    assert places[0] == 100.0
+    assert np.diff(places).max() <= 1.2 * sensors.balise_spacing
+    instruments = Instruments(line, sensors, 100.0, 1.0, np.random.default_rng(3))
+    first = instruments.read(0.0, 100.0, 0.0, 0.0)
+    assert first.balise == 100.0
+    assert first.wheel_speed == 0.0
+    assert np.isnan(instruments.read(0.1, 101.0, 10.0, 0.0).balise)
+    # In the tunnel there are no satellites, and the wheels go on.
+    inside = [instruments.read(0.2 + 0.1 * k, 2_300.0, 20.0, 0.0) for k in range(4)]
+    assert np.all(np.isnan([each.satellite_speed for each in inside]))
+    assert inside[0].wheel_speed == pytest.approx(20.0, abs=0.2)
+
+
+def test_a_wrong_wheel_is_found_out_by_satellites_and_balises() -> None:
+    line = replace(hilly_line(), tunnels=())
+    instruments = Instruments(line, Sensors(outages=0.0), 0.0, 1.01, np.random.default_rng(5))
+    odometry = Odometry(Sensors(), 0.0)
+    speed, off = 20.0, []
+    for k in range(4_000):
+        time = 0.1 * k
+        a = 0.5 if time < speed / 0.5 else 0.0
+        v = min(0.5 * time, speed)
+        p = 0.5 * v * time if a > 0.0 else 0.5 * speed**2 / 0.5 + speed * (time - speed / 0.5)
+        seen = odometry(instruments.read(time, p, v, a))
+        off.append((seen.position - p, seen.speed - v))
+    # The wheel itself would be 0.2 m/s and 80 m wrong by now.
+    late = np.abs(off[1_500:])
+    assert late[:, 0].max() < 2.0
+    assert late[:, 1].max() < 0.06
+
+
+def test_a_negative_margin_is_refused() -> None:
+    with pytest.raises(InputError, match=r"margin of speed -0\.1 is negative"):
+        Margin(speed=-0.1)
 
 
 # ---- the prediction -------------------------------------------------------------------------

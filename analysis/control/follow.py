@@ -38,6 +38,9 @@ SHORTEST = 3
 SLOW = 1.0
 """Below this speed [m/s] nothing is learnt: brakes fade and grip."""
 
+SURE = 2.0
+"""Standard deviations by which a train may be elsewhere, or faster."""
+
 CREEPING, MOVING_UP = 0.3, 10.0
 """Acceleration [m/s²] with which a train moves up that stands short of its stop by this [m]."""
 
@@ -68,6 +71,27 @@ class Tuning:
                 raise InputError(f"following: {name} {getattr(self, name)} is not positive")
 
 
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """Kept for what a train does not know of itself; the defaults are for the true motion.
+
+    Attributes
+    ----------
+    position : float [m]
+        Limits begin so much earlier, and end so much later.
+    speed : float [m/s]
+        Limits are so much lower.
+    """
+
+    position: float = 0.0
+    speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("position", "speed"):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"following: margin of {name} {getattr(self, name)} is negative")
+
+
 class Follower:
     """Follows a trajectory; a `trainlog.simulation.drivers.Driver`.
 
@@ -85,6 +109,9 @@ class Follower:
     tuning : Tuning, optional
     departure : float [s]
         When it departs; the timetable is that of a departure at `DEPARTURE`.
+    margin : Margin, optional
+        Where position and speed are known less well than that, at `SURE` standard deviations, the
+        guard takes the rest off as well.
 
     Attributes
     ----------
@@ -108,12 +135,14 @@ class Follower:
         layer: str = "wet",
         tuning: Tuning | None = None,
         departure: float = DEPARTURE,
+        margin: Margin | None = None,
     ) -> None:
         run = run_of(trajectory, line, train, condition, layer)
         self.tuning = tuning or Tuning()
         self.unsolved = 0
         self._can = able(run)
-        self._way = way(run, trajectory, self._can)
+        self._margin = margin or Margin()
+        self._way = way(run, trajectory, self._can, self._margin.position, self._margin.speed)
         self._arrival = DEPARTURE + float(trajectory.times[trajectory.latest, -1])
         self._departure = departure
         self._release = departure - train.brake.dead_time - 3.0 * train.brake.lag
@@ -235,11 +264,16 @@ class Follower:
         lead = 2
         if at_once(seen.speed, can) < can.braking:
             lead += len(self._past) + round(2.0 * can.lag / TICK)
-        return float(
-            kernels.guarded(
-                seen.position, seen.speed, self._friction, self._past, self._effort, effort,
-                held, held + lead, self._way, can,
+        beyond = max(SURE * seen.position_std - self._margin.position, 0.0)
+        speed = seen.speed + max(SURE * seen.speed_std - self._margin.speed, 0.0)
+        return min(
+            float(
+                kernels.guarded(
+                    place, speed, self._friction, self._past, self._effort, effort,
+                    held, held + lead, self._way, can,
+                )
             )
+            for place in {seen.position - beyond, seen.position + beyond}
         )  # fmt: skip
 
     def _guess(self, aim: FloatArray, ticks: int, now: float) -> FloatArray:

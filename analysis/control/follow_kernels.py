@@ -40,6 +40,10 @@ TICK = 0.1
 """Step of the prediction [s]; dead times are whole numbers of it."""
 
 
+CREEP = 3.0
+"""Slip speed of wheels on wet rail that gives all it has [m/s] (paper 003, eq. 10)."""
+
+
 class Belief(NamedTuple):
     """What the train is taken to be: see the equation above."""
 
@@ -239,6 +243,16 @@ def condensed(
 
 
 @njit(cache=True)
+def spun(u: float, p: float, w: Way, can: Able) -> float:
+    """Momentum [kg m/s] that the powered axles hold by turning faster than the train rolls.
+
+    Under a specific effort `u`; when the traction ends it goes into the train.
+    """
+    share = max(u, 0.0) * can.inertia / (value(w.pulling, w.origin, p) * can.on_powered)
+    return can.spinning * CREEP * min(share, 1.0) ** 2
+
+
+@njit(cache=True)
 def keeps(
     p: float, v: float, f: float, past: FloatArray, before: float, u: float, held: int,
     ticks: int, w: Way, can: Able,
@@ -246,15 +260,19 @@ def keeps(
     """Whether every train of the set keeps its speed for so many ticks.
 
     The specific effort goes from `before` to `u`, which takes the drive a tick, and is held for
-    some of them; after that the train brakes with all it has.
+    some of them; after that the train brakes with all it has. What the wheels gave to creep comes
+    back as the effort goes.
     """
     over = max(v - math.sqrt(highest(p, w)) - MARGIN, 0.0)
     fade, dead = math.exp(-TICK / can.lag), past.size
+    now, later = spun(before, p, w, can), spun(u, p, w, can)
     for row in can.corners:
-        place, speed, friction = p, v, f
+        place, speed, friction = p, v + max(now - later, 0.0) / row[1], f
         gain = can.inertia / row[1]
         for i in range(ticks):
             wanted = u
+            if i == held:
+                speed += later / row[1]
             if i >= held:
                 wanted = min(u, -bounds(place, speed, w, can)[1] / can.inertia)
             quick, asked = split(wanted, speed, can)

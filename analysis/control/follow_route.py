@@ -37,7 +37,14 @@ UNEVEN = 0.95
 """Of the map's adhesion that is used: the powered axles do not share the effort alike."""
 
 UNSEEN_SIGMAS = 1.0
-"""Standard deviations taken off what a map makes likely where it was not observed."""
+"""Standard deviations taken off what a map makes likely where it was not observed, in braking."""
+
+PULLING_SIGMAS = 0.5
+"""Standard deviations taken off what a map makes likely, in traction: who slips there loses a
+little time, who is cautious loses it everywhere."""
+
+ASSUMED = {"dry": (0.3, 0.15), "wet": (0.15, 0.08)}
+"""Adhesion in traction, and in braking ahead of what must be kept, without a map."""
 
 SETTLING, SETTLING_SHARE = 10.0, 0.75
 """In the last metres before the stop [m] less is counted on: dynamic brakes fade there."""
@@ -63,6 +70,8 @@ class Able(NamedTuple):
         Of the middle of the set.
     lag : float [s]
         Of the friction brake.
+    spinning : float [kg]
+        Rotating mass of the powered axles.
     corners : (4, 5) array
         Mass, inertia, r0, r1, r2 of light and heavy trains with little and much resistance.
     """
@@ -80,6 +89,7 @@ class Able(NamedTuple):
     r1: float
     r2: float
     lag: float
+    spinning: float
     corners: FloatArray
 
 
@@ -92,8 +102,8 @@ class Way(NamedTuple):
         Deceleration by gradient and curves.
     tunnel : [N/(m/s)²]
         Added to r2.
-    adhesion
-        Maximum adhesion, never above the map's; 1 where it says nothing.
+    pulling, adhesion
+        Maximum adhesion that is counted on in traction and in braking.
     ceiling : [m²/s²]
         Square of the speed from which all that lies ahead can be kept.
     goal : [m²/s²]
@@ -106,6 +116,7 @@ class Way(NamedTuple):
     end: float
     track: FloatArray
     tunnel: FloatArray
+    pulling: FloatArray
     adhesion: FloatArray
     ceiling: FloatArray
     goal: FloatArray
@@ -138,21 +149,29 @@ def able(run: Run) -> Able:
         r1=r1,
         r2=r2,
         lag=max(train.brake.lag, 1e-3),
+        spinning=train.axles.count * train.axles.rotating_mass,
         corners=np.array(corners, dtype=np.float64),
     )
 
 
-def way(run: Run, trajectory: Trajectory, can: Able) -> Way:
-    """Tables of a run from its start to its end."""
+def way(
+    run: Run, trajectory: Trajectory, can: Able, around: float = 0.0, below: float = 0.0
+) -> Way:
+    """Tables of a run from its start to its end.
+
+    Limits begin `around` [m] earlier and end so much later, and are `below` [m/s] lower.
+    """
     count = math.ceil((run.end - run.start) / GRID) + 1
     origin = run.end - GRID * (count - 1)  # the stop is a node
     places = np.clip(origin + GRID * np.arange(count), 0.0, run.line.length)
     # The lowest of both cells at a node: read on a line, no table is above what it stands for.
     fine = origin + GRID * (np.arange(PARTS * (count + 1)) + 0.5 - PARTS) / PARTS
     fine = np.clip(fine, 0.0, run.line.length)
-    limit = _lowest_around(run.permitted_speed(fine))
-    highest = np.maximum(limit - MARGIN, 0.5 * limit) ** 2
+    near = np.clip(fine + np.array([[-around], [0.0], [around]]), 0.0, run.line.length)
+    limit = _lowest_around(run.permitted_speed(near).min(axis=0))
+    highest = np.maximum(limit - MARGIN - below, 0.5 * limit) ** 2
     highest[-1] = 0.0
+    pulling, braking = _adhesion(run, fine)
     goal = np.interp(places, trajectory.positions, trajectory.speeds[trajectory.latest] ** 2)
     pulls = np.flatnonzero(trajectory.tractive_effort > 1e-3 * trajectory.tractive_effort.max())
     found = Way(
@@ -160,7 +179,8 @@ def way(run: Run, trajectory: Trajectory, can: Able) -> Way:
         end=run.end,
         track=run.line.track_acceleration(places),
         tunnel=run.train.tunnel_coefficient(run.line.tunnel_cross_section(places)),
-        adhesion=np.minimum(UNEVEN * _lowest_around(_adhesion(run, fine)), 1.0),
+        pulling=UNEVEN * _lowest_around(pulling),
+        adhesion=UNEVEN * _lowest_around(braking),
         ceiling=highest,
         goal=goal,
         last_pull=float(trajectory.positions[pulls[-1] + 1]),
@@ -169,18 +189,21 @@ def way(run: Run, trajectory: Trajectory, can: Able) -> Way:
     return found
 
 
-def _adhesion(run: Run, positions: FloatArray) -> FloatArray:
-    """Maximum adhesion that the driver counts on; infinite without a map.
+def _adhesion(run: Run, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Maximum adhesion that the driver counts on in traction and in braking.
 
     Where the map was not observed he expects what its own places and neighbours make likely
-    (`TrackConditionMap.likely`), which a plan must not rest on; he sees slip and eases off.
+    (`TrackConditionMap.likely`), which a plan must not rest on; he sees slip and eases off. Without
+    a map he knows what is usual in such weather.
     """
-    known = run.adhesion_at(positions)
     if run.condition is None:
-        return known
+        usual = ASSUMED.get(run.layer, ASSUMED["wet"])
+        return np.full(positions.shape, usual[0]), np.full(positions.shape, usual[1])
     own = run.line.length - positions if run.direction == "reverse" else positions
+    known = run.adhesion_at(positions)
     likely = run.condition.likely(run.layer, own, UNSEEN_SIGMAS)
-    return np.where(np.isfinite(known), known, likely)
+    pulling = run.condition.likely(run.layer, own, PULLING_SIGMAS)
+    return pulling, np.where(np.isfinite(known), known, likely)
 
 
 def _lowest_around(fine: FloatArray) -> FloatArray:
@@ -196,7 +219,8 @@ def bounds(p: float, v: float, w: Way, can: Able) -> tuple[float, float]:
     """Largest tractive and braking effort [N] that machine, comfort and adhesion allow."""
     grip = value(w.adhesion, w.origin, p)
     powered = grip * can.on_powered
-    pull = min(can.traction, powered, can.power / max(v, 0.1))
+    pulling = value(w.pulling, w.origin, p) * can.on_powered
+    pull = min(can.traction, pulling, can.power / max(v, 0.1))
     brake = min(can.braking, grip * can.on_all)
     # The dynamic brake is used first, and it acts on the powered axles alone.
     if at_once(v, can) > powered:

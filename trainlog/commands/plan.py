@@ -105,6 +105,12 @@ def optimise(
     the_line, the_train = line_and_train(line, train)
     observed = read_parameters(parameters)
     observed.check_train(the_train.name)
+    if not observed.configurations:
+        raise InputError(
+            "holds no configuration",
+            file=parameters,
+            remedy="'trainlog fit' makes a set from trips",
+        )
     if as_fast_as is not None:
         if running_time is not None:
             raise InputError("--running-time and --as-fast-as contradict", remedy="give one")

@@ -69,7 +69,8 @@ def simulate(
 
     Loads, weather, running resistance, drivers and slippery spots vary with the seed; sensors
     have noise. With [bold]--trajectory[/bold] the trips follow it by model predictive control, one
-    a configuration; the train does not know in which it is.
+    a configuration; the train does not know in which it is, and where it is and how fast it knows
+    from its own instruments.
 
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
     """
@@ -131,6 +132,7 @@ def _following(
     from functools import partial
 
     from analysis.control.follow import Follower
+    from analysis.control.follow_odometry import MARGIN, Odometry
     from trainlog.formats.condition import read_map
     from trainlog.formats.trajectory import read_trajectory
     from trainlog.simulation.drivers import DEPARTURE
@@ -145,9 +147,12 @@ def _following(
         condition=None if condition is None else read_map(condition),
         layer=weather,
         departure=DEPARTURE + late,
+        margin=MARGIN,
     )
     names = plan.chosen(configurations)
-    return trajectory_scenarios(plan, line, train, names, follows, seed=seed, weather=weather)
+    return trajectory_scenarios(
+        plan, line, train, names, follows, seed=seed, weather=weather, locates=Odometry
+    )
 
 
 @app.command(rich_help_panel="Record")

@@ -49,12 +49,16 @@ class Observation:
     position : float [m]
     speed : float [m/s]
     acceleration : float [m/s²]
+    position_std, speed_std : float [m], [m/s]
+        How well they are known; 0 where they are the true ones.
     """
 
     time: float
     position: float
     speed: float
     acceleration: float
+    position_std: float = 0.0
+    speed_std: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

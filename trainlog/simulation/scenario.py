@@ -21,9 +21,10 @@ from trainlog.simulation.drivers import (
     Observation,
     TimetableDriver,
 )
+from trainlog.simulation.instruments import Instruments, Reading
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.recording import recorded
-from trainlog.simulation.sensors import NANOSECONDS, Sensors
+from trainlog.simulation.sensors import NANOSECONDS, Sensors, wheel_scales
 from trainlog.simulation.timetable import Stop, plan
 from trainlog.trip import Trip
 
@@ -40,6 +41,9 @@ SURVEY_ERROR = 0.1e-3
 
 STANDING = 10.0
 """Recorded after the arrival [s]."""
+
+Locator = Callable[[Reading], Observation]
+"""Tells a driver of the train what its instruments let it know."""
 
 STUCK = 1200.0
 """A train that is not braked and has not moved for so long [s] will not."""
@@ -81,6 +85,9 @@ class Scenario:
         The trajectory's configuration that the train is in.
     follows : callable or None
         Makes the driver who follows the trajectory.
+    locates : callable or None
+        Makes what tells that driver where he is and how fast, of the train's sensors and the place
+        where it starts; None: he sees the true motion.
     """
 
     name: str
@@ -103,6 +110,7 @@ class Scenario:
     trajectory: Trajectory | None = None
     row: int = 0
     follows: Callable[[], Driver] | None = None
+    locates: Callable[[Sensors, float], Locator] | None = None
 
     def __post_init__(self) -> None:
         if self.direction not in ("forward", "reverse"):
@@ -162,6 +170,19 @@ class Scenario:
         if self.follows is not None:
             return self.follows()
         return TimetableDriver(self.travelled, self.train, self.stops, self.habits, self.mass)
+
+    def sight(self, start: float) -> Callable[[Observation], Observation]:
+        """What its driver sees of the true motion of a train that starts at `start` [m]."""
+        if self.locates is None:
+            return lambda motion: motion
+        generator = np.random.default_rng(self.seed)
+        # The recorder's generator begins with the wheels, too: they are the same.
+        scale, _ = wheel_scales(self.train.axles.count, self.sensors, generator)
+        instruments = Instruments(self.travelled, self.sensors, start, scale, generator)
+        locator = self.locates(self.sensors, start)
+        return lambda motion: locator(
+            instruments.read(motion.time, motion.position, motion.speed, motion.acceleration)
+        )
 
     def truth(self) -> bytes:
         """The scenario as JSON: what estimators must not see and tests judge them by."""
@@ -234,6 +255,7 @@ def drive(scenario: Scenario) -> Run:
     else:
         origin, patience = float(trajectory.positions[0]), 3.0 * trajectory.running_time
     state = plant.at(origin)
+    sight = scenario.sight(origin)
     steps = round(PERIOD / plant.parameters.step)
     rate = round(scenario.sensors.rate * PERIOD)
     blocks: list[FloatArray] = []
@@ -244,7 +266,7 @@ def drive(scenario: Scenario) -> Run:
     position, speed = origin, 0.0
     while True:
         time = len(blocks) * PERIOD
-        wanted = driver.demand(Observation(time, position, speed, acceleration))
+        wanted = driver.demand(sight(Observation(time, position, speed, acceleration)))
         demands.append((wanted.tractive_effort, wanted.braking_effort))
         if arrived is None and driver.finished:
             arrived = time
@@ -407,6 +429,7 @@ def trajectory_scenarios(
     *,
     weather: str = "dry",
     sensors: Sensors | None = None,
+    locates: Callable[[Sensors, float], Locator] | None = None,
 ) -> list[Scenario]:
     """Scenarios in which trains in certain configurations follow a trajectory.
 
@@ -422,6 +445,9 @@ def trajectory_scenarios(
         Makes the driver of each trip.
     seed : int
     weather : {"dry", "wet"}
+    sensors : Sensors, optional
+    locates : callable, optional
+        See `Scenario`.
 
     Raises
     ------
@@ -461,6 +487,7 @@ def trajectory_scenarios(
                 trajectory=trajectory,
                 row=row,
                 follows=follows,
+                locates=locates,
             )
         )
     return scenarios
