@@ -228,7 +228,7 @@ def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> N
     assert not driver.finished
     short = Observation(400.0, 10_998.0, 0.0, 0.0)
     assert driver.demand(short).tractive_effort > 0.0  # it moves up
-    assert driver.demand(replace(short, position=10_999.9)).braking_effort > 0.0
+    assert driver.demand(short._replace(position=10_999.9)).braking_effort > 0.0
     assert driver.finished
 
 
@@ -282,7 +282,7 @@ def test_a_train_that_lost_its_odometry_drives_as_if_it_were_further_and_faster(
     train, trajectory = plan()
     near = Observation(DEPARTURE + 150.0, 2_800.0, 32.0, 0.0)  # 90 km/h from km 3.2 on
     asked = []
-    for unsure in (near, replace(near, position_std=60.0), replace(near, speed_std=2.0)):
+    for unsure in (near, near._replace(position_std=60.0), near._replace(speed_std=2.0)):
         driver = Follower(trajectory, hilly_line(), train, layer="dry", margin=MARGIN)
         demand = driver.demand(unsure)
         asked.append(demand.tractive_effort - demand.braking_effort)

@@ -3,13 +3,16 @@
     python benchmarks/control/benchmark_following.py
 
 The trajectory is for loads of 0 and 25 t, running resistances 10 % off either way and 92 to 100 %
-of the power, on St.Gallen-Wil with the sample map. The driver knows the set, not the train. Beside
-it, at states along the way, the same programs by CVXPY and IPOPT (processor time).
+of the power, on St.Gallen-Wil with the sample map. The driver knows the set, not the train. Each
+train runs twice: with a driver who sees its true motion, and with one who knows of it what its own
+instruments tell. Beside them, at states along the way, the same programs by CVXPY and IPOPT
+(processor time).
 """
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -18,7 +21,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.follow import Follower, run_of
+from analysis.control.follow import Follower, Margin, run_of
+from analysis.control.follow_odometry import MARGIN, Odometry
 from analysis.control.tracking import Program
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
@@ -26,15 +30,38 @@ from trainlog.formats.condition import read_map
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
-from trainlog.railway import Configuration, Line, Train, Trajectory
+from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation.drivers import DEPARTURE, Demand, Observation
+from trainlog.simulation.instruments import Reading
 from trainlog.simulation.scenario import Scenario, drive, trajectory_scenarios
+from trainlog.simulation.sensors import Sensors
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
 MAP = DEFAULT_LINE.replace(".line.", ".map.")
 LATE = 40.0
+FORMATS = ("{:+.1f} s", "{:+.0f} cm", "{:+.1f} %", "{:+.2f} km/h", "{:.0f}")
+
+
+@dataclass(frozen=True)
+class Case:
+    """Rail, what is known of it, and lateness [s]; whether every train is told."""
+
+    weather: str
+    mapped: bool = True
+    late: float = 0.0
+    told: bool = False
+
+    def __str__(self) -> str:
+        late = f", {self.late:.0f} s late" if self.late else ""
+        return self.weather + ("" if self.mapped else ", no map") + late
+
+
+CASES = (
+    Case("dry", told=True), Case("wet", told=True),
+    Case("dry", mapped=False), Case("wet", mapped=False), Case("dry", late=LATE),
+)  # fmt: skip
 
 
 class Watched:
@@ -83,61 +110,133 @@ def configurations(train: Train) -> list[Configuration]:
     return [middle, *ends]
 
 
-def columns(scenario: Scenario) -> dict[str, FloatArray]:
+class Heard:
+    """An odometry of which is kept what it tells."""
+
+    def __init__(self, sensors: Sensors, start: float) -> None:
+        self._odometry = Odometry(sensors, start)
+        self.told: list[Observation] = []
+
+    def __call__(self, reading: Reading) -> Observation:
+        """As the odometry says."""
+        self.told.append(self._odometry(reading))
+        return self.told[-1]
+
+
+def driven(scenario: Scenario) -> dict[str, FloatArray]:
+    """The true motion by name, and ``seconds``."""
     run = drive(scenario)
     found = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
     return found | {"seconds": run.seconds}
 
 
-def row(scenario: Scenario, line: Line, trajectory: Trajectory) -> tuple[str, ...]:
-    found = columns(scenario)
+def figures(found: dict[str, FloatArray], scenario: Scenario) -> FloatArray:
+    """Lateness [s], stop [cm], energy over planned [%], over the limit [km/h], slips."""
+    trajectory, line = scenario.trajectory, scenario.travelled
+    assert trajectory is not None
     speed, position = found["speed"], found["position"]
     arrival = float(found["seconds"][np.flatnonzero(speed > 0.0)[-1]]) + 0.1 - DEPARTURE
     limit = line.speed_limit(np.minimum(position, line.length))
     energy = float(np.sum(found["tractive_effort"] * speed)) * 0.1
     planned = trajectory.certificate["wheel_energy"][scenario.row]
-    slips = int(np.sum(np.diff((found["protected_axles"] > 0.0).astype(int)) > 0))
-    return (
-        trajectory.configurations[scenario.row].name,
-        scenario.weather,
-        f"{arrival - trajectory.times[trajectory.latest, -1]:+.1f} s",
-        f"{100.0 * (position[-1] - trajectory.positions[-1]):+.0f} cm",
-        f"{energy / planned - 1.0:+.2%}",
-        f"{KMH * np.max(speed - limit):+.2f} km/h",
-        f"{slips}",
+    return np.array(
+        [
+            arrival - trajectory.times[trajectory.latest, -1],
+            100.0 * (position[-1] - trajectory.positions[-1]),
+            100.0 * (energy / planned - 1.0),
+            KMH * np.max(speed - limit),
+            np.sum(np.diff((found["protected_axles"] > 0.0).astype(int)) > 0),
+        ]
     )
 
 
-def main() -> None:
-    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
-    track, console = read_map(sample(MAP)), Console(width=110)
-    trajectory = optimise(line, train, configurations(train), reserve=0.08, condition_map=track)
-    titles = ("arrival", "stop", "energy over planned", "speed over the limit", "slips")
-    table = Table("train", "rail", *titles, title=f"Following {trajectory.running_time:.1f} s")
-    watched: list[Watched] = []
+def both(exact: FloatArray, measured: FloatArray) -> list[str]:
+    """Cells of a table: seeing the true motion, and by its own instruments."""
+    return [
+        f"{form.format(one)} | {form.format(other)}"
+        for form, one, other in zip(FORMATS, exact, measured, strict=True)
+    ]
 
-    def make(layer: str | None, departure: float = DEPARTURE) -> Watched:
-        known = {} if layer is None else {"condition": track, "layer": layer}
-        watched.append(Watched(Follower(trajectory, line, train, departure=departure, **known)))
-        return watched[-1]
 
-    for weather, layer in (("dry", "dry"), ("wet", "wet"), ("wet", None)):
-        for scenario in trajectory_scenarios(
-            trajectory, line, train, trajectory.chosen("all"), partial(make, layer),
-            weather=weather,
-        ):  # fmt: skip
-            name, rail, *rest = row(scenario, line, trajectory)
-            table.add_row(name, rail + ("" if layer else ", no map"), *rest)
-    table.add_section()
-    for scenario in trajectory_scenarios(
-        trajectory, line, train, trajectory.chosen("all"), partial(make, "dry", DEPARTURE + LATE)
-    ):
-        name, rail, *rest = row(scenario, line, trajectory)
-        table.add_row(name, f"{rail}, {LATE:.0f} s late", *rest)
-    console.print(table)
-    least = fastest_run(run_of(trajectory, line, train)).times
-    bound = max(0.0, LATE + float(least.max()) - trajectory.running_time)
-    console.print(f"least lateness after {LATE:.0f} s: {bound:.1f} s")
+def worst(rows: list[FloatArray]) -> FloatArray:
+    """Of several trains: latest, furthest off, dearest, fastest, and most slips."""
+    table = np.array(rows)
+    furthest = table[np.argmax(np.abs(table[:, 1])), 1]
+    top = table.max(axis=0)
+    return np.array([top[0], furthest, *top[2:]])
+
+
+@dataclass
+class Trips:
+    """All trips of the benchmark, and what was kept of them."""
+
+    trajectory: Trajectory
+    line: Line
+    train: Train
+    track: TrackConditionMap
+    watched: list[Watched] = field(default_factory=list)
+    heard: list[Heard] = field(default_factory=list)
+    moved: list[dict[str, FloatArray]] = field(default_factory=list)
+
+    def driver(self, case: Case, margin: Margin) -> Watched:
+        """A driver of one trip."""
+        follower = Follower(
+            self.trajectory, self.line, self.train,
+            condition=self.track if case.mapped else None, layer=case.weather,
+            departure=DEPARTURE + case.late, margin=margin,
+        )  # fmt: skip
+        self.watched.append(Watched(follower))
+        return self.watched[-1]
+
+    def odometry(self, sensors: Sensors, start: float) -> Heard:
+        """What tells a driver where he is."""
+        self.heard.append(Heard(sensors, start))
+        return self.heard[-1]
+
+    def scenarios(self, case: Case, margin: Margin) -> list[Scenario]:
+        """A trip in each configuration."""
+        return trajectory_scenarios(
+            self.trajectory, self.line, self.train, self.trajectory.chosen("all"),
+            partial(self.driver, case, margin), weather=case.weather,
+        )  # fmt: skip
+
+    def add_rows(self, table: Table, case: Case) -> None:
+        """Drive a case by the true motion and by instruments."""
+        rows: tuple[list[FloatArray], list[FloatArray]] = ([], [])
+        by_truth, by_itself = self.scenarios(case, Margin()), self.scenarios(case, MARGIN)
+        for exact, measured in zip(by_truth, by_itself, strict=True):
+            rows[0].append(figures(driven(exact), exact))
+            self.moved.append(driven(replace(measured, locates=self.odometry)))
+            rows[1].append(figures(self.moved[-1], measured))
+            if case.told:
+                name = self.trajectory.configurations[exact.row].name
+                table.add_row(name, str(case), *both(rows[0][-1], rows[1][-1]))
+        table.add_row("worst of five", str(case), *both(worst(rows[0]), worst(rows[1])))
+        means = [f"{np.mean([row[2] for row in each]):+.1f} %" for each in rows]
+        table.add_row("mean of five", str(case), "", "", " | ".join(means))
+        table.add_section()
+
+    def known(self) -> Table:
+        """How far what odometries told was from the truth."""
+        table = Table("by its own instruments", "RMS", "at most", "within 1.96 std", "std at most")
+        for name, unit in (("position", "m"), ("speed", "m/s")):
+            off, std = [], []
+            for heard, found in zip(self.heard, self.moved, strict=True):
+                moving = found["speed"] > 0.5
+                told = heard.told[: moving.size]
+                seen = np.array([getattr(each, name) for each in told])
+                off.append(np.abs(seen - found[name])[moving])
+                std.append(np.array([getattr(each, f"{name}_std") for each in told])[moving])
+            error, spread = np.concatenate(off), np.concatenate(std)
+            table.add_row(
+                f"{name} [{unit}]", f"{np.sqrt(np.mean(error**2)):.3f}", f"{error.max():.2f}",
+                f"{np.mean(error < 1.96 * spread):.3f}", f"{spread.max():.3f}",
+            )  # fmt: skip
+        return table
+
+
+def decisions(watched: list[Watched]) -> Table:
+    """What a decision costs, and its program by others."""
     unsolved = sum(each.follower.unsolved for each in watched)
     spent = np.concatenate([each.spent for each in watched])
     table = Table("", "ms, median", "ms, 99 %", "first effort differs by, at most [m/s²]")
@@ -157,7 +256,27 @@ def main() -> None:
         table.add_row(
             name, f"{np.median(times):.3f}", f"{np.quantile(times, 0.99):.3f}", f"{gap:.1e}"
         )
+    return table
+
+
+def main() -> None:
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    track, console = read_map(sample(MAP)), Console(width=140)
+    trajectory = optimise(line, train, configurations(train), reserve=0.08, condition_map=track)
+    titles = ("arrival", "stop", "energy over planned", "speed over the limit", "slips")
+    table = Table(
+        "train", "rail", *titles,
+        title=f"Following {trajectory.running_time:.1f} s; true motion seen | own instruments",
+    )  # fmt: skip
+    trips = Trips(trajectory, line, train, track)
+    for case in CASES:
+        trips.add_rows(table, case)
     console.print(table)
+    console.print(trips.known())
+    least = fastest_run(run_of(trajectory, line, train)).times
+    bound = max(0.0, LATE + float(least.max()) - trajectory.running_time)
+    console.print(f"least lateness after {LATE:.0f} s: {bound:.1f} s")
+    console.print(decisions(trips.watched))
 
 
 if __name__ == "__main__":

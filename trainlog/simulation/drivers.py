@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +38,7 @@ STOPPING_ERROR = 3.0
 """A train that stands within this distance [m] of its stop has arrived."""
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
+class Observation(NamedTuple):
     """What a driver sees of the train; what lies ahead he knows from the line.
 
     Attributes
@@ -61,8 +60,7 @@ class Observation:
     speed_std: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Demand:
+class Demand(NamedTuple):
     """Tractive and braking effort of the whole train [N], both not negative."""
 
     tractive_effort: float = 0.0
