@@ -229,7 +229,7 @@ class Trips:
                 std.append(np.array([getattr(each, f"{name}_std") for each in told])[moving])
             error, spread = np.concatenate(off), np.concatenate(std)
             table.add_row(
-                f"{name} [{unit}]", f"{np.sqrt(np.mean(error**2)):.3f}", f"{error.max():.2f}",
+                f"{name}, {unit}", f"{np.sqrt(np.mean(error**2)):.3f}", f"{error.max():.2f}",
                 f"{np.mean(error < 1.96 * spread):.3f}", f"{spread.max():.3f}",
             )  # fmt: skip
         return table
