@@ -30,8 +30,8 @@ FloatArray = NDArray[np.float64]
 BIAS_TIME = 600.0
 """Over which an accelerometer's bias stays the same [s]."""
 
-JERK = 0.05
-"""How far an acceleration departs from the mean of its samples [m/s²]: motors and brakes change."""
+UNSTEADY = 0.05
+"""What the model of a steady acceleration between two samples leaves out [m/s²]."""
 
 GATE = 5.0
 """Measurements further off than this many standard deviations are left out."""
@@ -67,7 +67,7 @@ class Odometry:
         self._covariance = np.diag(np.square(spreads))
         quantised = math.sqrt(1.0 / 12.0)
         self._felt = math.hypot(
-            sensors.acceleration_noise, quantised * sensors.acceleration_resolution, JERK
+            sensors.acceleration_noise, quantised * sensors.acceleration_resolution, UNSTEADY
         )
         self._wheel = math.hypot(sensors.speed_noise, quantised * sensors.speed_resolution)
 
