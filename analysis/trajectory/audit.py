@@ -19,8 +19,8 @@ from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
 
-SUBSTEPS = 24
-"""Runge-Kutta sub-steps a cell."""
+_PARTS, _FEWEST, _MOST = 12_000, 8, 24
+"""Runge-Kutta sub-steps over the whole grid, and the fewest and the most of a cell."""
 
 ARRIVAL_TOLERANCE = 1e-4
 """Lateness that an audited trajectory may have [s]."""
@@ -44,6 +44,8 @@ class Audit:
 
     Attributes
     ----------
+    substeps : int
+        Of each cell.
     speeds, times : (q, n + 1) array [m/s], [s]
         At the nodes.
     end_speed : [m/s]
@@ -60,6 +62,7 @@ class Audit:
         By how much it passes such a point too slowly or too fast.
     """
 
+    substeps: int
     speeds: FloatArray
     times: FloatArray
     end_speed: FloatArray
@@ -122,8 +125,9 @@ def audit(
     """
     train, line = run.train, run.line
     step = np.diff(positions)
-    track = line.track_acceleration(inside(positions, 2 * SUBSTEPS))
-    points = positions[:-1, None] + step[:, None] * (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS
+    substeps = int(np.clip(_PARTS // step.size, _FEWEST, _MOST))
+    track = line.track_acceleration(inside(positions, 2 * substeps))
+    points = positions[:-1, None] + step[:, None] * (np.arange(substeps) + 0.5) / substeps
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(points))
     limit = run.permitted_speed(points)
     adhesion = run.adhesion_at(points)
@@ -162,6 +166,7 @@ def audit(
     wheel = np.full(len(run.configurations), float(traction @ step))
     regained = train.efficiency_regeneration * found[:, 6]
     return Audit(
+        substeps=substeps,
         speeds=speeds,
         times=times,
         end_speed=speeds[:, -1],
@@ -210,6 +215,7 @@ def _roll(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Runge-Kutta on half the squared speed; the time of a sub-step is 2 h / (v + v')."""
     q, n = braking.shape
+    substeps = tunnel.shape[1]
     speeds, times = np.zeros((q, n + 1)), np.zeros((q, n + 1))
     found = np.zeros((q, 7))
     for a in range(q):
@@ -218,10 +224,10 @@ def _roll(
         half, time, stopped = 0.5 * initial_speed**2, 0.0, False
         speeds[a, 0] = initial_speed
         for k in range(n):
-            h = step[k] / SUBSTEPS
+            h = step[k] / substeps
             found[a, 3] = max(found[a, 3], (traction[k] + abs(taper[k])) / pull)
-            fall = 2.0 * taper[k] / SUBSTEPS
-            for j in range(SUBSTEPS):
+            fall = 2.0 * taper[k] / substeps
+            for j in range(substeps):
                 if stopped:
                     found[a, 0] += h
                     continue

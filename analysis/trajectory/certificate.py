@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import Answer
-from analysis.trajectory.audit import SUBSTEPS, Audit
+from analysis.trajectory.audit import Audit
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.minimax import NEXT_TO_NOTHING
 from analysis.trajectory.pace import paced_run
@@ -57,7 +57,7 @@ def certificate_of(
         "reserve": running_time / float(fastest.times.max()) - 1.0,
         "audit": {
             "passed": True,
-            "substeps": SUBSTEPS,
+            "substeps": rollout.substeps,
             "arrival": rollout.arrival.tolist(),
             "lateness": float(rollout.arrival.max()) - running_time,
             "shortfall": float(rollout.shortfall.max()),

@@ -143,7 +143,9 @@ def optimise(
     if running_time is None:
         running_time = (1.0 + reserve) * least_time
         if reserve == 0.0:
-            running_time = least_time_together(discretise(run, _mesh(run, fastest, cells)))
+            running_time = least_time_together(
+                discretise(run, _mesh(run.breakpoints, fastest, cells))
+            )
     try:
         check_time(run, fastest, running_time)
         problem, answer, rollout, coarser = _audited(run, fastest, running_time, cells)
@@ -196,7 +198,7 @@ def _with_time_to_allow(
     """The refusal; where time is missing, with a time that all keep under one common traction."""
     if running_time > 1.01 * float(fastest.times.max()) or run.windows:
         return refusal
-    together = least_time_together(discretise(run, _mesh(run, fastest, cells)))
+    together = least_time_together(discretise(run, _mesh(run.breakpoints, fastest, cells)))
     if not running_time < together < np.inf:
         return refusal
     return InfeasibleError(
@@ -207,9 +209,9 @@ def _with_time_to_allow(
     )
 
 
-def _mesh(run: Run, fastest: Envelope, cells: int) -> FloatArray:
+def _mesh(through: FloatArray, fastest: Envelope, cells: int) -> FloatArray:
     speeds = fastest.speeds[int(np.argmax(fastest.times))]
-    return graded_mesh(run.breakpoints, fastest.positions, speeds, cells)
+    return graded_mesh(through, fastest.positions, speeds, cells)
 
 
 def _audited(
@@ -221,11 +223,14 @@ def _audited(
     where a configuration by itself seems not to keep a time longer than its least. Of the coarser
     grid told are the number of its cells and the energy [J/kg], where there was one.
     """
-    sketch = _mesh(run, fastest, SCOUTING_CELLS)
+    # Hundreds of gradients would make as many cells; a sketch blurs them.
+    many = run.breakpoints.size > SCOUTING_CELLS // 2
+    through = run.hard_breakpoints if many else run.breakpoints
+    sketch = _mesh(through, fastest, SCOUTING_CELLS)
     found, words = None, ""
     finer = [cells * 2**times for times in range(REFINEMENTS + 1)]
     for count in [each for each in finer if each <= MOST_CELLS]:
-        positions = _mesh(run, fastest, count)
+        positions = _mesh(run.breakpoints, fastest, count)
         problem, envelope = discretise(run, positions), fastest.at(positions)
         if found is None and sketch.size < 0.6 * positions.size:
             found = _scouted(run, fastest, sketch, running_time)

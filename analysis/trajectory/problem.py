@@ -275,7 +275,8 @@ def discretise(run: Run, positions: FloatArray) -> Problem:
     Parameters
     ----------
     positions : (n + 1,) array [m]
-        From the run's start to its end, through all of its breakpoints.
+        From the run's start to its end, through all of its breakpoints; a sketch may leave out
+        those of the line, and has the mean of what they separate.
     """
     train, step = run.train, np.diff(positions)
     middle = positions[:-1] + 0.5 * step
@@ -284,7 +285,7 @@ def discretise(run: Run, positions: FloatArray) -> Problem:
     reference = float(inertia.max())
     gain = reference / inertia
 
-    track = run.line.track_acceleration(inside(positions, SUBSTEPS))
+    track, bulge = _track(run, positions)
     coefficients = np.array(
         [[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in run.configurations]
     )
@@ -292,7 +293,6 @@ def discretise(run: Run, positions: FloatArray) -> Problem:
     limit = run.permitted_speed(middle)
     lowest = np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf))
     # Between its ends a cell's speed rises above them where the track's force changes in the cell.
-    bulge = _bulge(run, positions)
     highest = np.maximum(np.append(bulge, 0.0), np.insert(bulge, 0, 0.0))
     ceiling = 0.5 * lowest**2 - highest
     ceiling[0] = max(ceiling[0], 0.5 * run.initial_speed**2)
@@ -340,6 +340,16 @@ def _bounds(values: Sequence[float | None], without: float) -> FloatArray:
     return np.array([without if value is None else value for value in values], dtype=np.float64)
 
 
+def _track(run: Run, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Track acceleration at the ends of equal parts of each cell, and the bulge that it makes."""
+    if np.isin(run.breakpoints, positions).all():
+        return run.line.track_acceleration(inside(positions, SUBSTEPS)), _bulge(run, positions)
+    step = np.diff(positions)
+    middles = positions[:-1, None] + step[:, None] * (np.arange(_BULGE_PARTS) + 0.5) / _BULGE_PARTS
+    mean = run.line.track_acceleration(middles).mean(axis=1, keepdims=True)
+    return np.repeat(mean, SUBSTEPS + 1, axis=1), np.zeros(step.size)
+
+
 def _bulge(run: Run, positions: FloatArray) -> FloatArray:
     """By how much ``z`` can rise above both ends inside a cell of changing curvature, (n,)."""
     track = run.line.track_acceleration(inside(positions, _BULGE_PARTS))
@@ -365,13 +375,17 @@ def effort_limits(run: Run, positions: FloatArray) -> EffortLimits:
     Traction and the dynamic brake act on the powered axles, all brakes together on every axle.
     """
     train, adhesion = run.train, run.adhesion(positions)
+    cells = adhesion.size
+    if np.all(adhesion == adhesion[0]):
+        adhesion = adhesion[:1]
     mass = np.array([[c.mass] for c in run.configurations])
     inertia = np.array([[c.inertia] for c in run.configurations])
     adhesive = np.array([[train.adhesive_weight(c.mass - train.mass)] for c in run.configurations])
     on_powered, on_all = adhesion * adhesive, adhesion * GRAVITY * mass
 
     def least(*limits: FloatArray | float) -> FloatArray:
-        return np.broadcast_to(np.minimum.reduce(np.broadcast_arrays(*limits)), on_all.shape)
+        lowest = np.minimum.reduce(np.broadcast_arrays(*limits))
+        return np.ascontiguousarray(np.broadcast_to(lowest, (len(run.configurations), cells)))
 
     comfort = train.max_deceleration * inertia
     return EffortLimits(

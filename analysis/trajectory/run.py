@@ -256,6 +256,13 @@ class Run:
         inside = points[(points > self.start) & (points < self.end)]
         return np.unique(np.concatenate(([self.start], inside, [self.end])))
 
+    @property
+    def hard_breakpoints(self) -> FloatArray:
+        """Those that no grid may leave out: changes of the speed limit, and passing points."""
+        points = np.array([*self.limits.positions, *(point.position for point in self.windows)])
+        inside = points[(points > self.start) & (points < self.end)]
+        return np.unique(np.concatenate(([self.start], inside, [self.end])))
+
     @cached_property
     def _assured(self) -> FloatArray:
         """What the map lets count on in each of its bins; infinite where nothing limits."""
