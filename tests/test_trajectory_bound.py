@@ -14,8 +14,9 @@ from trajectory_world import FLIRT, hilly_line, observed
 from analysis.trajectory.active_set import first_guess
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.linearised import Solution
 from analysis.trajectory.mesh import graded_mesh
-from analysis.trajectory.minimax import Solution, minimise
+from analysis.trajectory.minimax import minimise
 from analysis.trajectory.problem import Problem, discretise
 from analysis.trajectory.relaxation import Relaxation
 from analysis.trajectory.run import Run

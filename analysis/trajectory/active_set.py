@@ -23,7 +23,8 @@ from analysis.trajectory.infeasible import (
     time_explained,
     unsettled,
 )
-from analysis.trajectory.minimax import EVENNESS, Solution, minimise, with_costates
+from analysis.trajectory.linearised import Solution
+from analysis.trajectory.minimax import EVENNESS, minimise, with_costates
 from analysis.trajectory.pace import (
     capped_run,
     cell_times,

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.trajectory.convex import power_cells
-from analysis.trajectory.minimax import Multipliers
+from analysis.trajectory.linearised import Multipliers
 from analysis.trajectory.problem import Problem
 from analysis.trajectory.relaxation import MEAN_SPEED
 

@@ -1,43 +1,24 @@
 """Sequential convex programming for the robust minimax problem; paper 002, eq. (1)-(10).
 
-Each round linearises the motion through every cell about the last plan, bounds the power by a
-tangent (a global under-estimator, so power is never exceeded), and lets CVXPY solve a quadratic
-program in the changes of speed. Running time is convex in ``z``: its constraint is linearised, and
-its curvature, weighted with the multiplier of the time, goes into the objective.
+Each round lets CVXPY solve a quadratic program about the last plan, until nothing changes any more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from analysis.trajectory.convex import (
-    SLOW,
-    NoSolutionError,
-    Rows,
-    Unknowns,
-    brake_limits,
-    energy_cost,
-    power_cells,
-    solve,
-)
-from analysis.trajectory.pace import cross, delays, realise
-from analysis.trajectory.problem import Plan, Problem, Taper, taper_for
+from analysis.trajectory.convex import NoSolutionError
+from analysis.trajectory.linearised import Motion, Round, Solution
+from analysis.trajectory.pace import delays, realise
+from analysis.trajectory.problem import Plan, Problem, taper_for
 
 FloatArray = NDArray[np.float64]
 
-_Limited = tuple[int, NDArray[np.int64], NDArray[np.int64]]
-"""A configuration, cells in which its power is limited, and the rows that say so."""
-
 NEXT_TO_NOTHING = 1e-3
 """Energy next to which differences are not told [J/kg]: that of a train at 5 cm/s."""
-
-_FLOOR = 1e-5
-"""Smallest ``z`` between the two ends [m²/s²]."""
 
 _LATENESS_PRICE = 100.0
 """Price of lateness over the multiplier of the time; more than a feasible run would pay."""
@@ -45,164 +26,8 @@ _LATENESS_PRICE = 100.0
 _FREE_ROUNDS = 10
 """Rounds before the steps are made to shrink."""
 
-_NEAR_POWER = 1.5
-"""A power limit above this many times the largest effort is left out of a round."""
-
-_NOT_AT_ALL = 1e-4
-"""Part of the largest traction below which a brake is not applied."""
-
-_NEAR_OTHERS = 1.02
-"""Times the least of all configurations: power that counts as short, too."""
-
-_LEAST_SHARE = 0.02
-"""Curvature of a configuration that is not short of time, over that of the one that is.
-
-It damps configurations whose speed the optimum leaves open; at the fixed point it weighs nothing.
-"""
-
-
 EVENNESS = 7e-4
 """Price of the squared change of effort from cell to cell [s²/m]."""
-
-_SHORT_CELL = 20.0
-"""Length of cells up to which uneven efforts cost little by themselves [m]."""
-
-_LEAST_POWER = 0.02
-"""The same over the mean power; where a timetable is so slack that time is worth nothing."""
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Lagrange multipliers of an optimum, per unit reference inertia.
-
-    Attributes
-    ----------
-    pull : (q, n) array
-        Of the motion through a cell, times what the common effort does to it: energy that a unit
-        of effort is worth in the cell. Its sum over the configurations is ``step · switching``.
-    time : (q,) array [J/(kg s)]
-        Of the running time.
-    passing : (q, p) array [J/(kg s)]
-        Of the latest times at the passing points.
-    opening : (q, p) array [J/(kg s)]
-        Of the earliest times there.
-    power, dynamic_power : (q, n) array
-        Of the limits of power, both ends of a cell together.
-    share : (q,) array
-        Of the energy that is regained; it weighs the configurations, the worst alone as a rule.
-    """
-
-    pull: FloatArray
-    time: FloatArray
-    passing: FloatArray
-    opening: FloatArray
-    power: FloatArray
-    dynamic_power: FloatArray
-    share: FloatArray
-
-    def cell_prices(self, problem: Problem) -> FloatArray:
-        """What a second in each cell is worth: that of all it makes late, (q, n) [J/(kg s)].
-
-        Less than nothing where the train must lose time, before a point not to be passed earlier.
-        """
-        before = np.arange(problem.shape[1]) < problem.passed[:, None]
-        return np.asarray(self.time[:, None] + (self.passing - self.opening) @ before)
-
-    def select(self, rows: Sequence[int]) -> Multipliers:
-        """Those of some of the configurations."""
-        chosen = list(rows)
-        return Multipliers(**{name: values[chosen] for name, values in vars(self).items()})
-
-    def convex(self) -> Multipliers:
-        """The same with no more on the earliest times than leaves every second worth something.
-
-        ``t(point) >= earliest`` is not convex, but with ``t(end) <= T`` it says that the rest
-        takes at most ``T - earliest``, which is: price on price, the Lagrange function is the
-        same as long as no cell's price is negative.
-        """
-        left, opening = self.time.copy(), self.opening.copy()
-        for point in range(opening.shape[1] - 1, -1, -1):
-            left += self.passing[:, point]
-            opening[:, point] = np.minimum(opening[:, point], left)
-            left -= opening[:, point]
-        return replace(self, opening=opening)
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Where the rounds ended.
-
-    Attributes
-    ----------
-    plan : Plan
-    taper : Taper
-        Of the common traction in this plan.
-    energy : float [J/kg]
-        Worst case, per unit reference inertia.
-    multipliers : Multipliers
-    switching : (n,) array
-        Switching function of the robust maximum principle: ``sum of lambda_v / v`` over the
-        configurations; above 1 traction pays, below 0 braking does.
-    lateness : float [s]
-        By which the timetable cannot be kept; 0 in a feasible run.
-    moved : float [J/kg]
-        What the last round's changes weigh by the curvature of the time: the round after it would
-        gain far less.
-    statuses : tuple of str
-        The solver's word on each round.
-    settled : bool
-        Whether the last round changed nothing any more.
-    """
-
-    plan: Plan
-    taper: Taper
-    energy: float
-    multipliers: Multipliers
-    switching: FloatArray
-    lateness: float
-    moved: float = np.inf
-    statuses: tuple[str, ...] = ()
-    settled: bool = False
-
-    @property
-    def time_price(self) -> FloatArray:
-        """What a second less on the way costs each configuration, (q,) [J/(kg s)]."""
-        return np.asarray(self.multipliers.time + self.multipliers.passing.sum(axis=1))
-
-    @property
-    def departure_price(self) -> FloatArray:
-        """What a second later departure costs; less where windows of time open on the way."""
-        return np.asarray(self.time_price - self.multipliers.opening.sum(axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """The motion through each cell and its derivatives, (q, n) arrays.
-
-    The resistance that depends on speed makes a disturbance of ``z`` decay by
-    ``exp(-drag1 t - 2 drag2 ds)`` over a cell, whatever the speed does in it.
-
-    Attributes
-    ----------
-    reached : ``z`` at the end of the cell, from the plan's ``z`` at its start
-    times : running time [s]
-    keep : derivative of `reached` by ``z``
-    push : derivative of `reached` by the common effort
-    """
-
-    reached: FloatArray
-    times: FloatArray
-    keep: FloatArray
-    push: FloatArray
-
-    @staticmethod
-    def about(problem: Problem, plan: Plan) -> Motion:
-        """Linearise about `plan`."""
-        reached, times = cross(problem, plan)
-        decay = problem.drag1[:, None] * times + 2.0 * problem.drag2 * problem.step
-        mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
-        push = problem.gain[:, None] * problem.step * mean
-        return Motion(reached, times, np.exp(-decay), push)
 
 
 def minimise(
@@ -248,7 +73,7 @@ def minimise(
     statuses: list[str] = []
     while True:
         tapered = problem.tapered(taper_for(problem, plan))
-        program = _Round(tapered, plan, Motion.about(tapered, plan), price)
+        program = Round(tapered, plan, Motion.about(tapered, plan), price)
         solution = program.solve(running_time, radius, lateness_price, evenness=evenness)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
@@ -277,7 +102,7 @@ def with_costates(problem: Problem, solution: Solution, running_time: float) -> 
     running_time : float [s]
     """
     plan, price = solution.plan, solution.multipliers.cell_prices(problem)
-    program = _Round(problem, plan, Motion.about(problem, plan), price)
+    program = Round(problem, plan, Motion.about(problem, plan), price)
     lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
     try:
         found = program.solve(running_time, 1.0, lateness_price, evenness=0.0)
@@ -289,263 +114,3 @@ def with_costates(problem: Problem, solution: Solution, running_time: float) -> 
         switching=found.switching,
         statuses=(*solution.statuses, *found.statuses),
     )
-
-
-class _Round:
-    """One quadratic program about a plan.
-
-    The unknowns are changes of speed to first order, ``dz = scale · change``, and the efforts.
-    """
-
-    def __init__(self, problem: Problem, plan: Plan, motion: Motion, price: FloatArray) -> None:
-        self.problem, self.plan, self.motion, self.price = problem, plan, motion, price
-        self.speed = np.sqrt(2.0 * plan.z)
-        self.scale = np.maximum(self.speed, SLOW)
-        self.unknowns = Unknowns(problem)
-        self.late = int(self.unknowns.more((1,), 0.0)[0])
-        self.equal, self.below = Rows(), Rows()
-
-    def solve(
-        self, running_time: float, radius: float, lateness_price: float, *, evenness: float
-    ) -> Solution:
-        problem, plan, unknowns = self.problem, self.plan, self.unknowns
-        q, n = problem.shape
-        weight = 1.0 / self.scale[:, 1:]
-        motion = self._motion(weight)
-        gradient, curvature = self._time(running_time)
-        arrival = self._not_after(n, running_time, gradient)
-        passing = [
-            (number, self._not_after(int(problem.passed[number]), latest, gradient))
-            for number, latest in enumerate(problem.latest.tolist())
-            if latest < np.inf
-        ]
-        opening = [
-            (number, self._not_before(int(problem.passed[number]), earliest, gradient))
-            for number, earliest in enumerate(problem.earliest.tolist())
-            if earliest > -np.inf
-        ]
-        cost, shares = energy_cost(problem, unknowns, self.below)
-        brake_limits(problem, unknowns, self.below, np.zeros((q, 1)))
-        power, dynamic = self._power()
-        self._speeds(radius)
-        # Where traction is tapered neither end of the cell leaves what it may be.
-        spare = np.abs(problem.taper.fall)
-        unknowns.low[unknowns.traction] = spare
-        unknowns.high[unknowns.traction] = np.maximum(problem.traction - spare, spare)
-        priced = cost.copy()
-        priced[self.late] = lateness_price
-        bends = curvature + evenness * self._unevenness()
-        found = solve(unknowns, priced, self.equal, self.below, curvature=bends)
-        x, duals = found.unknowns, found.below
-        braking = np.maximum(x[unknowns.braking], 0.0)
-        share = braking
-        if unknowns.dynamic is not None:
-            share = np.clip(x[unknowns.dynamic], 0.0, braking)
-        multipliers = Multipliers(
-            pull=found.equal[motion] * weight * self.motion.push,
-            time=np.maximum(duals[arrival], 0.0),
-            passing=_by_point(duals, passing, (q, problem.passed.size)),
-            opening=_by_point(duals, opening, (q, problem.passed.size)),
-            power=_gathered(duals, power, (q, n)),
-            dynamic_power=_gathered(duals, dynamic, (q, n)),
-            share=problem.weights if shares is None else np.maximum(duals[shares], 0.0),
-        )
-        return Solution(
-            plan=Plan(
-                np.maximum(plan.z + self.scale * x[unknowns.z], 0.0),
-                np.maximum(x[unknowns.traction], 0.0),
-                braking,
-                share,
-            ),
-            taper=problem.taper,
-            energy=float(cost @ x),
-            multipliers=multipliers,
-            switching=multipliers.pull.sum(axis=0) / problem.step,
-            lateness=float(max(x[self.late], 0.0)),
-            moved=float(0.5 * (x @ (curvature @ x))),
-            statuses=(found.status,),
-        )
-
-    def _not_after(self, node: int, latest: float, gradient: FloatArray) -> NDArray[np.int64]:
-        """Eq. (3) and (8), linearised: no configuration passes `node` later than it may."""
-        left = latest - self.motion.times[:, :node].sum(axis=1)
-        late = np.full(left.shape, self.late)
-        slopes = (self.unknowns.z[:, : node + 1], _until(gradient, node))
-        return self.below.add(left, slopes, (late, -1.0))
-
-    def _not_before(self, node: int, earliest: float, gradient: FloatArray) -> NDArray[np.int64]:
-        """Nor earlier: the tangent of a constraint that is not convex."""
-        over = self.motion.times[:, :node].sum(axis=1) - earliest
-        late = np.full(over.shape, self.late)
-        slopes = (self.unknowns.z[:, : node + 1], -_until(gradient, node))
-        return self.below.add(over, slopes, (late, -1.0))
-
-    def _motion(self, weight: FloatArray) -> NDArray[np.int64]:
-        """Eq. (2), linearised about the plan; its dual is the costate."""
-        problem, plan, motion, unknowns = self.problem, self.plan, self.motion, self.unknowns
-        push = motion.push * weight
-        jump = (motion.reached - plan.z[:, 1:]) * weight - push * (plan.traction - plan.braking)
-        return self.equal.add(
-            jump,
-            (unknowns.z[:, 1:], 1.0),
-            (unknowns.z[:, :-1], -motion.keep * self.scale[:, :-1] * weight),
-            (np.broadcast_to(unknowns.traction, problem.shape), -push),
-            (unknowns.braking, push),
-        )
-
-    def _time(self, running_time: float) -> tuple[FloatArray, sp.csc_array]:
-        """Gradient of each cell's time by the changes, and the priced second derivatives.
-
-        With ``t = 2 ds / (v + v')`` a cell: the gradient is ``-t / (v + v')`` by either speed, the
-        Hessian a square of the sum of both changes plus, as ``v`` is concave in ``z``, a square
-        of each.
-        """
-        speed, step, z = self.speed, self.problem.step, self.unknowns.z
-        total = speed[:, :-1] + speed[:, 1:]
-        slope = 2.0 * step / total**2
-        # A fixed node at standstill does not move; elsewhere dv = dz / v.
-        ratio = np.where(speed > 0.25 * SLOW, self.scale / np.maximum(speed, 0.25 * SLOW), 0.0)
-        spent = float(self.problem.step @ self.plan.traction) / running_time
-        highest = max(float(self.price.max()), 0.0)
-        least = max(_LEAST_SHARE * highest, _LEAST_POWER * spent)
-        price = np.maximum(self.price, least)
-        both = np.zeros_like(speed)
-        both[:, :-1] += price * slope
-        both[:, 1:] += price * slope
-        pair = price * 2.0 * slope / total
-        bend = both / np.maximum(speed, 0.25 * SLOW)
-        bend[:, :-1] += pair
-        bend[:, 1:] += pair
-        cross_terms = (pair * ratio[:, :-1] * ratio[:, 1:]).ravel()
-        here, there, size = z[:, :-1].ravel(), z[:, 1:].ravel(), self.unknowns.size
-        values = np.concatenate(((bend * ratio**2).ravel(), cross_terms, cross_terms))
-        rows = np.concatenate((z.ravel(), here, there))
-        columns = np.concatenate((z.ravel(), there, here))
-        gradient = np.stack((-slope * ratio[:, :-1], -slope * ratio[:, 1:]))
-        return gradient, sp.csc_array((values, (rows, columns)), shape=(size, size))
-
-    def _unevenness(self) -> sp.csc_array:
-        """Squares of what the efforts change by from cell to cell.
-
-        Speeds that are alternately higher and lower from node to node cost next to nothing, as
-        time and resistance of a cell depend on the sum of both its ends. Nobody could drive so.
-        """
-        step, unknowns = self.problem.step, self.unknowns
-        weight = np.minimum(step[1:] * step[:-1] / (step[1:] + step[:-1]), _SHORT_CELL)
-        before, after = (
-            np.concatenate((unknowns.traction[part], unknowns.braking[:, part].ravel()))
-            for part in (slice(None, -1), slice(1, None))
-        )
-        weights = np.tile(weight, 1 + unknowns.braking.shape[0])
-        values = np.concatenate((weights, weights, -weights, -weights))
-        rows = np.concatenate((before, after, before, after))
-        columns = np.concatenate((before, after, after, before))
-        return sp.csc_array((values, (rows, columns)), shape=(unknowns.size, unknowns.size))
-
-    def _speeds(self, radius: float) -> None:
-        """Speed limits, initial and final speed, and the region where the model is trusted."""
-        problem, z = self.problem, self.plan.z
-        nearer = np.maximum(self.speed - radius * self.scale, 0.5 * self.speed)
-        low = np.maximum(0.5 * nearer**2, _FLOOR)
-        high = np.minimum(problem.ceiling, 0.5 * (self.speed + radius * self.scale) ** 2)
-        low = np.maximum(low, problem.floor)
-        low[:, 0] = high[:, 0] = problem.initial
-        low[:, -1], high[:, -1] = 0.0, problem.final_ceiling
-        self.unknowns.low[self.unknowns.z] = (low - z) / self.scale
-        self.unknowns.high[self.unknowns.z] = (high - z) / self.scale
-
-    def _power(self) -> tuple[list[_Limited], list[_Limited]]:
-        """Eq. (5) of traction and of the dynamic brake, at both ends of each cell.
-
-        Where traction follows the power of one configuration all the way, at their mean.
-        """
-        problem, unknowns, n = self.problem, self.unknowns, self.problem.shape[1]
-        taper, level, alone = problem.taper, np.zeros(n), self._alone_at_power()
-        pulled, braked = [], []
-        for a, power in enumerate(problem.power.tolist()):
-            usable, effort = power * (1.0 - taper.crest), unknowns.traction
-            pulled.append(self._mean_below(a, usable, effort, np.flatnonzero(alone[a])))
-            most = np.where(alone[a], 0.0, problem.traction)
-            for nodes, above in ((slice(0, n), taper.fall), (slice(1, n + 1), -taper.fall)):
-                pulled.append(self._below(a, nodes, usable, effort, most, above))
-                if unknowns.dynamic is not None:
-                    usable_brake, own = np.full(n, problem.dynamic_power), unknowns.dynamic[a]
-                    limit = problem.dynamic[a]
-                    braked.append(self._below(a, nodes, usable_brake, own, limit, level))
-        return pulled, braked
-
-    def _alone_at_power(self) -> NDArray[np.bool_]:
-        """Cells in which each configuration is the only one to be short of power, (q, n).
-
-        Others, and who brakes not to need more, must keep the limit at both ends.
-        """
-        problem = self.problem
-        limit = problem.power[:, None] / np.maximum(self.speed, SLOW)
-        near = limit < _NEAR_OTHERS * limit.min(axis=0)
-        near = near[:, :-1] | near[:, 1:]
-        driving = self.plan.braking < _NOT_AT_ALL * problem.traction
-        return np.asarray(problem.taper.full & near & (near.sum(axis=0) == 1) & driving)
-
-    def _below(
-        self,
-        a: int,
-        nodes: slice,
-        power: FloatArray,
-        effort: NDArray[np.int64],
-        most: FloatArray,
-        above: FloatArray,
-    ) -> _Limited:
-        """Effort below the tangent of ``power / v`` in z, where that is not far above `most`.
-
-        At the node the effort is so much `above` its mean in the cell.
-        """
-        highest = np.sqrt(self.speed[a, nodes] ** 2 + 2.0 * self.problem.bulge)
-        v = np.maximum(highest, SLOW)
-        at = power_cells(self.problem, float(power.min()), most)
-        at = at[power[at] / v[at] < _NEAR_POWER * most[at]]
-        slope = (power * self.scale[a, nodes] / v**3)[at]
-        change, right = self.unknowns.z[a, nodes][at], (power / v - above)[at]
-        return a, at, self.below.add(right, (effort[at], 1.0), (change, slope))
-
-    def _mean_below(
-        self, a: int, power: FloatArray, effort: NDArray[np.int64], at: NDArray[np.int64]
-    ) -> _Limited:
-        """Mean effort in the cells `at` below the mean of ``power / v`` at their ends.
-
-        By the tangent of what the power does in the time ``2 ds / (v + v')``, which the lower
-        bound has too; it is a trifle less than the mean, by a factor taken as of the plan.
-        """
-        ends = np.stack((at, at + 1), axis=1)
-        v = np.sqrt(self.speed[a, ends] ** 2 + 2.0 * self.problem.bulge[at, None])
-        v = np.maximum(v, SLOW)
-        total = v.sum(axis=1)
-        most = power[at] * total / (2.0 * v.prod(axis=1))
-        slope = (most / total)[:, None] * self.scale[a, ends] / v
-        change = self.unknowns.z[a, ends]
-        return a, at, self.below.add(most, (effort[at], 1.0), (change, slope))
-
-
-def _until(gradient: FloatArray, node: int) -> FloatArray:
-    """Gradient of the time up to a node by the changes up to there, from that of every cell."""
-    found = np.zeros((gradient.shape[1], node + 1))
-    found[:, :-1] += gradient[0, :, :node]
-    found[:, 1:] += gradient[1, :, :node]
-    return found
-
-
-def _by_point(
-    duals: FloatArray, told: list[tuple[int, NDArray[np.int64]]], shape: tuple[int, int]
-) -> FloatArray:
-    """Duals of the rows by configuration and passing point."""
-    found = np.zeros(shape)
-    for number, rows in told:
-        found[:, number] = np.maximum(duals[rows], 0.0)
-    return found
-
-
-def _gathered(duals: FloatArray, told: list[_Limited], shape: tuple[int, int]) -> FloatArray:
-    """Duals of the rows by configuration and cell, those of both ends together."""
-    total = np.zeros(shape)
-    for row, at, rows in told:
-        total[row, at] += np.maximum(duals[rows], 0.0)
-    return total

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from analysis.trajectory.minimax import Multipliers
+from analysis.trajectory.linearised import Multipliers
 from analysis.trajectory.problem import Problem
 
 FloatArray = NDArray[np.float64]
