@@ -108,7 +108,7 @@ def lateness_table(outcomes: Sequence[Outcome]) -> Table:
     outcomes : sequence of Outcome
     """
     table = new_table(
-        "With the map: late at the stops [s] (negative: early), and the least by shortest times",
+        "With the map: seconds late at the stops (negative: early), and the least there could be",
         "scenario",
         "mass t",
         "next stop",

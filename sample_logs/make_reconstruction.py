@@ -62,7 +62,8 @@ SPEEDS = (
 )  # fmt: skip
 
 LEVEL = 80.0
-"""Level track on either side of a station [m]."""
+"""Level track on either side of a station [m]: the rules for building railways allow station tracks
+2.5 per mille at most (EBO § 7), and where they are steeper is not published."""
 
 SHARES = (0.95, 1.05, 1.07, 0.93, 1.03, 0.97)
 """How the mean gradient between two stations varies from piece to piece."""
