@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from trajectory_world import FLIRT, hilly_line, observed
+from trajectory_world import FLIRT, VIRM6, hilly_line, observed
 
+from analysis.trajectory import optimise
 from analysis.trajectory.active_set import first_guess
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.envelope import fastest_run
@@ -20,6 +21,8 @@ from analysis.trajectory.minimax import minimise
 from analysis.trajectory.problem import Problem, discretise
 from analysis.trajectory.relaxation import Relaxation
 from analysis.trajectory.run import Run
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
 
 TIME = 450.0
 
@@ -76,3 +79,18 @@ def test_no_multipliers_bound_it_from_above(objective: str, seed: int, size: flo
     names = ("pull", "time", "power", "dynamic_power")
     wrong = replace(known, **{name: disturbed(getattr(known, name)) for name in names})
     assert bounded(problem, replace(solution, multipliers=wrong)) <= solution.energy * (1.0 + 1e-9)
+
+
+def test_resistance_counts_where_time_is_worth_next_to_nothing() -> None:
+    """Down to Wil in three times the least time: the bound keeps the speeds' linear resistance."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    slack = optimise(line, VIRM6, observed(VIRM6, 1.0), reserve=2.0, cells=200).certificate
+    assert slack["audit"]["passed"]
+    assert slack["lower_bound"] <= slack["energy"]
+    assert slack["gap"] <= 0.06
+    # It gives more back than it takes: the gap is a part of that, too.
+    back = optimise(
+        line, VIRM6, observed(VIRM6, 1.0), reserve=2.0, cells=200, objective="line"
+    ).certificate
+    assert back["energy"] < 0.0
+    assert 0.0 <= back["gap"] <= 0.02

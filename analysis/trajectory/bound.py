@@ -84,8 +84,9 @@ def lower_bound(
     low, high = np.zeros(speeds.shape), np.tile(np.sqrt(2.0 * ceiling), (problem.shape[0], 1))
     low[:] = np.minimum(np.sqrt(2.0 * problem.floor), high)
     low[:, 0] = high[:, 0] = np.sqrt(2.0 * problem.initial)
-    # A negative weight of z drives it to its limit, a positive one down to the square of w.
-    total += float((np.minimum(square, 0.0)[:, 1:] * ceiling[1:]).sum())
+    # A positive weight of z drives it down to the square of w, a negative one up to its limit;
+    # but no speed is below its square over the limit, so that w is then not below z's chord.
+    linear[:, 1:] += 0.5 * np.minimum(square, 0.0)[:, 1:] * high[:, 1:]
     total += float(square[:, 0].sum() * problem.initial)
     square[:, 0] = 0.0
     for a in range(problem.shape[0]):

@@ -42,7 +42,7 @@ def certificate_of(
     if run.objective == "expected":
         energy = float(problem.weights @ energies)
     # Down a hill there may be next to nothing to spend, and no part of it to tell.
-    gap = (energy - bound) / max(bound, NEXT_TO_NOTHING * problem.reference)
+    gap = (energy - bound) / max(abs(bound), NEXT_TO_NOTHING * problem.reference)
     names = [configuration.name for configuration in run.configurations]
     return {
         "energy": energy,

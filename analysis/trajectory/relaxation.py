@@ -4,7 +4,8 @@ Next to ``z`` each node has a speed ``w`` with ``w² <= 2 z``, and each cell a t
 with ``tau (w + w') / 2 >= 1``; both are second-order cones that stay regular at standstill. The
 linear part of the running resistance acts on ``w``, and the power limit reads ``u <= power tau``.
 Every feasible trajectory of the discretised problem satisfies all of it, so none needs less than
-the minimum. What is lost is small: the power limit sees a cell's mean speed, where the trajectory
+the minimum; nor is ``w`` below the chord of ``sqrt(2 z)`` up to the limit. What is lost is small
+where time is worth something: the power limit sees a cell's mean speed, where the trajectory
 has to keep it at the faster end.
 """
 
@@ -166,6 +167,10 @@ class Relaxation:
         unknowns.low[z[:, 0]] = unknowns.high[z[:, 0]] = problem.initial / half[:, 0]
         speed = np.sqrt(2.0 * problem.initial) / self.scale[:, 0]
         unknowns.low[w[:, 0]] = unknowns.high[w[:, 0]] = speed
+        # No speed is below its square over the limit: z's chord, where w² <= 2 z leaves it free.
+        limited = np.flatnonzero(ceiling > 0.0)[1:]
+        shares = self.scale[:, limited] / np.sqrt(2.0 * ceiling[limited])
+        self.below.add(np.zeros(shares.shape), (z[:, limited], shares), (w[:, limited], -1.0))
         if self._stops:
             unknowns.low[z[:, -1]] = unknowns.low[w[:, -1]] = unknowns.high[w[:, -1]] = 0.0
 
