@@ -66,7 +66,8 @@ def savings_table(pairs: Sequence[Saving]) -> Group:
             " / ".join("-" if each.slips is None else f"{each.slips}" for each in (driver, own)),
         )
     spent, saved = total_saved(pairs)
-    words = f"Saved on {len(pairs)} trips: {_kwh(saved)} of {_kwh(spent)}, {saved / spent:.1%};"
+    trips = "1 trip" if len(pairs) == 1 else f"{len(pairs)} trips"
+    words = f"Saved on {trips}: {_kwh(saved)} of {_kwh(spent)}, {saved / spent:.1%};"
     words += f" {_kwh(sum(pair.line for pair in pairs))} from the line; {_times(pairs)}."
     return Group(table, words)
 
