@@ -227,10 +227,13 @@ def pull_forwards(
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def keep_pace(
     curves: FloatArray, cruising_speed: float, common: bool, initial: float,
-    traction: FloatArray, gain: FloatArray, power: FloatArray, braking: FloatArray,
-    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
+    traction: FloatArray, gain: FloatArray, power: FloatArray, fall: FloatArray,
+    crest: FloatArray, braking: FloatArray, drag0: FloatArray, drag1: FloatArray,
+    drag2: FloatArray, step: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """All together: full traction to the cruising speed, hold it, brake along the `curves`.
+
+    Traction tapers by `fall`, and stays below the power by `crest` (see `problem.Taper`).
 
     Returns ``z`` at the nodes, the common traction, and the braking efforts.
     """
@@ -239,14 +242,16 @@ def keep_pace(
     z[:, 0] = initial
     effort, brake = np.empty(n), np.zeros((q, n))
     for k in range(n):
-        most, hold = traction[k], 0.0
+        most, hold = traction[k] - abs(fall[k]), abs(fall[k])
         for a in range(q):
             y, cell = z[a, k], (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            # Power counts at the faster end of the cell; an odd number of turns ends below it.
-            u = traction[k]
+            # Power counts at both ends of the cell; an odd number of turns ends below it.
+            usable = power[a] * (1.0 - crest[k])
+            begin = min(traction[k] - abs(fall[k]), usable / max(speed_of(y), 1e-9) - fall[k])
+            u = begin
             for _ in range(3):
                 reached, _t = advance(y, gain[a] * u, *cell)
-                u = min(traction[k], power[a] / max(speed_of(max(reached, y)), 1e-9))
+                u = min(begin, usable / max(speed_of(reached), 1e-9) + fall[k])
             most = min(most, u)
             safe = landing(y, curves[a, k + 1], *cell) / gain[a]
             most = min(most, braking[a, k] + safe)

@@ -21,7 +21,7 @@ from analysis.trajectory.certificate import certificate_of, refereed
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.feasibility import check_time
 from analysis.trajectory.mesh import graded_mesh
-from analysis.trajectory.pace import least_time_together
+from analysis.trajectory.pace import BESIDE_LEAST, least_time_together
 from analysis.trajectory.problem import Problem, discretise
 from analysis.trajectory.run import Braking, Direction, Objective, Run
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
@@ -77,7 +77,7 @@ def optimise(
         `reserve` on top.
     reserve : float
         Part of the least time. With 0 the run takes the least time in which all arrive together
-        under a traction constant in every cell: some 1e-5 of it more than the slowest by itself.
+        under one common traction: some 1e-6 of it more than the slowest by itself, or more.
     start, end : float, optional [m]
         Section of the line; without them the whole line.
     initial_speed, final_speed : float [m/s]
@@ -143,9 +143,8 @@ def optimise(
     if running_time is None:
         running_time = (1.0 + reserve) * least_time
         if reserve == 0.0:
-            running_time = least_time_together(
-                discretise(run, _mesh(run.breakpoints, fastest, cells))
-            )
+            together = least_time_together(discretise(run, _mesh(run.breakpoints, fastest, cells)))
+            running_time = max(together, least_time * (1.0 + BESIDE_LEAST))
     try:
         check_time(run, fastest, running_time)
         problem, answer, rollout, coarser = _audited(run, fastest, running_time, cells)

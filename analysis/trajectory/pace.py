@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.dynamics import follow_plan, in_parts, keep_pace, ride_late, traverse
 from analysis.trajectory.envelope import braking_curves
-from analysis.trajectory.problem import Plan, Problem
+from analysis.trajectory.problem import Plan, Problem, taper_for
 
 FloatArray = NDArray[np.float64]
 
 _TRIALS = 6
 """Of how much faster than another a configuration has to be to arrive in time."""
 
-_BESIDE_LEAST = 1e-6
+BESIDE_LEAST = 1e-6
 """What a least time has to spare, relative: its own rounding."""
 
 
@@ -42,12 +42,15 @@ def paced_run(problem: Problem, running_time: float) -> Plan:
 
 
 def least_time_together(problem: Problem) -> float:
-    """Time [s] in which all arrive under one common traction that is constant in every cell.
+    """Time [s] in which all arrive under one common traction.
 
     A trifle above that of the fastest run of the slowest by itself, whose traction follows the
     power from metre to metre.
     """
-    return duration(problem, paced_run(problem, 0.0)) * (1.0 + _BESIDE_LEAST)
+    fastest = paced_run(problem, 0.0)
+    tapered = problem.tapered(taper_for(problem, fastest))
+    times = [duration(each, paced_run(each, 0.0)) for each in (problem, tapered)]
+    return min(times) * (1.0 + BESIDE_LEAST)
 
 
 def capped_run(
@@ -275,6 +278,7 @@ def dynamic_share(problem: Problem, z: FloatArray, braking: FloatArray) -> Float
 def _run_at(problem: Problem, curves: FloatArray, cruising_speed: float) -> Plan:
     z, traction, braking = keep_pace(
         curves, cruising_speed, problem.common, problem.initial, problem.traction, problem.gain,
-        problem.power, problem.braking, problem.drag0, problem.drag1, problem.drag2, problem.step,
+        problem.power, problem.taper.fall, problem.taper.crest, problem.braking, problem.drag0,
+        problem.drag1, problem.drag2, problem.step,
     )  # fmt: skip
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
