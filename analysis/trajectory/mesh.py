@@ -10,13 +10,18 @@ FloatArray = NDArray[np.float64]
 _SPEED_SHARE = 0.65
 """Share of the cells that goes where the speed changes."""
 
-_BRAKING_WEIGHT = 0.25
+BRAKING_WEIGHT, REGAINING_WEIGHT = 0.25, 1.0
 """Cells for a loss of speed over those for a gain: constant braking effort is exact in any cell,
-traction at the power limit is not. Chosen with `_SPEED_SHARE` for the least gap on four lines."""
+but wastes power of a dynamic brake that feeds back. Chosen with `_SPEED_SHARE` for the least gap on
+five lines."""
 
 
 def graded_mesh(
-    breakpoints: FloatArray, positions: FloatArray, speeds: FloatArray, cells: int
+    breakpoints: FloatArray,
+    positions: FloatArray,
+    speeds: FloatArray,
+    cells: int,
+    braking_weight: float = BRAKING_WEIGHT,
 ) -> FloatArray:
     """Positions of the nodes: some cells even in position, more even in the change of speed.
 
@@ -32,13 +37,15 @@ def graded_mesh(
     cells : int
         How many cells there should be; if the breakpoints alone make nearly as many, a quarter
         of it on top of theirs.
+    braking_weight : float
+        Cells for a loss of speed over those for a gain.
 
     Returns
     -------
     (n + 1,) array [m]
     """
     change = np.diff(speeds)
-    change = np.where(change > 0.0, change, -_BRAKING_WEIGHT * change)
+    change = np.where(change > 0.0, change, -braking_weight * change)
     even = np.diff(positions) / (positions[-1] - positions[0])
     share = even
     if change.sum() > 0.0:

@@ -20,7 +20,7 @@ from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.certificate import certificate_of, refereed
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.feasibility import check_time
-from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.mesh import BRAKING_WEIGHT, REGAINING_WEIGHT, graded_mesh
 from analysis.trajectory.pace import BESIDE_LEAST, least_time_together
 from analysis.trajectory.problem import Problem, discretise
 from analysis.trajectory.run import Braking, Direction, Objective, Run
@@ -143,7 +143,9 @@ def optimise(
     if running_time is None:
         running_time = (1.0 + reserve) * least_time
         if reserve == 0.0:
-            together = least_time_together(discretise(run, _mesh(run.breakpoints, fastest, cells)))
+            together = least_time_together(
+                discretise(run, _mesh(run, run.breakpoints, fastest, cells))
+            )
             running_time = max(together, least_time * (1.0 + BESIDE_LEAST))
     try:
         check_time(run, fastest, running_time)
@@ -197,7 +199,7 @@ def _with_time_to_allow(
     """The refusal; where time is missing, with a time that all keep under one common traction."""
     if running_time > 1.01 * float(fastest.times.max()) or run.windows:
         return refusal
-    together = least_time_together(discretise(run, _mesh(run.breakpoints, fastest, cells)))
+    together = least_time_together(discretise(run, _mesh(run, run.breakpoints, fastest, cells)))
     if not running_time < together < np.inf:
         return refusal
     return InfeasibleError(
@@ -208,9 +210,10 @@ def _with_time_to_allow(
     )
 
 
-def _mesh(through: FloatArray, fastest: Envelope, cells: int) -> FloatArray:
+def _mesh(run: Run, through: FloatArray, fastest: Envelope, cells: int) -> FloatArray:
     speeds = fastest.speeds[int(np.argmax(fastest.times))]
-    return graded_mesh(through, fastest.positions, speeds, cells)
+    weight = REGAINING_WEIGHT if run.at_line else BRAKING_WEIGHT
+    return graded_mesh(through, fastest.positions, speeds, cells, weight)
 
 
 def _audited(
@@ -225,11 +228,11 @@ def _audited(
     # Hundreds of gradients would make as many cells; a sketch blurs them.
     many = run.breakpoints.size > SCOUTING_CELLS // 2
     through = run.hard_breakpoints if many else run.breakpoints
-    sketch = _mesh(through, fastest, SCOUTING_CELLS)
+    sketch = _mesh(run, through, fastest, SCOUTING_CELLS)
     found, words = None, ""
     finer = [cells * 2**times for times in range(REFINEMENTS + 1)]
     for count in [each for each in finer if each <= MOST_CELLS]:
-        positions = _mesh(run.breakpoints, fastest, count)
+        positions = _mesh(run, run.breakpoints, fastest, count)
         problem, envelope = discretise(run, positions), fastest.at(positions)
         if found is None and sketch.size < 0.6 * positions.size:
             found = _scouted(run, fastest, sketch, running_time)

@@ -20,8 +20,6 @@ import numpy as np
 
 from analysis.studies.robust_minimax import TRAIN as VIRM6
 from analysis.trajectory import optimise
-from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.mesh import graded_mesh
 from analysis.trajectory.pace import paced_run
 from analysis.trajectory.problem import discretise, tapered_as
 from analysis.trajectory.referee import Opinion, second_opinion
@@ -98,11 +96,8 @@ def referee(case: Case, found: Trajectory, repeats: int) -> tuple[Opinion, float
         case.line, case.train, case.observed(), 0.0, case.line.length,
         **{key: value for key, value in case.options.items() if key in known},
     )  # fmt: skip
-    fastest = fastest_run(run)
-    slowest = int(np.argmax(fastest.times))
-    mesh = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[slowest], case.cells)
     names = [configuration.name for configuration in run.configurations]
-    problem = tapered_as(discretise(run, mesh), found).select(
+    problem = tapered_as(discretise(run, found.positions), found).select(
         [names.index(name) for name in active]
     )
     start = paced_run(problem, found.running_time)
