@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 
 def new_table(title: str, *columns: str, **options: Any) -> Table:
-    """An empty table in the house's form."""
+    """An empty table in the house's form; the names in its first column stay in one piece."""
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options)
-    for column in columns:
-        table.add_column(column, overflow="fold")
+    for number, column in enumerate(columns):
+        table.add_column(column, overflow="fold", no_wrap=number == 0)
     return table
 
 

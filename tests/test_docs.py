@@ -1,12 +1,14 @@
-"""The Python in README and docs runs as it stands, in a folder that holds the samples."""
+"""Python and commands in README and docs run as they stand, in a folder with the samples."""
 
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 
+from trainlog import cli
 from trainlog.formats.samples import copy_samples
 
 CHECKOUT = Path(__file__).parents[1]
@@ -25,6 +27,23 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     copy_samples(tmp_path / "sample_logs")
     monkeypatch.chdir(tmp_path)
     exec(compile(blocks(page), str(page), "exec"), {"__name__": "__main__"})
+
+
+def commands(page: Path) -> list[list[str]]:
+    """All commands in blocks of a page marked ``sh``, in order, as words."""
+    found = re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)
+    return [shlex.split(line) for line in "".join(found).splitlines()]
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if commands(page)], ids=lambda page: page.name
+)
+def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy_samples(tmp_path / "sample_logs")
+    monkeypatch.chdir(tmp_path)
+    for program, *words in commands(page):
+        assert program == "trainlog"
+        assert cli.run(words) == 0
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -88,8 +88,8 @@ class Run:
                 f"{where}: from km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f} is no section"
                 f" of a line of {line.length / 1e3:.3f} km"
             )
-        if not (self.initial_speed >= 0.0 and self.final_speed >= 0.0):
-            raise InputError(f"{where}: initial and final speed must not be negative")
+        if not (0.0 <= self.initial_speed < np.inf and 0.0 <= self.final_speed < np.inf):
+            raise InputError(f"{where}: initial and final speed must be finite and not negative")
         if self.braking not in get_args(Braking) or self.objective not in get_args(Objective):
             raise InputError(
                 f"{where}: no such braking '{self.braking}' or objective '{self.objective}'",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from trainlog.commands.options import LineOption, TrainOption
+from trainlog.commands.selection import stretch
 from trainlog.errors import InputError
 from trainlog.terminal import (
     console,
@@ -19,6 +20,7 @@ from trainlog.terminal import (
     working,
     wrote,
 )
+from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from trainlog.railway import Configuration, Line, Train, Trajectory
@@ -82,6 +84,25 @@ def optimise(
     dwell: Annotated[
         float, typer.Option(min=0.0, help="With --journey: least standing time at a stop (s).")
     ] = 0.0,
+    km: Annotated[
+        str | None,
+        typer.Option("--km", help="Only between, in the direction of travel: 3.2:7.5, 3.2:, :7.5."),
+    ] = None,
+    initial_speed: Annotated[
+        float | None, typer.Option(help="Speed where it begins, in km/h; default: standstill.")
+    ] = None,
+    final_speed: Annotated[
+        float | None,
+        typer.Option(help="Speed where it ends, at most, in km/h; default: standstill."),
+    ] = None,
+    sigmas: Annotated[
+        float | None,
+        typer.Option(help="With --map: standard deviations taken off its estimate; default: 2."),
+    ] = None,
+    protect: Annotated[
+        Literal["front", "train"],
+        typer.Option(help="Speed limits hold for the train's front, or for all of its length."),
+    ] = "front",
     pareto: Annotated[
         bool, typer.Option("--pareto", help="Energy against running time too, and its picture.")
     ] = False,
@@ -102,6 +123,18 @@ def optimise(
     from trainlog.formats.parameters import read_parameters
 
     destination(output, ".json")
+    ends = {"--km": km, "--initial-speed": initial_speed, "--final-speed": final_speed}
+    times = {"--running-time": running_time, "--as-fast-as": as_fast_as}
+    if journey is not None:
+        rivals = {**times, "--pareto": pareto or None, **ends}
+        _refuse("--journey tells times, places and speeds itself", rivals)
+    if running_time is not None:
+        _refuse("--running-time tells the time", {"--as-fast-as": as_fast_as})
+    if as_fast_as is not None:
+        _refuse("--as-fast-as is the time from end to end of the line", ends)
+    if condition is None:
+        of_map = {"--assumed-adhesion": assumed_adhesion, "--sigmas": sigmas}
+        _refuse("there is no --map to be read", of_map, "or give a map")
     the_line, the_train = line_and_train(line, train)
     observed = read_parameters(parameters)
     observed.check_train(the_train.name)
@@ -112,17 +145,7 @@ def optimise(
             remedy="'trainlog fit' makes a set from trips",
         )
     if as_fast_as is not None:
-        if running_time is not None:
-            raise InputError("--running-time and --as-fast-as contradict", remedy="give one")
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
-    if journey is not None and (pareto or running_time is not None):
-        raise InputError(
-            "--journey tells the times itself", remedy="leave out --running-time and --pareto"
-        )
-    if assumed_adhesion is not None and condition is None:
-        raise InputError(
-            "--assumed-adhesion is for places where a map tells nothing", remedy="give --map"
-        )
     if reverse:
         the_line = the_line.reversed()
     options: dict[str, Any] = {
@@ -132,7 +155,9 @@ def optimise(
         "weights": observed.weights if objective == "expected" else (),
         "condition_map": None if condition is None else read_map(condition),
         "layer": layer,
+        "sigmas": 2.0 if sigmas is None else sigmas,
         "assumed_adhesion": inf if assumed_adhesion is None else assumed_adhesion,
+        "protected_length": the_train.length if protect == "train" else 0.0,
         "cells": cells,
         "direction": "reverse" if reverse else "forward",
         "referee": referee,
@@ -141,11 +166,35 @@ def optimise(
     if journey is not None:
         _journey(asked, journey, dwell, options, output)
         return
+    options |= _ends(km, initial_speed, final_speed)
     with working(f"optimising over {len(observed.configurations)} configurations"):
         trajectory = solve(*asked, running_time=running_time, **options)
     _told(trajectory, the_line, output)
     if pareto:
         _front(asked, options, output)
+
+
+def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
+    """Refuse options that contradict another one; None are those that were not given."""
+    named = [name for name, value in given.items() if value is not None]
+    if named:
+        raise InputError(
+            f"{' and '.join(named)} cannot be taken: {why}",
+            remedy=" ".join(filter(None, (f"leave out {' and '.join(named)}", remedy))),
+        )
+
+
+def _ends(
+    km: str | None, initial_speed: float | None, final_speed: float | None
+) -> dict[str, float | None]:
+    """Where one run begins and ends [m], and how fast [m/s]."""
+    start, end = stretch(km) or (None, None)
+    return {
+        "start": start or 0.0,
+        "end": end,
+        "initial_speed": (initial_speed or 0.0) / KMH,
+        "final_speed": (final_speed or 0.0) / KMH,
+    }
 
 
 def _told(trajectory: Trajectory, line: Line, output: Path) -> None:

@@ -1,0 +1,130 @@
+"""`trainlog optimise`: what can be asked of one run at the keyboard."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from analysis.report import new_table
+from trainlog import cli
+from trainlog.errors import InputError
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train
+from trainlog.formats.trajectory import read_trajectory
+from trainlog.railway import Trajectory
+from trainlog.units import KMH
+
+MAP = ("--map", sample("CH_StGallen_Wil.map.json"))
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The set of one sample trip."""
+    path = tmp_path_factory.mktemp("set") / "parameters.json"
+    cli.run(["fit", str(sample("nonstop.mcap")), "-o", str(path)])
+    return path
+
+
+def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
+    """The trajectory that the command writes."""
+    output = folder / "trajectory.json"
+    own = shutil.copy(parameters, folder)
+    given = ("optimise", own, "--cells", 60, *words, "-o", output)
+    assert cli.run([str(word) for word in given]) == 0
+    return read_trajectory(output)
+
+
+def test_a_run_begins_and_ends_where_and_as_fast_as_told(observed: Path, tmp_path: Path) -> None:
+    speeds = ("--initial-speed", 72, "--final-speed", 36)
+    found = asked(observed, tmp_path, "--km", "3.2:7.5", *speeds)
+    assert (found.positions[0], found.positions[-1]) == (3200.0, 7500.0)
+    assert found.speeds[:, 0] == pytest.approx(72 / KMH, abs=1e-9)
+    assert np.all(found.speeds[:, -1] <= 36 / KMH + 1e-5)
+    assert found.speeds[:, -1] == pytest.approx(36 / KMH, rel=1e-3)
+
+
+def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(
+    observed: Path, tmp_path: Path
+) -> None:
+    line = read_line(sample(DEFAULT_LINE))
+    found = asked(observed, tmp_path, "--reverse", "--km", "25:")
+    assert (found.positions[0], found.positions[-1]) == (25_000.0, line.length)
+    assert found.direction == "reverse"
+    assert found.speeds[:, [0, -1]] == pytest.approx(0.0)
+
+
+def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(
+    observed: Path, tmp_path: Path
+) -> None:
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    reserve = ("--km", ":6", "--reserve", 1)
+    front = asked(observed, tmp_path, *reserve)
+    whole = asked(observed, tmp_path, *reserve, "--protect", "train")
+    assert whole.provenance["settings"]["protected_length"] == train.length
+
+    def over(found: Trajectory) -> float:
+        """Most speed over what is permitted at the train's end."""
+        places = np.arange(train.length, 6_000.0, 5.0)
+        speeds = np.sqrt(np.interp(places, found.positions, found.speeds[0] ** 2))
+        return float((speeds - line.speed_limit(places - train.length)).max())
+
+    assert over(whole) <= 1e-3 < 0.1 < over(front)
+    assert max(whole.certificate["least_time"]) > max(front.certificate["least_time"])
+
+
+def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_path: Path) -> None:
+    least = [
+        max(asked(observed, tmp_path, "--km", ":4", *MAP, *words).certificate["least_time"])
+        for words in (("--sigmas", 0), (), ("--sigmas", 4))
+    ]
+    assert least[0] < least[1] < least[2]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--journey", "j.json", "--km", "1:2"), "--km cannot be taken: --journey tells"),
+        (("--journey", "j.json", "--initial-speed", "0"), "leave out --initial-speed"),
+        (("--journey", "j.json", "--final-speed", "9"), "leave out --final-speed"),
+        (("--journey", "j.json", "--pareto"), "leave out --pareto"),
+        (("--journey", "j.json", "--as-fast-as", "x"), "leave out --as-fast-as"),
+        (("--running-time", "9", "--as-fast-as", "x"), "leave out --as-fast-as"),
+        (("--km", "1:2", "--as-fast-as", "x"), "from end to end of the line; leave out --km"),
+        (("--sigmas", "1"), "leave out --sigmas or give a map"),
+        (("--assumed-adhesion", "0.1"), "leave out --assumed-adhesion or give a map"),
+        (("--km", "5:3"), "from km 5.000 to km 3.000 is no section"),
+        (("--km", "29:31"), "is no section of a line of 29.556 km"),
+        (("--km", "Gossau"), "write kilometres as 3.2:7.5"),
+        (("--km", "1:9", "--initial-speed", "400"), "400.0 km/h is above the"),
+        (("--initial-speed", "-1"), "must be finite and not negative"),
+        (("--final-speed", "inf"), "must be finite and not negative"),
+        (("--final-speed", "nan"), "must be finite and not negative"),
+        ((*MAP, "--sigmas", "-1"), "give 0 or more"),
+        ((*MAP, "--sigmas", "nan"), "give 0 or more"),
+    ],
+    ids=lambda given: " ".join(map(str, given[-2:])) if isinstance(given, tuple) else "",
+)
+def test_what_makes_no_sense_is_refused_before_anything_is_written(
+    words: tuple[object, ...], told: str, observed: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "t.json"
+    with pytest.raises(InputError) as refusal:
+        cli.run([str(word) for word in ("optimise", observed, *words, "-o", output)])
+    assert told in str(refusal.value)
+    assert not output.exists()
+
+
+def test_names_are_not_folded_where_a_table_is_wider_than_the_page() -> None:
+    table = new_table("A table", "name", *(f"column {number}" for number in range(8)))
+    table.add_row("level-nominal-recourse", *["some words that may be folded"] * 8)
+    console = Console(width=110)
+    with console.capture() as captured:
+        console.print(table)
+    told = captured.get()
+    assert "level-nominal-recourse" in told
+    assert max(map(len, told.splitlines())) <= 110
