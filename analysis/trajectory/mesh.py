@@ -10,7 +10,7 @@ FloatArray = NDArray[np.float64]
 _SPEED_SHARE = 0.65
 """Share of the cells that goes where the speed changes."""
 
-BRAKING_WEIGHT, REGAINING_WEIGHT = 0.25, 1.0
+BRAKING_WEIGHT, REGAINING_WEIGHT = 0.25, 1.3
 """Cells for a loss of speed over those for a gain: constant braking effort is exact in any cell,
 but wastes power of a dynamic brake that feeds back. Chosen with `_SPEED_SHARE` for the least gap on
 five lines."""
