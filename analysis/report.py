@@ -13,6 +13,7 @@ from rich.console import Group
 from rich.table import Table
 
 from analysis.compare import JOULES_PER_KWH, Saving, punctuality, savings
+from analysis.report_table import WordTable
 from analysis.resistance import Fits
 from analysis.resistance.diagnostics import diagnosed
 from analysis.traction_map import summary
@@ -34,10 +35,12 @@ if TYPE_CHECKING:
 
 
 def new_table(title: str, *columns: str, **options: Any) -> Table:
-    """An empty table in the house's form; the names in its first column stay in one piece."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options)
-    for number, column in enumerate(columns):
-        table.add_column(column, overflow="fold", no_wrap=number == 0)
+    """An empty table in the house's form."""
+    table = WordTable(
+        title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options
+    )
+    for column in columns:
+        table.add_column(column, overflow="fold")
     return table
 
 

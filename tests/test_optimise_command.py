@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from analysis.report import new_table
 from trainlog import cli
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
@@ -117,14 +115,3 @@ def test_what_makes_no_sense_is_refused_before_anything_is_written(
         cli.run([str(word) for word in ("optimise", observed, *words, "-o", output)])
     assert told in str(refusal.value)
     assert not output.exists()
-
-
-def test_names_are_not_folded_where_a_table_is_wider_than_the_page() -> None:
-    table = new_table("A table", "name", *(f"column {number}" for number in range(8)))
-    table.add_row("level-nominal-recourse", *["some words that may be folded"] * 8)
-    console = Console(width=110)
-    with console.capture() as captured:
-        console.print(table)
-    told = captured.get()
-    assert "level-nominal-recourse" in told
-    assert max(map(len, told.splitlines())) <= 110

@@ -20,7 +20,7 @@ from analysis.report_map_mpc import (
 from analysis.studies import map_mpc as driving
 from analysis.studies import map_mpc_scenarios as study
 from analysis.studies.map_mpc_bounds import least_lateness
-from analysis.studies.map_mpc_days import Days, drive_days, replanned
+from analysis.studies.map_mpc_days import Days, day_by_day, replanned
 from analysis.studies.map_mpc_logs import trip_of
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
@@ -51,7 +51,14 @@ def outcomes(known: study.World) -> dict[tuple[str, float], study.Outcome]:
 @pytest.fixture(scope="module")
 def days(known: study.World, tmp_path_factory: pytest.TempPathFactory) -> Days:
     folder = tmp_path_factory.mktemp("days")
-    return drive_days(known.plan, [LEAVES, LEAVES], [70e3, 85e3], folder, seed=1)
+    each = day_by_day(known.plan, [LEAVES, LEAVES], [70e3, 85e3], folder, seed=1)
+    first = next(each)
+    # It is told while the second is still to be driven.
+    assert [day.number for day in first.days] == [1]
+    assert sorted(folder.iterdir()) == sorted(first.logs)
+    (both,) = each
+    assert both.days[0] is first.days[0]
+    return both
 
 
 def test_every_constraint_holds_in_every_scenario_at_both_ends_of_the_mass(

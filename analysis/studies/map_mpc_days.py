@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -198,10 +198,25 @@ def drive_days(
     counting: Counting = cautious,
 ) -> Days:
     """One day on each rail; arguments as for `first_day` and `next_day`."""
+    *_, driven = day_by_day(plan, rails, masses, folder, seed, counting)
+    return driven
+
+
+def day_by_day(
+    plan: Plan,
+    rails: Sequence[StepProfile],
+    masses: Sequence[float],
+    folder: Path,
+    seed: int,
+    counting: Counting = cautious,
+) -> Iterator[Days]:
+    """After each day the days so far; arguments as for `drive_days`."""
+    stops = timetable_of(plan)
     days = [first_day(plan, rails[0], masses, folder, seed)]
+    yield Days(tuple(days), stops)
     for rail in rails[1:]:
         days.append(next_day(days[-1], plan, rail, folder, seed, counting))
-    return Days(tuple(days), timetable_of(plan))
+        yield Days(tuple(days), stops)
 
 
 def timetable_of(plan: Plan) -> tuple[Stop, ...]:

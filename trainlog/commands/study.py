@@ -130,7 +130,8 @@ def map_mpc(
     Runs the paper's three scenarios on a reconstruction of the line Chemnitz-Cranzahl, with a mass
     drawn from its range and with both ends of it, by a controller that knows the map and by one
     that knows none. Then builds the map from the logs of a day without it and drives again. Writes
-    the trips as logs, draws the paper's figures and prints the tables.
+    the trips as logs, draws the paper's figures and prints the tables: for each mass as soon as its
+    scenarios are driven, and after each day the days so far.
 
     Example: trainlog study map-mpc -o results/map-mpc
     """
@@ -146,7 +147,7 @@ def map_mpc(
         tracking_table,
     )
     from analysis.studies import map_mpc_scenarios as study
-    from analysis.studies.map_mpc_days import drive_days
+    from analysis.studies.map_mpc_days import day_by_day
     from analysis.studies.map_mpc_logs import trip_of
     from trainlog.mcap import write_log
     from trainlog.railway.lever import PAPER_000
@@ -156,15 +157,20 @@ def map_mpc(
         known = study.prepared(
             seed, sections, lambda each: progress.track(each, description="references")
         )
+        console.print(published_table(), references_table(known.plan))
         drawn = study.drawn_masses(seed, 3)
         plans = [
             (scenario, float(mass))
             for mass in (drawn[0], PAPER_000.mass, PAPER_000.max_mass)
             for scenario in study.SCENARIOS
         ]
-        outcomes = [
-            study.outcome(known, *plan) for plan in progress.track(plans, description="driving")
-        ]
+        outcomes = []
+        for plan in progress.track(plans, description="driving"):
+            outcomes.append(study.outcome(known, *plan))
+            if len(outcomes) % len(study.SCENARIOS) == 0:
+                of_mass = outcomes[-len(study.SCENARIOS) :]
+                for made in (tracking_table, lateness_table, gain_table):
+                    console.print(made(of_mass))
     logs = []
     for each in outcomes[: len(study.SCENARIOS)]:
         weather = "dry" if each.scenario.weather == "good" else "wet"
@@ -174,16 +180,12 @@ def map_mpc(
             write_log(trip, logs[-1])
     with working(f"driving {days} days"):
         rails = [known.rails["bad"]] * days
-        driven = drive_days(known.plan, rails, drawn.tolist(), output, seed)
+        for driven in day_by_day(known.plan, rails, drawn.tolist(), output, seed):
+            console.print(days_table(driven))
+    console.print(counted_on(driven))
     pictures = draw_study(known, outcomes[: len(study.SCENARIOS)], output)
     pictures.append(output / "two-days.png")
     draw_days(driven, pictures[-1])
-    console.print(published_table())
-    console.print(references_table(known.plan))
-    for made in (tracking_table, lateness_table, gain_table):
-        console.print(made(outcomes))
-    console.print(days_table(driven))
-    console.print(counted_on(driven))
     wrote(*logs, *driven.logs, *pictures)
 
 

@@ -1,0 +1,46 @@
+"""A table whose names and words stay whole for as long as the page has room for them."""
+
+from __future__ import annotations
+
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
+from rich.table import Table
+
+_PADDING = 3
+"""Of each column: a space on both sides, and what divides it from the next."""
+
+
+class WordTable(Table):
+    """A table that narrows its columns where that costs least.
+
+    Headings are broken between their words first, then the rows but for the names in the first
+    column, then those; inside words only where the page has no room for the longest. Rich narrows
+    the widest columns until all are alike, and so folds names inside words.
+    """
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Give every column the least it needs, and a like part of what else it asks for."""
+        wide = options.update(max_width=10_000)
+        headings = [Measurement.get(console, wide, each.header) for each in self.columns]
+        rows = [
+            [Measurement.get(console, wide, cell) for cell in each.cells] for each in self.columns
+        ]
+        words = [
+            max(each.minimum for each in (heading, *cells))
+            for heading, cells in zip(headings, rows, strict=True)
+        ]
+        whole = [
+            max(word, *(each.maximum for each in cells), 0)
+            for word, cells in zip(words, rows, strict=True)
+        ]
+        wishes = [max(each.maximum, row) for each, row in zip(headings, whole, strict=True)]
+        room = options.max_width - _PADDING * len(words) - 1
+        leasts = (whole, [*whole[:1], *words[1:]], words)
+        least = next((each for each in leasts if sum(each) <= room), None)
+        more = 0 if least is None else sum(wishes) - sum(least)
+        for number, column in enumerate(self.columns):
+            column.width = None
+            if least is not None and sum(wishes) > room:
+                part = (room - sum(least)) * (wishes[number] - least[number]) // more
+                column.width = least[number] + part
+        yield from super().__rich_console__(console, options)

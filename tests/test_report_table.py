@@ -1,0 +1,49 @@
+"""Tables for people: nothing is lost, and words stay whole while the page has room."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from analysis.report import new_table
+
+HEADINGS = ("section", "timetable s", "least of a reference s", "iterations of IPOPT", "least s")
+ROW = ("Chemnitz Hbf - Chemnitz-Hilbersdorf", "222", "204.7", "41 (of 5000)", "180.2")
+WORDS = " ".join((*HEADINGS, *ROW)).split()
+
+
+def printed(width: int) -> list[str]:
+    """The lines of the table on a page of `width` columns."""
+    table = new_table("A table", *HEADINGS)
+    table.add_row(*ROW)
+    console = Console(width=width)
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get().splitlines()
+
+
+@pytest.mark.parametrize("width", [74, 80, 90, 110, 200])
+def test_words_stay_whole_while_there_is_room_for_the_longest(width: int) -> None:
+    lines = printed(width)
+    told = " ".join(lines).split()
+    assert all(told.count(word) >= WORDS.count(word) for word in WORDS)
+    assert max(map(len, lines)) <= width
+
+
+@given(width=st.integers(24, 220))
+def test_however_narrow_the_page_nothing_is_lost(width: int) -> None:
+    lines = printed(width)
+    assert max(map(len, lines)) <= width
+    told = sorted(letter for line in lines for letter in line if letter not in " ─")
+    assert told == sorted(letter for letter in "Atable" + "".join(WORDS))
+
+
+def test_headings_are_broken_before_names_and_figures() -> None:
+    assert any(all(cell in line for cell in ROW) for line in printed(96))
+
+
+def test_a_table_that_fits_stands_in_lines_of_its_own() -> None:
+    assert any(" ".join(HEADINGS[2:3]) in line for line in printed(150))
+    assert any(ROW[0] in line for line in printed(150))
