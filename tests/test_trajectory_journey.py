@@ -83,6 +83,15 @@ def test_windows_of_speed_are_kept_and_certified(free: Trajectory) -> None:
         assert found.certificate["gap"] <= 1e-3
 
 
+def test_a_point_is_passed_at_just_one_speed_while_the_train_pulls_with_all_its_power() -> None:
+    fastest = run()
+    place = round(float(fastest.positions[np.argmax(fastest.tractive_effort_fall)])) + 20.0
+    speed = float(fastest.speed_at(0, place)) - 1.0
+    found = run(TimingPoint(place, lowest_speed=speed, highest_speed=speed))
+    assert found.speed_at(0, place) == pytest.approx(speed, abs=1e-4)
+    assert found.certificate["gap"] < 2e-3
+
+
 def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
     configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
     time = passing(free)[0]

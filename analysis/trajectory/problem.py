@@ -166,6 +166,7 @@ class Problem:
         # Who gains speed and loses it again in such a cell is fastest inside.
         rise = 0.25 * self.gain.max() * np.maximum(taper.fall, 0.0) * self.step
         ceiling = self.ceiling - np.maximum(np.append(rise, 0.0), np.insert(rise, 0, 0.0))
+        ceiling = np.maximum(ceiling, np.minimum(self.floor, self.ceiling))
         ceiling[0] = max(ceiling[0], self.initial)
         return replace(self, drag0=self.drag0 - fall, taper=taper, ceiling=ceiling)
 
