@@ -146,7 +146,10 @@ def optimise(
             together = least_time_together(
                 discretise(run, _mesh(run, run.breakpoints, fastest, cells))
             )
-            running_time = max(together, least_time * (1.0 + BESIDE_LEAST))
+            running_time = least_time * (1.0 + BESIDE_LEAST)
+            # Under one braking effort for all there may be no such time; the search tells why.
+            if np.isfinite(together):
+                running_time = max(together, running_time)
     try:
         check_time(run, fastest, running_time)
         problem, answer, rollout, coarser = _audited(run, fastest, running_time, cells)
