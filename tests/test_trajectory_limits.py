@@ -221,7 +221,7 @@ def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
         ({"configurations": observed(FLIRT, 1.0, 1.0)}, "two configurations are called 'x1'"),
         ({"start": 5_000.0, "end": 4_000.0}, "is no section"),
         ({"end": 9_000.0}, "is no section"),
-        ({"initial_speed": -1.0}, "must not be negative"),
+        ({"initial_speed": -1.0}, "must be finite and not negative"),
         ({"initial_speed": 30.0}, "above the 90.0 km/h permitted"),
         ({"braking": "none"}, "no such braking 'none'"),
         ({"objective": "time"}, "objective 'time'"),
