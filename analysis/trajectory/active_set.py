@@ -250,8 +250,7 @@ def search(
         ):
             everyone = _all_follow(problem, rows, alone, everyone, running_time)
             short = alone | short_of_time(part, rows, solution.multipliers)
-        leader = rows[int(np.argmax(solution.time_price))]
-        everyone = _dearer_follow(problem, rows, leader, everyone, running_time + overdue)
+        everyone = _dearer_follow(problem, rows, solution, everyone, running_time + overdue)
         new = sorted(_violators(problem, everyone, running_time + overdue, rows, wider) - set(rows))
         owed = solution.energy + overdue * float(solution.time_price.sum())
         if coarse:
@@ -285,8 +284,7 @@ def _amended(
     if traction is None:
         return None
     everyone = _all_ride(problem, rows, part, replace(solution.plan, traction=traction))
-    leader = rows[int(np.argmax(solution.time_price))]
-    everyone = _dearer_follow(problem, rows, leader, everyone, running_time)
+    everyone = _dearer_follow(problem, rows, solution, everyone, running_time)
     driven = everyone.select(rows)
     others = _violators(problem, everyone, running_time, rows, 1.0)
     energy = energy_of(part, driven)
@@ -383,30 +381,28 @@ def _all_follow(
     kept = np.zeros(idle.size, dtype=bool)
     kept[rows] = True
     kept &= ~idle | (riding.dynamic @ problem.step > found.dynamic @ problem.step)
-    for name in ("z", "braking", "dynamic"):
-        getattr(found, name)[kept] = getattr(riding, name)[kept]
+    found.put(kept, riding, kept)
     return found
 
 
 def _dearer_follow(
-    problem: Problem, rows: list[int], leader: int, riding: Plan, running_time: float
+    problem: Problem, rows: list[int], solution: Solution, riding: Plan, running_time: float
 ) -> Plan:
     """The same traction; who regains less than all in the program brakes as gently as the leader.
 
-    Only at the line, and where each brakes for itself. Who brakes late regains less than it could,
-    which is no reason to optimise for it.
+    That is who is shortest of time. Only at the line, and where each brakes for itself. Who brakes
+    late regains less than it could, which is no reason to optimise for it.
     """
     regained = riding.dynamic @ problem.step
     dearer = np.flatnonzero(regained < regained[rows].min()).tolist()
     if problem.run.objective != "line" or problem.common or not dearer:
         return riding
     some = problem.select(dearer)
+    leader = rows[int(np.argmax(solution.time_price))]
     ahead = np.broadcast_to(riding.z[leader], (len(dearer), riding.z.shape[1]))
     behind = ride_behind(some, riding.traction, ahead, running_time)
     better = behind.dynamic @ problem.step > regained[dearer]
-    chosen = np.asarray(dearer)[better]
-    for name in ("z", "braking", "dynamic"):
-        getattr(riding, name)[chosen] = getattr(behind, name)[better]
+    riding.put(np.asarray(dearer)[better], behind, better)
     return riding
 
 
@@ -414,8 +410,7 @@ def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -
     """The optimum for the active configurations, and how the others follow it."""
     common = optimum.braking[0] if problem.common else None
     riding, driven = ride_along(problem, optimum.traction, common), realise(part, optimum)
-    for name in ("z", "braking", "dynamic"):
-        getattr(riding, name)[rows] = getattr(driven, name)
+    riding.put(rows, driven)
     return riding
 
 

@@ -197,8 +197,9 @@ class Round:
     The unknowns are changes of speed to first order, ``dz = scale · change``, and the efforts.
     """
 
-    def __init__(self, problem: Problem, plan: Plan, motion: Motion, price: FloatArray) -> None:
-        self.problem, self.plan, self.motion, self.price = problem, plan, motion, price
+    def __init__(self, problem: Problem, plan: Plan, price: FloatArray) -> None:
+        self.problem, self.plan, self.price = problem, plan, price
+        self.motion = Motion.about(problem, plan)
         self.speed = np.sqrt(2.0 * plan.z)
         self.scale = np.maximum(self.speed, SLOW)
         self.unknowns = Unknowns(problem)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.convex import NoSolutionError
-from analysis.trajectory.linearised import Motion, Round, Solution
+from analysis.trajectory.linearised import Round, Solution
 from analysis.trajectory.pace import delays, realise
 from analysis.trajectory.problem import Plan, Problem, taper_for
 
@@ -73,7 +73,7 @@ def minimise(
     statuses: list[str] = []
     while True:
         tapered = problem.tapered(taper_for(problem, plan))
-        program = Round(tapered, plan, Motion.about(tapered, plan), price)
+        program = Round(tapered, plan, price)
         solution = program.solve(running_time, radius, lateness_price, evenness=evenness)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
@@ -102,7 +102,7 @@ def with_costates(problem: Problem, solution: Solution, running_time: float) -> 
     running_time : float [s]
     """
     plan, price = solution.plan, solution.multipliers.cell_prices(problem)
-    program = Round(problem, plan, Motion.about(problem, plan), price)
+    program = Round(problem, plan, price)
     lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
     try:
         found = program.solve(running_time, 1.0, lateness_price, evenness=0.0)

@@ -170,8 +170,7 @@ def realise(problem: Problem, plan: Plan) -> Plan:
         planned, found = driven.dynamic @ problem.step, riding.dynamic @ problem.step
         least = planned if problem.run.objective == "expected" else planned.min()
         rows = np.full(found.shape, early) | (found < least)
-        for name in ("z", "braking", "dynamic"):
-            getattr(riding, name)[rows] = getattr(driven, name)[rows]
+        riding.put(rows, driven, rows)
     return riding
 
 
@@ -218,8 +217,7 @@ def ride_behind(
         below = np.minimum(curves, leader * (1.0 + 0.2 * share[:, None]))
         trial = _below(problem, traction, below)
         late = delays(problem, trial, running_time)[0] > 0.0
-        for name in ("z", "braking", "dynamic"):
-            getattr(found, name)[~late] = getattr(trial, name)[~late]
+        found.put(~late, trial, ~late)
         if turn == 0:
             high = np.where(late, high, 0.0)
             continue

@@ -208,6 +208,11 @@ class Plan:
         chosen = list(rows)
         return Plan(self.z[chosen], self.traction, self.braking[chosen], self.dynamic[chosen])
 
+    def put(self, rows: Any, other: Plan, others: Any = slice(None)) -> None:
+        """Have `rows` drive as the rows `others` of another plan of the same traction, in place."""
+        self.z[rows], self.braking[rows] = other.z[others], other.braking[others]
+        self.dynamic[rows] = other.dynamic[others]
+
     def joined(self, other: Plan) -> Plan:
         """With the configurations of another plan of the same traction behind its own."""
         return Plan(
