@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.adhesion.slip import slip
 from analysis.resistance.fit import estimated_resistance, fit_trip
 from analysis.resistance.logs import fit_log
 from analysis.resistance.recording import LARGEST_SCALE, speed_scale
-from analysis.slip import slip
 from estimators.kalman import smooth_motion
 from trainlog import __version__
 from trainlog.errors import LogError, TrainlogError

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from analysis.traction_map import update_logs
+from analysis.adhesion.condition_map import update_logs
 from trainlog.formats.condition import write_map
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

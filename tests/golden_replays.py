@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import trainlog
-from analysis.adhesion_evidence import evidence_of
-from analysis.coast_down import coast_down
-from analysis.compare import trip_cost
+from analysis.adhesion.condition_map import empty_map, update
+from analysis.adhesion.evidence import evidence_of
+from analysis.adhesion.slip import slip
+from analysis.comparison.cost import trip_cost
 from analysis.estimates import with_estimates
+from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import Prepared, prepare
-from analysis.slip import slip
-from analysis.traction_map import empty_map, update
 from estimators.adhesion import AdhesionObserver
 from estimators.interface import EstimatorResult
 from estimators.resets import edges_crossed, record_with_resets

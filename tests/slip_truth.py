@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.slip import SlipAnalysis, slip
+from analysis.adhesion.slip import SlipAnalysis, slip
 from estimators.slip import SlipDetector
 from trainlog.simulation.recording import recorded
 from trainlog.simulation.scenario import Scenario, drive

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
 
-from analysis.slip import onset
+from analysis.adhesion.slip import onset
 from estimators.adhesion import AdhesionObserver, smoothed_force
 from estimators.slip import SlipDetector
 from estimators.train_speed import impulse, train_speed

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from simulated_world import flirt, level_line
 from trajectory_world import observed
 
-from analysis.assured_adhesion import assured_adhesion, borne_adhesion, typical_adhesion
-from analysis.traction_map import SETTINGS
+from analysis.adhesion.condition_map import SETTINGS
+from analysis.adhesion.demonstrated import assured_adhesion, borne_adhesion, typical_adhesion
 from analysis.trajectory.run import Run
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap

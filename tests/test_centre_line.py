@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from satellite_trips import Receiver, curve_of, drive, errors, winding
 
-from analysis.centre_line import Survey, geometry_of, line_of
+from analysis.geometry.centre_line import Survey, geometry_of, line_of
 from estimators.centre_line import CURVATURE_CHANGE, fitted_curve
-from trainlog.cli import run
+from trainlog.cli.main import run
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
 from trainlog.ingest import ingest_each, profile_of

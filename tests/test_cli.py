@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis.report import new_table
-from trainlog import cli, demo, terminal
+from analysis.reporting import new_table
+from trainlog.cli import demo, terminal
+from trainlog.cli import main as cli
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 
 
@@ -388,7 +389,7 @@ def test_ctrl_c_while_python_still_loads_is_one_line() -> None:
 import os, signal, sys
 class Finder:
     def find_spec(self, name, *_):
-        if name == "trainlog.cli":
+        if name == "trainlog.cli.main":
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Finder())
 from trainlog.__main__ import main

@@ -10,17 +10,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.coast_down import (
+from analysis.resistance.coast_down import (
     CoastDown,
     coast_down,
     coast_down_logs,
     coast_down_without_gradient,
 )
-from analysis.coast_down.fit import Curve, MassRatio, fit_segments, with_ratio
-from analysis.coast_down.motion import motion_of, smoothed_over
-from analysis.coast_down.unknown_gradient import lever_at_rest
-from analysis.pictures.coast_down import draw_without_gradient
-from analysis.report_coast_down import without_gradient_table
+from analysis.resistance.coast_down.fit import Curve, MassRatio, fit_segments, with_ratio
+from analysis.resistance.coast_down.motion import motion_of, smoothed_over
+from analysis.resistance.coast_down.plot import draw_without_gradient
+from analysis.resistance.coast_down.table import without_gradient_table
+from analysis.resistance.coast_down.unknown_gradient import lever_at_rest
 from analysis.truth import truth_of
 from tests.coasting_trips import (
     HILLY,
@@ -31,7 +31,7 @@ from tests.coasting_trips import (
     line_of_gradients,
     recorded,
 )
-from trainlog.cli import run
+from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import train_of
 from trainlog.formats.coast_down import (

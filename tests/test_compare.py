@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import compare
-from analysis.compare import punctuality, savings, trip_cost
+from analysis.comparison import cost as compare
+from analysis.comparison.cost import punctuality, savings, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log

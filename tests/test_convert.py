@@ -10,8 +10,8 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.mcap_trips import START, assert_same, trip_of
-from trainlog.cli import run
-from trainlog.commands.selection import stretch, times
+from trainlog.cli.main import run
+from trainlog.cli.selection import stretch, times
 from trainlog.errors import InputError, LogError
 from trainlog.formats.parquet import read_parquet, write_parquet
 from trainlog.mcap import DamageWarning, read_log, write_log

@@ -15,9 +15,10 @@ from rerun.chunk import McapReader
 from rich.console import Console
 
 import trainlog
-from analysis.compare import punctuality, savings
+from analysis.comparison.cost import punctuality, savings
 from analysis.truth import curve_error, map_error, truth_of
-from trainlog import cli, demo
+from trainlog.cli import demo
+from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of
 from trainlog.formats.condition import read_map

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_world import flirt, hilly_line, level_line, steps
 
-from analysis.control import follow_kernels as kernels
+from analysis.control import kernels as kernels
 from analysis.control.follow import Follower, Margin, Tuning
-from analysis.control.follow_belief import Observer
-from analysis.control.follow_kernels import TICK, Belief
-from analysis.control.follow_odometry import MARGIN, Odometry
-from analysis.control.follow_pace import ahead, paced, sampled
-from analysis.control.follow_route import Able, Way, able, bounds, highest, way
-from analysis.pictures.following import draw_following
+from analysis.control.kernels import TICK, Belief
+from analysis.control.observer import Observer
+from analysis.control.odometry import MARGIN, Odometry
+from analysis.control.pace import ahead, paced, sampled
+from analysis.control.plot import draw_following
+from analysis.control.route import Able, Way, able, bounds, highest, way
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.run import Run

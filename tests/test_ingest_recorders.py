@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recorder_files import MTK_HEADER, Recorded, drive, gpx, gpx_text, mtk
 
-from trainlog.cli import main
+from trainlog.cli.main import main
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_each, report_of
 from trainlog.mcap import read_log

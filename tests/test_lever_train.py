@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.trajectory import reference_dynamics as dynamics
+from analysis.studies.hauck_2023 import dynamics as dynamics
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample

@@ -20,7 +20,7 @@ from mcap_trips import assert_same, trip_of
 from rerun.chunk import McapReader
 
 import trainlog
-from trainlog.cli import main
+from trainlog.cli.main import main
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import (
     Account,

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.trajectory import reference as shooting
-from analysis.trajectory import reference_dynamics as dynamics
-from analysis.trajectory.reference import node_count, reference, references
-from analysis.trajectory.reference_section import (
+from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023 import reference as shooting
+from analysis.studies.hauck_2023.reference import node_count, reference, references
+from analysis.studies.hauck_2023.section import (
     Section,
     adhesion_profile,
     check_timetable,

@@ -500,7 +500,7 @@ def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path) -> None:
         "import resource, signal, sys\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
-        "from trainlog.cli import main\n"
+        "from trainlog.cli.main import main\n"
         "main()\n"
     )
     sample = Path(__file__).parents[1] / "sample_logs" / "nonstop.mcap"

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from resistance_trips import LINE, RESISTANCE, TRAIN, changed, constant_speed, trip
 
-from analysis.coast_down import coast_down
 from analysis.estimates import with_estimates, without_wheel_error
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
+from analysis.resistance.coast_down import coast_down
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import mass_prior
 from analysis.resistance.recording import prepare

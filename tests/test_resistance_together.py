@@ -14,8 +14,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
 
-from analysis.pictures.resistance import draw_fits
-from analysis.pictures.resistance_trip import draw_each_refused, draw_refused, draw_trip
 from analysis.resistance import (
     TripFit,
     TripRefusedError,
@@ -29,6 +27,8 @@ from analysis.resistance.combination import nearest_physical
 from analysis.resistance.curve import powers
 from analysis.resistance.diagnostics import Residuals
 from analysis.resistance.fit import History, WindowPoints
+from analysis.resistance.plot import draw_fits
+from analysis.resistance.plot_trip import draw_each_refused, draw_refused, draw_trip
 from analysis.resistance.recording import SpeedScale
 from analysis.resistance.refusal import AllRefusedError, Timeline
 from trainlog.errors import InputError, NotIdentifiableError

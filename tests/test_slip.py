@@ -10,7 +10,7 @@ import pytest
 from simulated_world import flirt, hilly_line
 from slip_truth import Score, Seen, onset_errors, seen
 
-from analysis.slip import adhesion_noise, slip, wheel_noise
+from analysis.adhesion.slip import adhesion_noise, slip, wheel_noise
 from trainlog.errors import LogError
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Axles

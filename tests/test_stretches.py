@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.adhesion.condition_map import update_logs
 from analysis.estimates import estimate_log, with_estimates
 from analysis.resistance.logs import TOPICS, fit_log
-from analysis.traction_map import update_logs
 from tests.mcap_trips import assert_same, trip_of
 from trainlog.formats.samples import folder
 from trainlog.mcap import read_log, write_log

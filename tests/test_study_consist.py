@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from simulated_world import level_line, steps
 
-from analysis.pictures.in_train_forces import draw_in_train_forces
-from analysis.report_consist import consist_tables, forces_table
-from analysis.studies import in_train_forces as study
-from analysis.studies.logs import consist_trip
-from trainlog.cli import run as command
+from analysis.studies.amirhosseini_2024.trips import consist_trip
+from analysis.studies.in_train_forces import run as study
+from analysis.studies.in_train_forces.plot import draw_in_train_forces
+from analysis.studies.in_train_forces.table import consist_tables, forces_table
+from trainlog.cli.main import run as command
+from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.consist import consist_from_bytes, read_consist, write_consist
 from trainlog.formats.line import write_line
@@ -21,7 +22,6 @@ from trainlog.formats.samples import names, sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant
-from trainlog.terminal import console
 
 SHORT = replace(
     level_line(2_400.0),

@@ -10,22 +10,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.control import cooperative_kernels as kernels
-from analysis.control.cooperative import (
+from analysis.estimates import with_estimates
+from analysis.studies.zhao_2025 import kernels as kernels
+from analysis.studies.zhao_2025 import run as study
+from analysis.studies.zhao_2025.controller import (
     CooperativeController,
     Tuning,
     coefficients,
     peak_slips,
     within,
 )
-from analysis.control.cooperative_rail import RailEstimator, rail_ahead
-from analysis.control.cooperative_referee import Referee
-from analysis.estimates import with_estimates
-from analysis.pictures.cooperative_adhesion import draw_rail, draw_study
-from analysis.report_cooperative import gain_table, knowledge_table, published_table, torque_table
-from analysis.studies import cooperative_adhesion as study
-from analysis.studies.cooperative_adhesion_logs import trip_of
-from analysis.studies.cooperative_adhesion_rail import STEEP, driven
+from analysis.studies.zhao_2025.knowledge import STEEP, driven
+from analysis.studies.zhao_2025.plot import draw_rail, draw_study
+from analysis.studies.zhao_2025.rail import RailEstimator, rail_ahead
+from analysis.studies.zhao_2025.referee import Referee
+from analysis.studies.zhao_2025.table import (
+    gain_table,
+    knowledge_table,
+    published_table,
+    torque_table,
+)
+from analysis.studies.zhao_2025.trips import trip_of
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile

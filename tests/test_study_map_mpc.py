@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.pictures.map_mpc import draw_study
-from analysis.pictures.two_days import draw_days
-from analysis.report_map_mpc import (
+from analysis.studies.hauck_2023 import run as driving
+from analysis.studies.hauck_2023 import scenarios as study
+from analysis.studies.hauck_2023.bounds import least_lateness
+from analysis.studies.hauck_2023.days import Days, day_by_day, replanned
+from analysis.studies.hauck_2023.plot import draw_study
+from analysis.studies.hauck_2023.plot_days import draw_days
+from analysis.studies.hauck_2023.table import (
     counted_on,
     days_table,
     gain_table,
@@ -17,11 +21,7 @@ from analysis.report_map_mpc import (
     references_table,
     tracking_table,
 )
-from analysis.studies import map_mpc as driving
-from analysis.studies import map_mpc_scenarios as study
-from analysis.studies.map_mpc_bounds import least_lateness
-from analysis.studies.map_mpc_days import Days, day_by_day, replanned
-from analysis.studies.map_mpc_logs import trip_of
+from analysis.studies.hauck_2023.trips import trip_of
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile

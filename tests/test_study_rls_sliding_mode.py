@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.control.sliding_mode import SlidingModeController, Target
-from analysis.studies import rls_sliding_mode as study
-from analysis.studies.logs import trip_of
+from analysis.studies.amirhosseini_2024 import run as study
+from analysis.studies.amirhosseini_2024.controller import SlidingModeController, Target
+from analysis.studies.amirhosseini_2024.trips import trip_of
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 

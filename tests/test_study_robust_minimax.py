@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.studies import robust_minimax as study
+from analysis.studies.cunillera_2022 import run as study
 from analysis.trajectory.phases import Phase
 from analysis.trajectory.problem import discretise
-from trainlog.cli import run as command
+from trainlog.cli.main import run as command
+from trainlog.cli.terminal import console
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.railway import Trajectory
-from trainlog.terminal import console
 
 LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations()
 

@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from analysis.control import tracking_kernels as kernels
-from analysis.control.tracking import (
+from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023.controller import (
     HOLDING_SPEED,
     SOFTNESS,
     TrackingController,
     Tuning,
     solve,
 )
-from analysis.control.tracking_target import GENTLE, latest, returning, with_lead
-from analysis.trajectory import reference_dynamics as dynamics
-from analysis.trajectory.reference import SAMPLING, Reference, reference
-from analysis.trajectory.reference_section import least_time_unweighed, section_of
+from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
+from analysis.studies.hauck_2023.section import least_time_unweighed, section_of
+from analysis.studies.hauck_2023.target import GENTLE, latest, returning, with_lead
 from trainlog.errors import InputError
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.lever import PAPER_000

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.control import tracking_mass
-from analysis.control.tracking_mass import ObservedMass, window
-from analysis.trajectory import reference_dynamics as dynamics
+from analysis.control import mass as tracking_mass
+from analysis.control.mass import ObservedMass, window
+from analysis.studies.hauck_2023 import dynamics as dynamics
 from trainlog.railway.lever import PAPER_000
 
 LIGHT, HEAVY = PAPER_000.mass, PAPER_000.max_mass

@@ -14,10 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from simulated_world import flirt, hilly_line, level_line
 
-from analysis.adhesion_field import Prior, solve_field
-from analysis.pictures.condition import draw_map
-from analysis.slip import slip
-from analysis.traction_map import (
+from analysis.adhesion.condition_map import (
     LEVELS,
     SETTINGS,
     Evidence,
@@ -30,6 +27,9 @@ from analysis.traction_map import (
     update,
     update_logs,
 )
+from analysis.adhesion.field import Prior, solve_field
+from analysis.adhesion.plot import draw_map
+from analysis.adhesion.slip import slip
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.mcap import write_log

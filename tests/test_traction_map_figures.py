@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.traction_map import empty_map, evidence, update
+from analysis.adhesion.condition_map import empty_map, evidence, update
 from analysis.truth import Truth, true_adhesion, truth_of
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

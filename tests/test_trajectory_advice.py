@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from trajectory_world import FLIRT, drawn, hilly_line, observed, slippery
 
-from analysis.pictures.front import draw_front
 from analysis.trajectory import Phase, optimise
 from analysis.trajectory.advice import advice, with_advice, write_advice
 from analysis.trajectory.front import energy_against_time
 from analysis.trajectory.phases import agreement, phases_of
+from analysis.trajectory.plot_front import draw_front
 from analysis.trajectory.run import Run
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import read_line
@@ -209,7 +209,7 @@ def test_agreement_counts_the_cells_that_do_otherwise() -> None:
 def test_commands_write_sections_a_front_and_advice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from trainlog.cli import main
+    from trainlog.cli.main import main
     from trainlog.formats.journey import write_journey
     from trainlog.railway import Journey, TimingPoint
 

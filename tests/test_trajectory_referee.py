@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from trajectory_world import FLIRT, VIRM6, drawn, hilly_line, level_line, observed
 
-from analysis.pictures.trajectory import draw_trajectory
 from analysis.trajectory import Phase, optimise
 from analysis.trajectory.mesh import graded_mesh
 from analysis.trajectory.phases import phases_by_control, phases_by_switching, spelled
+from analysis.trajectory.plot import draw_trajectory
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.studies.robust_minimax import TRAIN
+from analysis.studies.cunillera_2022.run import TRAIN
 from trainlog.railway import (
     Configuration,
     CurvatureProfile,

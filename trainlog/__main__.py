@@ -10,7 +10,7 @@ def main() -> None:
     """Load the command line and run it; Ctrl-C in between ends in one line, status 130."""
     # Not by an exception: inside an import that one may come out as another.
     signal.signal(signal.SIGINT, _leave)
-    from trainlog.cli import main as run
+    from trainlog.cli.main import main as run
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     run()

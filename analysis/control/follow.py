@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.control import follow_kernels as kernels
-from analysis.control.follow_belief import Observer
-from analysis.control.follow_kernels import TICK, Belief, Weights
-from analysis.control.follow_pace import paced, sampled
-from analysis.control.follow_route import able, at_once, held_back, way
-from analysis.control.tracking import Program, solve
-from analysis.trajectory.reference_dynamics import value
+from analysis.control import kernels as kernels
+from analysis.control.kernels import TICK, Belief, Weights
+from analysis.control.observer import Observer
+from analysis.control.pace import paced, sampled
+from analysis.control.route import able, at_once, held_back, way
+from analysis.studies.hauck_2023.controller import Program, solve
+from analysis.studies.hauck_2023.dynamics import value
 from analysis.trajectory.run import Run
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory

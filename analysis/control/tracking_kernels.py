@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.trajectory.reference_dynamics import (
+from analysis.studies.hauck_2023.dynamics import (
     Constants,
     Tables,
     acceleration,

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.assured_adhesion import assured_adhesion
+from analysis.adhesion.demonstrated import assured_adhesion
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
 from trainlog.units import KMH
@@ -55,7 +55,8 @@ class Run:
     sigmas : float
         How cautiously the map is read: the estimate less this many standard deviations.
     assumed_adhesion : float
-        Where the map tells nothing; infinite for no limit there. See `analysis.assured_adhesion`.
+        Where the map tells nothing; infinite for no limit there. See
+        `analysis.adhesion.demonstrated`.
     protected_length : float [m]
         Length of train to which a speed limit applies; 0 for its front alone.
     windows : tuple of TimingPoint

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.adhesion.condition_map import Evidence, empty_map, evidence, update
 from analysis.resistance import TripFit, combine, fit_trip
-from analysis.traction_map import Evidence, empty_map, evidence, update
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of

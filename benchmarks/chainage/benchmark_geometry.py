@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from benchmark_chainage import PROFILE, Receiver, driven, received, rms
 
-from analysis.centre_line import geometry_of, line_of
+from analysis.geometry.centre_line import geometry_of, line_of
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.estimates import estimated_state

@@ -15,10 +15,10 @@ from benchmark_tracking import timed
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control import cooperative_kernels as kernels
-from analysis.control.cooperative import CooperativeController, Demand, solve
-from analysis.control.cooperative_referee import Referee
-from analysis.studies.cooperative_adhesion import (
+from analysis.studies.zhao_2025 import kernels as kernels
+from analysis.studies.zhao_2025.controller import CooperativeController, Demand, solve
+from analysis.studies.zhao_2025.referee import Referee
+from analysis.studies.zhao_2025.run import (
     CASES,
     DURATION,
     PRESETS,

@@ -22,8 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.control.follow import Follower, Margin, run_of
-from analysis.control.follow_odometry import MARGIN, Odometry
-from analysis.control.tracking import Program
+from analysis.control.odometry import MARGIN, Odometry
+from analysis.studies.hauck_2023.controller import Program
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from trainlog.formats.condition import read_map

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.tracking import SOFTNESS, Program, TrackingController, solve
-from analysis.trajectory.reference import Reference, reference
-from analysis.trajectory.reference_section import section_of
+from analysis.studies.hauck_2023.controller import SOFTNESS, Program, TrackingController, solve
+from analysis.studies.hauck_2023.reference import Reference, reference
+from analysis.studies.hauck_2023.section import section_of
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.lever import PAPER_000
 from trainlog.simulation.timetable import Stop

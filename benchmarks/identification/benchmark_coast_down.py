@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import lil_array
 
-from analysis.coast_down import CoastDown, coast_down
-from analysis.coast_down.fit import TripCoastDown
+from analysis.resistance.coast_down import CoastDown, coast_down
+from analysis.resistance.coast_down.fit import TripCoastDown
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.formats.line import read_line

@@ -183,7 +183,7 @@ def draw_study(
     path: Path,
 ) -> None:
     """Draw error over number of trips, with the bound, and the coverage."""
-    from analysis.pictures.style import (
+    from analysis.plotting import (
         BLUE,
         GREEN,
         GREY,

@@ -82,7 +82,7 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
 
 def measured(arguments: list[str]) -> tuple[float, float, float, str]:
     """Peak resident memory [MB], time and processor time [s], and the last words of a command."""
-    program = "import sys; from trainlog.cli import main; sys.argv[0] = 'trainlog'; main()"
+    program = "import sys; from trainlog.cli.main import main; sys.argv[0] = 'trainlog'; main()"
     began = time.perf_counter()
     with tempfile.TemporaryFile() as told:
         process = subprocess.Popen(

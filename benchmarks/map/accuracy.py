@@ -14,8 +14,8 @@ import argparse
 
 import numpy as np
 
-from analysis.slip import SlipAnalysis, slip
-from analysis.traction_map import empty_map, evidence_of, update
+from analysis.adhesion.condition_map import empty_map, evidence_of, update
+from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.truth import Truth, true_adhesion, truth_of
 from estimators.slip import SlipDetector
 from trainlog.formats.line import read_line

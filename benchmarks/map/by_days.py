@@ -20,10 +20,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from analysis.report_map_mpc import days_table
-from analysis.studies import map_mpc_scenarios as study
-from analysis.studies.map_mpc import NO_MAP, Run, run, with_map
-from analysis.studies.map_mpc_days import (
+from analysis.adhesion.condition_map import update_logs
+from analysis.studies.hauck_2023 import scenarios as study
+from analysis.studies.hauck_2023.days import (
     LAYER,
     cautious,
     drive_days,
@@ -32,10 +31,11 @@ from analysis.studies.map_mpc_days import (
     timetable_of,
     trying,
 )
-from analysis.traction_map import update_logs
+from analysis.studies.hauck_2023.run import NO_MAP, Run, run, with_map
+from analysis.studies.hauck_2023.table import days_table
+from trainlog.cli.terminal import console
 from trainlog.railway import StepProfile
 from trainlog.railway.lever import PAPER_000
-from trainlog.terminal import console
 
 LEVELS = (1.0, 0.95, 0.9, 0.8)
 """Of the second day's rail over the first's."""

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.studies.robust_minimax import TRAIN as VIRM6
+from analysis.studies.cunillera_2022.run import TRAIN as VIRM6
 from analysis.trajectory import optimise
 from analysis.trajectory.pace import paced_run
 from analysis.trajectory.problem import discretise, tapered_as

@@ -130,7 +130,7 @@ class TrackConditionMap:
 
         It is an expectation, right for a driver or controller that sees the train slip and eases
         off, and it never says that nothing limits. What a plan rests on must not be guessed:
-        `analysis.assured_adhesion` takes there only what a trip bore without slip, or an
+        `analysis.adhesion.demonstrated` takes there only what a trip bore without slip, or an
         assumption that is called one.
         """
         chosen = self.layer(layer)

@@ -1,0 +1,399 @@
+"""The track-condition map: maximum adhesion along a line, learnt from trips.
+
+Each trip gives additive evidence a bin (`evidence`). `update` adds it to a map and solves for the
+estimate (`analysis.adhesion.field`). All sums are exact: trips can be processed apart, in any
+order and grouping, and give the same map, byte for byte.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.adhesion.evidence import (
+    Evidence,
+    check_line,
+    condition_of,
+    evidence,
+    evidence_of,
+    evidence_of_parts,
+    setting,
+)
+from analysis.adhesion.field import Prior, solve_field
+from analysis.adhesion.slip import SlipAnalysis, slip
+from trainlog import __version__
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.attached import line_of
+from trainlog.formats.files import sha256_of
+from trainlog.mcap import read_log
+from trainlog.mcap.stretches import stretches
+from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
+from trainlog.railway.line import Line
+from trainlog.trip import Trip
+
+FloatArray = NDArray[np.float64]
+
+__all__ = [
+    "Evidence",
+    "LayerSummary",
+    "Spot",
+    "empty_map",
+    "evidence",
+    "evidence_of",
+    "merge",
+    "prior_of",
+    "summary",
+    "update",
+    "update_logs",
+]
+
+TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/estimates/state")
+"""What is read of each log."""
+
+LEVELS = np.round(np.arange(0.02, 0.601, 0.01), 2)
+"""Adhesion levels of the censoring histograms."""
+
+SETTINGS: dict[str, float] = {
+    "prior_dry": DRY.peak,
+    "prior_wet": WET.peak,
+    "prior_other": float(np.sqrt(DRY.peak * WET.peak)),
+    "prior_std": 0.4,
+    "correlation_length": 120.0,
+    "trip_std": 0.12,
+    "model_std": 0.04,
+    "observed_share": 0.5,
+}
+"""How a map is made; every map records its own.
+
+prior_dry, prior_wet, prior_other
+    Maximum adhesion expected of a layer before any evidence (paper 003, table 1; between the two
+    for layers of any other name).
+prior_std, correlation_length [m]
+    Of the logarithm of the maximum adhesion along a line.
+trip_std
+    Of the same from trip to trip at one place, leaves and other passing spots included.
+model_std
+    Least standard deviation that is published, for what the model leaves out.
+observed_share
+    A bin is observed where an onset was measured in it, or where onsets nearby bring the standard
+    deviation, by themselves, to this share of prior_std.
+"""
+
+Sums = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Events, weight, weighted logarithm and censored levels of every bin."""
+
+SPOT_SEPARATION = 250.0
+"""Two low spots are told apart when they are at least this far from each other [m]."""
+
+
+def empty_map(
+    line: Line, bin_length: float = BIN_LENGTH, settings: dict[str, float] | None = None
+) -> TrackConditionMap:
+    """A map without layers.
+
+    Parameters
+    ----------
+    line : Line
+        In its own direction.
+    bin_length : float [m]
+    settings : dict, optional
+        Replaces entries of `SETTINGS`.
+
+    Raises
+    ------
+    InputError
+        If the bin length or a setting is not positive, or a setting unknown.
+    """
+    chosen = {**SETTINGS, **(settings or {})}
+    for name, value in {"bin_length": bin_length, **chosen}.items():
+        if name not in SETTINGS and name != "bin_length":
+            raise InputError(
+                f"track-condition map: unknown setting '{name}'",
+                remedy=f"settings: {', '.join(SETTINGS)}",
+            )
+        if not (value > 0.0 and np.isfinite(value)):
+            raise InputError(f"track-condition map: {name} must be positive, got {value}")
+    return TrackConditionMap(
+        line=line.name,
+        length=line.length,
+        bin_length=bin_length,
+        levels=LEVELS,
+        layers={},
+        settings=chosen,
+    )
+
+
+def update(
+    track: TrackConditionMap, pieces: Iterable[Evidence]
+) -> tuple[TrackConditionMap, tuple[str, ...]]:
+    """Add the evidence of trips to a map.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    pieces : iterable of Evidence
+        In any order.
+
+    Returns
+    -------
+    track : TrackConditionMap
+        Solved.
+    skipped : tuple of str
+        Names of the trips that the map held already; they were not counted again.
+
+    Raises
+    ------
+    InputError
+        If evidence belongs to another line or other bins.
+    """
+    counted = {_identity(trip) for trip in track.trips}
+    sums = {name: _sums(layer) for name, layer in track.layers.items()}
+    trips, skipped = list(track.trips), []
+    for piece in pieces:
+        _check_fits(track, piece)
+        if piece.identity in counted:
+            skipped.append(piece.trip)
+            continue
+        counted.add(piece.identity)
+        trips.append(
+            {
+                "trip": piece.trip,
+                "sha256": piece.sha256,
+                "layer": piece.layer,
+                "software": f"trainlog {__version__}",
+            }
+        )
+        sums[piece.layer] = _added(sums.get(piece.layer), _sums(piece))
+    return _solved(track, sums, trips), tuple(skipped)
+
+
+def update_logs(
+    known: TrackConditionMap | None, logs: Iterable[Path], layer: str | None = None
+) -> tuple[TrackConditionMap, tuple[str, ...]]:
+    """Add log files to a map; None begins a new one on the line of the first log.
+
+    A log is told from others by the SHA-256 of its file. One too long for the memory is analysed
+    in stretches: what is taken from a whole trip, the sizes of the noise and the wheel diameters,
+    is then that of the stretch.
+
+    Parameters
+    ----------
+    known : TrackConditionMap or None
+    logs : iterable of path
+    layer : str, optional
+        Rail condition of all of them; default: what each log says.
+
+    Returns
+    -------
+    track : TrackConditionMap
+    skipped : tuple of str
+        Names of the trips that the map held already.
+
+    Raises
+    ------
+    TrainlogError
+        If a log cannot be used; the message names its file.
+    """
+    track = known
+    pieces = []
+    for path in logs:
+        trip = read_log(path, topics=[])
+        try:
+            if track is None:
+                track = empty_map(_own_line(trip))
+            condition = condition_of(trip, track, layer)
+            parts = _analysed(path)
+            pieces.append(evidence_of_parts(parts, track, condition, sha256=sha256_of(path)))
+        except TrainlogError as error:
+            raise type(error)(error.problem, file=path, remedy=error.remedy) from error
+    if track is None:
+        raise InputError("no log was given", remedy="name logs to build the map from")
+    return update(track, pieces)
+
+
+def _analysed(path: Path) -> Iterator[SlipAnalysis]:
+    """Slip over a log, stretch by stretch; one in which the axles were not recorded has none."""
+    for stretch in stretches(path, TOPICS):
+        if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
+            yield slip(stretch.trip).part(stretch.span)
+
+
+def _own_line(trip: Trip) -> Line:
+    """The line of a trip in its own direction."""
+    line = line_of(trip)
+    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
+
+
+def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackConditionMap:
+    """One map from two that were made of different trips.
+
+    Raises
+    ------
+    InputError
+        If the maps differ in line, bins or settings, or count a trip in both.
+    """
+    for name in ("line", "length", "bin_length", "settings", "levels"):
+        if not np.array_equal(getattr(first, name), getattr(second, name)):
+            raise InputError(
+                f"track-condition maps differ in {name}:"
+                f" {getattr(first, name)} and {getattr(second, name)}",
+                remedy="merge maps of one line that were made with the same settings",
+            )
+    both = {_identity(t) for t in first.trips} & {_identity(t) for t in second.trips}
+    if both:
+        names = sorted(str(t["trip"]) for t in first.trips if _identity(t) in both)
+        raise InputError(
+            f"both track-condition maps count trip '{names[0]}' ({len(both)} in common)",
+            remedy="build one map from the logs instead",
+        )
+    sums = {name: _sums(layer) for name, layer in first.layers.items()}
+    for name, layer in second.layers.items():
+        sums[name] = _added(sums.get(name), _sums(layer))
+    return _solved(first, sums, [*first.trips, *second.trips])
+
+
+def prior_of(track: TrackConditionMap, layer: str) -> Prior:
+    """What the map's settings say of a layer before any evidence."""
+    known = layer if layer in ("dry", "wet") else "other"
+    return Prior(
+        float(np.log(setting(track, f"prior_{known}"))),
+        setting(track, "prior_std"),
+        setting(track, "correlation_length"),
+    )
+
+
+def _solved(
+    track: TrackConditionMap, sums: dict[str, Sums], trips: list[dict[str, Any]]
+) -> TrackConditionMap:
+    layers = {}
+    for name in sorted(sums):
+        events, weight, weighted_log, censored = sums[name]
+        prior = prior_of(track, name)
+        field = solve_field(
+            prior,
+            track.bin_length,
+            weight,
+            weighted_log,
+            censored,
+            np.log(track.levels),
+            setting(track, "trip_std"),
+        )
+        layers[name] = ConditionLayer(
+            log_mean=field.mean,
+            log_std=np.hypot(field.std, setting(track, "model_std")),
+            observed=(events > 0)
+            | (field.events_std <= setting(track, "observed_share") * prior.std),
+            events=events,
+            weight=weight,
+            weighted_log=weighted_log,
+            censored=censored,
+        )
+    ordered = tuple(sorted(trips, key=lambda t: (t["layer"], t["trip"], t["sha256"])))
+    return replace(track, layers=layers, trips=ordered)
+
+
+def _sums(source: ConditionLayer | Evidence) -> Sums:
+    return source.events, source.weight, source.weighted_log, source.censored
+
+
+def _added(held: Sums | None, more: Sums) -> Sums:
+    if held is None:
+        return more
+    return held[0] + more[0], held[1] + more[1], held[2] + more[2], held[3] + more[3]
+
+
+def _identity(trip: dict[str, Any]) -> str:
+    return str(trip.get("sha256") or trip["trip"])
+
+
+def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:
+    check_line(track, piece.trip, piece.line, piece.length)
+    if piece.bin_length != track.bin_length or piece.censored.shape[1] != track.levels.size:
+        raise InputError(
+            f"trip '{piece.trip}': evidence in bins of {piece.bin_length:g} m does not fit the"
+            f" map's {track.bin_length:g} m",
+            remedy="make the evidence with the map's bin length",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A low spot: chainage [m], maximum adhesion there and the ends of its 95 % band."""
+
+    position: float
+    adhesion: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class LayerSummary:
+    """What a layer of a map amounts to.
+
+    Attributes
+    ----------
+    layer : str
+    trips : int
+    observed_bins, bins : int
+    observed_length : float [m]
+    events : int
+        Onsets of slip that measured the maximum.
+    lowest : tuple of Spot
+        Least adhesion first, at least `SPOT_SEPARATION` apart.
+    """
+
+    layer: str
+    trips: int
+    observed_bins: int
+    bins: int
+    observed_length: float
+    events: int
+    lowest: tuple[Spot, ...]
+
+
+def summary(track: TrackConditionMap, spots: int = 5) -> tuple[LayerSummary, ...]:
+    """What each layer of a map amounts to, with its lowest spots."""
+    return tuple(
+        LayerSummary(
+            layer=name,
+            trips=sum(trip["layer"] == name for trip in track.trips),
+            observed_bins=int(np.count_nonzero(layer.observed)),
+            bins=track.bins,
+            observed_length=_observed_length(track, layer),
+            events=int(layer.events.sum()),
+            lowest=_lowest(track, layer, spots),
+        )
+        for name, layer in track.layers.items()
+    )
+
+
+def _observed_length(track: TrackConditionMap, layer: ConditionLayer) -> float:
+    """Length of the observed bins [m]; the last bin ends with the line."""
+    widths = np.diff(np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length))
+    return float(widths[layer.observed].sum())
+
+
+def _lowest(track: TrackConditionMap, layer: ConditionLayer, spots: int) -> tuple[Spot, ...]:
+    chosen: list[int] = []
+    candidates = np.flatnonzero(layer.observed)
+    for i in candidates[np.argsort(layer.log_mean[candidates], kind="stable")]:
+        if all(abs(i - j) * track.bin_length >= SPOT_SEPARATION for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == spots:
+            break
+    band = 1.96 * layer.log_std
+    return tuple(
+        Spot(
+            position=float(track.centres[i]),
+            adhesion=float(np.exp(layer.log_mean[i])),
+            low=float(np.exp(layer.log_mean[i] - band[i])),
+            high=float(np.exp(layer.log_mean[i] + band[i])),
+        )
+        for i in chosen
+    )

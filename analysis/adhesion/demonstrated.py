@@ -1,0 +1,159 @@
+"""Adhesion that a controller may count on, bin by bin, and how the map came by it.
+
+Slip shows the maximum where it is met. Everywhere else a trip only shows that the rail bore what
+was asked of it; and where little was asked the map tells nothing, so that what is counted on there
+is an assumption, and is called one.
+
+This is right for what is planned ahead and must hold: trajectories, references, the guarantees of
+studies. A driver on the way, who sees slip and eases off, expects the likely where the map was not
+observed: `TrackConditionMap.likely`. Where it was observed both are the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.adhesion.evidence import setting
+from trainlog.errors import InputError
+from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.line import StepProfile
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class AssuredAdhesion:
+    """What may be counted on along a line; (n,) arrays by bin of the map.
+
+    Attributes
+    ----------
+    bin_length : float [m]
+    values : (n,) array
+        Infinite where nothing is known and nothing is assumed.
+    seen : (n,) bool array
+        From the maximum itself, which slip in or near the bin has shown.
+    borne : (n,) bool array
+        From what the rail bore without slip, more than would have been assumed.
+    """
+
+    bin_length: float
+    values: FloatArray
+    seen: BoolArray
+    borne: BoolArray
+
+    @property
+    def assumed(self) -> BoolArray:
+        """Bins in which only an assumption is counted on; (n,)."""
+        return np.asarray(~self.seen & ~self.borne)
+
+    @property
+    def profile(self) -> StepProfile:
+        """By position on the line."""
+        starts = self.bin_length * np.arange(self.values.size, dtype=np.float64)
+        return StepProfile(starts, self.values)
+
+
+def assured_adhesion(
+    track: TrackConditionMap, layer: str, *, sigmas: float = 1.0, assumed: float = np.inf
+) -> AssuredAdhesion:
+    """What a map lets a controller count on.
+
+    Where the map observed the maximum, its estimate less `sigmas` standard deviations; what was
+    borne without slip is part of that estimate. Elsewhere the more of what was borne
+    (`borne_adhesion`) and of what is assumed.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    layer : str
+    sigmas : float
+        How cautious.
+    assumed : float
+        Where the map tells nothing; by default there is no limit.
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer, or the assumption is not positive.
+    """
+    if not assumed > 0.0:
+        raise InputError(
+            f"an assumed adhesion of {assumed} is not positive",
+            remedy="assume what the worst of rails would bear, 0.05 for instance",
+        )
+    known = track.lower_bound(layer, track.centres, sigmas)
+    seen = np.isfinite(known)
+    # Where nothing limits anything, nothing borne can be more.
+    borne = borne_adhesion(track, layer, sigmas) if np.isfinite(assumed) else np.zeros(track.bins)
+    return AssuredAdhesion(
+        track.bin_length,
+        np.where(seen, known, np.maximum(borne, assumed)),
+        seen,
+        ~seen & (borne > assumed),
+    )
+
+
+def borne_adhesion(track: TrackConditionMap, layer: str, sigmas: float = 1.0) -> FloatArray:
+    """Cautious bound of the maximum adhesion from what each bin bore without slip; 0 where nothing.
+
+    The maximum of one trip scatters about that of the place by ``trip_std``, and what the model
+    leaves out adds ``model_std``. Where n trips bore a level, it is therefore lowered by `sigmas`
+    times ``sqrt(trip_std²/n + model_std²)`` of its logarithm; the best of all levels counts.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    layer : str
+    sigmas : float
+
+    Returns
+    -------
+    (n,) array
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer.
+    """
+    trips = np.cumsum(track.layer(layer).censored[:, ::-1], axis=1)[:, ::-1]
+    spread = np.hypot(
+        setting(track, "trip_std") / np.sqrt(np.maximum(trips, 1.0)), setting(track, "model_std")
+    )
+    bound = np.where(trips > 0.0, track.levels * np.exp(-sigmas * spread), 0.0)
+    return np.asarray(bound.max(axis=1))
+
+
+def typical_adhesion(track: TrackConditionMap, layer: str, sigmas: float = 1.0) -> float:
+    """Cautious adhesion of the middle one of all places where slip has shown the maximum.
+
+    An assumption for the rest of the line. Neighbouring bins are one place, told by the lowest of
+    their cautious estimates: a long slippery spot counts no more than a short one. Slip is met
+    where the rail is worst, so that most of the line holds more; not all of it does.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    layer : str
+    sigmas : float
+        How cautious.
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer, or has seen no maximum.
+    """
+    known = track.lower_bound(layer, track.centres, sigmas)
+    seen = np.flatnonzero(np.isfinite(known))
+    if seen.size == 0:
+        raise InputError(
+            f"map of line '{track.line}': no trip has shown the maximum adhesion of layer"
+            f" '{layer}' anywhere",
+            remedy="count in trips that met the limit, or assume an adhesion",
+        )
+    apart = np.diff(seen) * track.bin_length > setting(track, "correlation_length")
+    places = np.split(known[seen], np.flatnonzero(apart) + 1)
+    return float(np.median([place.min() for place in places]))

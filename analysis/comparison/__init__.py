@@ -1,0 +1,1 @@
+"""Trips beside each other: running time, energy and slip."""

@@ -1,0 +1,84 @@
+"""What the train is found to be while it runs: a Kalman filter of three states."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.control.kernels import Belief
+from analysis.control.route import Able
+
+FloatArray = NDArray[np.float64]
+
+NOISE = 0.02
+"""Of an acceleration between two decisions [m/s²]."""
+
+UNSURE = 0.05
+"""Of an effort that acted, over the effort: drives lag, and wheels slip a little."""
+
+DRIFT, DRIFT_LASTS = 0.015, 15.0
+"""What nothing explains: standard deviation [m/s²], and how long it lasts [s]."""
+
+LEAST_SPREAD = 0.02
+"""The set is taken to be no narrower than this, relative."""
+
+SURPRISE = 5.0
+"""Standard deviations from which on a sample does not tell what the train is: wheels may slip."""
+
+
+class Observer:
+    """Finds gain, drag and drift (see `analysis.control.kernels`) from what the train does.
+
+    Parameters
+    ----------
+    can : Able
+        The observed set, from whose spread it starts.
+    """
+
+    def __init__(self, can: Able) -> None:
+        inertias, drags = can.corners[:, 1], can.corners[:, 2:] @ (1.0, 20.0, 400.0)
+        spreads = [np.ptp(values) / values.sum() * values.size for values in (inertias, drags)]
+        gain, drag = (0.5 * max(float(spread), LEAST_SPREAD) for spread in spreads)
+        self._state = np.array([1.0, 0.0, 0.0])
+        self._covariance = np.diag([gain**2, drag**2, DRIFT**2])
+
+    @property
+    def belief(self) -> Belief:
+        """What the train is taken to be now."""
+        return Belief(*self._state.tolist())
+
+    def update(
+        self, acceleration: float, effort: float, drag: float, track: float, span: float
+    ) -> None:
+        """Take in what happened since the last decision.
+
+        Parameters
+        ----------
+        acceleration : float [m/s²]
+            Mean since then.
+        effort : float [m/s²]
+            Specific effort that acted, without gain.
+        drag : float [m/s²]
+            Running resistance of the middle of the set, over its inertia.
+        track : float [m/s²]
+            Deceleration by gradient and curves.
+        span : float [s]
+        """
+        keep = np.exp(-span / DRIFT_LASTS)
+        self._state[2] *= keep
+        self._covariance[2] *= keep
+        self._covariance[:, 2] *= keep
+        self._covariance[2, 2] += (1.0 - keep**2) * DRIFT**2
+        shown = np.array([effort, -drag, 1.0])
+        expected = effort * self._state[0] - drag * (1.0 + self._state[1]) - track + self._state[2]
+        surprise = acceleration - expected
+        spread = self._covariance @ shown
+        noise = NOISE**2 + (UNSURE * effort) ** 2
+        variance = float(shown @ spread) + noise
+        gain = spread / variance
+        if abs(surprise) > SURPRISE * np.sqrt(variance):
+            gain[:2] = 0.0
+            surprise = np.sign(surprise) * SURPRISE * np.sqrt(variance)
+        self._state += gain * surprise
+        change = np.eye(3) - np.outer(gain, shown)
+        self._covariance = change @ self._covariance @ change.T + noise * np.outer(gain, gain)

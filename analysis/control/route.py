@@ -1,0 +1,264 @@
+"""What a driver on a trajectory knows: the way ahead, and what every configuration can do on it.
+
+Tables along the run lie on a grid of `GRID` metres and are read on a line between two nodes. The
+train is known as far as the observed set tells: the hull of its configurations, whose corners
+decide what is safe, and from whose middle the controller starts.
+"""
+
+# The decorator of numba carries no types.
+# mypy: disable-error-code="untyped-decorator, no-any-return"
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from analysis.studies.hauck_2023.dynamics import GRID, value
+from analysis.trajectory.run import Run
+from trainlog.railway import Trajectory
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+MARGIN = 0.04
+"""The controller stays this far below the permitted speed [m/s]; the guard may use it."""
+
+SHARE = 0.96
+"""Of the brake that is counted on ahead of lower limits and of the stop; the rest corrects."""
+
+BLENDING = 0.995
+"""Of the largest braking effort; while the dynamic brake takes over, friction lags behind."""
+
+UNEVEN = 0.95
+"""Of the map's adhesion that is used: the powered axles do not share the effort alike."""
+
+UNSEEN_SIGMAS = 1.0
+"""Standard deviations taken off what a map makes likely where it was not observed, in braking."""
+
+PULLING_SIGMAS = 0.5
+"""Standard deviations taken off what a map makes likely, in traction: who slips there loses a
+little time, who is cautious loses it everywhere."""
+
+ASSUMED = {"dry": (0.3, 0.15), "wet": (0.15, 0.08)}
+"""Adhesion in traction, and in braking ahead of what must be kept, without a map."""
+
+SETTLING, SETTLING_SHARE = 10.0, 0.75
+"""In the last metres before the stop [m] less is counted on: dynamic brakes fade there."""
+
+PARTS = 5
+"""Of a cell, at which limits and adhesion are looked up."""
+
+
+class Able(NamedTuple):
+    """What every train of the set can do, for the compiled code.
+
+    Attributes
+    ----------
+    traction, power : float [N], [W]
+        The most that each of them can do with comfort.
+    braking : float [N]
+        All brakes together.
+    dynamic, dynamic_power : float [N], [W]
+        The part of it that acts at once.
+    on_powered, on_all : float [N]
+        Weight on the powered axles, and on all of them.
+    mass, inertia, r0, r1, r2 : float
+        Of the middle of the set.
+    lag : float [s]
+        Of the friction brake.
+    spinning : float [kg]
+        Rotating mass of the powered axles.
+    corners : (4, 5) array
+        Mass, inertia, r0, r1, r2 of light and heavy trains with little and much resistance.
+    """
+
+    traction: float
+    power: float
+    braking: float
+    dynamic: float
+    dynamic_power: float
+    on_powered: float
+    on_all: float
+    mass: float
+    inertia: float
+    r0: float
+    r1: float
+    r2: float
+    lag: float
+    spinning: float
+    corners: FloatArray
+
+
+class Way(NamedTuple):
+    """Tables from `origin` [m] to the stop at `end`, (n,) arrays.
+
+    Attributes
+    ----------
+    track : [m/s²]
+        Deceleration by gradient and curves.
+    tunnel : [N/(m/s)²]
+        Added to r2.
+    pulling, adhesion
+        Maximum adhesion that is counted on in traction and in braking.
+    ceiling : [m²/s²]
+        Square of the speed from which all that lies ahead can be kept.
+    goal : [m²/s²]
+        Square of the trajectory's speed, of the configuration that arrives last.
+    last_pull : float [m]
+        Where the trajectory pulls no more.
+    """
+
+    origin: float
+    end: float
+    track: FloatArray
+    tunnel: FloatArray
+    pulling: FloatArray
+    adhesion: FloatArray
+    ceiling: FloatArray
+    goal: FloatArray
+    last_pull: float
+
+
+def able(run: Run) -> Able:
+    """What all configurations of a run can do; limits as those of the trajectory."""
+    train, every = run.train, run.configurations
+    masses = [pick(c.mass for c in every) for pick in (min, max)]
+    inertias = [pick(c.inertia for c in every) for pick in (min, max)]
+    drags = np.array([[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in every])
+    corners = [
+        (mass, inertia, *drag)
+        for mass, inertia in zip(masses, inertias, strict=True)
+        for drag in (drags.min(axis=0), drags.max(axis=0))
+    ]
+    r0, r1, r2 = (0.5 * (drags.min(axis=0) + drags.max(axis=0))).tolist()
+    return Able(
+        traction=min(train.max_tractive_effort, train.max_acceleration * inertias[0]),
+        power=min(c.max_power for c in every),
+        braking=BLENDING * min(train.max_braking_effort, train.max_deceleration * inertias[0]),
+        dynamic=train.max_dynamic_braking_effort,
+        dynamic_power=train.max_dynamic_braking_power,
+        on_powered=train.adhesive_weight(masses[0] - train.mass),
+        on_all=GRAVITY * masses[0],
+        mass=0.5 * sum(masses),
+        inertia=0.5 * sum(inertias),
+        r0=r0,
+        r1=r1,
+        r2=r2,
+        lag=max(train.brake.lag, 1e-3),
+        spinning=train.axles.count * train.axles.rotating_mass,
+        corners=np.array(corners, dtype=np.float64),
+    )
+
+
+def way(
+    run: Run, trajectory: Trajectory, can: Able, around: float = 0.0, below: float = 0.0
+) -> Way:
+    """Tables of a run from its start to its end.
+
+    Limits begin `around` [m] earlier and end so much later, and are `below` [m/s] lower.
+    """
+    count = math.ceil((run.end - run.start) / GRID) + 1
+    origin = run.end - GRID * (count - 1)  # the stop is a node
+    places = np.clip(origin + GRID * np.arange(count), 0.0, run.line.length)
+    # The lowest of both cells at a node: read on a line, no table is above what it stands for.
+    fine = origin + GRID * (np.arange(PARTS * (count + 1)) + 0.5 - PARTS) / PARTS
+    fine = np.clip(fine, 0.0, run.line.length)
+    near = np.clip(fine + np.array([[-around], [0.0], [around]]), 0.0, run.line.length)
+    limit = _lowest_around(run.permitted_speed(near).min(axis=0))
+    highest = np.maximum(limit - MARGIN - below, 0.5 * limit) ** 2
+    highest[-1] = 0.0
+    pulling, braking = _adhesion(run, fine)
+    goal = np.interp(places, trajectory.positions, trajectory.speeds[trajectory.latest] ** 2)
+    pulls = np.flatnonzero(trajectory.tractive_effort > 1e-3 * trajectory.tractive_effort.max())
+    found = Way(
+        origin=origin,
+        end=run.end,
+        track=run.line.track_acceleration(places),
+        tunnel=run.train.tunnel_coefficient(run.line.tunnel_cross_section(places)),
+        pulling=UNEVEN * _lowest_around(pulling),
+        adhesion=UNEVEN * _lowest_around(braking),
+        ceiling=highest,
+        goal=goal,
+        last_pull=float(trajectory.positions[pulls[-1] + 1]),
+    )
+    brake_ahead(found.ceiling, found, can)
+    return found
+
+
+def _adhesion(run: Run, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Maximum adhesion that the driver counts on in traction and in braking.
+
+    Where the map was not observed he expects what its own places and neighbours make likely
+    (`TrackConditionMap.likely`), which a plan must not rest on; he sees slip and eases off. Without
+    a map he knows what is usual in such weather.
+    """
+    if run.condition is None:
+        usual = ASSUMED.get(run.layer, ASSUMED["wet"])
+        return np.full(positions.shape, usual[0]), np.full(positions.shape, usual[1])
+    own = run.line.length - positions if run.direction == "reverse" else positions
+    known = run.adhesion_at(positions)
+    likely = run.condition.likely(run.layer, own, UNSEEN_SIGMAS)
+    pulling = run.condition.likely(run.layer, own, PULLING_SIGMAS)
+    return pulling, np.where(np.isfinite(known), known, likely)
+
+
+def _lowest_around(fine: FloatArray) -> FloatArray:
+    """The lowest value in the two cells around each node, and of a part beyond."""
+    beside = np.pad(fine, 1, mode="edge")
+    fine = np.minimum(fine, np.minimum(beside[:-2], beside[2:]))
+    cells = fine.reshape(-1, PARTS).min(axis=1)
+    return np.asarray(np.minimum(cells[:-1], cells[1:]))
+
+
+@njit(cache=True)
+def bounds(p: float, v: float, w: Way, can: Able) -> tuple[float, float]:
+    """Largest tractive and braking effort [N] that machine, comfort and adhesion allow."""
+    grip = value(w.adhesion, w.origin, p)
+    powered = grip * can.on_powered
+    pulling = value(w.pulling, w.origin, p) * can.on_powered
+    pull = min(can.traction, pulling, can.power / max(v, 0.1))
+    brake = min(can.braking, grip * can.on_all)
+    # The dynamic brake is used first, and it acts on the powered axles alone.
+    if at_once(v, can) > powered:
+        brake = min(brake, powered)
+    return pull, brake
+
+
+@njit(cache=True)
+def at_once(v: float, can: Able) -> float:
+    """Braking effort [N] that needs no friction brake."""
+    return min(can.dynamic, can.dynamic_power / max(v, 0.1))
+
+
+@njit(cache=True)
+def held_back(p: float, v: float, row: FloatArray, w: Way) -> float:
+    """Deceleration [m/s²] of a train (mass, inertia, r0, r1, r2) without effort."""
+    drag = row[2] + (row[3] + (row[4] + value(w.tunnel, w.origin, p)) * v) * v
+    return (drag + row[0] * value(w.track, w.origin, p)) / row[1]
+
+
+@njit(cache=True)
+def brake_ahead(squares: FloatArray, w: Way, can: Able) -> None:
+    """Lower `squares` to those from which all ahead can be kept by the train that brakes worst."""
+    for i in range(squares.size - 2, -1, -1):
+        place = w.origin + GRID * i
+        ahead, best = squares[i + 1], squares[i + 1]
+        for _ in range(2):
+            v = math.sqrt(0.5 * (ahead + best))
+            share = SETTLING_SHARE if w.end - place < SETTLING else SHARE
+            brake = share * min(bounds(place, v, w, can)[1], bounds(place + GRID, v, w, can)[1])
+            worst = 1e9
+            for row in can.corners:
+                worst = min(worst, brake / row[1] + held_back(place + 0.5 * GRID, v, row, w))
+            best = ahead + 2.0 * GRID * max(worst, 0.0)
+        squares[i] = min(squares[i], best)
+
+
+@njit(cache=True)
+def highest(p: float, w: Way) -> float:
+    """Square of the highest speed [m²/s²] at a position."""
+    return max(value(w.ceiling, w.origin, p), 0.0)

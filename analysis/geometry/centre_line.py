@@ -1,0 +1,385 @@
+"""The geometry of a line from the satellite fixes of trips along it, where no map exists."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
+
+from analysis.geometry.rough_line import GAP, NEAR, rough_line
+from estimators.centre_line import Curve, fitted_curve
+from estimators.kalman import smooth_motion
+from trainlog.errors import InputError
+from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
+from trainlog.ingest.estimates import fixes_of
+from trainlog.ingest.wheels import Fixes
+from trainlog.railway.geometry import from_plane, thinned, to_plane
+from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile
+from trainlog.railway.projection import nearest_on, track_of
+from trainlog.trip import Trip
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.int64]
+
+PIECE = 25.0
+"""Fixes within so much distance driven are one point of the first, rough line [m]."""
+
+TURNS = 3
+"""Times the fixes are matched to the line and the line is fitted to them."""
+
+STEP = 10.0
+"""Distance between the points at which the line is told [m]."""
+
+SUPPORT = 200.0
+"""A trip supports the line within this distance of its fixes [m]."""
+
+REGION = 500.0
+"""Stretch over which trips are compared with each other [m]."""
+
+TOLERANCE = 0.1
+"""How far the geometry's straight pieces may lie from the curve [m]."""
+
+CURVATURE_STEP = 50.0
+"""Length of the elements of the curvature profile [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A line's geometry, and what it rests on; arrays are (n,), one value a `STEP`.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        Without points on stretches that no trip supports.
+    curvatures : CurvatureProfile
+    position : array [m]
+    latitude, longitude : array [deg]
+    std : array [m]
+        Of the line's place across the track.
+    curvature, curvature_std : array [1/m]
+    support : int array
+        Number of trips with fixes within `SUPPORT`.
+    unsupported : tuple of (from, to) [m]
+        Stretches without any fix: bridged by a smooth curve, not known.
+    used : tuple of str
+        Names of the trips the line rests on.
+    refused : tuple of (name, reason)
+    fixes, rejected : int
+        Fixes of the trips used, and those of them that were set aside.
+    fastest : float [m/s]
+        Highest smoothed speed of any trip.
+    """
+
+    geometry: Geometry
+    curvatures: CurvatureProfile
+    position: FloatArray
+    latitude: FloatArray
+    longitude: FloatArray
+    std: FloatArray
+    curvature: FloatArray
+    curvature_std: FloatArray
+    support: IntArray
+    unsupported: tuple[tuple[float, float], ...]
+    used: tuple[str, ...]
+    refused: tuple[tuple[str, str], ...] = ()
+    fixes: int = 0
+    rejected: int = 0
+    fastest: float = 0.0
+
+    @property
+    def length(self) -> float:
+        """Of the line [m]."""
+        return float(self.geometry.positions[-1])
+
+    def lines(self) -> list[str]:
+        """What was found, in words."""
+        known = self.support > 0
+        told = [
+            f"{self.length / 1e3:.3f} km from {len(self.used)} trips, {self.fixes} fixes,"
+            f" {self.rejected} set aside",
+            f"standard deviation across the track {np.median(self.std[known]):.1f} m,"
+            f" at most {self.std[known].max():.1f} m; {np.mean(self.support > 1):.0%} of the line"
+            " rests on more than one trip",
+        ]
+        told += [
+            f"no fixes from km {start / 1e3:.3f} to km {end / 1e3:.3f}: bridged, not known"
+            for start, end in self.unsupported
+        ]
+        return told + [f"{name} is not used: {reason}" for name, reason in self.refused]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """A trip along the line: its fixes, their points, and where on the line they lie."""
+
+    name: str
+    fixes: Fixes
+    points: ComplexArray
+    matched: Matched | None = None
+    chainage: FloatArray = field(default_factory=lambda: np.zeros(0))
+    reason: str = ""
+
+
+def geometry_of(trips: Sequence[Trip]) -> Survey:
+    """The centre line of the track from the fixes of trips along it, in either direction.
+
+    The longest trip gives a rough line, its gaps and ends filled from the others. Then, in turns,
+    all trips are matched to the line as any trip is (`chainage_of`: reflections are set aside), and
+    the smoothest curve near all matched fixes is fitted (`estimators.centre_line`). Chainage is
+    the length along it, in the direction of the longest trip.
+
+    Parameters
+    ----------
+    trips : sequence of Trip
+        With fixes, of the same line.
+
+    Raises
+    ------
+    InputError
+        If no trip has fixes that move along a line.
+    """
+    passes = _passes(trips)
+    origin = _origin(passes)
+    passes = [replace(p, points=_plane(p.fixes, origin)) for p in passes]
+    rough = rough_line([_thinned(p) for p in passes])
+    way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(rough)))))
+    curve, _ = fitted_curve(way, rough, np.full(rough.size, _std(passes)))
+    for turn in range(TURNS):
+        geometry = _by_length(curve, origin)
+        # At first the line may be what is off, not the fixes: all of them have their say.
+        passes = [_matched(p, geometry, gated=turn > 0) for p in passes]
+        used = [p for p in passes if p.matched is not None]
+        if not used:
+            raise InputError(
+                f"the trips follow no common line; '{passes[0].name}': {passes[0].reason}",
+                remedy="give trips along one line, each in one direction",
+            )
+        curve = _refitted(used)
+    return _survey(curve, used, [p for p in passes if p.matched is None], origin)
+
+
+def line_of(survey: Survey, name: str) -> Line:
+    """A line with the surveyed geometry and curvature; what fixes do not tell is told as unknown.
+
+    A line needs speed limits and gradients: it gets the highest speed driven, rounded up to
+    5 km/h, and level track, and its `source` says so.
+    """
+    limit = 5.0 / 3.6 * np.ceil(max(survey.fastest, 1.0) * 3.6 / 5.0)
+    missing = sum(end - start for start, end in survey.unsupported)
+    source = (
+        f"{survey.geometry.quality}; chainage counts along the fitted curve;"
+        f" {missing:.0f} m without fixes; speed limit: highest speed driven;"
+        " gradients, stations, tunnels: not known"
+    )
+    return Line(
+        name=name,
+        length=survey.length,
+        stations=(Station("start", 0.0), Station("end", survey.length)),
+        speed_limits=StepProfile(np.zeros(1), np.array([limit])),
+        gradients=StepProfile(np.zeros(1), np.zeros(1)),
+        curvatures=survey.curvatures,
+        geometry=survey.geometry,
+        source=source,
+    )
+
+
+def _passes(trips: Sequence[Trip]) -> list[_Pass]:
+    """Trips with fixes."""
+    found = [
+        _Pass(trip.name, fixes_of(trip), np.zeros(0, dtype=np.complex128))
+        for trip in trips
+        if "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 10
+    ]
+    if not found:
+        raise InputError(
+            "none of the trips has satellite fixes", remedy="give trips with /gnss/fix"
+        )
+    return found
+
+
+def _origin(passes: list[_Pass]) -> tuple[float, float]:
+    latitudes = np.concatenate([p.fixes.latitude for p in passes])
+    longitudes = np.concatenate([p.fixes.longitude for p in passes])
+    return float(np.nanmedian(latitudes)), float(np.nanmedian(longitudes))
+
+
+def _std(passes: list[_Pass]) -> float:
+    return float(np.median(np.concatenate([p.fixes.std for p in passes])))
+
+
+def _plane(fixes: Fixes, origin: tuple[float, float]) -> ComplexArray:
+    return to_plane(fixes.latitude, fixes.longitude, origin)
+
+
+def _thinned(one: _Pass) -> ComplexArray:
+    """One point for every `PIECE` driven, the median of its fixes."""
+    known = np.flatnonzero(np.isfinite(one.points))
+    way = distance_driven(one.fixes)
+    if not np.isfinite(way).any():
+        way = _way_of(one)
+    piece = np.floor(way[known] / PIECE)
+    edges = np.flatnonzero(np.diff(piece, prepend=piece[0] - 1.0))
+    groups = np.split(one.points[known], edges[1:])
+    return np.array([np.median(g.real) + 1j * np.median(g.imag) for g in groups])
+
+
+def _way_of(one: _Pass) -> FloatArray:
+    """Distance driven [m] where no speed was measured: along the smoothed fixes."""
+    nothing = np.full(one.points.size, np.nan)
+    axes = [
+        smooth_motion(one.fixes.seconds, nothing, 1.0, values, one.fixes.std)
+        for values in (one.points.real, one.points.imag)
+    ]
+    speed = np.hypot(axes[0].speed, axes[1].speed)
+    unsure = np.hypot(axes[0].speed_std, axes[1].speed_std)
+    speed = np.where(speed > unsure, speed, 0.0)
+    steps = np.diff(one.fixes.seconds)
+    return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * steps)))
+
+
+def _by_length(curve: Curve, origin: tuple[float, float]) -> Geometry:
+    """The curve as a geometry whose positions are the length along it."""
+    at = np.linspace(curve.start, curve.end, int((curve.end - curve.start) / STEP) + 2)
+    points = curve.at(at)
+    latitude, longitude = from_plane(points, origin)
+    return Geometry(_length_along(curve, at), latitude, longitude, "being fitted")
+
+
+def _length_along(curve: Curve, at: FloatArray) -> FloatArray:
+    """Length of the curve [m] up to each of increasing positions, by Simpson's rule."""
+    middle = 0.5 * (at[1:] + at[:-1])
+    pace = np.abs(curve.spline(at, 1)), np.abs(curve.spline(middle, 1))
+    pieces = np.diff(at) * (pace[0][:-1] + 4.0 * pace[1] + pace[0][1:]) / 6.0
+    return np.concatenate(([0.0], np.cumsum(pieces)))
+
+
+def _matched(one: _Pass, geometry: Geometry, *, gated: bool) -> _Pass:
+    """The pass with its fixes on the line, in whichever direction it runs."""
+    length = float(geometry.positions[-1])
+    track = track_of(geometry)
+    near, apart = nearest_on(track, track.plane(one.fixes.latitude, one.fixes.longitude))
+    near = near[apart < 2.0 * NEAR]
+    backwards = float(np.clip(np.diff(near), -GAP, GAP).sum()) < 0.0
+    travelled = geometry.reversed(length) if backwards else geometry
+    try:
+        matched = chainage_of(travelled, one.fixes, gated=gated)
+    except InputError as error:
+        return replace(one, matched=None, reason=error.problem)
+    if matched.misfit > NEAR:
+        reason = f"its fixes lie {matched.misfit:.0f} m from the line that the others make"
+        return replace(one, matched=None, reason=reason)
+    # Fixes of a train that stands at the line's end scatter beyond it; the line ends where it is.
+    kept = np.isfinite(matched.chainage)
+    reached = matched.motion.position[kept]
+    chainage = np.clip(matched.chainage, reached.min(), reached.max())
+    if backwards:
+        chainage = length - chainage
+    return replace(one, matched=matched, chainage=chainage)
+
+
+def _refitted(used: list[_Pass]) -> Curve:
+    kept = [np.isfinite(p.chainage) for p in used]
+    curve, _ = fitted_curve(
+        np.concatenate([p.chainage[k] for p, k in zip(used, kept, strict=True)]),
+        np.concatenate([p.points[k] for p, k in zip(used, kept, strict=True)]),
+        np.concatenate([_worth(p)[k] for p, k in zip(used, kept, strict=True)]),
+    )
+    return curve
+
+
+def _worth(one: _Pass) -> FloatArray:
+    """Standard deviation [m] with which each fix counts: all of a trip's in a `PIECE` as one.
+
+    Errors last. Ten fixes a second, or those of a train that stands before a wall that reflects,
+    tell little more than one, and must not outvote the other trips.
+    """
+    kept = np.isfinite(one.chainage)
+    piece = np.where(kept, np.floor(one.chainage / PIECE), -1.0)
+    _, number, count = np.unique(piece, return_inverse=True, return_counts=True)
+    return np.asarray(one.fixes.std * np.sqrt(count[number]))
+
+
+def _survey(
+    curve: Curve, used: list[_Pass], refused: list[_Pass], origin: tuple[float, float]
+) -> Survey:
+    """What is told of the fitted curve."""
+    at = np.linspace(curve.start, curve.end, int((curve.end - curve.start) / STEP) + 2)
+    position = _length_along(curve, at)
+    points = curve.at(at)
+    latitude, longitude = from_plane(points, origin)
+    on_curve = [np.sort(p.chainage[np.isfinite(p.chainage)]) for p in used]
+    support = np.sum([_supported(at, places) for places in on_curve], axis=0)
+    std = np.hypot(curve.std(at), _between(curve, used) / np.sqrt(np.maximum(support, 1)))
+    quality = (
+        f"fitted to the satellite fixes of {len(used)} trips (standard deviation"
+        f" {np.median(std[support > 0]):.1f} m across the track); not surveyed"
+    )
+    kept = thinned(position, points, TOLERANCE)
+    kept = kept[(support[kept] > 0) | (kept == 0) | (kept == at.size - 1)]
+    bend = curve.curvature(at)
+    return Survey(
+        geometry=Geometry(position[kept], latitude[kept], longitude[kept], quality),
+        curvatures=_profile(position, bend),
+        position=position,
+        latitude=latitude,
+        longitude=longitude,
+        std=std,
+        curvature=bend,
+        curvature_std=curve.curvature_std(at),
+        support=support,
+        unsupported=_spans(position, support == 0),
+        used=tuple(p.name for p in used),
+        refused=tuple((p.name, p.reason) for p in refused),
+        fixes=sum(int(np.isfinite(p.points).sum()) for p in used),
+        rejected=sum(int(p.matched.rejected.sum()) for p in used if p.matched is not None),
+        fastest=max(float(p.matched.motion.speed.max()) for p in used if p.matched is not None),
+    )
+
+
+def _supported(at: FloatArray, places: FloatArray) -> IntArray:
+    """1 where a fix lies within `SUPPORT`, else 0."""
+    following = np.searchsorted(places, at - SUPPORT)
+    return (np.searchsorted(places, at + SUPPORT) > following).astype(np.int64)
+
+
+def _between(curve: Curve, used: list[_Pass]) -> float:
+    """Standard deviation [m] of a trip's own lasting error, from how trips differ.
+
+    Errors that last do not average out along the line, only over trips. One trip alone cannot
+    tell them from the line: it is taken at its word.
+    """
+    sums: dict[int, list[tuple[float, float]]] = {}
+    for p in used:
+        kept = np.isfinite(p.chainage)
+        s = p.chainage[kept]
+        ahead = curve.spline(s, 1)
+        aside = (np.conj(ahead) * (p.points[kept] - curve.at(s))).imag / np.abs(ahead)
+        regions = np.floor(s / REGION).astype(np.int64)
+        for region in np.unique(regions):
+            inside = regions == region
+            if np.count_nonzero(inside) > 3:
+                sums.setdefault(int(region), []).append((float(aside[inside].mean()), 1.0))
+    several = [np.array(found)[:, 0] for found in sums.values() if len(found) > 1]
+    if not several:
+        return _std(used)
+    freedom = sum(values.size - 1 for values in several)
+    spread = sum(float(np.sum((values - values.mean()) ** 2)) for values in several)
+    return float(np.sqrt(spread / freedom))
+
+
+def _profile(position: FloatArray, bend: FloatArray) -> CurvatureProfile:
+    """Curvature as elements between which it is continuous."""
+    count = max(int(position[-1] / CURVATURE_STEP), 1)
+    edges = np.linspace(0.0, position[-1], count + 1)
+    values = np.interp(edges, position, bend)
+    return CurvatureProfile(edges[:-1], values[:-1], values[1:])
+
+
+def _spans(position: FloatArray, flags: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+    runs, count = label(flags)
+    spans = [np.flatnonzero(runs == k + 1) for k in range(count)]
+    return tuple((float(position[s[0]]), float(position[s[-1]])) for s in spans)

@@ -1,0 +1,93 @@
+"""Picture of a line built from satellite fixes: where it goes, how it bends, what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from analysis.geometry.centre_line import Survey
+from analysis.plotting import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SKY,
+    dress,
+    new_figure,
+    write_figure,
+)
+from trainlog.railway.geometry import to_plane
+from trainlog.trip import Trip
+
+KILOMETRE = 1e3
+
+
+def draw_survey(survey: Survey, trips: Sequence[Trip], path: str | Path) -> None:
+    """Draw a surveyed line: plan with the fixes, curvature with its band, support.
+
+    Parameters
+    ----------
+    survey : Survey
+    trips : sequence of Trip
+        That it was made from.
+    path : path
+        Of the PNG.
+    """
+    figure = new_figure(11.0, 7.5)
+    grid = figure.add_gridspec(3, 1, height_ratios=(4, 2, 1))
+    _plan(figure.add_subplot(grid[0]), survey, trips)
+    bend = figure.add_subplot(grid[1])
+    _curvature(bend, survey)
+    _support(figure.add_subplot(grid[2], sharex=bend), survey)
+    refused = f", {len(survey.refused)} refused" if survey.refused else ""
+    figure.suptitle(
+        f"{survey.length / KILOMETRE:.3f} km from {len(survey.used)} trips{refused},"
+        f" {survey.fixes} fixes, {survey.rejected} of them set aside",
+        x=0.01,
+        ha="left",
+        fontsize=11,
+        color=INK,
+    )
+    write_figure(figure, path)
+
+
+def _plan(axes: Axes, survey: Survey, trips: Sequence[Trip]) -> None:
+    origin = (float(survey.latitude.mean()), float(survey.longitude.mean()))
+    for number, trip in enumerate(t for t in trips if t.name in survey.used):
+        fix = trip["/gnss/fix"]
+        points = to_plane(fix["latitude"].to_numpy(), fix["longitude"].to_numpy(), origin)
+        name = "fixes" if number == 0 else None
+        axes.plot(
+            points.real / KILOMETRE, points.imag / KILOMETRE, ".", color=GREY, ms=2, label=name
+        )
+    line = to_plane(survey.latitude, survey.longitude, origin) / KILOMETRE
+    axes.plot(line.real, line.imag, color=BLUE, lw=1.2, label="line")
+    for number, (start, end) in enumerate(survey.unsupported):
+        bridged = (survey.position >= start) & (survey.position <= end)
+        name = "no fixes" if number == 0 else None
+        axes.plot(line[bridged].real, line[bridged].imag, color=RED, lw=2.5, label=name)
+    axes.plot(line[0].real, line[0].imag, "o", color=ORANGE, ms=7, label="km 0")
+    axes.set_aspect("equal", adjustable="datalim")
+    dress(axes, x="east [km]", y="north [km]")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _curvature(axes: Axes, survey: Survey) -> None:
+    at = survey.position / KILOMETRE
+    known = np.where(survey.support > 0, 1.0, np.nan) * KILOMETRE
+    bend, std = survey.curvature * known, survey.curvature_std * known
+    axes.fill_between(at, bend - 1.96 * std, bend + 1.96 * std, color=SKY, alpha=0.4, lw=0)
+    axes.plot(at, bend, color=BLUE, lw=0.9)
+    dress(axes, x="", y="curvature [1/km]", title="Curvature, to the right positive; 95 % band")
+
+
+def _support(axes: Axes, survey: Survey) -> None:
+    axes.fill_between(
+        survey.position / KILOMETRE, survey.support, step="mid", color=SKY, lw=0, alpha=0.7
+    )
+    axes.set_ylim(bottom=0.0)
+    dress(axes, x="chainage [km]", y="trips")

@@ -1,1 +1,0 @@
-"""Pictures of results: matplotlib on an Agg canvas, km and km/h on the axes."""

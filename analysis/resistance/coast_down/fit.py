@@ -1,0 +1,433 @@
+"""Running resistance over inertia from the coasting segments of one trip on a known gradient.
+
+While a train coasts,
+
+    dv/dt = -k a_track(s) - c0 - c1 v - c2 v²,      k = m / (m + m_rot),   c = R / (m + m_rot):
+
+speeds alone tell accelerations, never forces. The four parameters are those of the acceleration
+form in `analysis.resistance` with gravity in the place of the effort: what the track does to each
+kilogramme is what drives the train, and k stands where 1/m stood. Windows, noise model, outliers
+and covariance are those of `analysis.resistance`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.resistance.coast_down.detection import Segment
+from analysis.resistance.coast_down.hidden_effort import SPACING
+from analysis.resistance.coast_down.motion import Motion
+from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.noise import Expected, NoiseParts
+from analysis.resistance.recording import POSITION_STEP, SpeedScale, gradient_pieces
+from analysis.resistance.regression import Regression, regress
+from analysis.resistance.windows import WINDOW, Recording, Windows, build_windows
+from trainlog.errors import NotIdentifiableError
+from trainlog.railway.line import Line
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Train
+from trainlog.units import GRAVITY, KMH
+
+FloatArray = NDArray[np.float64]
+
+FINE = 0.2
+"""The train's place is known so often [s]: gradients change between samples of the speed."""
+
+SAMPLES = 5.0
+"""Least number of samples of the speed in a window: with fewer, neighbouring ends err alike."""
+
+LEAST_COASTING = 60.0
+"""Less coasting than this [s] leaves no residuals to tell the noise from."""
+
+SHORTEST_RANGE = 3.0
+"""Speeds that differ by less than this [m/s] are one speed."""
+
+LARGEST_STD = 0.10
+"""Standard deviation of the curve, over the curve, up to which a speed is supported."""
+
+UNKNOWN_RATIO = (0.945, 0.02)
+"""Mass over inertia of any train, and its standard deviation: rotating masses are 3 to 12 % of the
+empty mass, less of the loaded one."""
+
+RATIO_STD = 0.005
+"""Standard deviation of mass over inertia where the train's file gives the rotating mass."""
+
+FREE_RATIO_STD = 0.2
+"""Standard deviation of mass over inertia [1] with which the data are asked for it: free."""
+
+STRAY = 4.0
+"""A segment whose windows together are so many standard deviations off was not coasting."""
+
+
+@dataclass(frozen=True, slots=True)
+class MassRatio:
+    """Mass over inertia (mass and rotating mass), with where it comes from.
+
+    Attributes
+    ----------
+    value, std : float
+    source : str
+        ``"train file"``, ``"any train"``, or ``"data"`` where the recording itself tells it.
+    """
+
+    value: float
+    std: float
+    source: str
+
+    @staticmethod
+    def expected(train: Train | None) -> MassRatio:
+        """What is known before any data: from the train's file, or of any train."""
+        if train is None:
+            return MassRatio(*UNKNOWN_RATIO, "any train")
+        masses = np.array([train.mass, train.mass + train.max_load])
+        ends = masses / (masses + train.rotating_mass)
+        std = float(np.hypot(0.5 * (ends[1] - ends[0]), RATIO_STD))
+        return MassRatio(float(np.mean(ends)), std, "train file")
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Running resistance over inertia, c(v) = c0 + c1 v + c2 v², with mass over inertia k.
+
+    Attributes
+    ----------
+    theta : (4,) array
+        k, c0 [m/s²], c1 [1/s], c2 [1/m].
+    covariance : (4, 4) array
+    freedom : float
+        Degrees of freedom of the covariance: how well the noise's sizes are known.
+    covered : (float, float) [m/s]
+        Speeds at which the train coasted.
+    supported : (float, float) [m/s] or None
+        Those of them at which the curve is known to `LARGEST_STD`; None if it is known nowhere,
+        or at one speed only.
+    """
+
+    theta: FloatArray
+    covariance: FloatArray
+    freedom: float
+    covered: tuple[float, float]
+
+    @cached_property
+    def supported(self) -> tuple[float, float] | None:
+        """See above."""
+        speed = np.linspace(*self.covered, 121)
+        known = self.share(speed) <= LARGEST_STD
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], known.astype(np.int8), [0]))))
+        ranges = [
+            (float(speed[first]), float(speed[last - 1]))
+            for first, last in zip(edges[::2], edges[1::2], strict=True)
+        ]
+        widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=(0.0, 0.0))
+        return widest if widest[1] - widest[0] >= SHORTEST_RANGE else None
+
+    def __call__(self, speed: ArrayLike) -> FloatArray:
+        """Deceleration of the coasting train on level track [m/s²] at each speed [m/s]."""
+        return RunningResistance(*self.theta[1:].tolist())(speed)
+
+    def std(self, speed: ArrayLike) -> FloatArray:
+        """Its standard deviation [m/s²] at each speed [m/s]."""
+        return curve_std(self.covariance[1:, 1:], speed)
+
+    def share(self, speed: ArrayLike) -> FloatArray:
+        """Standard deviation over the curve; infinite where the curve is not positive."""
+        value = self(speed)
+        share = self.std(speed) / np.maximum(value, 1e-12)
+        return np.where(value > 0.0, share, np.inf)
+
+    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end [m/s²] of the 95 % band of the whole curve over `covered`."""
+        factor = band_factor(self.covariance[1:, 1:], self.covered, self.freedom)
+        value, reach = self(speed), factor * self.std(speed)
+        return value - reach, value + reach
+
+    def per_weight(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Running resistance over weight and its standard deviation [1]; R / (m g) = c / (k g).
+
+        It needs k, whose uncertainty is in the standard deviation.
+        """
+        v = np.asarray(speed, dtype=np.float64)
+        value = self(v) / self.theta[0] / GRAVITY
+        slope = np.concatenate(
+            [-(value / self.theta[0])[..., None], powers(v) / (self.theta[0] * GRAVITY)], axis=-1
+        )
+        variance = np.einsum("...i,ij,...j->...", slope, self.covariance, slope)
+        return np.asarray(value), np.asarray(np.sqrt(variance))
+
+
+@dataclass(frozen=True, eq=False)
+class WindowPoints:
+    """The data as points of the curve, one a window; (n,) arrays.
+
+    Attributes
+    ----------
+    speed : array [m/s]
+    deceleration, std : array [m/s²]
+        By running resistance alone, from the window alone and the fitted k.
+    used : bool array
+        False for outliers.
+    """
+
+    speed: FloatArray
+    deceleration: FloatArray
+    std: FloatArray
+    used: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class TripCoastDown:
+    """Running resistance over inertia as one trip's coasting shows it.
+
+    Attributes
+    ----------
+    trip : str
+    motion : Motion
+    curve : Curve
+    ratio : MassRatio
+        Mass over inertia as the curve has it.
+    free : (array (4,), array (4, 4))
+        The curve's parameters and covariance from the data alone, mass over inertia free.
+    segments : tuple of Segment
+        That were used.
+    strays : tuple of Segment
+        Found as coasting, and left out because they contradict the others.
+    coasted : float [s]
+        Time in the segments used.
+    windows : dict of str to int
+        ``used`` and left out as ``outlier``.
+    noise : dict of str to float
+        Sizes of the noise: ``speed`` [m/s], ``gradient``, ``position`` [m].
+    cluster_factor : float
+        What the noise model's variances were multiplied by because neighbouring windows err
+        together.
+    residual_std : float
+        Of the whitened residuals; 1 if the noise is what it is taken for.
+    scale : SpeedScale
+        What measured speed was divided by.
+    source : str
+        Topic of the speed.
+    points : WindowPoints
+    """
+
+    trip: str
+    motion: Motion
+    curve: Curve
+    ratio: MassRatio
+    free: tuple[FloatArray, FloatArray]
+    segments: tuple[Segment, ...]
+    strays: tuple[Segment, ...]
+    coasted: float
+    windows: dict[str, int]
+    noise: dict[str, float]
+    cluster_factor: float
+    residual_std: float
+    scale: SpeedScale
+    source: str
+    points: WindowPoints
+
+
+def fit_segments(
+    motion: Motion, line: Line, segments: tuple[Segment, ...], expected: MassRatio
+) -> TripCoastDown:
+    """Fit the coasting segments of a trip.
+
+    Parameters
+    ----------
+    motion : Motion
+    line : Line
+        As travelled.
+    segments : tuple of Segment
+        In order of time.
+    expected : MassRatio
+        Mass over inertia before the trip.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the segments are too short together, or all at one speed.
+    """
+    strays: tuple[Segment, ...] = ()
+    width = max(WINDOW, SAMPLES * motion.period)
+    # How noisy the speed is was seen on the whole trip, not only where it coasts.
+    ordinary = Expected.on(line)
+    speed_noise = motion.noise * np.sqrt(motion.period / width)
+    noise = replace(ordinary, sizes=replace(ordinary.sizes, speed=speed_noise))
+    while True:
+        windows = build_windows(coasting_recording(motion, line, segments), width)
+        _check_windows(motion, windows)
+        # In the acceleration form k stands in the place of 1/m.
+        regression = regress(
+            windows, 1.0 / expected.value, FREE_RATIO_STD / expected.value**2, noise
+        )
+        worst = _stray(segments, windows, regression)
+        if worst is None:
+            break
+        strays += (segments[worst],)
+        segments = segments[:worst] + segments[worst + 1 :]
+    return _result(motion, segments, strays, windows, regression, expected)
+
+
+def coasting_recording(motion: Motion, line: Line, segments: tuple[Segment, ...]) -> Recording:
+    """What the windows of `analysis.resistance` are cut from: gravity drives, nothing brakes."""
+    time = fine_clock(motion)
+    inside = np.zeros(time.size, dtype=bool)
+    for segment in segments:
+        inside |= (time >= segment.start) & (time <= segment.end)
+    position = np.interp(time, motion.time, np.nan_to_num(motion.position))
+    section, nearest = gradient_pieces(line, position)
+    slope = line.track_acceleration(position + POSITION_STEP)
+    slope = (slope - line.track_acceleration(position - POSITION_STEP)) / (2.0 * POSITION_STEP)
+    nothing = np.zeros(time.size)
+    usable = motion.usable & np.isfinite(motion.position)
+    between = np.interp(time, motion.time, usable.astype(np.float64))
+    return Recording(
+        time=time,
+        speed=np.interp(time, motion.time, motion.speed),
+        effort=-line.track_acceleration(position),
+        braking=nothing,
+        rotating_momentum=nothing,
+        track=nothing,
+        track_slope=slope,
+        section=section,
+        nearest_edge=nearest,
+        # Between two samples both have to be usable.
+        usable=inside & (between > 1.0 - 1e-9),
+    )
+
+
+def fine_clock(motion: Motion) -> FloatArray:
+    """Times of the samples, and between them if they are far apart: gradients change there."""
+    parts = max(round(motion.period / FINE), 1)
+    return np.interp(
+        np.arange((motion.time.size - 1) * parts + 1) / parts,
+        np.arange(motion.time.size),
+        motion.time,
+    )
+
+
+def with_ratio(
+    theta: FloatArray, covariance: FloatArray, expected: MassRatio
+) -> tuple[FloatArray, FloatArray, MassRatio]:
+    """Parameters (4,) and covariance (4, 4) once mass over inertia is expected to be something.
+
+    It is the data's if they tell it better than what was expected.
+    """
+    gain = covariance[:, 0] / (covariance[0, 0] + expected.std**2)
+    told = theta + gain * (expected.value - theta[0])
+    left = covariance - np.outer(gain, covariance[0])
+    by_data = covariance[0, 0] < expected.std**2
+    source = "data" if by_data else expected.source
+    return told, left, MassRatio(float(told[0]), float(np.sqrt(left[0, 0])), source)
+
+
+def _check_windows(motion: Motion, windows: Windows) -> None:
+    total = float(windows.duration.sum())
+    if total < LEAST_COASTING:
+        raise NotIdentifiableError(
+            f"trip '{motion.trip}': coasts for {total:.0f} s that can be used,"
+            f" {LEAST_COASTING:.0f} s are needed",
+            remedy="give a trip that coasts for longer, or more trips",
+        )
+    reach = float(np.ptp(windows.mean_speed))
+    if reach < SHORTEST_RANGE:
+        at = float(np.mean(windows.mean_speed))
+        raise NotIdentifiableError(
+            f"trip '{motion.trip}': coasts at one speed only, {KMH * at:.0f} km/h within"
+            f" {KMH * reach:.0f} km/h",
+            remedy="give coasting from high speed down to low speed, or several speeds",
+        )
+
+
+def _stray(segments: tuple[Segment, ...], windows: Windows, regression: Regression) -> int | None:
+    """The segment that contradicts the others most, if any does beyond chance."""
+    if len(segments) < 3:
+        return None
+    middle = 0.5 * (windows.start + windows.end)[regression.kept]
+    starts = np.array([segment.start for segment in segments])
+    owner = np.searchsorted(starts, middle, side="right") - 1
+    total = np.bincount(owner, regression.residual, minlength=len(segments))
+    count = np.maximum(np.bincount(owner, minlength=len(segments)), 1)
+    z = np.abs(total) / np.sqrt(count * regression.cluster_factor)
+    return int(np.argmax(z)) if z.max() > STRAY else None
+
+
+def _result(
+    motion: Motion,
+    segments: tuple[Segment, ...],
+    strays: tuple[Segment, ...],
+    windows: Windows,
+    regression: Regression,
+    expected: MassRatio,
+) -> TripCoastDown:
+    theta, covariance = _acceleration_form(regression)
+    covariance = covariance + _misjudged(segments, windows, regression, covariance)
+    effect = theta * np.array([1.0, 1.0, 0.0, -1.0]) * motion.scale.std
+    free = theta, covariance + np.outer(effect, effect)
+    theta, covariance, ratio = with_ratio(*free, expected)
+    used = windows.select(regression.kept)
+    covered = (float(used.mean_speed.min()), float(used.mean_speed.max()))
+    residual = regression.residual
+    return TripCoastDown(
+        trip=motion.trip,
+        motion=motion,
+        curve=Curve(theta, covariance, regression.freedom, covered),
+        ratio=ratio,
+        free=free,
+        segments=segments,
+        strays=strays,
+        coasted=float(sum(segment.duration for segment in segments)),
+        windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
+        noise=dict(zip(("speed", "gradient", "position"), regression.noise.sizes[:3], strict=True)),
+        cluster_factor=regression.cluster_factor,
+        residual_std=float(np.sqrt(residual @ residual / max(residual.size - 4, 1))),
+        scale=motion.scale,
+        source=motion.source,
+        points=_points(windows, regression, theta),
+    )
+
+
+def _misjudged(
+    segments: tuple[Segment, ...], windows: Windows, regression: Regression, covariance: FloatArray
+) -> FloatArray:
+    """Covariance (4, 4) that efforts bring in which were taken for coasting.
+
+    With the probability that a segment was not coasting it carried the nearest level of effort, to
+    either side: least squares tells what that does to the parameters.
+    """
+    used = windows.select(regression.kept)
+    starts = np.array([segment.start for segment in segments])
+    owner = np.searchsorted(starts, 0.5 * (used.start + used.end), side="right") - 1
+    held = used.duration[:, None] * (owner[:, None] == np.arange(len(segments)))
+    rows = NoiseParts.of(used, 1.0).whiten(regression.noise, np.column_stack([used.x, held]))
+    moved = covariance @ rows[:, :4].T @ rows[:, 4:] / regression.cluster_factor
+    doubt = np.array([1.0 - segment.probability for segment in segments])
+    return np.asarray((moved * doubt * SPACING**2) @ moved.T)
+
+
+def _points(windows: Windows, regression: Regression, theta: FloatArray) -> WindowPoints:
+    """The windows that were used, joined, and the outliers one by one."""
+    joined, left_out = windows.select(regression.kept).merged(), windows.select(~regression.kept)
+    parts = (joined, left_out)
+    duration = np.concatenate([part.duration for part in parts])
+    x = np.concatenate([part.x for part in parts])
+    y = np.concatenate([part.y for part in parts])
+    return WindowPoints(
+        speed=np.concatenate([part.mean_speed for part in parts]),
+        deceleration=(theta[0] * x[:, 0] - y) / duration,
+        std=np.sqrt(2.0) * regression.noise.speed / duration,
+        used=np.repeat([True, False], [part.count for part in parts]),
+    )
+
+
+def _acceleration_form(regression: Regression) -> tuple[FloatArray, FloatArray]:
+    """k, c0, c1, c2 and their covariance from r0/m, r1/m, r2/m and 1/k."""
+    beta, inverse = regression.beta, regression.beta[3]
+    theta = np.concatenate(([1.0], beta[:3])) / inverse
+    jacobian = np.zeros((4, 4))
+    jacobian[:, 3] = -theta / inverse
+    jacobian[[1, 2, 3], [0, 1, 2]] = 1.0 / inverse
+    return theta, jacobian @ regression.covariance @ jacobian.T

@@ -1,0 +1,315 @@
+"""Coast-down of one train from its trips: found together, fitted apart, combined.
+
+What coasting looks like is searched for in all trips at once: short stretches that prove nothing by
+themselves do together. Each trip is then fitted alone and the trips are combined as draws around a
+common curve (`analysis.resistance.random_effects`), so that loads, weather and winds
+that differ widen the band instead of biasing it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.resistance.coast_down.detection import (
+    TYPICAL,
+    TYPICAL_STD,
+    Detection,
+    blocks_of,
+    detect,
+)
+from analysis.resistance.coast_down.fit import (
+    LARGEST_STD,
+    Curve,
+    MassRatio,
+    TripCoastDown,
+    fit_segments,
+)
+from analysis.resistance.coast_down.motion import Motion, motion_of
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS
+from analysis.resistance.curve import powers
+from analysis.resistance.random_effects import random_effects
+from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.formats.attached import line_of, train_of
+from trainlog.railway.line import Line
+from trainlog.railway.train import Train
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+
+RATIO_BETWEEN = 0.005
+"""Standard deviation of mass over inertia from trip to trip: loads differ."""
+
+
+IMPLAUSIBLE = 21.0
+"""Squared distance from `TYPICAL`, in standard deviations, beyond which no train has such a curve:
+chance exceeds it once in 10,000 trains. A driver who holds one effort all day cannot be told from a
+train that coasts with another curve, unless no train has that curve."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoastDown:
+    """What the coasting of a train shows of its running resistance.
+
+    Attributes
+    ----------
+    train : str
+        Empty where the trips do not tell.
+    curve : Curve
+        Common to the trips; of one trip its own.
+    ratio : MassRatio
+    between : (3, 3) array
+        Covariance of one trip's c0, c1, c2 around the common ones; 0 for a single trip.
+    trips : tuple of TripCoastDown
+        In order of name.
+    refused : dict of str to str
+        Trips that contribute nothing, and why.
+    evidence : float
+        Gain in log-likelihood by coasting over a world without, all trips together.
+    """
+
+    train: str
+    curve: Curve
+    ratio: MassRatio
+    between: FloatArray
+    trips: tuple[TripCoastDown, ...]
+    refused: dict[str, str]
+    evidence: float
+
+
+def coast_down(
+    trips: Sequence[Trip],
+    line: Line | None = None,
+    speeds: tuple[float, float] | None = None,
+) -> CoastDown:
+    """Running resistance over inertia from trips of one train that recorded no efforts.
+
+    Parameters
+    ----------
+    trips : sequence of Trip
+        With ``/gnss/motion`` or ``/train/state``, and chainage; efforts are not looked at.
+    line : Line, optional
+        In its own direction; default: the one that each trip carries.
+    speeds : (float, float) [m/s], optional
+        Speeds between which the curve must be known; default: wherever it is.
+
+    Returns
+    -------
+    CoastDown
+
+    Raises
+    ------
+    NotIdentifiableError
+        If there is no speed or no chainage, no coasting is found, the train coasted too shortly or
+        at one speed only, or the curve is not known to 10 % at the speeds asked for.
+    InputError
+        If the trips are of different trains, or a trip appears twice.
+    LogError
+        If a trip carries no line and none is given.
+    """
+    ordered = sorted(trips, key=lambda trip: trip.name)
+    train, name = one_train(ordered)
+    expected = MassRatio.expected(train)
+    refused: dict[str, str] = {}
+    moved: list[tuple[Motion, Line]] = []
+    for trip in ordered:
+        try:
+            moved.append(_located(trip, line))
+        except NotIdentifiableError as error:
+            refused[trip.name] = str(error)
+    check_any(moved, refused)
+    detection = _detected(moved, expected)
+    fits: list[TripCoastDown] = []
+    for (motion, travelled), segments in zip(moved, detection.segments, strict=True):
+        try:
+            fits.append(fit_segments(motion, travelled, segments, expected))
+        except NotIdentifiableError as error:
+            refused[motion.trip] = str(error)
+    check_any(fits, refused)
+    curve, between, ratio = combined(fits, expected)
+    check_plausible(curve)
+    check_supported(curve, speeds)
+    return CoastDown(name, curve, ratio, between, tuple(fits), refused, detection.evidence)
+
+
+def combined(
+    fits: Sequence[TripCoastDown], expected: MassRatio
+) -> tuple[Curve, FloatArray, MassRatio]:
+    """The curve common to several fits, its covariance from trip to trip, and mass over inertia.
+
+    Parameters
+    ----------
+    fits : sequence of TripCoastDown
+    expected : MassRatio
+        Mass over inertia before any data; it counts once, not once a trip.
+    """
+    if len(fits) == 1:
+        return fits[0].curve, np.zeros((3, 3)), fits[0].ratio
+    covered = (
+        min(fit.curve.covered[0] for fit in fits),
+        max(fit.curve.covered[1] for fit in fits),
+    )
+    ratio = _common_ratio(fits, expected)
+    # Each trip's coefficients if it had this ratio, and what they would change with it.
+    k = np.array([fit.free[0][0] for fit in fits])
+    variance_k = np.array([fit.free[1][0, 0] for fit in fits])
+    slopes = np.array([fit.free[1][1:, 0] / fit.free[1][0, 0] for fit in fits])
+    given = np.array([fit.free[0][1:] for fit in fits]) + slopes * (ratio.value - k)[:, None]
+    left = np.array([fit.free[1][1:, 1:] for fit in fits])
+    left = left - np.einsum("k,ki,kj->kij", variance_k, slopes, slopes)
+    # Values at three speeds, each over its usual size, are far better conditioned.
+    nodes = powers(np.linspace(*covered, 3))
+    nodes /= np.abs(np.median(given @ nodes.T, axis=0))[:, None]
+    back = np.linalg.inv(nodes)
+    found = random_effects(
+        given @ nodes.T, nodes @ left @ nodes.T, BETWEEN_TRIPS**2 * np.eye(3), PRIOR_TRIPS
+    )
+    weights = np.linalg.inv(found.between + nodes @ left @ nodes.T)
+    slope = back @ found.variance @ np.einsum("kij,kj->i", weights, slopes @ nodes.T)
+    theta = np.concatenate(([ratio.value], back @ found.mean))
+    covariance = np.zeros((4, 4))
+    covariance[1:, 1:] = back @ found.variance @ back.T
+    effect = np.concatenate(([1.0], slope)) * ratio.std
+    curve = Curve(
+        theta, covariance + np.outer(effect, effect), len(fits) - 1 + PRIOR_TRIPS, covered
+    )
+    return curve, back @ found.between @ back.T, ratio
+
+
+def _common_ratio(fits: Sequence[TripCoastDown], expected: MassRatio) -> MassRatio:
+    """Mass over inertia from all trips and what was expected of it."""
+    k = np.array([fit.free[0][0] for fit in fits])
+    information = 1.0 / (np.array([fit.free[1][0, 0] for fit in fits]) + RATIO_BETWEEN**2)
+    data, prior = float(information.sum()), 1.0 / expected.std**2
+    value = (float(information @ k) + prior * expected.value) / (data + prior)
+    source = "data" if data > prior else expected.source
+    return MassRatio(value, float((data + prior) ** -0.5), source)
+
+
+def check_plausible(curve: Curve) -> None:
+    """Refuse a curve that no coasting train has.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If it is further from that of usual trains than trains are from each other.
+    """
+    off = curve.theta[1:] - np.array(TYPICAL)
+    spread = curve.covariance[1:, 1:] + np.diag(np.square(TYPICAL_STD))
+    if off @ np.linalg.solve(spread, off) <= IMPLAUSIBLE:
+        return
+    speed = 0.5 * (curve.covered[0] + curve.covered[1])
+    raise NotIdentifiableError(
+        "no coasting was found: what recurs most is a motion that no coasting train has (at"
+        f" {KMH * speed:.0f} km/h {float(curve(speed)):.3f} m/s², at standstill"
+        f" {float(curve(0.0)):.3f} m/s²); some effort was held",
+        remedy="give a recording in which the train rolls freely for tens of seconds",
+    )
+
+
+def check_supported(curve: Curve, speeds: tuple[float, float] | None) -> None:
+    """Refuse a curve that is not known where it is asked for.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If it is not known to `LARGEST_STD` at a speed asked for, or nowhere; or if the train never
+        coasted at such a speed.
+    """
+    low, high = curve.covered
+    if speeds is not None and (speeds[0] < low - 0.1 or speeds[1] > high + 0.1):
+        raise NotIdentifiableError(
+            f"asked for {KMH * speeds[0]:.0f} to {KMH * speeds[1]:.0f} km/h, coasted from"
+            f" {KMH * low:.0f} to {KMH * high:.0f} km/h",
+            remedy="ask for speeds at which the train coasted",
+        )
+    if speeds is None and curve.supported is not None:
+        return
+    speed = np.linspace(*(speeds or curve.covered), 61)
+    share = curve.share(speed)
+    worst, best = int(np.argmax(share)), int(np.argmin(share))
+    if share[worst] <= LARGEST_STD:
+        return
+    at = worst if speeds is not None else best
+    told = f"{100.0 * share[at]:.0f} %" if np.isfinite(share[at]) else "the whole"
+    raise NotIdentifiableError(
+        f"at {KMH * speed[at]:.0f} km/h the curve is known to {told} of itself only (standard"
+        f" deviation, at most {100.0 * LARGEST_STD:.0f} %)",
+        remedy="give more trips, longer coasting, or a narrower range of speeds",
+    )
+
+
+def _located(trip: Trip, line: Line | None) -> tuple[Motion, Line]:
+    """A trip's motion and the line as it travelled it."""
+    motion = motion_of(trip)
+    if not motion.has_position:
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': where on the line the train was is not known",
+            place="topics /estimates/state and /train/state",
+            remedy="ingest the recording with --line, which turns satellite fixes into chainage",
+        )
+    return motion, travelled(trip, line)
+
+
+def one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:
+    """The train of all trips and its name, if they tell it; None and empty if not.
+
+    Raises
+    ------
+    InputError
+        If the trips are of different trains, or a trip appears twice.
+    """
+    names = [trip.name for trip in trips]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"trip '{twice}' is given twice", remedy="give each trip once")
+    trains = [train_of(trip) for trip in trips if TRAIN_ATTACHMENT in trip.attachments]
+    called = {train.name for train in trains}
+    called |= {trip.metadata["train"] for trip in trips if trip.metadata.get("train")}
+    if len(called) > 1:
+        raise InputError(
+            f"trips of different trains: {', '.join(sorted(called))}",
+            remedy="fit each train apart",
+        )
+    return (trains[0] if trains else None), next(iter(called), "")
+
+
+def travelled(trip: Trip, line: Line | None) -> Line:
+    """The line as the trip met it: the given one, or the one that the trip carries.
+
+    Raises
+    ------
+    LogError
+        If there is none.
+    """
+    if line is None or LINE_ATTACHMENT in trip.attachments:
+        return line_of(trip)
+    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
+
+
+def _detected(moved: Sequence[tuple[Motion, Line]], expected: MassRatio) -> Detection:
+    blocks = []
+    for motion, line in moved:
+        track = line.track_acceleration(np.nan_to_num(motion.position))
+        track[~np.isfinite(motion.position)] = np.nan
+        blocks.append(blocks_of(motion, track))
+    return detect(blocks, (expected.value, expected.std))
+
+
+def check_any(found: Sequence[object], refused: dict[str, str]) -> None:
+    """Refuse trips of which none is of use, with the reason for the first.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If nothing was found.
+    """
+    if found:
+        return
+    first = next(iter(refused.values()), "no trip was given")
+    others = f" (and {len(refused) - 1} more trips refused)" if len(refused) > 1 else ""
+    raise NotIdentifiableError(f"no trip shows the running resistance by coasting{others}; {first}")

@@ -1,0 +1,399 @@
+"""Coasting on a line whose gradients are not known: what can be told then, and nothing else.
+
+A held effort and a gradient look alike, so that coasting itself cannot be found: it must be known
+from the lever or from a test's protocol. Over a piece of track of length L that a trip coasted
+through from end to end, whatever its gradient does,
+
+    (v_end² - v_start²) / 2 L = -d u - c0 - c1 <v> - c2 <v²>,       u = k g (mean gradient),
+
+averages over the way, d = 1 along the line and -1 against it. Every piece has an unknown u of its
+own. Hence
+
+- the same piece coasted at different speeds tells c1 and c2, and the sum c0 + u of the piece;
+- pieces coasted in both directions part c0 from u. Curves, which resist both ways, stay in c0;
+- pieces coasted once tell nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.resistance.coast_down.detection import SHORTEST
+from analysis.resistance.coast_down.fit import LARGEST_STD, SHORTEST_RANGE
+from analysis.resistance.coast_down.motion import Motion, motion_of, smoothed_over
+from analysis.resistance.coast_down.together import check_any, one_train
+from analysis.resistance.curve import band_factor, curve_std, powers
+from trainlog.errors import NotIdentifiableError
+from trainlog.formats.attached import line_of
+from trainlog.formats.coast_down import CoastDownResult, DragCurve, Identified
+from trainlog.railway.line import Line
+from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+Spans = Sequence[tuple[float, float]]
+
+PIECE = 250.0
+"""Length of a piece of track [m]."""
+
+AVERAGED = 1.5
+"""Speed is averaged over this time to either side [s]."""
+
+LAG = 1.5
+"""Effort is gone this long after the lever came to rest [s]."""
+
+PLACE_STD = 0.0015
+"""Standard deviation of a piece's acceleration by errors of its chainage [m/s²]: 3 m where the
+gradient changes by 10 per mille."""
+
+FEWEST_FREE = 5
+"""Least number of passages beyond the unknowns: residuals tell the noise."""
+
+UNIDENTIFIED = 1e-6
+"""Part of a parameter that no passage sees, beyond which it is not identified."""
+
+
+@dataclass(frozen=True, eq=False)
+class Passages:
+    """Pieces that trips coasted through, one row a passage; arrays (n,).
+
+    Attributes
+    ----------
+    trip : int array
+    piece : int array
+        Number of the piece along the line.
+    way : array
+        1 along the line, -1 against it.
+    acceleration : array [m/s²]
+        Mean over the way.
+    speed, square : array [m/s], [m²/s²]
+        Means of v and v² over the way.
+    noise : array [m/s²]
+        Standard deviation that one end's speed brings in.
+    joined : bool array
+        Whether the trip's passage before ended where this one began.
+    """
+
+    trip: NDArray[np.int64]
+    piece: NDArray[np.int64]
+    way: FloatArray
+    acceleration: FloatArray
+    speed: FloatArray
+    square: FloatArray
+    noise: FloatArray
+    joined: NDArray[np.bool_]
+
+
+def coast_down_without_gradient(
+    trips: Sequence[Trip],
+    line: Line | None = None,
+    spans: Mapping[str, Spans] | None = None,
+) -> CoastDownResult:
+    """What coasting tells of running resistance where the gradient is not known.
+
+    Parameters
+    ----------
+    trips : sequence of Trip
+        Of one train, with speed and chainage.
+    line : Line, optional
+        For trips that carry none; only its length is used, to count trips against it back.
+    spans : mapping of str to sequence of (float, float) [s], optional
+        When each trip coasted, since the first sample of its speed; default: where the recorded
+        lever was at rest.
+
+    Returns
+    -------
+    CoastDownResult
+        c0, c1 and c2, each with its value or the reason why it is not identified, the curve where
+        all of it is, and the sum of c0 and gradient of each piece.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If it is not known where the trips coasted, or no piece of track was coasted at different
+        speeds, or the speeds' differences do not tell the resistance to 10 %.
+    InputError
+        If the trips are of different trains, or a trip appears twice.
+    """
+    ordered = sorted(trips, key=lambda trip: trip.name)
+    _, train = one_train(ordered)
+    parts: list[Passages] = []
+    told: list[dict[str, object]] = []
+    for number, trip in enumerate(ordered):
+        try:
+            motion = motion_of(trip)
+            known = lever_at_rest(trip, motion) if spans is None else spans.get(trip.name, ())
+            found = passages(motion, known, number, _turned(trip, line))
+        except NotIdentifiableError as error:
+            told.append({"trip": trip.name, "accepted": False, "reason": str(error)})
+            continue
+        parts.append(found)
+        told.append({"trip": trip.name, "accepted": True, "passages": int(found.piece.size)})
+    check_any(parts, {str(each["trip"]): str(each["reason"]) for each in told if "reason" in each})
+    rows = _joined(parts)
+    _check_repeated(rows)
+    return replace(_solved(rows, told), train=train)
+
+
+def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:
+    """When the recorded lever was at rest for long enough [s on the motion's clock].
+
+    Raises
+    ------
+    NotIdentifiableError
+        If no lever was recorded.
+    """
+    controls = trip.topics.get("/train/controls")
+    if controls is None or not controls["lever"].notna().any():
+        raise NotIdentifiableError(
+            f"trip '{trip.name}': with the gradient unknown, coasting looks like any held effort,"
+            " and no lever was recorded",
+            place="topic /train/controls, column lever",
+            remedy="give the line's gradients, or say when the train coasted",
+        )
+    time = seconds(controls, motion.start)
+    rest = (controls["lever"].to_numpy(dtype=np.float64) == 0.0).astype(np.int8)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], rest, [0]))))
+    spans = [
+        (float(time[first]) + LAG, float(time[last - 1]))
+        for first, last in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return [span for span in spans if span[1] - span[0] >= SHORTEST]
+
+
+def passages(motion: Motion, spans: Spans, trip: int, length: float | None) -> Passages:
+    """The pieces of track that a trip coasted through from end to end.
+
+    Parameters
+    ----------
+    motion : Motion
+    spans : sequence of (float, float) [s]
+    trip : int
+        Its number.
+    length : float [m] or None
+        Of the line, if the trip ran against it; None if it ran along it.
+    """
+    way = 1.0 if length is None else -1.0
+    place = motion.position if length is None else length - motion.position
+    speed = smoothed_over(motion.time, motion.speed, AVERAGED)
+    per_end = motion.noise / np.sqrt(max(2.0 * AVERAGED / motion.period, 1.0))
+    rows: list[tuple[float, ...]] = []
+    for begin, end in spans:
+        inside = (motion.time >= begin + AVERAGED) & (motion.time <= end - AVERAGED)
+        inside &= np.isfinite(place)
+        if np.count_nonzero(inside) < 3 or not np.all(motion.usable[inside]):
+            continue
+        s, v = way * place[inside], speed[inside]
+        s = np.maximum.accumulate(s + 1e-9 * np.arange(s.size))
+        edges = np.arange(np.ceil(s[0] / PIECE), np.floor(s[-1] / PIECE) + 1.0)
+        at = np.interp(edges * PIECE, s, v)
+        area = np.array([_mean_over(s, v, edges), _mean_over(s, v**2, edges)])
+        for k in range(edges.size - 1):
+            piece = edges[k] if way > 0.0 else -edges[k + 1]
+            gained = (at[k + 1] ** 2 - at[k] ** 2) / (2.0 * PIECE)
+            noise = per_end * 0.5 * (at[k] + at[k + 1]) / PIECE
+            rows.append((piece, gained, area[0, k], area[1, k], noise, float(k > 0)))
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), 6)
+    return Passages(
+        trip=np.full(len(rows), trip),
+        piece=table[:, 0].astype(np.int64),
+        way=np.full(len(rows), way),
+        acceleration=table[:, 1],
+        speed=table[:, 2],
+        square=table[:, 3],
+        noise=table[:, 4],
+        joined=table[:, 5] > 0.0,
+    )
+
+
+def _mean_over(s: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+    """Mean over each piece's way of values known at places."""
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(s))))
+    return np.asarray(np.diff(np.interp(edges * PIECE, s, area)) / PIECE)
+
+
+def _turned(trip: Trip, line: Line | None) -> float | None:
+    """Length of the line [m] if the trip ran against it, None if along it."""
+    if trip.metadata.get("direction") != "reverse":
+        return None
+    if LINE_ATTACHMENT in trip.attachments:
+        return line_of(trip).length
+    if line is not None:
+        return line.length
+    raise NotIdentifiableError(
+        f"trip '{trip.name}' ran against a line whose length is not known",
+        remedy="give the line, so that its chainage can be counted the other way",
+    )
+
+
+def _joined(parts: Sequence[Passages]) -> Passages:
+    names = ("trip", "piece", "way", "acceleration", "speed", "square", "noise", "joined")
+    return Passages(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def _check_repeated(rows: Passages) -> None:
+    """Refuse passages of which none repeats a piece at another speed, or hardly any do."""
+    pieces, count = np.unique(rows.piece, return_counts=True)
+    again = np.isin(rows.piece, pieces[count > 1])
+    free = int(again.sum()) - int((count > 1).sum()) - 3
+    if free < FEWEST_FREE:
+        raise NotIdentifiableError(
+            f"with the gradient unknown, {rows.piece.size} passages over {pieces.size} pieces of"
+            f" {PIECE:.0f} m, {int(again.sum())} of them over a piece coasted more than once, do"
+            " not tell resistance from gradient",
+            remedy="give the line's gradients, or more trips that coast over the same track",
+        )
+
+
+def _whitened(rows: Passages, columns: FloatArray) -> FloatArray:
+    """Columns with their noise made independent: joined passages share an end's speed."""
+    covariance = np.diag(2.0 * rows.noise**2 + PLACE_STD**2)
+    behind = np.flatnonzero(rows.joined[1:]) + 1
+    shared = -rows.noise[behind] * rows.noise[behind - 1]
+    covariance[behind, behind - 1] = covariance[behind - 1, behind] = shared
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), columns))
+
+
+def _solved(rows: Passages, told: list[dict[str, object]]) -> CoastDownResult:
+    pieces, member = np.unique(rows.piece, return_inverse=True)
+    unknowns = np.zeros((rows.piece.size, 3 + pieces.size))
+    unknowns[:, :3] = -np.column_stack([np.ones(rows.speed.size), rows.speed, rows.square])
+    unknowns[np.arange(member.size), 3 + member] = -rows.way
+    white = _whitened(rows, np.column_stack([unknowns, rows.acceleration]))
+    size = np.linalg.norm(white[:, :-1], axis=0)
+    _, singular, seen = np.linalg.svd(white[:, :-1] / size, full_matrices=False)
+    rank = int(np.sum(singular > 1e-9 * singular[0]))
+    seen = seen[:rank]
+    inverse = (seen.T / singular[:rank] ** 2) @ seen
+    estimate = inverse @ ((white[:, :-1] / size).T @ white[:, -1]) / size
+    residual = white[:, -1] - white[:, :-1] @ estimate
+    free = max(rows.piece.size - rank, 1)
+    factor = max(1.0, float(residual @ residual) / free)
+    covariance = factor * inverse / np.outer(size, size)
+    change = _change(rows)
+    _check_differences(rows, change, estimate, covariance, _is_seen(change / size, seen))
+    both = _is_seen(np.eye(size.size)[0] / size, seen)
+    curve = _curve(rows, estimate, covariance, free) if both else None
+    quantities = _quantities(estimate, covariance, both, curve is not None)
+    kept = [number for number in range(3) if quantities[number].value is not None]
+    return CoastDownResult(
+        train="",
+        gradient="unknown",
+        quantities=quantities,
+        covariance=covariance[np.ix_(kept, kept)],
+        curve=curve,
+        trips=told,
+        pieces=_pieces(rows, pieces, estimate, covariance, curve is not None),
+    )
+
+
+def _is_seen(combination: FloatArray, seen: FloatArray) -> bool:
+    """Whether the passages determine a combination of the unknowns; `seen` spans what they do."""
+    left = combination - seen.T @ (seen @ combination)
+    return bool(np.linalg.norm(left) < UNIDENTIFIED * np.linalg.norm(combination))
+
+
+def _change(rows: Passages) -> FloatArray:
+    """What takes the resistance at a low speed from that at a high one, of the unknowns."""
+    low, high = np.quantile(rows.speed, [0.05, 0.95])
+    change = np.zeros(3 + np.unique(rows.piece).size)
+    change[1:3] = high - low, high**2 - low**2
+    return change
+
+
+def _check_differences(
+    rows: Passages,
+    change: FloatArray,
+    estimate: FloatArray,
+    covariance: FloatArray,
+    is_seen: bool,
+) -> None:
+    """Refuse speeds that do not differ, or differences that are not told to 10 %."""
+    low, high = np.quantile(rows.speed, [0.05, 0.95])
+    if not is_seen:
+        raise NotIdentifiableError(
+            "with the gradient unknown, resistance cannot be told: each piece of track was coasted"
+            " at one and the same speed",
+            remedy="give the line's gradients, or trips that coast over the same track at"
+            " different speeds",
+        )
+    gained = float(change @ estimate)
+    std = float(np.sqrt(change @ covariance @ change))
+    if high - low >= SHORTEST_RANGE and std <= LARGEST_STD * gained:
+        return
+    share = f"{100.0 * std / gained:.0f} %" if gained > 0.0 else "the whole"
+    raise NotIdentifiableError(
+        f"with the gradient unknown, the difference of resistance from {KMH * low:.0f} to"
+        f" {KMH * high:.0f} km/h is known to {share} of itself only (standard deviation, at most"
+        f" {100.0 * LARGEST_STD:.0f} %)",
+        remedy="give the line's gradients, or more trips that coast over the same track at"
+        " different speeds",
+    )
+
+
+def _curve(
+    rows: Passages, estimate: FloatArray, covariance: FloatArray, free: int
+) -> DragCurve | None:
+    """The whole curve, if it is known to 10 % somewhere."""
+    speed = np.linspace(float(rows.speed.min()), float(rows.speed.max()), 61)
+    value = powers(speed) @ estimate[:3]
+    std = curve_std(covariance[:3, :3], speed)
+    known = (value > 0.0) & (std <= LARGEST_STD * value)
+    if not known.any() or np.ptp(speed[known]) < SHORTEST_RANGE:
+        return None
+    ends = float(speed[known][0]), float(speed[known][-1])
+    reach = band_factor(covariance[:3, :3], ends, free) * std[known]
+    return DragCurve(speed[known], value[known], value[known] - reach, value[known] + reach)
+
+
+def _quantities(
+    estimate: FloatArray, covariance: FloatArray, both: bool, known: bool
+) -> tuple[Identified, ...]:
+    std = np.sqrt(np.diag(covariance)[:3])
+    merged = "merged with the gradient: no piece was coasted in both directions"
+    wide = "pieces coasted in both directions tell it to more than 10 % of the curve only"
+    c0 = (
+        Identified("c0", "m/s^2", float(estimate[0]), float(std[0]), "with the curves' resistance")
+        if known
+        else Identified("c0", "m/s^2", None, None, wide if both else merged)
+    )
+    return (
+        c0,
+        Identified("c1", "1/s", float(estimate[1]), float(std[1])),
+        Identified("c2", "1/m", float(estimate[2]), float(std[2])),
+    )
+
+
+def _pieces(
+    rows: Passages,
+    pieces: NDArray[np.int64],
+    estimate: FloatArray,
+    covariance: FloatArray,
+    parted: bool,
+) -> list[dict[str, object]]:
+    """Of each piece coasted more than once: c0 plus or, apart from c0, the gradient's part."""
+    found: list[dict[str, object]] = []
+    for number, piece in enumerate(pieces.tolist()):
+        here = rows.piece == piece
+        if np.count_nonzero(here) < 2:
+            continue
+        way = float(rows.way[here][0])
+        pick = np.zeros(estimate.size)
+        pick[3 + number] = 1.0 if parted else way
+        pick[0] = 0.0 if parted else 1.0
+        found.append(
+            {
+                "position": [PIECE * piece, PIECE * (piece + 1)],
+                "direction": "forward" if way > 0.0 or parted else "reverse",
+                "passages": int(np.count_nonzero(here)),
+                "speed": [float(rows.speed[here].min()), float(rows.speed[here].max())],
+                "quantity": "gradient" if parted else "c0 and gradient",
+                "deceleration": float(pick @ estimate),
+                "std": float(np.sqrt(pick @ covariance @ pick)),
+            }
+        )
+    return found

@@ -1,0 +1,1 @@
+"""Hauck et al. (2023): map-based model predictive control of a train."""

@@ -1,0 +1,311 @@
+"""Reference trajectories of paper 000, eq. (8), by multiple shooting with CasADi and IPOPT.
+
+The lever is continuous and linear between two nodes; states are carried from node to node by
+Runge-Kutta, and the constraints (7) hold at every one of its steps, not only at the nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
+from trainlog.errors import InfeasibleError
+from trainlog.railway.lever import NOMINAL_MASS
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+NODE_SPACING = 3.0
+"""Nodes are closer than this [s]."""
+
+CHECKS = 4
+"""Places from node to node at which the program keeps the constraints."""
+
+STEPS = 2
+"""Runge-Kutta steps between two of them: gradients change within 50 m, a second or two."""
+
+FINE = 60
+"""Steps from node to node of the rollout that the answer is judged by."""
+
+SAMPLING = 1.0
+"""Of what a controller tracks [s]."""
+
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+"""Words of IPOPT that make an answer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What a train of the nominal mass does between two stops.
+
+    Attributes
+    ----------
+    section : Section
+    mass : float [kg]
+        That it was made for.
+    times : (n,) array [s]
+        Of the nodes, from the departure.
+    positions, speeds, levers : (n,) array [m], [m/s], [1]
+        Of the program, at the nodes.
+    fine : (FINE (n - 1) + 1, 3) array
+        Position [m], speed [m/s] and lever of an independent rollout of the levers.
+    cost : float [s]
+        ``1/2 ∫ u² dt``.
+    iterations : int
+        Of IPOPT.
+    worst : (4,) array
+        Largest constraint of comfort [m/s²], of traction [m/s²], of speed [m/s] and of the lever
+        over the rollout, against the tables of the section, both ends of the mass; not positive.
+    """
+
+    section: Section
+    mass: float
+    times: FloatArray
+    positions: FloatArray
+    speeds: FloatArray
+    levers: FloatArray
+    fine: FloatArray
+    cost: float
+    iterations: int
+    worst: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """From departure to arrival [s]."""
+        return float(self.times[-1])
+
+    @property
+    def rollout_error(self) -> float:
+        """Largest distance of the rollout from the program at the nodes [m]."""
+        return float(np.abs(self.fine[::FINE, 0] - self.positions).max())
+
+    def at(self, time: float) -> tuple[float, float, float]:
+        """Position [m], speed [m/s] and lever at a time from the departure [s].
+
+        Before it the train stands at the origin, after the arrival at the destination.
+        """
+        if time <= 0.0:
+            return float(self.positions[0]), 0.0, 0.0
+        if time >= self.duration:
+            return float(self.positions[-1]), 0.0, 0.0
+        x = time / self.duration * (len(self.fine) - 1)
+        i = int(x)
+        p, v, u = self.fine[i] + (x - i) * (
+            self.fine[min(i + 1, len(self.fine) - 1)] - self.fine[i]
+        )
+        return float(p), float(v), float(u)
+
+    def sampled(self) -> FloatArray:
+        """Rows of position, speed and lever once a second, the arrival last."""
+        count = int(np.ceil(self.duration / SAMPLING)) + 1
+        return np.array([self.at(k * SAMPLING) for k in range(count)])
+
+
+def node_count(duration: float) -> int:
+    """Nodes that are less than `NODE_SPACING` apart; the paper's floor(T/3) leaves more."""
+    return int(np.floor(duration / NODE_SPACING)) + 2
+
+
+def reference(section: Section, mass: float = NOMINAL_MASS) -> Reference:
+    """Solve eq. (8) for one section.
+
+    Parameters
+    ----------
+    section : Section
+    mass : float [kg]
+        Of the motion; the constraints hold for every mass of eq. (6).
+
+    Raises
+    ------
+    InfeasibleError
+        Before the solver runs, if the section's time is below the least; after it, if IPOPT does
+        not find a solution or the solution does not pass the rollout.
+    """
+    check_timetable((section,), mass)
+    count = node_count(section.duration)
+    times = np.linspace(0.0, section.duration, count)
+    guess = warm_start(section, times, mass)
+    for strategy in ("monotone", "adaptive"):
+        solved, stats = _solve(section, times, guess, mass, strategy)
+        if stats["return_status"] in SOLVED:
+            break
+    else:
+        raise InfeasibleError(
+            f"{section.name}: IPOPT ended with {stats['return_status']} after"
+            f" {stats['iter_count']} iterations",
+            remedy="more time in the timetable",
+        )
+    positions, speeds, levers = solved
+    fine = _rollout(section, times, levers, mass)
+    worst = dynamics.worst_constraints(fine, section.tables, section.constants)
+    found = Reference(
+        section, mass, times, positions, speeds, levers, fine,
+        _cost(times, levers), int(stats["iter_count"]), worst,
+    )  # fmt: skip
+    if worst.max() > 1e-6 or found.rollout_error > 0.5:
+        raise InfeasibleError(
+            f"{section.name}: the rollout of the solution breaks a constraint by"
+            f" {worst.max():.2g} or leaves it by {found.rollout_error:.2g} m",
+            remedy="more time in the timetable",
+        )
+    return found
+
+
+def references(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> tuple[Reference, ...]:
+    """References of all sections; the whole timetable is checked before the first is solved.
+
+    Raises
+    ------
+    InfeasibleError
+        As `reference`.
+    """
+    check_timetable(sections, mass)
+    return tuple(reference(section, mass) for section in sections)
+
+
+def warm_start(section: Section, times: FloatArray, mass: float) -> FloatArray:
+    """A feasible guess: the fastest run below that speed with which it takes the time allowed.
+
+    Returns
+    -------
+    (3, n) array
+        Positions, speeds and levers at the times.
+    """
+    low, high = 0.3, float(np.sqrt(section.planned.ceiling.max()))
+    for _ in range(40):
+        most = 0.5 * (low + high)
+        if fastest(section, mass, most, step=5.0).duration > times[-1]:
+            low = most
+        else:
+            high = most
+    run = fastest(section, mass, high, step=1.0)
+    stretched = run.times * times[-1] / run.duration
+    return np.array(
+        [np.interp(times, stretched, each) for each in (run.positions, run.speeds, run.levers)]
+    )
+
+
+def _cost(times: FloatArray, levers: FloatArray) -> float:
+    a, b = levers[:-1], levers[1:]
+    return float(np.sum(np.diff(times) * (a * a + a * b + b * b)) / 6.0)
+
+
+def _rollout(section: Section, times: FloatArray, levers: FloatArray, mass: float) -> FloatArray:
+    rows = []
+    p, v = section.origin.position, 0.0
+    spans = np.diff(times)
+    for span, u0, u1 in zip(spans, levers[:-1], levers[1:], strict=True):
+        part = dynamics.roll(p, v, u0, u1, span, FINE, mass, section.tables, section.constants)
+        p, v = part[-1, 0], part[-1, 1]
+        rows.append(part[:-1])
+    return np.concatenate([*rows, part[-1:]])
+
+
+def _solve(
+    section: Section, times: FloatArray, guess: FloatArray, mass: float, strategy: str
+) -> tuple[FloatArray, dict[str, Any]]:
+    """The program (8); returns (3, n) positions, speeds and levers, and IPOPT's account."""
+    import casadi as ca
+
+    count, span = times.size, float(times[1] - times[0])
+    base, length = section.origin.position, 1e3
+    shoot, rows, low, high = _interval(section, span, mass)
+    p, v, u = ca.MX.sym("p", count), ca.MX.sym("v", count), ca.MX.sym("u", count)
+    ends, kept = shoot.map(count - 1)(p[:-1].T, v[:-1].T, u[:-1].T, u[1:].T)
+    gaps = ca.vertcat(ends[0, :].T - p[1:], ends[1, :].T - v[1:])
+    squares = u[:-1] ** 2 + u[:-1] * u[1:] + u[1:] ** 2
+    problem = {
+        "x": ca.vertcat(p, v, u),
+        "f": span / 6.0 * ca.sum1(squares),
+        "g": ca.vertcat(gaps, ca.reshape(kept, -1, 1)),
+    }
+    solver = ca.nlpsol(
+        "reference", "ipopt", problem,
+        {"print_time": False, "ipopt": {
+            "print_level": 0, "sb": "yes", "max_iter": 200, "tol": 1e-8,
+            "mu_strategy": strategy,
+            "mu_init": 1e-2, "constr_viol_tol": 1e-9,
+        }},
+    )  # fmt: skip
+    positions = (guess[0] - base) / length
+    most = np.full(count, section.planning.lever)
+    lowest = np.concatenate([np.full(count, -0.01), np.zeros(count), -most])
+    highest = np.concatenate([np.full(count, 1e3), np.full(count, 60.0), most])
+    final = (section.destination.position - base) / length
+    for index, exactly in ((0, 0.0), (count - 1, final), (count, 0.0), (2 * count - 1, 0.0)):
+        lowest[index] = highest[index] = exactly
+    solution = solver(
+        x0=np.concatenate([positions, guess[1], guess[2]]),
+        lbx=lowest,
+        ubx=highest,
+        lbg=np.concatenate([np.zeros(2 * (count - 1)), np.tile(low, (count - 1) * rows)]),
+        ubg=np.concatenate([np.zeros(2 * (count - 1)), np.tile(high, (count - 1) * rows)]),
+    )
+    found = np.asarray(solution["x"]).reshape(3, count).copy()
+    found[0] = base + length * found[0]
+    return found, solver.stats()
+
+
+def _interval(
+    section: Section, span: float, mass: float
+) -> tuple[Any, int, FloatArray, FloatArray]:
+    """From one node to the next: the end state, and the constraints on the way.
+
+    Positions are in kilometres from the origin. The light end of the mass implies the heavy one
+    in (4) and (5), since what the lever alone does not overcome, `a_max` less the track, is
+    positive on any railway; the rollout judges both.
+    """
+    import casadi as ca
+
+    c, t = section.planning_constants, section.planned
+    nodes = (t.origin + dynamics.GRID * np.arange(t.sine.size) - section.origin.position) / 1e3
+    sine = ca.interpolant("sine", "bspline", [nodes], t.sine)
+    grip = ca.interpolant("grip", "bspline", [nodes], t.adhesion)
+    ceiling = ca.interpolant("ceiling", "bspline", [nodes], t.ceiling)
+    # Mirrored at the stop, so that the spline runs straight through it.
+    beyond = np.maximum(np.arange(nodes.size) - int(np.argmin(section.stopping)), 0)
+    mirrored = section.stopping - section.stopping[int(np.argmin(section.stopping)) - beyond]
+    stopping = ca.interpolant("stopping", "bspline", [nodes], mirrored)
+
+    def effort(v: Any) -> Any:
+        return c.k1 * ca.exp(-c.k2 * v) + c.k3
+
+    def weight(slope: Any) -> Any:
+        return GRAVITY * (slope + c.rolling * ca.sqrt(1.0 - slope**2))
+
+    def motion(v: Any, u: Any, along: Any) -> tuple[Any, Any]:
+        return 1e-3 * v, (effort(v) * u - c.drag * v * v) / mass - along
+
+    p, v, u0, u1 = (ca.MX.sym(name) for name in ("p", "v", "u0", "u1"))
+    x, w, h = p, v, span / (CHECKS * STEPS)
+    kept = []
+    for k in range(CHECKS * STEPS):
+        u, middle, after = (u0 + (u1 - u0) * (k + s) / (CHECKS * STEPS) for s in (0.0, 0.5, 1.0))
+        slope = weight(sine(x))
+        if k % STEPS == 0:
+            forward = effort(w) * u
+            kept += [
+                (forward - c.drag * w * w) / c.light - slope,
+                forward / c.light - GRAVITY * grip(x),
+                -forward / c.light - GRAVITY * grip(x),
+                w * w - ceiling(x),
+                w * w - stopping(x),
+                w,
+            ]
+        a1, b1 = motion(w, u, slope)
+        halfway = weight(sine(x + 0.5 * h * a1))
+        a2, b2 = motion(w + 0.5 * h * b1, middle, halfway)
+        a3, b3 = motion(w + 0.5 * h * b2, middle, halfway)
+        a4, b4 = motion(w + h * b3, after, weight(sine(x + h * a3)))
+        x = x + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        w = w + h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
+    shoot = ca.Function("shoot", [p, v, u0, u1], [ca.vertcat(x, w), ca.vertcat(*kept)])
+    room = c.comfort
+    low = np.array([-room, -np.inf, -np.inf, -np.inf, -np.inf, 0.0])
+    high = np.array([room, 0.0, 0.0, 0.0, 0.0, np.inf])
+    return shoot, CHECKS, low, high

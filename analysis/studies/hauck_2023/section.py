@@ -1,0 +1,470 @@
+"""One section of a timetable, as the map-based controllers see it: from stop to stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.adhesion.demonstrated import assured_adhesion
+from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023.dynamics import GRID, Tables
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.railway import Line, StepProfile, TrackConditionMap
+from trainlog.railway.lever import NOMINAL_MASS, LeverTrain
+from trainlog.simulation.timetable import Stop, check_stops
+
+FloatArray = NDArray[np.float64]
+
+SMOOTHING = 25.0
+"""The gradient under the train is that of the track this far before and behind it [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reserves:
+    """How much of the map is used; the rest is for what no model knows.
+
+    Attributes
+    ----------
+    adhesion : float
+        Share of the map's maximum adhesion: the first axle finds the rail least clean.
+    brake : float
+        Share of the brake that the envelope counts on.
+    speed : float [m/s]
+        Kept below every speed limit: efforts follow their demand with a lag.
+    lever, comfort : float
+        Share of the lever and of a_max: a heavier train needs more of both than a reference does.
+    """
+
+    adhesion: float = 0.95
+    brake: float = 0.99
+    speed: float = 0.04
+    lever: float = 1.0
+    comfort: float = 0.99
+
+    def __post_init__(self) -> None:
+        for name in ("adhesion", "brake", "lever", "comfort"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise InputError(f"a share of {getattr(self, name)} of the {name} makes no sense")
+
+
+DRIVING = Reserves()
+"""Of a train under way."""
+
+PLANNING = Reserves(adhesion=0.7, brake=0.7, speed=0.4, lever=0.7, comfort=0.75)
+"""Of a reference, so that a controller has room about it."""
+
+STOPPING_TOLERANCE = 0.5
+"""epsilon_1 of eq. (8): how far beyond its stop a train may stand [m]."""
+
+RUNNING_ON = 100.0
+"""How far the tables reach beyond both ends of a section [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A train's way from one stop to the next, and what may be asked of it there.
+
+    Attributes
+    ----------
+    origin, destination : Stop
+    line : Line
+    train : LeverTrain
+    maximum_adhesion : StepProfile
+        As the map has it.
+    tables : Tables
+        Of a train under way; its ceiling is that of the mass that brakes worst.
+    allowed : (n,) array [m²/s²]
+        Square of the highest speed, without braking for what lies ahead, on the grid of `tables`.
+    planned : Tables
+        Of its reference: less of everything, and the ceiling of the speed limits alone, smoothed.
+    stopping : (n,) array [m²/s²]
+        Square of the speed from which a reference stops at the destination, on the grid of
+        `planned`.
+    driving, planning : Reserves
+    """
+
+    origin: Stop
+    destination: Stop
+    line: Line
+    train: LeverTrain
+    maximum_adhesion: StepProfile
+    tables: Tables
+    allowed: FloatArray
+    planned: Tables
+    stopping: FloatArray
+    driving: Reserves
+    planning: Reserves
+
+    @property
+    def name(self) -> str:
+        """Both ends."""
+        return f"{self.origin.station} - {self.destination.station}"
+
+    @property
+    def duration(self) -> float:
+        """What the timetable allows [s]."""
+        return self.destination.arrival - self.origin.departure
+
+    @property
+    def constants(self) -> dynamics.Constants:
+        """The train for the compiled code."""
+        return dynamics.constants(self.train)
+
+    @property
+    def planning_constants(self) -> dynamics.Constants:
+        """The same with the lever and the comfort that a reference uses."""
+        return _reserved(self.constants, self.planning)
+
+    @property
+    def driving_constants(self) -> dynamics.Constants:
+        """The same with the comfort that is used under way."""
+        return _reserved(self.constants, self.driving)
+
+    def braked_for(self, heaviest: float) -> Tables:
+        """`tables` with the ceiling of a train of which it is known that it is not heavier.
+
+        Parameters
+        ----------
+        heaviest : float [kg]
+            Of the motion, rotating parts included.
+        """
+        unbraked = self.tables._replace(ceiling=self.allowed)
+        c = self.driving_constants
+        return _braked(unbraked, self.driving, c.light, heaviest, 1.0, c)
+
+
+def section_of(
+    line: Line,
+    train: LeverTrain,
+    maximum_adhesion: StepProfile,
+    origin: Stop,
+    destination: Stop,
+    driving: Reserves = DRIVING,
+    planning: Reserves = PLANNING,
+) -> Section:
+    """Prepare one section.
+
+    Parameters
+    ----------
+    line : Line
+        As travelled.
+    train : LeverTrain
+    maximum_adhesion : StepProfile
+        By position; see `adhesion_profile`.
+    origin, destination : Stop
+    driving, planning : Reserves
+
+    Raises
+    ------
+    InputError
+        If the stops are not in the order of travel, or an adhesion is not between 0 and 1.
+    """
+    check_stops(line, (origin, destination))
+    _check(line, maximum_adhesion)
+    c = dynamics.constants(train)
+
+    def tables(stop: float, reserves: Reserves, last: float) -> tuple[Tables, FloatArray]:
+        """Tables whose grid has a node at `stop`, beyond which the speed is `last`.
+
+        And the squares of the speeds allowed, without braking for what lies ahead.
+        """
+        before = int(np.ceil((stop - origin.position + RUNNING_ON) / GRID))
+        nodes = stop + GRID * np.arange(-before, RUNNING_ON / GRID + 1.0)
+        slope = line.gradients.mean(nodes - SMOOTHING, nodes + SMOOTHING)
+        sine = np.asarray(slope / np.hypot(1.0, slope))
+        grip = reserves.adhesion * _lowest(maximum_adhesion, nodes)
+        limit = np.minimum(_lowest(line.speed_limits, nodes), train.max_speed)
+        squares = np.maximum(limit - reserves.speed, 0.0) ** 2
+        squares = np.where(nodes >= stop, np.minimum(squares, last**2), squares)
+        rising = dynamics.limited_rise(squares, 1.5 * train.max_acceleration)
+        unbraked = Tables(float(nodes[0]), sine, grip, rising)
+        return _braked(unbraked, reserves, c.light, c.heavy, 1.0, _reserved(c, reserves)), rising
+
+    planned, _ = tables(destination.position, planning, np.inf)
+    driven, allowed = tables(destination.position + STOPPING_TOLERANCE, driving, 0.0)
+    free = np.full(planned.sine.size, train.max_speed**2)
+    stop_at = planned.origin + GRID * np.arange(free.size) >= destination.position
+    return Section(
+        origin,
+        destination,
+        line,
+        train,
+        maximum_adhesion,
+        driven,
+        allowed,
+        planned._replace(adhesion=_smoothed(planned.adhesion), ceiling=_smoothed(planned.ceiling)),
+        dynamics.braking_envelope(
+            np.where(stop_at, 0.0, free),
+            planned.sine,
+            _around(planned.adhesion),
+            planning.brake,
+            c.light,
+            c.heavy,
+            1.0,
+            _reserved(c, planning),
+        ),
+        driving,
+        planning,
+    )
+
+
+def sections_of(
+    line: Line, train: LeverTrain, maximum_adhesion: StepProfile, stops: tuple[Stop, ...]
+) -> tuple[Section, ...]:
+    """All sections of a timetable.
+
+    Raises
+    ------
+    InputError
+        As `section_of`.
+    """
+    check_stops(line, stops)
+    return tuple(
+        section_of(line, train, maximum_adhesion, origin, destination)
+        for origin, destination in pairwise(stops)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FastRun:
+    """A run as fast as allowed, by position; (n,) arrays.
+
+    Attributes
+    ----------
+    positions, speeds, times, levers : [m], [m/s], [s], [1]
+    """
+
+    positions: FloatArray
+    speeds: FloatArray
+    times: FloatArray
+    levers: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """From rest to rest [s]."""
+        return float(self.times[-1])
+
+
+def fastest(
+    section: Section, mass: float = NOMINAL_MASS, most: float = np.inf, step: float = 1.0
+) -> FastRun:
+    """The fastest run of a section that a reference could be.
+
+    Parameters
+    ----------
+    section : Section
+    mass : float [kg]
+    most : float [m/s]
+        Speed that is never exceeded.
+    step : float [m]
+
+    Raises
+    ------
+    InfeasibleError
+        If the train comes to a stand on the way.
+    """
+    section.train.check_mass(mass)
+    t = section.planned
+    allowed = t._replace(ceiling=np.minimum(t.ceiling, section.stopping))
+    return _fastest(section, allowed, section.planning_constants, mass, most, step)
+
+
+def _fastest(
+    section: Section, t: Tables, c: dynamics.Constants, mass: float, most: float, step: float,
+    inertia: float = 1.0,
+) -> FastRun:  # fmt: skip
+    start, end = section.origin.position, section.destination.position
+    run = FastRun(*dynamics.fastest_run(start, 0.0, end, step, most, mass, inertia, t, c))
+    if run.positions[-1] < end - 1e-6:
+        place = float(run.positions[-1])
+        sine = dynamics.value(t.sine, t.origin, place)
+        grip = dynamics.value(t.adhesion, t.origin, place)
+        raise InfeasibleError(
+            f"{section.name}: a train of {mass / 1e3:g} t comes to a stand at km"
+            f" {place / 1e3:.3f}, on {1e3 * sine:.1f} per mille with a maximum adhesion of"
+            f" {grip:.3f}",
+            remedy="less load, or a better rail",
+        )
+    return run
+
+
+def least_time(section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0) -> float:
+    """Least time [s] of a driver who knows the mass: (7) holds for that mass alone.
+
+    A bound, without any reserve: adhesion, brake, comfort and limits in full, no lag, and a lever
+    that changes at every metre.
+
+    Parameters
+    ----------
+    section : Section
+    mass : float [kg]
+    rotating_mass : float [kg]
+        What rotating parts add to the mass of the motion.
+
+    Raises
+    ------
+    InputError
+        If the train cannot have the mass.
+    InfeasibleError
+        If it comes to a stand on the way.
+    """
+    section.train.check_mass(mass)
+    alone = replace(section.train, mass=mass, max_load=0.0)
+    return _least(section, alone, mass, rotating_mass).duration
+
+
+def least_time_unweighed(
+    section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
+) -> float:
+    """Least time [s] of any driver who does not know the mass: that of `fastest_unweighed`.
+
+    Raises
+    ------
+    InputError, InfeasibleError
+        As `least_time`.
+    """
+    return fastest_unweighed(section, mass, rotating_mass).duration
+
+
+def fastest_unweighed(
+    section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
+) -> FastRun:
+    """The fastest run of any driver who does not know the mass: (7) holds for every mass of (6).
+
+    The motion and the brake are those of the true mass, as if it had been guessed right; see
+    `least_time`.
+
+    Raises
+    ------
+    InputError, InfeasibleError
+        As `least_time`.
+    """
+    section.train.check_mass(mass)
+    return _least(section, section.train, mass, rotating_mass)
+
+
+def _least(section: Section, train: LeverTrain, mass: float, rotating_mass: float) -> FastRun:
+    inertia = 1.0 + rotating_mass / mass
+    freed = section_of(
+        section.line, train, section.maximum_adhesion, section.origin, section.destination,
+        driving=Reserves(1.0, 1.0, 0.0, 1.0, 1.0),
+    )  # fmt: skip
+    c, t = freed.driving_constants, freed.tables._replace(ceiling=freed.allowed)
+    ceiling = dynamics.braking_envelope(t.ceiling, t.sine, t.adhesion, 1.0, mass, mass, inertia, c)
+    t = t._replace(ceiling=ceiling)
+    return _fastest(freed, t, c, mass, np.inf, 1.0, inertia)
+
+
+def check_timetable(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> None:
+    """Refuse a timetable that cannot be kept, before any solver runs.
+
+    Raises
+    ------
+    InfeasibleError
+        Names the first section whose time is below the least, and by how much.
+    """
+    for section in sections:
+        least = fastest(section, mass).duration
+        if section.duration < least:
+            raise InfeasibleError(
+                f"{section.name}: the timetable allows {section.duration:.0f} s, a train of"
+                f" {mass / 1e3:g} t needs {least:.1f} s at least",
+                remedy=f"arrive {least - section.duration:.0f} s later or more",
+            )
+
+
+def adhesion_profile(
+    track: TrackConditionMap,
+    layer: str,
+    *,
+    sigmas: float = 1.0,
+    unobserved: float | None = None,
+) -> StepProfile:
+    """Maximum adhesion along a line as a map knows it.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    layer : str
+    sigmas : float
+        How cautious: standard deviations below the estimate.
+    unobserved : float, optional
+        What to count on where the map tells nothing and no more was borne without slip; without
+        it a map with holes is refused. See `analysis.adhesion.demonstrated`.
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer, or holes.
+    """
+    if unobserved is not None and not 0.0 < unobserved < 1.0:
+        raise InputError(f"an adhesion of {unobserved} is not between 0 and 1")
+    assumed = np.inf if unobserved is None else unobserved
+    known = assured_adhesion(track, layer, sigmas=sigmas, assumed=assumed)
+    holes = ~np.isfinite(known.values)
+    if np.any(holes):
+        first = track.bin_length * int(np.argmax(holes))
+        raise InputError(
+            f"the map of line '{track.line}' has holes: layer '{layer}' was not observed in"
+            f" {np.count_nonzero(holes)} of {holes.size} bins, the first at km {first / 1e3:.3f}",
+            remedy="say what adhesion to count on where the map says nothing",
+        )
+    return known.profile
+
+
+def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:
+    """The lowest value of a profile within one step of the grid around each node."""
+    fine = nodes[:, None] + np.linspace(-GRID, GRID, 21)
+    lowest = profile(fine).min(axis=1)
+    # A step between two of the samples is met by the value on its other side.
+    inside = np.searchsorted(nodes, profile.positions[1:])
+    for i, lower in zip(inside, np.minimum(profile.values[1:], profile.values[:-1]), strict=True):
+        for j in (i - 1, i):
+            if 0 <= j < nodes.size:
+                lowest[j] = min(lowest[j], lower)
+    return np.asarray(lowest)
+
+
+def _braked(
+    t: Tables, reserves: Reserves, light: float, heavy: float, inertia: float,
+    c: dynamics.Constants,
+) -> Tables:  # fmt: skip
+    """Tables with the ceiling from which all that lies ahead can be kept."""
+    grip = _around(t.adhesion)
+    return t._replace(
+        ceiling=dynamics.braking_envelope(
+            t.ceiling, t.sine, grip, reserves.brake, light, heavy, inertia, c
+        )
+    )
+
+
+def _reserved(c: dynamics.Constants, reserves: Reserves) -> dynamics.Constants:
+    return c._replace(lever=reserves.lever, comfort=reserves.comfort * c.comfort)
+
+
+def _around(adhesion: FloatArray) -> FloatArray:
+    """The least within 40 m: a lever is held for a second, and looks ahead."""
+    from scipy.ndimage import minimum_filter1d
+
+    return np.asarray(minimum_filter1d(adhesion, 17, mode="nearest"))
+
+
+def _smoothed(squares: FloatArray) -> FloatArray:
+    """Never above `squares`, with its corners rounded over 20 m."""
+    from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+    return np.asarray(uniform_filter1d(minimum_filter1d(squares, 5, mode="nearest"), 5))
+
+
+def _check(line: Line, maximum_adhesion: StepProfile) -> None:
+    values = maximum_adhesion.values
+    wrong = (values <= 0.0) | (values >= 1.0)
+    if np.any(wrong):
+        at = float(maximum_adhesion.positions[int(np.argmax(wrong))])
+        raise InputError(
+            f"line '{line.name}': maximum adhesion {values[wrong][0]} at km {at / 1e3:.3f} is not"
+            " between 0 and 1"
+        )

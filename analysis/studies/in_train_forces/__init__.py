@@ -1,0 +1,1 @@
+"""Forces between the coupled vehicles of a train."""

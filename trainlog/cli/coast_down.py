@@ -1,0 +1,60 @@
+"""The command that learns running resistance from coasting."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from trainlog.cli.options import Logs
+from trainlog.cli.terminal import console, destination, logs_in, progress_bar, wrote
+
+app = typer.Typer()
+
+
+@app.command("coast-down", rich_help_panel="Learn")
+def coast_down(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Result (JSON).")],
+    line: Annotated[
+        Path | None, typer.Option(help="Line file for logs that carry no line.")
+    ] = None,
+    gradient: Annotated[
+        Literal["line", "unknown"],
+        typer.Option(help="'unknown': trust no gradients; the lever tells where the train coasts."),
+    ] = "line",
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+) -> None:
+    """Learn running resistance from where the train coasts; no efforts are needed.
+
+    Finds the coasting by itself from speed, chainage and the line's gradient, and tells the
+    resistance over the train's inertia, with its band. With the gradient unknown it tells what is
+    left: mostly how resistance grows with speed. Recordings that do not show it are refused with
+    the reason.
+
+    Example: trainlog coast-down results/recorded -o results/coast-down.json
+    """
+    from analysis.resistance.coast_down import coast_down_logs, coast_down_logs_without_gradient
+    from analysis.resistance.coast_down.plot import draw_coast_down, draw_without_gradient
+    from analysis.resistance.coast_down.table import coast_down_table, without_gradient_table
+    from trainlog.formats.coast_down import write_coast_down
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    with progress_bar() as progress:
+        every = progress.track(logs_in(logs), description="coasting")
+        if gradient == "unknown":
+            result = coast_down_logs_without_gradient(every, line)
+        else:
+            found, result = coast_down_logs(every, line)
+    write_coast_down(result, output)
+    if gradient == "unknown":
+        draw_without_gradient(result, shown)
+        console.print(without_gradient_table(result))
+    else:
+        draw_coast_down(found, shown)
+        console.print(coast_down_table(found))
+    wrote(output, shown)

@@ -1,0 +1,170 @@
+"""Commands that learn from logs: fit, estimate, and the track-condition map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from trainlog.cli.options import Logs
+from trainlog.cli.terminal import (
+    console,
+    destination,
+    logs_in,
+    progress_bar,
+    wrote,
+)
+from trainlog.errors import InputError
+from trainlog.formats.files import made_folder
+
+app = typer.Typer()
+map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
+app.add_typer(map_app, name="map", rich_help_panel="Learn")
+
+
+@app.command(rich_help_panel="Learn")
+def fit(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Logs (.mcap), folders of logs, and summaries of earlier fits (.parquet)."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Observed parameter set (JSON).")],
+    cover: Annotated[
+        float,
+        typer.Option(help="Share of trips (%) whose times and energies the set is to bound."),
+    ] = 95.0,
+    configurations: Annotated[
+        int | None, typer.Option(min=1, help="At most so many configurations.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+    per_trip: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for a picture of each trip fitted: residuals, what was masked, and why one"
+            " was refused."
+        ),
+    ] = None,
+) -> None:
+    """Fit running resistance by recursive least squares, per trip and together.
+
+    Writes the observed set of parameter configurations, with uncertainty, a picture, and the
+    summaries of all trips, which stand for their logs in a later fit. Trips that do not determine
+    the resistance are refused with the reason.
+
+    Example: trainlog fit results/trips -o results/parameters.json
+    """
+    from analysis.reporting import fit_table
+    from analysis.resistance import fit_logs
+    from analysis.resistance.plot import draw_fits
+    from analysis.resistance.plot_trip import draw_each, draw_each_refused
+    from analysis.resistance.refusal import AllRefusedError
+    from trainlog.formats.parameters import write_parameters
+    from trainlog.formats.summaries import SUFFIX, write_summaries
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    kept = destination(output.with_suffix(SUFFIX), SUFFIX)
+    if not 0.0 < cover < 100.0:
+        raise InputError(f"--cover {cover:g} makes no sense", remedy="give a share in %, below 100")
+    drawn = None if per_trip is None else made_folder(per_trip)
+    # Summaries first: the logs that they hold need not be read.
+    paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
+    with progress_bar() as progress:
+        given = progress.track(paths, description="fitting")
+        try:
+            fits = fit_logs(given, cover=cover / 100.0, most=configurations)
+        except AllRefusedError as error:
+            if drawn is not None:
+                wrote(*draw_each_refused(error.refused, drawn))
+            raise
+    write_parameters(fits.parameters, output)
+    write_summaries(fits.summaries, kept)
+    draw_fits(fits, shown)
+    console.print(fit_table(fits))
+    wrote(output, kept, shown)
+    if drawn is not None:
+        wrote(*draw_each(fits, drawn))
+
+
+@app.command(rich_help_panel="Learn")
+def estimate(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+) -> None:
+    """Add estimates to logs: smoothed motion, running resistance as it is learnt, adhesion, slip.
+
+    Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
+    """
+    from analysis.estimates import estimate_log
+
+    with progress_bar() as progress:
+        for log in progress.track(logs_in(logs), description="estimating"):
+            if (output / log.name).resolve() == log.resolve():
+                raise InputError("would be overwritten", file=log, remedy="name another folder")
+            made_folder(output)
+            for refusal in estimate_log(log, output / log.name):
+                told = f"  not estimated: {refusal}"
+                progress.console.print(told, highlight=False, markup=False, soft_wrap=True)
+            wrote(output / log.name)
+
+
+@map_app.command("update")
+def map_update(
+    logs: Logs,
+    condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
+    layer: Annotated[
+        Literal["dry", "wet"] | None,
+        typer.Option(help="Rail condition; default: the weather that each log tells."),
+    ] = None,
+) -> None:
+    """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
+
+    A log that the map already holds is not counted again.
+
+    Example: trainlog map update results/trips --map results/map.json
+    """
+    from analysis.adhesion.condition_map import update_logs
+    from analysis.adhesion.plot import draw_map
+    from analysis.reporting import map_table
+    from trainlog.formats.condition import read_map, write_map
+
+    destination(condition, ".json")
+    known = read_map(condition) if condition.exists() else None
+    with progress_bar() as progress:
+        every = progress.track(logs_in(logs), description="mapping")
+        updated, told = update_logs(known, every, layer)
+    for trip in told:
+        console.print(
+            f"  {trip}: in the map already, not counted again", highlight=False, markup=False
+        )
+    write_map(updated, condition)
+    draw_map(updated, condition.with_suffix(".png"))
+    console.print(map_table(updated))
+    wrote(condition, condition.with_suffix(".png"))
+
+
+@map_app.command("show")
+def map_show(
+    condition: Annotated[Path, typer.Argument(help="Map file.")],
+    picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
+) -> None:
+    """Show what a track-condition map knows, and where it knows nothing.
+
+    Example: trainlog map show results/map.json --picture map.png
+    """
+    from analysis.adhesion.plot import draw_map
+    from analysis.reporting import map_table
+    from trainlog.formats.condition import read_map
+
+    if picture is not None:
+        destination(picture, ".png")
+    known = read_map(condition)
+    console.print(map_table(known))
+    if picture is not None:
+        draw_map(known, picture)
+        wrote(picture)

@@ -1,0 +1,154 @@
+"""Commands that look at logs: info, check, replay, compare, report."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trainlog.cli.options import Logs
+from trainlog.cli.selection import (
+    FromOption,
+    KilometreOption,
+    ToOption,
+    part_of,
+)
+from trainlog.cli.terminal import (
+    complain,
+    console,
+    logs_in,
+    progress_bar,
+    tell_account,
+    working,
+    wrote,
+)
+from trainlog.errors import LogError
+
+app = typer.Typer()
+
+LogsOrConsists = Annotated[
+    list[Path], typer.Argument(help="Logs (.mcap), folders of logs, or consists (.consist.json).")
+]
+
+PIECE = 200_000
+"""Rows that a replay holds at a time, over all topics."""
+
+
+@app.command(rich_help_panel="Look")
+def info(logs: LogsOrConsists) -> None:
+    """Tell what is in a log: topics, units, rates, time and position span, gaps, provenance.
+
+    Of a consist (.consist.json) its vehicles, couplers and brake.
+
+    Example: trainlog info results/trips/trip-01.mcap
+    """
+    from analysis.studies.in_train_forces.table import consist_tables
+    from trainlog.formats.consist import read_consist
+    from trainlog.mcap import describe
+    from trainlog.mcap.show import render
+
+    for log in logs_in(logs):
+        if log.name.endswith(".consist.json"):
+            console.print(consist_tables(read_consist(log)))
+        else:
+            console.print(render(describe(log)))
+
+
+@app.command(rich_help_panel="Look")
+def check(logs: Logs) -> None:
+    """Read logs to the last byte, verify every checksum, and account for what is lost.
+
+    MCAP files of other programs are checked alike. Exit status 1 if any log is damaged;
+    [bold]trainlog recover[/bold] rebuilds it. 2 if any file is no log at all.
+
+    Example: trainlog check results/trips
+    """
+    from trainlog.mcap import account_of
+
+    status = 0
+    with progress_bar() as progress:
+        for log in progress.track(logs_in(logs), description="checking"):
+            try:
+                account = account_of(log)
+            except LogError as error:  # one file that is no log says nothing of the others
+                complain(str(error))
+                status = 2
+                continue
+            status = max(status, 0 if account.whole else 1)
+            tell_account(log, account, progress.console)
+    if status:
+        raise typer.Exit(status)
+
+
+@app.command(rich_help_panel="Look")
+def replay(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .rrd recording.")],
+    trajectory: Annotated[Path | None, typer.Option(help="Trajectory file to show.")] = None,
+    condition: Annotated[
+        Path | None, typer.Option("--map", help="Track-condition map to show.")
+    ] = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    km: KilometreOption = None,
+    viewer: Annotated[
+        bool, typer.Option(help="Open the Rerun viewer where there is a display.")
+    ] = True,
+) -> None:
+    """Show trips in the Rerun viewer, by time and by position; or a part of them.
+
+    Example: trainlog replay results/trips/trip-01.mcap -o results/replay.rrd
+    """
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.replay import open_viewer, record_replay
+
+    sources = [partial(part_of, log, start, end, km, PIECE) for log in logs_in(logs)]
+    with working(f"writing {output.name}"):
+        record_replay(
+            sources,
+            output,
+            trajectory=None if trajectory is None else read_trajectory(trajectory),
+            condition_map=None if condition is None else read_map(condition),
+        )
+    wrote(output)
+    if viewer:
+        console.print(open_viewer(output))
+
+
+@app.command(rich_help_panel="Look")
+def compare(
+    logs: Logs,
+    followed: Annotated[
+        list[Path],
+        typer.Option("--with", help="Log or folder of trips that followed a trajectory; several."),
+    ],
+) -> None:
+    """Compare drivers' trips with trips that followed a trajectory: time, energy and slip.
+
+    Given several times, --with makes a table each, as of trips that knew a map and of others.
+
+    Example: trainlog compare results/trips --with results/driven
+    """
+    from analysis.comparison.cost import savings
+    from analysis.reporting import savings_table
+
+    for each in followed:
+        if len(followed) > 1:
+            console.print(f"with {each}", highlight=False)
+        console.print(savings_table(savings(logs_in(logs), logs_in([each]))))
+
+
+@app.command(rich_help_panel="Look")
+def report(
+    results: Annotated[Path, typer.Argument(help="Folder of results, as the demo leaves it.")],
+) -> None:
+    """Sum up a folder of results: fit, map, trajectory, energy; simulated trips against the truth.
+
+    Example: trainlog report results
+    """
+    from analysis.reporting import results_table
+
+    console.print(results_table(results))

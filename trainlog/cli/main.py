@@ -1,0 +1,149 @@
+"""The command line: one command a verb; the work is done in the rooms below.
+
+The commands stand in `trainlog.cli`; here are the program around them and its exit status.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer.exceptions import TyperException
+from typer.models import CommandInfo, TyperInfo
+
+from trainlog import __version__
+from trainlog.cli import coast_down, learn, look, plan, portion, record, study
+from trainlog.cli.terminal import complain, complaints, console, wrote
+from trainlog.errors import TrainlogError
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C; typer returns it, too."""
+
+app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(show: bool) -> None:
+    if show:
+        console.print(f"trainlog {__version__}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Record train trips in a standard log, learn from them, and plan robust trajectories.
+
+    A first look: [bold]trainlog demo[/bold] runs the whole chain. Then, with your own logs:
+    [bold]ingest[/bold] them, [bold]fit[/bold] the running resistance, [bold]map update[/bold] the
+    track condition, [bold]optimise[/bold] the trajectory, [bold]replay[/bold] everything.
+    """
+
+
+for _panel in (record, portion, look, learn, coast_down, plan, study):
+    app.add_typer(_panel.app)
+
+
+@app.command(rich_help_panel="Start here")
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path(
+        "results"
+    ),
+) -> None:
+    """Run the whole chain on St.Gallen-Wil: record, fit, map, optimise, replay.
+
+    Example: trainlog demo -o results
+    """
+    from trainlog.cli.demo import run_demo
+
+    run_demo(output, console, run=lambda arguments: run(arguments))
+
+
+@app.command(rich_help_panel="Start here")
+def samples(
+    output: Annotated[Path, typer.Argument(help="Folder to copy them to.")] = Path("sample_logs"),
+) -> None:
+    """Copy the sample logs, line, train and map that come with trainlog.
+
+    Example: trainlog samples sample_logs
+    """
+    from trainlog.formats.samples import copy_samples
+
+    wrote(*copy_samples(output))
+
+
+# --------------------------------------------------------------------------------- entry point
+
+
+def _reflow(panel: typer.Typer) -> None:
+    """Let the help of the commands break where the terminal ends, not where the docstring does."""
+    documented: list[CommandInfo | TyperInfo] = [*panel.registered_commands]
+    if panel.registered_callback is not None:
+        documented.append(panel.registered_callback)
+    for known in documented:
+        words = inspect.getdoc(known.callback) if known.callback else None
+        if words and not known.help:
+            known.help = "\n\n".join(" ".join(part.split()) for part in words.split("\n\n"))
+    for group in panel.registered_groups:
+        if group.typer_instance is not None:
+            _reflow(group.typer_instance)
+
+
+_reflow(app)
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command in this process and return its exit status; errors are raised."""
+    command = typer.main.get_command(app)
+    return command.main(arguments, prog_name="trainlog", standalone_mode=False) or 0
+
+
+def main() -> None:
+    """Entry point of the ``trainlog`` command.
+
+    Exit status 0: done; 2: bad input, told in one line; 130: interrupted.
+    """
+    try:
+        with warnings.catch_warnings():
+            # A log that a command reads twice is told of once.
+            warnings.simplefilter("once", UserWarning)
+            warnings.showwarning = _warn
+            status = run(sys.argv[1:])
+    except TrainlogError as error:
+        status = _complain(str(error))
+    except TyperException as error:
+        told = error.format_message() if hasattr(error, "format_message") else str(error)
+        # Where a value is not one of several, its checker says "Value error" before our words.
+        told = told.replace("Value error, ", "")
+        status = _complain(f"{told.rstrip('.')}; see 'trainlog --help'")
+    except OSError as error:
+        # The rooms below turn the errors they expect into TrainlogError; this is a full disk, a
+        # lost drive, a forbidden folder met elsewhere.
+        status = _complain(f"{error.filename or 'file'}: {error.strerror or error}")
+    except (KeyboardInterrupt, typer.Abort):
+        status = INTERRUPTED
+    if status == INTERRUPTED:
+        complaints.print("trainlog: interrupted; what was finished is kept")
+    sys.exit(status)
+
+
+def _complain(message: str) -> int:
+    complain(message)
+    return 2
+
+
+def _warn(message: Warning | str, *_: object, **__: object) -> None:
+    """One yellow line for a warning, such as that a log is damaged and what of it is lost."""
+    told = " ".join(f"trainlog: warning: {message}".split())
+    complaints.print(told, style="yellow", markup=False, highlight=False, soft_wrap=True)

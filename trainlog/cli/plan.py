@@ -1,0 +1,271 @@
+"""Commands that plan: optimise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from trainlog.cli.options import LineOption, TrainOption
+from trainlog.cli.selection import stretch
+from trainlog.cli.terminal import (
+    console,
+    destination,
+    line_and_train,
+    logs_in,
+    working,
+    wrote,
+)
+from trainlog.errors import InputError
+from trainlog.units import KMH
+
+if TYPE_CHECKING:
+    from trainlog.railway import Configuration, Line, Train, Trajectory
+
+app = typer.Typer()
+
+
+@app.command(rich_help_panel="Plan")
+def optimise(
+    parameters: Annotated[Path, typer.Argument(help="Observed parameter set (JSON).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Trajectory file (JSON).")],
+    line: LineOption = None,
+    train: TrainOption = None,
+    running_time: Annotated[
+        float | None, typer.Option(help="Timetable's running time in seconds.")
+    ] = None,
+    reserve: Annotated[
+        float, typer.Option(help="Without --running-time: reserve over the least time (%).")
+    ] = 10.0,
+    as_fast_as: Annotated[
+        Path | None,
+        typer.Option(help="Running time of the fastest non-stop trip of this log or folder."),
+    ] = None,
+    braking: Annotated[
+        Literal["recourse", "common"],
+        typer.Option(help="Each configuration brakes for itself, or all alike as in the paper."),
+    ] = "recourse",
+    objective: Annotated[
+        Literal["wheel", "line", "expected"],
+        typer.Option(
+            help="Traction at the wheel rims as in the paper; or energy from the line, with"
+            " efficiencies and what the dynamic brake feeds back, at worst or as expected of the"
+            " trips that the configurations stand for."
+        ),
+    ] = "wheel",
+    condition: Annotated[
+        Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
+    ] = None,
+    layer: Annotated[
+        Literal["dry", "wet"], typer.Option(help="Rail condition of the map.")
+    ] = "wet",
+    assumed_adhesion: Annotated[
+        float | None,
+        typer.Option(
+            help="With --map: adhesion counted on where it tells nothing; default: no limit there."
+        ),
+    ] = None,
+    cells: Annotated[
+        int,
+        typer.Option(
+            min=20, max=20_000, help="Cells of the grid; at least one for each step of the line."
+        ),
+    ] = 500,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="Travel against the line's chainage.")
+    ] = False,
+    journey: Annotated[
+        Path | None,
+        typer.Option(help="Journey file: stops and passing points; one trajectory a section."),
+    ] = None,
+    dwell: Annotated[
+        float, typer.Option(min=0.0, help="With --journey: least standing time at a stop (s).")
+    ] = 0.0,
+    km: Annotated[
+        str | None,
+        typer.Option("--km", help="Only between, in the direction of travel: 3.2:7.5, 3.2:, :7.5."),
+    ] = None,
+    initial_speed: Annotated[
+        float | None, typer.Option(help="Speed where it begins, in km/h; default: standstill.")
+    ] = None,
+    final_speed: Annotated[
+        float | None,
+        typer.Option(help="Speed where it ends, at most, in km/h; default: standstill."),
+    ] = None,
+    sigmas: Annotated[
+        float | None,
+        typer.Option(help="With --map: standard deviations taken off its estimate; default: 2."),
+    ] = None,
+    protect: Annotated[
+        Literal["front", "train"],
+        typer.Option(help="Speed limits hold for the train's front, or for all of its length."),
+    ] = "front",
+    pareto: Annotated[
+        bool, typer.Option("--pareto", help="Energy against running time too, and its picture.")
+    ] = False,
+    referee: Annotated[
+        bool, typer.Option("--referee", help="Solve it again with CasADi and IPOPT, and compare.")
+    ] = False,
+) -> None:
+    """Find the trajectory of least energy that every observed configuration can follow.
+
+    The answer carries its certificate: an independent fine rollout of every configuration and a
+    lower bound on the energy. Beside it stand a picture, and the driver's advice as CSV.
+
+    Example: trainlog optimise results/parameters.json -o results/trajectory.json
+    """
+    from analysis.comparison.cost import fastest_nonstop
+    from analysis.trajectory import optimise as solve
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.parameters import read_parameters
+
+    destination(output, ".json")
+    ends = {"--km": km, "--initial-speed": initial_speed, "--final-speed": final_speed}
+    times = {"--running-time": running_time, "--as-fast-as": as_fast_as}
+    if journey is not None:
+        rivals = {**times, "--pareto": pareto or None, **ends}
+        _refuse("--journey tells times, places and speeds itself", rivals)
+    if running_time is not None:
+        _refuse("--running-time tells the time", {"--as-fast-as": as_fast_as})
+    if as_fast_as is not None:
+        _refuse("--as-fast-as is the time from end to end of the line", ends)
+    if condition is None:
+        of_map = {"--assumed-adhesion": assumed_adhesion, "--sigmas": sigmas}
+        _refuse("there is no --map to be read", of_map, "or give a map")
+    the_line, the_train = line_and_train(line, train)
+    observed = read_parameters(parameters)
+    observed.check_train(the_train.name)
+    if not observed.configurations:
+        raise InputError(
+            "holds no configuration",
+            file=parameters,
+            remedy="'trainlog fit' makes a set from trips",
+        )
+    if as_fast_as is not None:
+        running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
+    if reverse:
+        the_line = the_line.reversed()
+    options: dict[str, Any] = {
+        "reserve": reserve / 100.0,
+        "braking": braking,
+        "objective": objective,
+        "weights": observed.weights if objective == "expected" else (),
+        "condition_map": None if condition is None else read_map(condition),
+        "layer": layer,
+        "sigmas": 2.0 if sigmas is None else sigmas,
+        "assumed_adhesion": inf if assumed_adhesion is None else assumed_adhesion,
+        "protected_length": the_train.length if protect == "train" else 0.0,
+        "cells": cells,
+        "direction": "reverse" if reverse else "forward",
+        "referee": referee,
+    }
+    asked = (the_line, the_train, observed.configurations)
+    if journey is not None:
+        _journey(asked, journey, dwell, options, output)
+        return
+    options |= _ends(km, initial_speed, final_speed)
+    with working(f"optimising over {len(observed.configurations)} configurations"):
+        trajectory = solve(*asked, running_time=running_time, **options)
+    _told(trajectory, the_line, output)
+    if pareto:
+        _front(asked, options, output)
+
+
+def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
+    """Refuse options that contradict another one; None are those that were not given."""
+    named = [name for name, value in given.items() if value is not None]
+    if named:
+        raise InputError(
+            f"{' and '.join(named)} cannot be taken: {why}",
+            remedy=" ".join(filter(None, (f"leave out {' and '.join(named)}", remedy))),
+        )
+
+
+def _ends(
+    km: str | None, initial_speed: float | None, final_speed: float | None
+) -> dict[str, float | None]:
+    """Where one run begins and ends [m], and how fast [m/s]."""
+    start, end = stretch(km) or (None, None)
+    return {
+        "start": start or 0.0,
+        "end": end,
+        "initial_speed": (initial_speed or 0.0) / KMH,
+        "final_speed": (final_speed or 0.0) / KMH,
+    }
+
+
+def _told(trajectory: Trajectory, line: Line, output: Path) -> None:
+    """Write a trajectory, its picture and its advice, and print what it is."""
+    from analysis.reporting import advice_table, trajectory_table
+    from analysis.trajectory.advice import advice, write_advice
+    from analysis.trajectory.plot import draw_trajectory
+    from trainlog.formats.trajectory import write_trajectory
+
+    points = advice(trajectory)
+    write_trajectory(trajectory, output)
+    draw_trajectory(trajectory, line, output.with_suffix(".png"))
+    write_advice(points, output.with_suffix(".csv"))
+    console.print(trajectory_table(trajectory), advice_table(points))
+    wrote(output, output.with_suffix(".png"), output.with_suffix(".csv"))
+
+
+def _journey(
+    asked: tuple[Line, Train, Sequence[Configuration]],
+    journey: Path,
+    dwell: float,
+    options: dict[str, Any],
+    output: Path,
+) -> None:
+    """Optimise a journey; a file a section, numbered."""
+    from analysis.reporting import journey_table
+    from analysis.trajectory import optimise_journey
+    from trainlog.formats.journey import read_journey
+
+    with working("optimising the sections"):
+        plan = optimise_journey(*asked, read_journey(journey), dwell=dwell, **options)
+    for number, section in enumerate(plan.sections, start=1):
+        _told(section, asked[0], output.with_name(f"{output.stem}-{number}.json"))
+    console.print(journey_table(plan))
+
+
+def _front(
+    asked: tuple[Line, Train, Sequence[Configuration]], options: dict[str, Any], output: Path
+) -> None:
+    """Energy against running time, printed and drawn."""
+    from analysis.reporting import front_table
+    from analysis.trajectory.front import energy_against_time
+    from analysis.trajectory.plot_front import draw_front
+
+    known = {key: value for key, value in options.items() if key != "reserve"}
+    with working("optimising for other running times"):
+        front = energy_against_time(*asked, **known)
+    picture = output.with_name(f"{output.stem}-pareto.png")
+    draw_front(front, picture)
+    console.print(front_table(front))
+    wrote(picture)
+
+
+@app.command(rich_help_panel="Plan")
+def advise(
+    log: Annotated[Path, typer.Argument(help="Log (.mcap) of a trip over the same section.")],
+    trajectory: Annotated[Path, typer.Option(help="Trajectory file.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The log with the advice (.mcap).")
+    ],
+) -> None:
+    """Lay a trajectory's advice beside a recorded trip, so that a replay shows both.
+
+    Example: trainlog advise trip.mcap --trajectory results/trajectory.json -o advised.mcap
+    """
+    from analysis.trajectory.advice import with_advice
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.mcap import read_log, write_log
+
+    destination(output, ".mcap")
+    if output.resolve() == log.resolve():
+        raise InputError("is the log itself", file=output, remedy="give the result another name")
+    write_log(with_advice(read_log(log), read_trajectory(trajectory)), output)
+    wrote(output)

@@ -1,0 +1,337 @@
+"""Commands that make logs: simulate, ingest, recover; and import of lines and trains."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from trainlog.cli.options import LineOption, Logs, Seed, TrainOption
+from trainlog.cli.terminal import (
+    about,
+    complain,
+    console,
+    destination,
+    distinct,
+    line_and_train,
+    logs_in,
+    pairs,
+    progress_bar,
+    tell_account,
+    working,
+    wrote,
+)
+from trainlog.errors import InputError, LogError
+from trainlog.formats.files import made_folder
+from trainlog.trip import Trip
+
+if TYPE_CHECKING:
+    from trainlog.railway import Line, Train
+    from trainlog.simulation.scenario import Scenario
+
+app = typer.Typer()
+line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
+app.add_typer(line_app, name="line", rich_help_panel="Record")
+
+
+@app.command(rich_help_panel="Record")
+def simulate(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+    line: LineOption = None,
+    train: TrainOption = None,
+    count: Annotated[int, typer.Option(min=1, help="Trips to drive.")] = 12,
+    seed: Seed = 1,
+    trajectory: Annotated[
+        Path | None, typer.Option(help="Follow this trajectory instead of a driver's habits.")
+    ] = None,
+    configurations: Annotated[
+        str | None,
+        typer.Option(
+            help="With --trajectory: 'hardest' (default), 'all', or names separated by commas."
+        ),
+    ] = None,
+    weather: Annotated[
+        Literal["dry", "wet"] | None,
+        typer.Option(help="With --trajectory: the rail's condition; default dry."),
+    ] = None,
+    condition: Annotated[
+        Path | None,
+        typer.Option("--map", help="With --trajectory: track-condition map that the train knows."),
+    ] = None,
+    late: Annotated[
+        float, typer.Option(min=0.0, help="With --trajectory: departs so many seconds late.")
+    ] = 0.0,
+) -> None:
+    """Drive trips in simulation and log them.
+
+    Loads, weather, running resistance, drivers and slippery spots vary with the seed; sensors
+    have noise. With [bold]--trajectory[/bold] the trips follow it by model predictive control, one
+    a configuration; the train does not know in which it is, and where it is and how fast it knows
+    from its own instruments.
+
+    Example: trainlog simulate --count 12 --seed 1 -o results/trips
+    """
+    from trainlog.mcap import write_log
+    from trainlog.simulation.scenario import draw_scenarios
+    from trainlog.simulation.scenario import (
+        simulate as drive,
+    )
+
+    the_line, the_train = line_and_train(line, train)
+    if trajectory is None:
+        _check_alone(
+            {"configurations": configurations, "weather": weather, "map": condition}
+            | {"late": late or None}
+        )
+        scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
+    else:
+        scenarios = _following(
+            trajectory, the_line, the_train, configurations or "hardest", seed,
+            weather or "dry", condition, late,
+        )  # fmt: skip
+    made_folder(output)
+    followed = []
+    with progress_bar() as progress:
+        for scenario in progress.track(scenarios, description="driving"):
+            trip = drive(scenario)
+            write_log(trip, output / f"{trip.name}.mcap")
+            progress.console.print(about(trip), highlight=False, markup=False)
+            if trajectory is not None:
+                followed.append(trip)
+    if followed:
+        from analysis.control.plot import draw_following
+
+        draw_following(followed, output / "following.png")
+        wrote(output / "following.png")
+
+
+def _check_alone(options: dict[str, object]) -> None:
+    """Refuse options that say how to follow a trajectory where none is given."""
+    for option, given in options.items():
+        if given is not None:
+            raise InputError(
+                f"--{option} goes with --trajectory",
+                remedy=f"give a trajectory, or leave out --{option}",
+            )
+
+
+def _following(
+    trajectory: Path,
+    line: Line,
+    train: Train,
+    configurations: str,
+    seed: int,
+    weather: str,
+    condition: Path | None,
+    late: float,
+) -> list[Scenario]:
+    """Scenarios of trips that follow a trajectory."""
+    from functools import partial
+
+    from analysis.control.follow import Follower
+    from analysis.control.odometry import MARGIN, Odometry
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.simulation.drivers import DEPARTURE
+    from trainlog.simulation.scenario import trajectory_scenarios
+
+    plan = read_trajectory(trajectory)
+    follows = partial(
+        Follower,
+        plan,
+        line if plan.direction == "forward" else line.reversed(),
+        train,
+        condition=None if condition is None else read_map(condition),
+        layer=weather,
+        departure=DEPARTURE + late,
+        margin=MARGIN,
+    )
+    names = plan.chosen(configurations)
+    return trajectory_scenarios(
+        plan, line, train, names, follows, seed=seed, weather=weather, locates=Odometry
+    )
+
+
+@app.command(rich_help_panel="Record")
+def ingest(
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Recorded files: docs/ingest.md lists the formats.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+    profile: Annotated[
+        Path | None, typer.Option(help="TOML profile: columns, units, signs, time format.")
+    ] = None,
+    line: Annotated[Path | None, typer.Option(help="Line it was driven on, if known.")] = None,
+    train: Annotated[Path | None, typer.Option(help="Train that drove, if known.")] = None,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="The trip ran against the line's chainage.")
+    ] = False,
+    facts: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="What the file does not tell: weather=wet, load=12000 (kg)."),
+    ] = None,
+) -> None:
+    """Turn recorded logs into trips; what was repaired is counted and kept in the log.
+
+    A log is named after its file or, where the file holds several recordings, after its trip.
+
+    Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
+    """
+    from trainlog.formats.line import read_line
+    from trainlog.formats.train import read_train
+    from trainlog.ingest import ingest_each, report_of
+    from trainlog.mcap import write_log
+
+    the_line = None if line is None else read_line(line)
+    the_train = None if train is None else read_train(train)
+    distinct([recording.stem for recording in recordings], recordings)
+    metadata = pairs(facts or [])
+    written: set[Path] = set()
+    for recording in recordings:
+        told: set[str] = set()
+        trips = ingest_each(
+            recording,
+            profile=profile,
+            line=the_line,
+            train=the_train,
+            direction="reverse" if reverse else None,
+            metadata=metadata,
+        )
+        for target, trip in _named(recording, output, trips):
+            if target in written:
+                raise InputError(
+                    f"would write {target.name} twice",
+                    file=recording,
+                    remedy="ingest the files into different folders",
+                )
+            if any(one.exists() and target.exists() and one.samefile(target) for one in recordings):
+                raise InputError(
+                    "would be overwritten by the log that is made of it",
+                    file=target,
+                    remedy="name another folder",
+                )
+            written.add(target)
+            made_folder(output)
+            write_log(trip, target)
+            console.print(about(trip), highlight=False, markup=False)
+            for finding in report_of(trip).lines():
+                # What the file holds besides its trips is told with the first of them.
+                if finding not in told:
+                    console.print(f"    {finding}", highlight=False, markup=False)
+                if finding.startswith("not used: "):
+                    told.add(finding)
+            wrote(target)
+
+
+def _named(recording: Path, output: Path, trips: Iterator[Trip]) -> Iterator[tuple[Path, Trip]]:
+    """Each trip of a recorded file with its log: named after the file if it holds one recording."""
+    while True:
+        with working(f"reading {recording.name}"):
+            trip = next(trips, None)
+        if trip is None:
+            return
+        several = "recording" in trip.provenance[0]
+        name = re.sub(r"[^\w.+-]+", "_", trip.name) if several else recording.stem
+        yield output / f"{name}.mcap", trip
+
+
+@app.command(rich_help_panel="Record")
+def recover(
+    logs: Logs,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Log to write, or folder for several.")
+    ],
+) -> None:
+    """Rebuild damaged logs with every message that is readable, and account for what is lost.
+
+    A log that was cut, that a recorder left when it was killed, or that a disk has damaged becomes
+    a whole one with an index. Works for MCAP files of any program. The damaged log stays as it is;
+    the account is kept in the new one.
+
+    Example: trainlog recover trip.mcap -o recovered/
+    """
+    from trainlog.mcap import recover as rebuild
+
+    found = logs_in(logs)
+    several = len(found) > 1 or output.suffix != ".mcap"
+    if several:
+        if output.suffix == ".mcap":
+            raise InputError(
+                f"is the name of one log, and there are {len(found)}",
+                file=output,
+                remedy="name a folder",
+            )
+        distinct([log.name for log in found], found)
+        made_folder(output)
+    refused = 0
+    with progress_bar() as progress:
+        for log in progress.track(found, description="recovering"):
+            target = output / log.name if several else destination(output, ".mcap")
+            try:
+                tell_account(log, rebuild(log, target), progress.console)
+            except LogError as error:
+                # One file that is no log does not keep the others from being rebuilt.
+                if not several:
+                    raise
+                refused += 1
+                complain(str(error))
+                continue
+            wrote(target, to=progress.console)
+    if refused:
+        raise typer.Exit(2)
+
+
+@app.command(name="import", rich_help_panel="Record")
+def import_(
+    files: Annotated[list[Path], typer.Argument(help="TTOBench tracks, trains or journeys.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
+) -> None:
+    """Turn TTOBench tracks and trains into trainlog's line and train files.
+
+    Example: trainlog import CH_StGallen_Wil.json CH_Stadler_FLIRT_TPF.json -o railway
+    """
+    from trainlog.formats.ttobench import convert
+
+    made_folder(output)
+    for file in files:
+        wrote(convert(file, output))
+
+
+@line_app.command("build")
+def line_build(
+    logs: Logs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Line file (JSON).")],
+    name: Annotated[str | None, typer.Option(help="Name of the line; default: the file's.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+) -> None:
+    """Build a line from the satellite fixes of trips along it, in either direction.
+
+    Writes the centre line with its curvature, how well it is known and what it rests on. Speed
+    limits, gradients and stations are not known from fixes; the line's source says so.
+
+    Example: trainlog line build results/recorded -o results/line.json
+    """
+    from analysis.geometry.centre_line import geometry_of, line_of
+    from analysis.geometry.plot import draw_survey
+    from trainlog.formats.line import write_line
+    from trainlog.mcap import read_log
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    topics = ("/gnss/fix", "/gnss/motion", "/train/state")
+    with progress_bar() as progress:
+        trips = [
+            read_log(log, topics) for log in progress.track(logs_in(logs), description="reading")
+        ]
+    with working("fitting"):
+        survey = geometry_of(trips)
+    write_line(line_of(survey, name or output.stem), output)
+    draw_survey(survey, trips, shown)
+    for told in survey.lines():
+        console.print(told, highlight=False)
+    wrote(output, shown)
