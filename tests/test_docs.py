@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from trainlog import cli
+from trainlog.cli import main as cli
 from trainlog.formats.samples import copy_samples
 
 CHECKOUT = Path(__file__).parents[1]

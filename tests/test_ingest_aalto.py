@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from trainlog import cli
+from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_each, report_of
 from trainlog.trip import Trip

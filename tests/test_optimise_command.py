@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainlog import cli
+from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
