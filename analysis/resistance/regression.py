@@ -42,8 +42,9 @@ OUTLIER = 5.0
 NEIGHBOURS = 9
 """Of so many consecutive windows only the worst is left out in one round."""
 
-ROUNDS = 6
-"""Most rounds of leaving out outliers."""
+ROUNDS = 60
+"""Most rounds of leaving out outliers. Each leaves out one window at least and most trips take one
+to three; what is still far off after so many stays in and widens the noise."""
 
 _BLOCK = 4096
 """Windows whose history is made at once."""
@@ -117,7 +118,7 @@ def regress(
     expected = np.array([1.0 / mass, 0.0, 0.0, 0.0, 0.0, 0.0])
     prior = np.column_stack([np.diag(1.0 / spread), expected / spread])
     kept = np.ones(windows.count, dtype=bool)
-    for _ in range(ROUNDS):
+    for left in reversed(range(ROUNDS)):
         used = windows.select(kept)
         parts = NoiseParts.of(used, mass)
         columns = np.column_stack([used.x, used.effort_change, used.braking, used.y])
@@ -131,7 +132,7 @@ def regress(
         # An outlier spoils its neighbours' whitened residuals too: only the worst goes at a time.
         size = np.abs(residual)
         far = (size > OUTLIER) & (size == maximum_filter1d(size, NEIGHBOURS))
-        if not np.any(far):
+        if left == 0 or not np.any(far):
             break
         kept[np.flatnonzero(kept)[far]] = False
     found = np.asarray(recursion.result().covariance, dtype=np.float64)
