@@ -17,7 +17,7 @@ from trainlog.ingest import ingest_each, profile_of
 from trainlog.ingest.estimates import estimated_state
 from trainlog.mcap import write_log
 from trainlog.railway import Geometry
-from trainlog.railway.projection import beside, nearest_on, track_of
+from trainlog.railway.geometry import beside, nearest_on, track_of
 from trainlog.trip import Trip
 
 PLAIN = profile_of({"format": "trainlog/recorder-profile", "version": 1, "name": "plain"})

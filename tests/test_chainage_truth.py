@@ -12,7 +12,7 @@ from trainlog.errors import InputError
 from trainlog.ingest import Profile, profile_of
 from trainlog.ingest.estimates import Estimate, estimated_state
 from trainlog.railway import Geometry, Line, Station, StepProfile
-from trainlog.railway.projection import nearest_on, track_of
+from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.trip import Trip
 
 PLAIN = {"format": "trainlog/recorder-profile", "version": 1, "name": "plain"}

@@ -27,7 +27,6 @@ from trainlog.errors import InputError, LogError
 from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
 from trainlog.simulation.drivers import DEPARTURE, Observation
-from trainlog.simulation.instruments import Instruments, Reading, balises
 from trainlog.simulation.scenario import (
     Locator,
     Scenario,
@@ -35,7 +34,7 @@ from trainlog.simulation.scenario import (
     simulate,
     trajectory_scenarios,
 )
-from trainlog.simulation.sensors import Sensors
+from trainlog.simulation.sensors import Instruments, Reading, Sensors, balises
 
 NEUTRAL = Belief(1.0, 0.0, 0.0)
 

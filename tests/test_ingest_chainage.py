@@ -18,7 +18,7 @@ from trainlog.ingest import ingest, report_of
 from trainlog.ingest.chainage import chainage_of
 from trainlog.ingest.wheels import Fixes
 from trainlog.railway import Geometry, Line
-from trainlog.railway.projection import nearest_on, track_of
+from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation.recorders import write_ublox_csv
 from trainlog.simulation.scenario import draw_scenarios, simulate
 from trainlog.trip import Trip

@@ -1,4 +1,4 @@
-"""The train of paper 000 and the sample line it runs on."""
+"""The train of Hauck et al. (2023) and the sample line it runs on."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
-from trainlog.railway.lever import PAPER_000
 from trainlog.units import GRAVITY
 
 LINE = "DE_Chemnitz_Cranzahl.line.json"
-CONSTANTS = dynamics.constants(PAPER_000)
+CONSTANTS = dynamics.constants(PUBLISHED_TRAIN)
 
 
 def test_the_curve_of_effort_falls_with_speed() -> None:
     speeds = np.linspace(0.0, 30.0, 50)
-    efforts = PAPER_000.full_effort(speeds)
+    efforts = PUBLISHED_TRAIN.full_effort(speeds)
     assert efforts[0] == pytest.approx(1.516e5 + 1.564e4)
     assert np.all(np.diff(efforts) < 0.0)
 
@@ -49,29 +49,29 @@ def test_levers_within_the_bounds_keep_the_constraints_at_every_mass(
 ) -> None:
     low, high = dynamics.lever_bounds(speed, sine, grip, CONSTANTS)
     lever = low + share * (high - low)
-    mass = PAPER_000.mass + load * PAPER_000.max_load
+    mass = PUBLISHED_TRAIN.mass + load * PUBLISHED_TRAIN.max_load
     gained = dynamics.acceleration(speed, lever, sine, mass, CONSTANTS)
-    held = float(PAPER_000.full_effort(speed)) * abs(lever) / mass
-    assert abs(gained) <= PAPER_000.max_acceleration + 1e-9
+    held = float(PUBLISHED_TRAIN.full_effort(speed)) * abs(lever) / mass
+    assert abs(gained) <= PUBLISHED_TRAIN.max_acceleration + 1e-9
     assert held <= grip * GRAVITY + 1e-9
     assert abs(lever) <= 1.0
 
 
 def test_the_driven_axles_can_give_all_that_the_lever_asks() -> None:
-    train = PAPER_000.on_axles()
-    speeds = np.linspace(0.0, PAPER_000.max_speed, 300)
-    assert np.all(train.tractive_effort_limit(speeds) >= PAPER_000.full_effort(speeds) - 1.0)
+    train = PUBLISHED_TRAIN.on_axles()
+    speeds = np.linspace(0.0, PUBLISHED_TRAIN.max_speed, 300)
+    assert np.all(train.tractive_effort_limit(speeds) >= PUBLISHED_TRAIN.full_effort(speeds) - 1.0)
     assert train.axles.adhesive_mass == train.mass
 
 
 def test_a_negative_resistance_is_refused() -> None:
     with pytest.raises(InputError, match=r"rolling_coefficient -0\.002 is negative"):
-        replace(PAPER_000, rolling_coefficient=-0.002)
+        replace(PUBLISHED_TRAIN, rolling_coefficient=-0.002)
 
 
 def test_a_mass_beyond_the_range_is_refused() -> None:
     with pytest.raises(InputError, match="cannot weigh 90 t"):
-        PAPER_000.check_mass(90_000.0)
+        PUBLISHED_TRAIN.check_mass(90_000.0)
 
 
 def test_the_reconstructed_line_is_made_again_byte_for_byte() -> None:

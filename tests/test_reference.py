@@ -11,6 +11,7 @@ import pytest
 
 from analysis.studies.hauck_2023 import dynamics as dynamics
 from analysis.studies.hauck_2023 import reference as shooting
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import node_count, reference, references
 from analysis.studies.hauck_2023.section import (
     Section,
@@ -26,8 +27,7 @@ from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.condition import read_map
 from trainlog.formats.samples import sample
 from trainlog.railway import Line, Station, StepProfile
-from trainlog.railway.lever import PAPER_000
-from trainlog.simulation.timetable import Stop
+from trainlog.simulation.drivers import Stop
 
 GRIP = StepProfile(np.zeros(1), np.array([0.3]))
 
@@ -48,7 +48,7 @@ def section(time: float, grip: StepProfile = GRIP, **given: Any) -> Section:
     track = line(**given)
     start, end = (each.position for each in track.stations)
     stops = Stop("A", start, 0.0, 0.0), Stop("B", end, time, time)
-    return section_of(track, PAPER_000, grip, *stops)
+    return section_of(track, PUBLISHED_TRAIN, grip, *stops)
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +75,8 @@ def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved: shooting.
     for position, speed, lever in solved.fine:
         slope = float(track.gradient(position))
         grip = float(solved.section.maximum_adhesion(position))
-        for mass in (PAPER_000.mass, 78_200.0, PAPER_000.max_mass):
-            pull = float(PAPER_000.full_effort(speed)) * lever / mass
+        for mass in (PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass):
+            pull = float(PUBLISHED_TRAIN.full_effort(speed)) * lever / mass
             free = dynamics.drift(speed, slope / np.hypot(1.0, slope), mass, DYNAMICS)
             assert abs(pull) <= 9.81 * grip
             # The controller's gradient is that of 50 m of track.
@@ -84,7 +84,7 @@ def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved: shooting.
         assert speed <= float(track.speed_limit(position))
 
 
-DYNAMICS = dynamics.constants(PAPER_000)
+DYNAMICS = dynamics.constants(PUBLISHED_TRAIN)
 
 
 def test_the_optimum_spends_less_than_the_feasible_guess(solved: shooting.Reference) -> None:
@@ -94,7 +94,7 @@ def test_the_optimum_spends_less_than_the_feasible_guess(solved: shooting.Refere
 
 def test_on_the_level_without_limits_the_answer_is_the_analytic_one() -> None:
     """With constant effort and no resistance the lever falls on a straight line: cubic motion."""
-    train = replace(PAPER_000, k1=0.0, k3=60e3, drag_coefficient=0.0, rolling_coefficient=0.0)
+    train = replace(PUBLISHED_TRAIN, k1=0.0, k3=60e3, drag_coefficient=0.0, rolling_coefficient=0.0)
     track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
     track = replace(track, speed_limits=StepProfile(np.zeros(1), np.array([80.0])))
     time, way, mass = 180.0, 1_500.0, 78_200.0
@@ -133,26 +133,28 @@ def test_a_train_that_stalls_is_told_where() -> None:
 def test_least_time_bounds_every_reference_from_below() -> None:
     planned = section(200.0, slope=0.01)
     assert least_time(planned) < fastest(planned).duration
-    assert least_time(planned, PAPER_000.mass) <= least_time(planned, PAPER_000.max_mass)
+    assert least_time(planned, PUBLISHED_TRAIN.mass) <= least_time(
+        planned, PUBLISHED_TRAIN.max_mass
+    )
 
 
 def test_not_to_know_the_mass_costs_time_and_rotating_parts_do() -> None:
     planned = section(200.0, slope=0.01)
-    for mass in (PAPER_000.mass, 78_200.0, PAPER_000.max_mass):
+    for mass in (PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass):
         known = least_time(planned, mass)
         assert known <= least_time_unweighed(planned, mass) + 1e-9
         assert known < least_time(planned, mass, 4_800.0)
     # What the lightest train may do is what (7) allows for every mass.
-    assert least_time_unweighed(planned, PAPER_000.max_mass) > least_time(
-        planned, PAPER_000.max_mass
+    assert least_time_unweighed(planned, PUBLISHED_TRAIN.max_mass) > least_time(
+        planned, PUBLISHED_TRAIN.max_mass
     )
 
 
 def test_a_train_known_to_be_lighter_may_brake_later() -> None:
     planned = section(200.0, slope=0.01)
     heavy = planned.tables.ceiling
-    assert np.array_equal(planned.braked_for(PAPER_000.max_mass).ceiling, heavy)
-    light = planned.braked_for(PAPER_000.mass).ceiling
+    assert np.array_equal(planned.braked_for(PUBLISHED_TRAIN.max_mass).ceiling, heavy)
+    light = planned.braked_for(PUBLISHED_TRAIN.mass).ceiling
     assert np.all(light >= heavy)
     assert np.any(light > heavy)
 
@@ -161,7 +163,7 @@ def test_stops_out_of_order_are_refused() -> None:
     stops = (Stop("A", 100.0, 0.0, 0.0), Stop("B", 2_500.0, 200.0, 230.0))
     third = Stop("C", 2_000.0, 400.0, 400.0)
     with pytest.raises(InputError, match="'B' and 'C' are not in the order of travel"):
-        sections_of(line(), PAPER_000, GRIP, (*stops, third))
+        sections_of(line(), PUBLISHED_TRAIN, GRIP, (*stops, third))
 
 
 def test_a_map_with_holes_is_refused_unless_they_are_filled() -> None:

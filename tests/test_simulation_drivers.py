@@ -17,7 +17,11 @@ from trainlog.simulation.drivers import (
     Driver,
     Habits,
     Observation,
+    Stop,
     TimetableDriver,
+    permitted_speeds,
+    plan,
+    running_time,
 )
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.scenario import (
@@ -27,7 +31,6 @@ from trainlog.simulation.scenario import (
     drive,
     trajectory_scenarios,
 )
-from trainlog.simulation.timetable import Stop, permitted_speeds, plan, running_time
 
 
 def journey(line=None, adhesion: float = 0.3, **changes: object) -> Scenario:

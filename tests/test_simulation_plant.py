@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from simulated_world import flirt, hilly_line, level_line, steps
 
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
 from trainlog.railway import Axles, Brake, RunningResistance
 from trainlog.railway.adhesion import DRY, WET
-from trainlog.railway.lever import PAPER_000
 from trainlog.simulation.plant import Drive, Plant, PlantState, rail_table
 from trainlog.units import GRAVITY
 
@@ -385,7 +385,7 @@ def test_a_holding_brake_keeps_a_train_without_friction_brake_until_it_pulls(
     gradient: float,
 ) -> None:
     """All axles driven, nothing but the dynamic brake: it rolls off unless it is held."""
-    track, train = level_line(gradient=gradient), PAPER_000.on_axles()
+    track, train = level_line(gradient=gradient), PUBLISHED_TRAIN.on_axles()
     held = Plant.of(track, train, drive=Drive(holding_speed=0.5))
     free = Plant.of(track, train)
     for plant, stays in ((held, True), (free, gradient >= 0.0)):

@@ -11,6 +11,7 @@ from analysis.studies.hauck_2023 import run as driving
 from analysis.studies.hauck_2023 import scenarios as study
 from analysis.studies.hauck_2023.bounds import least_lateness
 from analysis.studies.hauck_2023.days import Days, day_by_day, replanned
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.plot import draw_study
 from analysis.studies.hauck_2023.plot_days import draw_days
 from analysis.studies.hauck_2023.table import (
@@ -25,7 +26,6 @@ from analysis.studies.hauck_2023.trips import trip_of
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
-from trainlog.railway.lever import PAPER_000
 
 BY_NAME = {each.name: each for each in study.SCENARIOS}
 SLIPPERY = StepProfile(np.array([0.0, 60.0, 200.0, 2_700.0]), np.array([0.09, 0.06, 0.09, 0.055]))
@@ -44,7 +44,7 @@ def outcomes(known: study.World) -> dict[tuple[str, float], study.Outcome]:
     return {
         (scenario.name, mass): study.outcome(known, scenario, mass)
         for scenario in study.SCENARIOS
-        for mass in (PAPER_000.mass, PAPER_000.max_mass)
+        for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass)
     }
 
 
@@ -72,7 +72,7 @@ def test_every_constraint_holds_in_every_scenario_at_both_ends_of_the_mass(
 def test_on_good_track_the_errors_are_those_of_the_paper(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
-    for mass in (PAPER_000.mass, PAPER_000.max_mass):
+    for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass):
         found = outcomes["good track", mass].informed
         assert np.abs(found.position_error).max() <= 5.0
         assert np.abs(found.speed_error).max() < 3.0
@@ -84,7 +84,7 @@ def test_with_the_map_no_axle_skids_or_slides_and_without_it_they_do(
     for each in outcomes.values():
         assert each.informed.slip_events == 0
         assert each.informed.protections == 0
-    blind = outcomes["weather turns bad", PAPER_000.mass].blind
+    blind = outcomes["weather turns bad", PUBLISHED_TRAIN.mass].blind
     assert blind.slip_events > 0
     assert blind.skid_energy > 0.0
     assert blind.worst[1] > 0.0
@@ -94,8 +94,8 @@ def test_the_lever_does_not_swing_where_wheels_creep_much(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
     for found in (
-        outcomes["weather turns bad", PAPER_000.mass].informed,
-        outcomes["weather turns bad", PAPER_000.mass].blind,
+        outcomes["weather turns bad", PUBLISHED_TRAIN.mass].informed,
+        outcomes["weather turns bad", PUBLISHED_TRAIN.mass].blind,
     ):
         at_work = found.lever[np.abs(found.lever) > 0.02]
         assert np.count_nonzero(np.diff(np.sign(at_work))) < 10
@@ -104,7 +104,7 @@ def test_the_lever_does_not_swing_where_wheels_creep_much(
 def test_where_the_rail_forbids_the_reference_the_lever_changes_no_oftener_than_its_own(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
-    for mass in (PAPER_000.mass, PAPER_000.max_mass):
+    for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass):
         found = outcomes["weather turns bad", mass].informed
         assert found.planned_changes.sum() > 0
         assert np.all(found.lever_changes <= found.planned_changes)
@@ -126,7 +126,7 @@ def test_nobody_could_be_much_nearer_to_the_reference_where_the_rail_forbids_it(
 def test_the_delay_shrinks_but_not_below_what_physics_allows(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
-    for mass in (PAPER_000.mass, PAPER_000.max_mass):
+    for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass):
         each = outcomes["40 s late", mass]
         assert each.bound[0] <= each.unweighed[0] <= each.informed.late[0]
         assert each.informed.late[0] < max(each.unweighed[0], 0.0) + 2.5
@@ -160,14 +160,16 @@ def test_a_section_that_the_rail_forbids_in_its_time_is_late_by_the_least(
     asked = known.plan[0].section.destination.arrival
     arrival = replanned(known.plan, icy)[0].section.destination.arrival
     assert arrival > asked + 5.0
-    bound = least_lateness([driving.with_map(known.plan, icy)[0].section], PAPER_000.mass, 0.0)[0]
+    bound = least_lateness(
+        [driving.with_map(known.plan, icy)[0].section], PUBLISHED_TRAIN.mass, 0.0
+    )[0]
     assert arrival - asked > bound
 
 
 def test_a_run_is_logged_with_its_levers_reference_and_truth(
     outcomes: dict[tuple[str, float], study.Outcome], tmp_path: Path
 ) -> None:
-    found = outcomes["good track", PAPER_000.mass].informed
+    found = outcomes["good track", PUBLISHED_TRAIN.mass].informed
     write_log(trip_of(found, "dry", 1), tmp_path / "trip.mcap")
     again = read_log(tmp_path / "trip.mcap")
     assert np.array_equal(again["/train/controls"]["lever"], np.round(found.lever, 4))
@@ -190,8 +192,8 @@ def test_a_mass_the_train_cannot_have_is_refused(known: study.World) -> None:
 
 def test_masses_are_drawn_from_the_range() -> None:
     drawn = study.drawn_masses(3, 100)
-    assert drawn.min() >= PAPER_000.mass
-    assert drawn.max() <= PAPER_000.max_mass
+    assert drawn.min() >= PUBLISHED_TRAIN.mass
+    assert drawn.max() <= PUBLISHED_TRAIN.max_mass
     assert np.array_equal(drawn, study.drawn_masses(3, 100))
 
 
@@ -201,7 +203,7 @@ def test_tables_and_pictures_are_made(
     days: Days,
     tmp_path: Path,
 ) -> None:
-    three = [outcomes[name, PAPER_000.mass] for name in BY_NAME]
+    three = [outcomes[name, PUBLISHED_TRAIN.mass] for name in BY_NAME]
     for table in (tracking_table, lateness_table, gain_table):
         assert table(three).row_count == 3
     assert references_table(known.plan).row_count == 1
@@ -216,7 +218,7 @@ def test_tables_and_pictures_are_made(
 def test_over_the_whole_line() -> None:
     whole = study.prepared(seed=1)
     for scenario in study.SCENARIOS:
-        for mass in (PAPER_000.mass, 78_200.0, PAPER_000.max_mass):
+        for mass in (PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass):
             each = study.outcome(whole, scenario, mass)
             assert each.informed.worst.max() <= 1e-6
             assert each.informed.slip_events == each.informed.protections == 0

@@ -20,16 +20,16 @@ from analysis.studies.hauck_2023.controller import (
     Tuning,
     solve,
 )
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
 from analysis.studies.hauck_2023.section import least_time_unweighed, section_of
 from analysis.studies.hauck_2023.target import GENTLE, latest, returning, with_lead
 from trainlog.errors import InputError
 from trainlog.railway import Line, Station, StepProfile
-from trainlog.railway.lever import PAPER_000
+from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import HOLDING
-from trainlog.simulation.timetable import Stop
 
-LIGHT, NOMINAL, HEAVY = PAPER_000.mass, 78_200.0, PAPER_000.max_mass
+LIGHT, NOMINAL, HEAVY = PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def _short_plan() -> Reference:
     )
     rail = StepProfile(np.array([0.0, 150.0, 250.0]), np.array([0.3, 0.08, 0.3]))
     stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 2_000.0, 180.0, 180.0)
-    return reference(section_of(track, PAPER_000, rail, *stops))
+    return reference(section_of(track, PUBLISHED_TRAIN, rail, *stops))
 
 
 def driven(
@@ -182,7 +182,7 @@ def test_the_guard_leaves_a_safe_lever_alone_and_cuts_an_unsafe_one(plan: Refere
     assert controller.guarded(0.1, 600.0, 10.0) == pytest.approx(0.1)
     # A slippery place begins at 150 m; what it bears is that of the lightest train.
     cut = controller.guarded(1.0, 145.0, 5.0)
-    assert 0.8 < float(PAPER_000.full_effort(5.0)) * cut / (0.08 * 9.81 * LIGHT) < 1.0
+    assert 0.8 < float(PUBLISHED_TRAIN.full_effort(5.0)) * cut / (0.08 * 9.81 * LIGHT) < 1.0
     ceiling = np.sqrt(dynamics.value(plan.section.tables.ceiling, plan.section.tables.origin, 700))
     assert controller.guarded(1.0, 700.0, float(ceiling)) < 0.4  # what holds on the climb
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from analysis.control import mass as tracking_mass
 from analysis.control.mass import ObservedMass, window
 from analysis.studies.hauck_2023 import dynamics as dynamics
-from trainlog.railway.lever import PAPER_000
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 
-LIGHT, HEAVY = PAPER_000.mass, PAPER_000.max_mass
-CONSTANTS = dynamics.constants(PAPER_000)
+LIGHT, HEAVY = PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass
+CONSTANTS = dynamics.constants(PUBLISHED_TRAIN)
 FLAT = dynamics.Tables(0.0, np.zeros(400), np.full(400, 0.3), np.full(400, 900.0))
 
 masses = st.floats(LIGHT, HEAVY)

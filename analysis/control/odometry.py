@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from analysis.control.follow import Margin
 from estimators.kalman import ACCELEROMETER_BIAS_STD, WHEEL_ERROR_STD
 from trainlog.simulation.drivers import Observation
-from trainlog.simulation.instruments import Reading
-from trainlog.simulation.sensors import Sensors
+from trainlog.simulation.sensors import Reading, Sensors
 
 FloatArray = NDArray[np.float64]
 

@@ -16,9 +16,8 @@ from trainlog.errors import InputError
 from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.wheels import Fixes
-from trainlog.railway.geometry import from_plane, thinned, to_plane
+from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile
-from trainlog.railway.projection import nearest_on, track_of
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]

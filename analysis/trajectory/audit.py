@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.trajectory.dynamics import in_parts
 from analysis.trajectory.problem import inside
 from analysis.trajectory.run import Run
+from trainlog.railway.motion import in_parts
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.dynamics import brake_backwards, in_parts, pull_forwards, speed_of
 from analysis.trajectory.problem import Problem, discretise
 from analysis.trajectory.run import Run
 from trainlog.errors import InfeasibleError
+from trainlog.railway.motion import brake_backwards, in_parts, pull_forwards, speed_of
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]

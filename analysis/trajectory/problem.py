@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.dynamics import SUBSTEPS
 from analysis.trajectory.run import Run
 from trainlog.railway import Trajectory
+from trainlog.railway.motion import SUBSTEPS
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.convex import power_cells, tells_dynamic
-from analysis.trajectory.dynamics import SUBSTEPS
 from analysis.trajectory.problem import Plan, Problem
+from trainlog.railway.motion import SUBSTEPS
 
 FloatArray = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Profile
-from trainlog.railway.projection import nearest_on, track_of
+from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation.scenario import draw_scenarios, simulate
 from trainlog.simulation.sensors import correlated
 from trainlog.topics import GNSS_FIX, GNSS_MOTION, TRAIN_STATE

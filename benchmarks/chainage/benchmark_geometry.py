@@ -22,7 +22,7 @@ from analysis.geometry.centre_line import geometry_of, line_of
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.estimates import estimated_state
-from trainlog.railway.projection import beside, nearest_on, track_of
+from trainlog.railway.geometry import beside, nearest_on, track_of
 
 
 def compared(path: Path, receiver: Receiver, count: int, first: int):

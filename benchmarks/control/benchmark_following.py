@@ -32,9 +32,8 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation.drivers import DEPARTURE, Demand, Observation
-from trainlog.simulation.instruments import Reading
 from trainlog.simulation.scenario import Scenario, drive, trajectory_scenarios
-from trainlog.simulation.sensors import Sensors
+from trainlog.simulation.sensors import Reading, Sensors
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]

@@ -20,11 +20,11 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.studies.hauck_2023.controller import SOFTNESS, Program, TrackingController, solve
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import Reference, reference
 from analysis.studies.hauck_2023.section import section_of
 from trainlog.railway import Line, Station, StepProfile
-from trainlog.railway.lever import PAPER_000
-from trainlog.simulation.timetable import Stop
+from trainlog.simulation.drivers import Stop
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def section() -> Reference:
     )
     rail = StepProfile(np.array([0.0, 1_200.0, 1_400.0]), np.array([0.3, 0.08, 0.3]))
     stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 3_500.0, 300.0, 300.0)
-    return reference(section_of(track, PAPER_000, rail, *stops))
+    return reference(section_of(track, PUBLISHED_TRAIN, rail, *stops))
 
 
 def states(plan: Reference) -> list[tuple[float, float, float]]:

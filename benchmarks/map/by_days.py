@@ -31,11 +31,11 @@ from analysis.studies.hauck_2023.days import (
     timetable_of,
     trying,
 )
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.run import NO_MAP, Run, run, with_map
 from analysis.studies.hauck_2023.table import days_table
 from trainlog.cli.terminal import console
 from trainlog.railway import StepProfile
-from trainlog.railway.lever import PAPER_000
 
 LEVELS = (1.0, 0.95, 0.9, 0.8)
 """Of the second day's rail over the first's."""
@@ -60,7 +60,7 @@ def caution(known: study.World, sigmas: Sequence[float], folder: Path) -> None:
     rails = {level: StepProfile(rail.positions, level * rail.values) for level in LEVELS}
     blind = with_map(known.plan, NO_MAP)
     for level, met in rails.items():
-        told("no map", level, run("day 2", blind, met, PAPER_000.mass))
+        told("no map", level, run("day 2", blind, met, PUBLISHED_TRAIN.mass))
     for each in sigmas:
         counted = cautious(track, each)
         above = np.count_nonzero(counted.values > rail(track.centres))
@@ -72,7 +72,9 @@ def caution(known: study.World, sigmas: Sequence[float], folder: Path) -> None:
         for level, met in rails.items():
             stops = timetable_of(known.plan)
             told(
-                f"{each:g} sigmas", level, run("day 2", plan, met, PAPER_000.mass, timetable=stops)
+                f"{each:g} sigmas",
+                level,
+                run("day 2", plan, met, PUBLISHED_TRAIN.mass, timetable=stops),
             )
 
 

@@ -137,6 +137,7 @@ def map_mpc(
     """
     from analysis.studies.hauck_2023 import scenarios as study
     from analysis.studies.hauck_2023.days import day_by_day
+    from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
     from analysis.studies.hauck_2023.plot import draw_study
     from analysis.studies.hauck_2023.plot_days import draw_days
     from analysis.studies.hauck_2023.table import (
@@ -150,7 +151,6 @@ def map_mpc(
     )
     from analysis.studies.hauck_2023.trips import trip_of
     from trainlog.mcap import write_log
-    from trainlog.railway.lever import PAPER_000
 
     made_folder(output)
     with progress_bar() as progress:
@@ -161,7 +161,7 @@ def map_mpc(
         drawn = study.drawn_masses(seed, 3)
         plans = [
             (scenario, float(mass))
-            for mass in (drawn[0], PAPER_000.mass, PAPER_000.max_mass)
+            for mass in (drawn[0], PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass)
             for scenario in study.SCENARIOS
         ]
         outcomes = []

@@ -18,8 +18,8 @@ from estimators.matching import Nodes, best_chain
 from trainlog.errors import InputError
 from trainlog.ingest.recording import BoolArray, FloatArray
 from trainlog.ingest.wheels import GATE, HOLD, Fixes, held, slipping_wheels, wheel_ratio
+from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
 from trainlog.railway.line import Geometry
-from trainlog.railway.projection import Track, beside, candidates, nearest_on, track_of
 
 ComplexArray = NDArray[np.complex128]
 

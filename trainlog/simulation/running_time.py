@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line
 from trainlog.railway.formation import Formation
-from trainlog.simulation.timetable import braking_ceiling, permitted_speeds
+from trainlog.simulation.drivers import braking_ceiling, permitted_speeds
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

@@ -19,13 +19,13 @@ from trainlog.simulation.drivers import (
     Driver,
     Habits,
     Observation,
+    Stop,
     TimetableDriver,
+    plan,
 )
-from trainlog.simulation.instruments import Instruments, Reading
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.recording import recorded
-from trainlog.simulation.sensors import NANOSECONDS, Sensors, wheel_scales
-from trainlog.simulation.timetable import Stop, plan
+from trainlog.simulation.sensors import NANOSECONDS, Instruments, Reading, Sensors, wheel_scales
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from analysis.control import tracking_kernels as kernels
 from analysis.control.mass import ObservedMass, window
 from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference
 from analysis.studies.hauck_2023.target import Fast, latest, paced, returning, with_lead
 from trainlog.errors import InputError
-from trainlog.railway.lever import NOMINAL_MASS
 from trainlog.simulation.plant import HOLDING
 from trainlog.units import GRAVITY
 

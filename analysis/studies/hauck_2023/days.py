@@ -17,7 +17,7 @@ from analysis.studies.hauck_2023.section import PLANNING, Section, fastest, sect
 from analysis.studies.hauck_2023.trips import START, trip_of
 from trainlog.mcap import write_log
 from trainlog.railway import StepProfile, TrackConditionMap
-from trainlog.simulation.timetable import Stop
+from trainlog.simulation.drivers import Stop
 
 FloatArray = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from trainlog.railway.lever import LeverTrain
+from analysis.studies.hauck_2023.model import LeverTrain
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

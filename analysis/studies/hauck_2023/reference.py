@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
 from trainlog.errors import InfeasibleError
-from trainlog.railway.lever import NOMINAL_MASS
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

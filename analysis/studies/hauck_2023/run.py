@@ -23,14 +23,14 @@ from analysis.studies.hauck_2023.controller import (
     TrackingController,
     Tuning,
 )
+from analysis.studies.hauck_2023.model import LeverTrain
 from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.section import STOPPING_TOLERANCE, sections_of
 from trainlog.errors import InfeasibleError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.adhesion import DRY, WET
-from trainlog.railway.lever import LeverTrain
+from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import Drive, Plant
-from trainlog.simulation.timetable import Stop
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]

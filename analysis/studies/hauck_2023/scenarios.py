@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.studies.hauck_2023 import world as world
 from analysis.studies.hauck_2023.bounds import least_deviation, least_lateness
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import reference
 from analysis.studies.hauck_2023.run import NO_MAP, Plan, Run, run, with_map
 from analysis.studies.hauck_2023.section import (
@@ -20,7 +21,6 @@ from analysis.studies.hauck_2023.section import (
 )
 from trainlog.errors import InputError
 from trainlog.railway import StepProfile
-from trainlog.railway.lever import PAPER_000
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[Iterable[Section]], Iterable[Section]]
@@ -124,7 +124,7 @@ def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -
             f"line '{track.name}' has {len(stops) - 1} sections, not {sections}",
             remedy=f"ask for 1 to {len(stops) - 1}, or for all",
         )
-    every = sections_of(track, PAPER_000, rails["good"], stops)[:sections]
+    every = sections_of(track, PUBLISHED_TRAIN, rails["good"], stops)[:sections]
     check_timetable(every)
     return World(tuple(reference(section) for section in watched(every)), rails)
 
@@ -132,8 +132,8 @@ def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -
 def drawn_masses(seed: int, count: int) -> FloatArray:
     """Masses [kg] from the range of eq. (6), in tenths of tonnes; the controller learns none."""
     generator = np.random.default_rng([seed, 7])
-    drawn = generator.uniform(PAPER_000.mass, PAPER_000.max_mass, count)
-    return np.asarray(np.clip(np.round(drawn, -2), PAPER_000.mass, PAPER_000.max_mass))
+    drawn = generator.uniform(PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass, count)
+    return np.asarray(np.clip(np.round(drawn, -2), PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass))
 
 
 def outcome(known: World, scenario: Scenario, mass: float) -> Outcome:

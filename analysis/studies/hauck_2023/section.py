@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from analysis.adhesion.demonstrated import assured_adhesion
 from analysis.studies.hauck_2023 import dynamics as dynamics
 from analysis.studies.hauck_2023.dynamics import GRID, Tables
+from analysis.studies.hauck_2023.model import NOMINAL_MASS, LeverTrain
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, StepProfile, TrackConditionMap
-from trainlog.railway.lever import NOMINAL_MASS, LeverTrain
-from trainlog.simulation.timetable import Stop, check_stops
+from trainlog.simulation.drivers import Stop, check_stops
 
 FloatArray = NDArray[np.float64]
 

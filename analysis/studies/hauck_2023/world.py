@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.studies.hauck_2023.dynamics import GRID
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN, LeverTrain
 from analysis.studies.hauck_2023.section import SMOOTHING, fastest, section_of
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.condition import BIN_LENGTH
-from trainlog.railway.lever import PAPER_000, LeverTrain
 from trainlog.simulation.adhesion_truth import (
     base_map,
     bin_centres,
@@ -27,7 +27,7 @@ from trainlog.simulation.adhesion_truth import (
     smooth_variation,
     spot,
 )
-from trainlog.simulation.timetable import Stop
+from trainlog.simulation.drivers import Stop
 
 FloatArray = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def bad_rail(track: Line, seed: int = 1) -> StepProfile:
 
 
 def timetable(
-    track: Line, train: LeverTrain = PAPER_000, rail: StepProfile | None = None
+    track: Line, train: LeverTrain = PUBLISHED_TRAIN, rail: StepProfile | None = None
 ) -> tuple[Stop, ...]:
     """Calls at every station, in whole seconds.
 

@@ -1,4 +1,4 @@
-"""A train whose driving lever scales one curve of effort, as paper 000 has it."""
+"""A train whose driving lever scales one curve of effort, as Hauck et al. (2023) have it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class LeverTrain:
-    """Paper 000, eq. (1) to (3): ``m dv/dt = -F_r(v) + F_train(v) u`` with the lever u in [-1, 1].
+    """``m dv/dt = -F_r(v) + F_train(v) u``, the lever u in [-1, 1]; eq. (1) to (3).
 
     Attributes
     ----------
@@ -137,8 +137,8 @@ class LeverTrain:
         )
 
 
-PAPER_000 = LeverTrain(
-    name="train of paper 000",
+PUBLISHED_TRAIN = LeverTrain(
+    name="train of Hauck et al. (2023)",
     mass=68_200.0,
     max_load=20_500.0,
     air_density=1.2041,
@@ -148,7 +148,7 @@ PAPER_000 = LeverTrain(
     k1=1.516e5,
     k2=0.1147,
     k3=1.564e4,
-    source="paper 000 (Hauck et al., 2023), Table I; a_max is not published, 1 m/s² chosen",
+    source="Hauck et al. (2023), Table I; a_max is not published, 1 m/s² chosen",
 )
 """Table I, with density and drag coefficient in their places."""
 

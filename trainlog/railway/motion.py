@@ -26,9 +26,6 @@ SUBSTEPS = 4
 _FEWEST_ROWS = 16
 """Configurations for which a second thread pays."""
 
-_CRAWL = 0.5 * 0.3**2
-"""``z`` that a common brake leaves to the slowest configuration between the stops [m²/s²]."""
-
 
 def in_parts(rows: int, work: Callable[[slice], tuple[FloatArray, ...]]) -> tuple[FloatArray, ...]:
     """What `work` makes of all configurations, done in parts on every core.
@@ -222,99 +219,3 @@ def pull_forwards(
                 stalled[a] = k
             z[a, k + 1] = max(min(y, curve[a, k + 1]), 0.0)
     return z, stalled
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def keep_pace(
-    curves: FloatArray, cruising_speed: float, common: bool, initial: float,
-    traction: FloatArray, gain: FloatArray, power: FloatArray, fall: FloatArray,
-    crest: FloatArray, braking: FloatArray, drag0: FloatArray, drag1: FloatArray,
-    drag2: FloatArray, step: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """All together: full traction to the cruising speed, hold it, brake along the `curves`.
-
-    Traction tapers by `fall`, and stays below the power by `crest` (see `problem.Taper`).
-
-    Returns ``z`` at the nodes, the common traction, and the braking efforts.
-    """
-    q, n = drag2.shape
-    z = np.empty((q, n + 1))
-    z[:, 0] = initial
-    effort, brake = np.empty(n), np.zeros((q, n))
-    for k in range(n):
-        most, hold = traction[k] - abs(fall[k]), abs(fall[k])
-        for a in range(q):
-            y, cell = z[a, k], (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            # Power counts at both ends of the cell; an odd number of turns ends below it.
-            usable = power[a] * (1.0 - crest[k])
-            begin = min(traction[k] - abs(fall[k]), usable / max(speed_of(y), 1e-9) - fall[k])
-            u = begin
-            for _ in range(3):
-                reached, _t = advance(y, gain[a] * u, *cell)
-                u = min(begin, usable / max(speed_of(reached), 1e-9) + fall[k])
-            most = min(most, u)
-            safe = landing(y, curves[a, k + 1], *cell) / gain[a]
-            most = min(most, braking[a, k] + safe)
-            target = min(curves[a, k + 1], 0.5 * cruising_speed**2)
-            hold = max(hold, landing(y, target, *cell) / gain[a])
-        effort[k] = max(min(most, hold), 0.0)
-        need, leave = 0.0, np.inf
-        for a in range(q):
-            y, cell = z[a, k], (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            reached, _t = advance(y, gain[a] * effort[k], *cell)
-            if reached > curves[a, k + 1]:
-                safe = landing(y, curves[a, k + 1], *cell) / gain[a]
-                brake[a, k] = max(effort[k] - safe, 0.0)
-            need = max(need, brake[a, k])
-            slowest = landing(y, _CRAWL, *cell) / gain[a]
-            leave = min(leave, effort[k] - slowest)
-        for a in range(q):
-            if common:
-                brake[a, k] = max(min(need, leave), 0.0)
-            cell = (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            z[a, k + 1], _t = advance(z[a, k], gain[a] * (effort[k] - brake[a, k]), *cell)
-            if not common:
-                z[a, k + 1] = min(z[a, k + 1], curves[a, k + 1])
-            z[a, k + 1] = max(z[a, k + 1], 0.0)
-    return z, effort, brake
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def follow_plan(
-    plan: FloatArray, traction: FloatArray, braking: FloatArray, common: bool, gain: FloatArray,
-    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Planned traction; the brake lands on the planned ``z`` where the plan brakes at all."""
-    q, n = drag2.shape
-    z, brake = np.empty((q, n + 1)), braking.copy()
-    for a in range(q):
-        z[a, 0] = plan[a, 0]
-        for k in range(n):
-            cell = (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            if brake[a, k] > 0.0 and not common:
-                met = landing(z[a, k], plan[a, k + 1], *cell) / gain[a]
-                brake[a, k] = max(traction[k] - met, 0.0)
-            z[a, k + 1], _t = advance(z[a, k], gain[a] * (traction[k] - brake[a, k]), *cell)
-            z[a, k + 1] = max(z[a, k + 1], 0.0)
-    return z, brake
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def ride_late(
-    curves: FloatArray, traction: FloatArray, initial: float, gain: FloatArray,
-    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Given traction; the brake comes as late as the `curves` allow."""
-    q, n = drag2.shape
-    z, brake = np.empty((q, n + 1)), np.zeros((q, n))
-    for a in range(q):
-        z[a, 0] = initial
-        for k in range(n):
-            cell = (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            reached, _t = advance(z[a, k], gain[a] * traction[k], *cell)
-            if reached > curves[a, k + 1]:
-                met = landing(z[a, k], curves[a, k + 1], *cell) / gain[a]
-                brake[a, k] = traction[k] - met
-                reached = curves[a, k + 1]
-            z[a, k + 1] = max(reached, 0.0)
-    return z, brake
