@@ -15,8 +15,7 @@ from simulated_world import flirt, hilly_line
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, report_of
-from trainlog.ingest.chainage import chainage_of
-from trainlog.ingest.wheels import Fixes
+from trainlog.ingest.chainage import Fixes, chainage_of
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation.recorders import write_ublox_csv

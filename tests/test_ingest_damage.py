@@ -14,7 +14,7 @@ from ingest_logs import SECOND, Run, clean_run, plain_profile, ublox, write
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, repairs_of, report_of
-from trainlog.ingest.suspicions import quantum
+from trainlog.ingest.rules import quantum
 from trainlog.trip import Trip
 
 FILES = settings(

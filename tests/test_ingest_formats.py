@@ -16,7 +16,7 @@ from ingest_logs import PLAIN, clean_run, plain_profile, ublox, write
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, formats, ingest, report_of
 from trainlog.ingest.profile import FileOptions, TimeOptions
-from trainlog.ingest.values import LIMITS
+from trainlog.ingest.rules import LIMITS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "ingest.md").read_text("utf-8")
 

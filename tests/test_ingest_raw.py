@@ -26,7 +26,7 @@ from recorder_files import gpx, mtk
 
 from trainlog.errors import LogError
 from trainlog.ingest import REPAIRS_ATTACHMENT, ingest, pipeline, repairs_of, report_of
-from trainlog.ingest.repairs import Repairs
+from trainlog.ingest.report import Repairs
 from trainlog.mcap import read_log, write_log
 from trainlog.trip import Trip
 

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trainlog.errors import InputError
+from trainlog.ingest.mapping import read_time
 from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.recording import NO_TIME
-from trainlog.ingest.timestamps import read_time
 
 FILE = Path("run.csv")
 

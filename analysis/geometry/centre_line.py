@@ -13,9 +13,8 @@ from analysis.geometry.rough_line import GAP, NEAR, rough_line
 from estimators.centre_line import Curve, fitted_curve
 from estimators.kalman import smooth_motion
 from trainlog.errors import InputError
-from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
+from trainlog.ingest.chainage import Fixes, Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
-from trainlog.ingest.wheels import Fixes
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile
 from trainlog.trip import Trip

@@ -9,8 +9,7 @@ from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest, ingest_each
 from trainlog.ingest.profile import Profile, profile_of, read_profile
 from trainlog.ingest.recording import NO_TIME, Finding, Raw, Recording, Table
 from trainlog.ingest.registry import Format, formats
-from trainlog.ingest.repairs import REPAIRS_ATTACHMENT, repairs_of
-from trainlog.ingest.report import Report, report_of
+from trainlog.ingest.report import REPAIRS_ATTACHMENT, Report, repairs_of, report_of
 from trainlog.ingest.rules import RULES, Rule
 
 __all__ = [

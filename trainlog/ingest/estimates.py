@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 
 from estimators.kalman import SmoothedMotion, smooth_motion
-from trainlog.ingest.chainage import Matched, chainage_of
+from trainlog.ingest.chainage import Fixes, Matched, chainage_of
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.recording import Finding, FloatArray
-from trainlog.ingest.wheels import Fixes
 from trainlog.railway.line import Line
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of

@@ -18,10 +18,11 @@ from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import InputError
 from trainlog.ingest.foreign_presets import preset_of, table_of
-from trainlog.ingest.mapping import in_si, recording_of
+from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
 from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions, suggestion
 from trainlog.ingest.recording import (
     NO_TIME,
+    Cells,
     Finding,
     FloatArray,
     IntArray,
@@ -30,8 +31,6 @@ from trainlog.ingest.recording import (
     Table,
     field_of,
 )
-from trainlog.ingest.textfile import Cells
-from trainlog.ingest.timestamps import EARLIEST, LATEST, read_time
 from trainlog.mcap import ForeignFrames, describe, frames_of
 from trainlog.topics import EVENTS
 

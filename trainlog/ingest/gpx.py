@@ -18,11 +18,15 @@ import pyarrow as pa
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.dop import HORIZONTAL_PER_HDOP, VERTICAL_PER_VDOP
 from trainlog.ingest.mapping import recording_of
 from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions
-from trainlog.ingest.recording import Finding, Recording
-from trainlog.ingest.textfile import Cells
+from trainlog.ingest.recording import (
+    HORIZONTAL_PER_HDOP,
+    VERTICAL_PER_VDOP,
+    Cells,
+    Finding,
+    Recording,
+)
 
 SPELLINGS = {
     "time": "time",

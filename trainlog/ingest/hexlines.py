@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from trainlog.errors import InputError
-from trainlog.ingest.messages import Messages, extra
+from trainlog.ingest.mapping import from_parts
 from trainlog.ingest.nmea import epochs_of
 from trainlog.ingest.profile import FileOptions, Profile
 from trainlog.ingest.recording import (
@@ -29,12 +29,13 @@ from trainlog.ingest.recording import (
     Finding,
     FloatArray,
     IntArray,
+    Messages,
     Raw,
     Recording,
     Table,
+    extra,
 )
-from trainlog.ingest.textfile import TextFile, open_text
-from trainlog.ingest.timestamps import from_parts
+from trainlog.ingest.tabular import TextFile, open_text
 
 FORCE_PER_BIT = 0.061e-3 * 9.80665
 """Specific force of one bit [m/s²]: 0.061 mg."""

@@ -22,12 +22,9 @@ import pandas as pd
 import pyarrow as pa
 
 from trainlog.errors import InputError
-from trainlog.ingest.mapping import recording_of
-from trainlog.ingest.messages import extra
+from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import WORDS, Column, Profile, suggestion
-from trainlog.ingest.recording import NO_TIME, IntArray, Recording, field_of
-from trainlog.ingest.textfile import Cells
-from trainlog.ingest.timestamps import EARLIEST, LATEST
+from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, extra, field_of
 from trainlog.units import factor
 
 UNITS = {

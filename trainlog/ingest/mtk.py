@@ -15,11 +15,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from trainlog.errors import InputError
-from trainlog.ingest.dop import HORIZONTAL_PER_HDOP
 from trainlog.ingest.mapping import numbers, recording_of
 from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions
-from trainlog.ingest.recording import Recording
-from trainlog.ingest.textfile import open_text
+from trainlog.ingest.recording import HORIZONTAL_PER_HDOP, Recording
+from trainlog.ingest.tabular import open_text
 
 NAMES = {
     "year": ("year",),

@@ -21,10 +21,17 @@ import pandas as pd
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.dop import HORIZONTAL_PER_HDOP
-from trainlog.ingest.messages import Messages, extra
 from trainlog.ingest.profile import Profile
-from trainlog.ingest.recording import NO_TIME, FloatArray, IntArray, Recording, Table
+from trainlog.ingest.recording import (
+    HORIZONTAL_PER_HDOP,
+    NO_TIME,
+    FloatArray,
+    IntArray,
+    Messages,
+    Recording,
+    Table,
+    extra,
+)
 
 KNOT = 1852.0 / 3600.0
 """Metres a second in one knot."""

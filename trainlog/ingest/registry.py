@@ -16,16 +16,15 @@ from typing import Literal
 
 from trainlog.errors import InputError
 from trainlog.ingest.aalto import is_aalto, read_aalto
-from trainlog.ingest.delimited import is_delimited, read_delimited
 from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
 from trainlog.ingest.hexlines import is_hexlines, read_hexlines
 from trainlog.ingest.mdf import is_mdf, read_mdf
 from trainlog.ingest.mtk import is_mtk, read_mtk
 from trainlog.ingest.nmea import is_nmea, read_nmea
-from trainlog.ingest.parquet import is_parquet, read_parquet
 from trainlog.ingest.profile import Profile, suggestion
 from trainlog.ingest.recording import Recording
+from trainlog.ingest.tabular import is_delimited, is_parquet, read_delimited, read_parquet
 from trainlog.ingest.ublox import is_ublox, read_ublox
 
 GROUP = "trainlog.ingest"

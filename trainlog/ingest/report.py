@@ -1,13 +1,36 @@
-"""What ingest repaired: counts by rule and column, kept in the trip's metadata and provenance."""
+"""What ingest repaired: counts by rule and column, and the raw values of what was changed.
+
+The counts are kept in the trip's metadata and provenance, the raw values in an attachment.
+Each entry is a cell or, where `column` is empty, a whole row, in the order in which the rules were
+applied. Its time before and after the rule tells whether the row was moved; without a time after
+it, the row was dropped.
+"""
 
 from __future__ import annotations
 
+import io
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+from numpy.typing import NDArray
+
 from trainlog.errors import LogError
-from trainlog.ingest.recording import Finding
+from trainlog.ingest.clock import longest_nondecreasing
+from trainlog.ingest.recording import (
+    NO_TIME,
+    BoolArray,
+    Finding,
+    FloatArray,
+    IntArray,
+    Raw,
+    Table,
+)
 from trainlog.trip import Trip
 
 
@@ -139,3 +162,257 @@ def report_of(trip: Trip) -> Report:
     raise LogError(
         f"trip '{trip.name}' was not made by ingest", remedy="simulated trips have no such report"
     )
+
+
+REPAIRS_ATTACHMENT = "repairs.parquet"
+"""Attachment that holds the entries of a trip."""
+
+MOST_ENTRIES = 1_000_000
+"""Entries that are kept of one rule; those beyond are counted."""
+
+LONGEST_TEXT = 1_000
+"""Characters that are kept of a text."""
+
+STAMP = pa.timestamp("ns", "UTC")
+
+SCHEMA = pa.schema(
+    [
+        ("row", pa.int64()),
+        ("table", pa.int32()),
+        ("column", pa.string()),
+        ("rule", pa.string()),
+        ("raw_time", STAMP),
+        ("new_time", STAMP),
+        ("raw_value", pa.float64()),
+        ("new_value", pa.float64()),
+        ("raw_text", pa.string()),
+    ]
+)
+"""Columns of the attachment; values in SI."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What one rule did to one column, or to whole rows.
+
+    Attributes
+    ----------
+    rule : str
+    column : str
+        ``"/topic.column"``; empty for whole rows.
+    rows : (n,) int64 array
+        Rows of the file.
+    raw_time, new_time : (n,) int64 array [ns]
+        Before and after the rule; `NO_TIME` after it: the row was dropped.
+    raw_value, new_value : (n,) array, optional
+        In SI; NaN: absent.
+    raw_text : (n,) object array, optional
+    """
+
+    rule: str
+    column: str
+    rows: IntArray
+    raw_time: IntArray
+    new_time: IntArray
+    raw_value: FloatArray | None = None
+    new_value: FloatArray | None = None
+    raw_text: NDArray[np.object_] | None = None
+
+
+def changes(rule: str, before: Table, after: Table) -> list[Change]:
+    """What `rule` did to a table."""
+    if before is after:
+        return []
+    place = np.full(int(before.samples.max(initial=-1)) + 1, -1, dtype=np.int64)
+    place[before.samples] = np.arange(len(before))
+    source = place[after.samples]
+    dropped = np.ones(len(before), dtype=np.bool_)
+    dropped[source] = False
+    found = _dropped(rule, before, dropped)
+    rows, old, new = after.rows, before.time[source], after.time
+    moved = old != new
+    if np.any(np.diff(source) < 0):
+        out_of_order = ~longest_nondecreasing(before.time)
+        moved |= out_of_order[source]
+    if moved.any():
+        found.append(Change(rule, "", rows[moved], old[moved], new[moved]))
+    for name, values in after.signals.items():
+        if values is before.signals[name]:
+            continue
+        raw = before.signals[name][source]
+        cells = (raw != values) & ~(np.isnan(raw) & np.isnan(values))
+        if cells.any():
+            found.append(
+                Change(rule, name, rows[cells], old[cells], new[cells], raw[cells], values[cells])
+            )
+    return found
+
+
+def _dropped(rule: str, before: Table, dropped: BoolArray) -> list[Change]:
+    """The rows that a rule dropped, and every value in them."""
+    if not dropped.any():
+        return []
+    time = before.time[dropped]
+    none = np.full(time.size, NO_TIME)
+    found = [Change(rule, "", before.rows[dropped], time, none)]
+    for name, values in before.signals.items():
+        cells = dropped & np.isfinite(values)
+        if cells.any():
+            rows, time = before.rows[cells], before.time[cells]
+            found.append(Change(rule, name, rows, time, none[: rows.size], values[cells]))
+    for name, texts in before.texts.items():
+        cells = dropped & np.asarray(texts != "", dtype=np.bool_)
+        if cells.any():
+            rows, time = before.rows[cells], before.time[cells]
+            found.append(Change(rule, name, rows, time, none[: rows.size], raw_text=texts[cells]))
+    return found
+
+
+def read_as_text(raws: Iterable[Raw]) -> list[Change]:
+    """What a format's reader met as text where it expected a number, a time or a whole row."""
+    return [
+        Change(
+            raw.rule,
+            raw.column,
+            raw.rows,
+            np.full(raw.rows.size, NO_TIME) if raw.time is None else raw.time,
+            np.full(raw.rows.size, NO_TIME) if raw.time is None else raw.time,
+            raw_text=raw.text,
+        )
+        for raw in raws
+    ]
+
+
+@dataclass
+class Repairs:
+    """The entries of a trip while they are gathered, at most `most` of a rule.
+
+    Attributes
+    ----------
+    beyond : int
+        Entries that were more than that, and are not kept.
+    """
+
+    most: int = MOST_ENTRIES
+    beyond: int = 0
+    kept: list[tuple[int, Change]] = field(default_factory=list)
+    by_rule: dict[str, int] = field(default_factory=dict)
+
+    def add(self, table: int, found: Iterable[Change]) -> None:
+        """Take in what was done to the table of that number."""
+        for change in found:
+            already = self.by_rule.get(change.rule, 0)
+            room = max(0, self.most - already)
+            self.beyond += max(0, change.rows.size - room)
+            self.by_rule[change.rule] = already + min(room, change.rows.size)
+            if room:
+                self.kept.append((table, _first(change, room)))
+
+    def __len__(self) -> int:
+        return sum(change.rows.size for _, change in self.kept)
+
+    def to_bytes(self) -> bytes:
+        """The entries as a Parquet file: same entries, same bytes."""
+        parts = [_arrow(number, change) for number, change in self.kept]
+        sink = io.BytesIO()
+        counts = ["row", "table", "raw_time", "new_time"]
+        pa.parquet.write_table(
+            pa.concat_tables(parts),
+            sink,
+            compression="zstd",
+            use_dictionary=["column", "rule", "raw_text"],
+            column_encoding=dict.fromkeys(counts, "DELTA_BINARY_PACKED"),
+        )
+        return sink.getvalue()
+
+
+def _first(change: Change, count: int) -> Change:
+    """The first entries of a change."""
+    if change.rows.size <= count:
+        return change
+    return Change(
+        change.rule,
+        change.column,
+        change.rows[:count],
+        change.raw_time[:count],
+        change.new_time[:count],
+        None if change.raw_value is None else change.raw_value[:count],
+        None if change.new_value is None else change.new_value[:count],
+        None if change.raw_text is None else change.raw_text[:count],
+    )
+
+
+def _arrow(number: int, change: Change) -> pa.Table:
+    count = change.rows.size
+    text = pa.nulls(count, pa.string())
+    if change.raw_text is not None:
+        text = pa.array([str(word)[:LONGEST_TEXT] for word in change.raw_text], pa.string())
+    columns = [
+        pa.array(change.rows, pa.int64()),
+        pa.array(np.full(count, number), pa.int32()),
+        pa.array(np.full(count, change.column, dtype=object), pa.string()),
+        pa.array(np.full(count, change.rule, dtype=object), pa.string()),
+        _stamps(change.raw_time),
+        _stamps(change.new_time),
+        _values(change.raw_value, count),
+        _values(change.new_value, count),
+        text,
+    ]
+    return pa.table(columns, schema=SCHEMA)
+
+
+def _stamps(time: IntArray) -> pa.Array:
+    return pa.array(time, pa.int64(), mask=time == NO_TIME).cast(STAMP)
+
+
+def _values(values: FloatArray | None, count: int) -> pa.Array:
+    if values is None:
+        return pa.nulls(count, pa.float64())
+    return pa.array(values, pa.float64(), mask=np.isnan(values))
+
+
+def repairs_of(trip: Trip) -> pd.DataFrame:
+    """The raw values of a recorded trip: what the rules took away, changed or moved.
+
+    Returns
+    -------
+    DataFrame
+        One row an entry, in the order in which the rules were applied:
+
+        ``row``
+            Row of the file.
+        ``table``
+            Number of the table, for files that hold several with rows of their own.
+        ``column``
+            ``"/topic.column"``; ``"time"`` for a time that could not be read; empty for the whole
+            row.
+        ``rule``
+        ``raw_time``, ``new_time``
+            Time of the row before and after the rule; without `new_time`, but with `raw_time`, the
+            row was dropped.
+        ``raw_value``, ``new_value``
+            The cell before and after the rule, SI; NaN: absent.
+        ``raw_text``
+            What stood in the file where it could not be read.
+
+    Raises
+    ------
+    LogError
+        If the trip was not made by ingest, or the attachment is damaged.
+    """
+    report_of(trip)
+    data = trip.attachments.get(REPAIRS_ATTACHMENT)
+    if data is None:
+        return _frame(SCHEMA.empty_table())
+    try:
+        return _frame(pa.parquet.read_table(pa.BufferReader(data)))
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(
+            f"attachment {REPAIRS_ATTACHMENT} of trip '{trip.name}' cannot be read",
+            remedy="ingest the recording again",
+        ) from error
+
+
+def _frame(table: pa.Table) -> pd.DataFrame:
+    frame: pd.DataFrame = table.to_pandas()
+    return frame

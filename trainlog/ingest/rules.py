@@ -1,17 +1,453 @@
-"""The rules of repair, in the order in which they are applied; docs/ingest.md has the table."""
+"""The rules of repair, in the order in which they are applied; docs/ingest.md has the table.
+
+Those on rows and their time are in `trainlog.ingest.clock`; those on values are here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from scipy.ndimage import median_filter
+
 from trainlog.errors import InputError
-from trainlog.ingest import checks, clock, clock_steps, suspicions, values
-from trainlog.ingest.clock import Result
-from trainlog.ingest.profile import Limits, Repair
-from trainlog.ingest.recording import Finding, Table
-from trainlog.ingest.repairs import Change, changes
+from trainlog.ingest import clock
+from trainlog.ingest.clock import Result, gap_threshold, has_fix
+from trainlog.ingest.profile import Limit, Limits, Repair
+from trainlog.ingest.recording import BoolArray, Finding, FloatArray, Table, base_name, field_of
+from trainlog.ingest.report import Change, changes
+from trainlog.units import factor
+
+LIMITS: dict[str, Limit] = {
+    "/train/state.position": Limit(unit="m", min=-1e6, max=1e7, rate=150.0, tolerance=20.0),
+    "/train/state.speed": Limit(unit="m/s", min=-1.0, max=150.0, rate=5.0, tolerance=2.0),
+    "/train/state.acceleration": Limit(unit="m/s^2", min=-6.0, max=6.0),
+    "/train/controls.lever": Limit(unit="1", min=-1.05, max=1.05),
+    "/train/controls.tractive_effort_demand": Limit(unit="kN", min=0.0, max=3000.0),
+    "/train/controls.braking_effort_demand": Limit(unit="kN", min=0.0, max=6000.0),
+    "/train/controls.tractive_effort": Limit(unit="kN", min=0.0, max=3000.0),
+    "/train/controls.dynamic_braking_effort": Limit(unit="kN", min=0.0, max=3000.0),
+    "/train/controls.pneumatic_braking_effort": Limit(unit="kN", min=0.0, max=6000.0),
+    # Spinning wheels gain 10 m/s² and more: only what no wheel can do is a spike.
+    "/train/axles.wheel_speed": Limit(unit="m/s", min=-1.0, max=150.0, rate=40.0, tolerance=5.0),
+    "/train/axles.wheel_effort": Limit(unit="kN", min=-300.0, max=300.0),
+    "/gnss/fix.latitude": Limit(unit="deg", min=-90.0, max=90.0),
+    "/gnss/fix.longitude": Limit(unit="deg", min=-180.0, max=180.0),
+    "/gnss/fix.altitude": Limit(unit="m", min=-500.0, max=9000.0, rate=20.0, tolerance=100.0),
+    "/gnss/fix.horizontal_accuracy": Limit(unit="m", min=0.0, max=1e5),
+    "/gnss/fix.vertical_accuracy": Limit(unit="m", min=0.0, max=1e5),
+    "/gnss/motion.speed": Limit(unit="m/s", min=0.0, max=150.0, rate=5.0, tolerance=3.0),
+    "/gnss/motion.speed_accuracy": Limit(unit="m/s", min=0.0, max=1e4),
+    "/gnss/motion.satellites": Limit(unit="1", min=0.0, max=200.0),
+    "/gnss/motion.pdop": Limit(unit="1", min=0.0, max=100.0),
+    "/environment.speed_limit": Limit(unit="m/s", min=0.0, max=150.0),
+    "/environment.gradient": Limit(unit="1", min=-0.2, max=0.2),
+    "/environment.curvature": Limit(unit="1/m", min=-0.05, max=0.05),
+    "/environment.air_temperature": Limit(unit="degC", min=-60.0, max=60.0),
+    "/environment.head_wind": Limit(unit="m/s", min=-60.0, max=60.0),
+    **{f"/imu.specific_force_{axis}": Limit(unit="m/s^2", min=-200.0, max=200.0) for axis in "xyz"},
+    **{f"/imu.angular_rate_{axis}": Limit(unit="rad/s", min=-40.0, max=40.0) for axis in "xyz"},
+}
+"""What each field can be, unless the profile says otherwise."""
+
+FIX_RATE, FIX_TOLERANCE = 150.0, 50.0
+"""How fast a satellite position can move [m/s], and by how much it may err [m]."""
+
+METRES_PER_DEGREE = 111_195.0
+"""Length of a degree of latitude [m]."""
+
+WINDOW = 7
+"""Samples in the median that spikes are measured against: up to three in a row are found."""
+
+MAX_OUT_OF_LIMITS = 0.5
+"""Share of a column's values out of limits beyond which its unit is doubted."""
+
+
+def blank_without_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG001
+    """Take away what a receiver says in rows without a satellite fix."""
+    fix = has_fix(table)
+    if fix is None or fix.all():
+        return table, []
+    says = np.zeros(len(table), dtype=np.bool_)
+    for name, values in table.signals.items():
+        if name.startswith("/gnss/"):
+            says |= np.isfinite(values)
+    lost = ~fix & says
+    found = table.found("no_fix", lost)
+    for name in table.signals:
+        if name.startswith("/gnss/"):
+            table = table.without(name, lost)
+    return table, found
+
+
+def blank_out_of_limits(table: Table, limits: Limits) -> Result:
+    """Take away values that are physically impossible.
+
+    Raises
+    ------
+    InputError
+        If most values of a column are: then it is the unit that is wrong.
+    """
+    findings: list[Finding] = []
+    for name, values in table.signals.items():
+        limit = limit_of(name, limits)
+        low, high = _bounds(limit, name)
+        out = (values < low) | (values > high)
+        count, present = np.count_nonzero(out), np.count_nonzero(np.isfinite(values))
+        if not count:
+            continue
+        if count > MAX_OUT_OF_LIMITS * present:
+            unit = field_of(name)[2].unit
+            first = int(np.argmax(out))
+            raise InputError(
+                f"{base_name(name)}: {count} of {present} values are impossible, the first is"
+                f" {values[first]:.6g} {unit}, limits {low:.6g} to {high:.6g}",
+                place=f"row {table.rows[first]}",
+                remedy="check the unit, scale and sign of its column in the profile",
+            )
+        findings += table.found("out_of_limits", out, base_name(name))
+        table = table.without(name, out)
+    return table, findings
+
+
+def limit_of(name: str, limits: Limits) -> Limit:
+    """The limit that holds for a column: the profile's, or else the built-in one."""
+    key = base_name(name)
+    return limits.columns.get(key) or LIMITS.get(key) or Limit(unit=field_of(name)[2].unit or "1")
+
+
+def _bounds(limit: Limit, name: str) -> tuple[float, float]:
+    slope, offset = factor(limit.unit, field_of(name)[2].unit or "1")
+    low = -np.inf if limit.min is None else limit.min * slope + offset
+    high = np.inf if limit.max is None else limit.max * slope + offset
+    return float(low), float(high)
+
+
+def blank_spikes(table: Table, limits: Limits) -> Result:
+    """Take away single values that nothing can have jumped to and back from.
+
+    A value is a spike if it lies further from the median of the `WINDOW` samples around it than
+    ``tolerance + rate * (time to the farthest of them)``. What changes no faster than `rate` is
+    never taken for one, whatever its sampling.
+    """
+    findings: list[Finding] = []
+    seconds = (table.time - table.time[0]) / 1e9
+    for name, values in table.signals.items():
+        limit = limit_of(name, limits)
+        if limit.rate is None:
+            continue
+        slope, _ = factor(limit.unit, field_of(name)[2].unit or "1")
+        tolerance = (limit.tolerance or 0.0) * slope
+        spike = spikes(seconds, values, limit.rate * slope, tolerance)
+        findings += table.found("spikes", spike, base_name(name))
+        table = table.without(name, spike)
+    leaps = _leaping_fixes(table, seconds)
+    findings += table.found("spikes", leaps, "/gnss/fix.latitude")
+    findings += table.found("spikes", leaps, "/gnss/fix.longitude")
+    if leaps.any():
+        table = table.without("/gnss/fix.latitude", leaps)
+        table = table.without("/gnss/fix.longitude", leaps)
+    return table, findings
+
+
+def _leaping_fixes(table: Table, seconds: FloatArray) -> BoolArray:
+    """Which satellite positions are spikes, north or east."""
+    latitude = table.signals.get("/gnss/fix.latitude")
+    longitude = table.signals.get("/gnss/fix.longitude")
+    if latitude is None or longitude is None or not np.isfinite(latitude).any():
+        return np.zeros(len(table), dtype=np.bool_)
+    metres_east = METRES_PER_DEGREE * np.cos(np.radians(np.nanmedian(latitude)))
+    north = spikes(seconds, latitude * METRES_PER_DEGREE, FIX_RATE, FIX_TOLERANCE)
+    east = spikes(seconds, longitude * metres_east, FIX_RATE, FIX_TOLERANCE)
+    return np.asarray(north | east)
+
+
+def spikes(seconds: FloatArray, values: FloatArray, rate: float, tolerance: float) -> BoolArray:
+    """Mark spikes; see `blank_spikes`.
+
+    Parameters
+    ----------
+    seconds : (n,) array [s]
+        Increasing.
+    values : (n,) array
+        NaN where absent; absent values take no part.
+    rate, tolerance : float
+        In the unit of `values` a second, and in the unit of `values`.
+    """
+    marked = np.zeros(values.size, dtype=np.bool_)
+    present = np.flatnonzero(np.isfinite(values))
+    if present.size < WINDOW:
+        return marked
+    known, instants = values[present], seconds[present]
+    # Mirrored at the ends, so that no sample counts itself twice.
+    median = median_filter(known, WINDOW, mode="mirror")
+    half = WINDOW // 2
+    number = np.arange(present.size)
+    ahead = instants[np.minimum(number + half, present.size - 1)] - instants
+    behind = instants - instants[np.maximum(number - half, 0)]
+    allowed = tolerance + rate * np.maximum(ahead, behind)
+    marked[present] = np.abs(known - median) > allowed
+    return marked
+
+
+SHORTEST = 500.0
+"""Distance [m] from which on position and speed are compared."""
+
+MOVING = 5.0
+"""Speed [m/s] from which on two speeds are compared."""
+
+FACTOR = 2.0
+"""Ratio of two columns beyond which they cannot be of the units that the profile gives."""
+
+CHORD = 10.0
+"""Time [s] between two fixes whose distance is compared with the distance driven."""
+
+AGAINST = -0.5
+"""Correlation of effort and acceleration below which the sign of the effort is wrong."""
+
+LONGEST_GAP_IN_CHORD = 3.0
+"""Gap [s] beyond which fixes say nothing of the distance in between."""
+
+LEAST_EFFORT = 0.2
+"""Share of the largest effort from which on acceleration is expected to follow it."""
+
+LEAST_SECONDS = 60.0
+"""Time [s] with such efforts that it takes to judge their sign."""
+
+POSITION, SPEED = "/train/state.position", "/train/state.speed"
+GNSS_SPEED = "/gnss/motion.speed"
+LATITUDE, LONGITUDE = "/gnss/fix.latitude", "/gnss/fix.longitude"
+
+
+def refuse_inconsistent(table: Table, limits: Limits) -> Result:
+    """Refuse a table whose columns contradict each other by a factor, or by sign.
+
+    Raises
+    ------
+    InputError
+        If distance and speed, or two speeds, differ by more than `FACTOR`, position runs against
+        the direction of travel, or the train slows down whenever it is driven.
+    """
+    for _, ratio, problem in ratios(table, limits):
+        if not 1.0 / FACTOR <= ratio <= FACTOR:
+            raise InputError(
+                problem,
+                remedy="check the units of the two columns in the profile (km/h, m/s, km, m)",
+            )
+    _refuse_sign(table)
+    return table, []
+
+
+def ratios(table: Table, limits: Limits) -> Iterator[tuple[str, float, str]]:
+    """Ratios of columns that should measure the same, each with the column and in words.
+
+    Raises
+    ------
+    InputError
+        If position runs against the direction of travel.
+    """
+    speed = table.signals.get(SPEED)
+    if speed is not None:
+        position = table.signals.get(POSITION)
+        if position is not None:
+            yield from _distance_ratio(table, position, speed, limits)
+        for name, other in table.signals.items():
+            if name == GNSS_SPEED or name.startswith("/train/axles.wheel_speed"):
+                both = (speed > MOVING) & np.isfinite(other)
+                if np.count_nonzero(both) >= 10:
+                    ratio = float(np.median(other[both] / speed[both]))
+                    yield name, ratio, f"{name} is {ratio:.4g} times {SPEED}"
+    for name in (GNSS_SPEED, SPEED):
+        if name in table.signals and LATITUDE in table.signals and LONGITUDE in table.signals:
+            yield from _fix_ratio(table, name)
+
+
+def _distance_ratio(
+    table: Table, position: FloatArray, speed: FloatArray, limits: Limits
+) -> Iterator[tuple[str, float, str]]:
+    """Compare the change of position with the integral of speed, gaps left out."""
+    known = np.isfinite(position) & np.isfinite(speed)
+    seconds = table.time[known] / 1e9
+    step = np.diff(seconds)
+    whole = step <= gap_threshold(table.time, limits)
+    moved = float(np.sum(np.diff(position[known])[whole]))
+    mean = 0.5 * (speed[known][1:] + speed[known][:-1])
+    driven = float(np.sum((mean * step)[whole]))
+    if driven < SHORTEST:
+        return
+    if moved < -SHORTEST:
+        raise InputError(
+            f"{POSITION} falls by {-moved:.0f} m while the train drives {driven:.0f} m",
+            remedy="position grows in the direction of travel: set sign = -1, and offset to"
+            " minus the line's length, for its column in the profile",
+        )
+    yield POSITION, moved / driven, f"{POSITION} moves {moved:.0f} m, {SPEED} says {driven:.0f} m"
+
+
+def _fix_ratio(table: Table, name: str) -> Iterator[tuple[str, float, str]]:
+    """Compare the distances between fixes `CHORD` apart with the integral of a speed."""
+    latitude, longitude = table.signals[LATITUDE], table.signals[LONGITUDE]
+    speed = table.signals[name]
+    fixed = np.isfinite(latitude) & np.isfinite(longitude)
+    if np.count_nonzero(fixed) < 3 or np.count_nonzero(np.isfinite(speed)) < 3:
+        return
+    seconds = (table.time - table.time[0]) / 1e9
+    told = np.isfinite(speed)
+    at, speeds = seconds[told], speed[told]
+    distance = np.concatenate(([0.0], np.cumsum(np.diff(at) * 0.5 * (speeds[1:] + speeds[:-1]))))
+    marks = np.arange(max(at[0], seconds[fixed][0]), min(at[-1], seconds[fixed][-1]), CHORD)
+    if marks.size < 2:
+        return
+    driven = np.diff(np.interp(marks, at, distance))
+    north = np.interp(marks, seconds[fixed], latitude[fixed]) * METRES_PER_DEGREE
+    scale = METRES_PER_DEGREE * np.cos(np.radians(float(np.median(latitude[fixed]))))
+    east = np.interp(marks, seconds[fixed], longitude[fixed]) * scale
+    chord = np.hypot(np.diff(north), np.diff(east))
+    whole = _without_gap(marks, seconds[fixed]) & _without_gap(marks, at)
+    whole &= driven > CHORD * MOVING
+    if float(np.sum(driven[whole])) < SHORTEST:
+        return
+    ratio = float(np.median(driven[whole] / np.maximum(chord[whole], 1.0)))
+    yield name, ratio, f"{name} is {ratio:.4g} times the speed at which the fixes move"
+
+
+def _without_gap(marks: FloatArray, known: FloatArray) -> BoolArray:
+    """Between which marks no gap lies in the samples `known` [s]."""
+    late = np.flatnonzero(np.diff(known) > LONGEST_GAP_IN_CHORD)
+    if not late.size:
+        return np.ones(marks.size - 1, dtype=np.bool_)
+    begins, ends = known[late], known[late + 1]
+    # The first gap that ends after the chord begins; does it begin before the chord ends?
+    first = np.searchsorted(ends, marks[:-1], side="right")
+    inside = first < begins.size
+    return ~(inside & (begins[np.minimum(first, begins.size - 1)] < marks[1:]))
+
+
+def _refuse_sign(table: Table) -> None:
+    """Refuse efforts, or a lever, that the train's acceleration runs against."""
+    speed = table.signals.get(SPEED)
+    if speed is None:
+        return
+    prefix = "/train/controls."
+    efforts = {
+        f"{prefix}tractive_effort": 1.0,
+        f"{prefix}dynamic_braking_effort": -1.0,
+        f"{prefix}pneumatic_braking_effort": -1.0,
+    }
+    present = [name for name in efforts if name in table.signals]
+    if f"{prefix}tractive_effort" in present:
+        net = sum(efforts[name] * np.nan_to_num(table.signals[name]) for name in present)
+        _refuse_against(table, speed, np.asarray(net), " and ".join(present))
+    lever = table.signals.get(f"{prefix}lever")
+    if lever is not None:
+        _refuse_against(table, speed, np.nan_to_num(lever), f"{prefix}lever")
+
+
+def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
+    seconds = (table.time - table.time[0]) / 1e9
+    told = np.isfinite(speed)
+    if np.count_nonzero(told) < 3:
+        return
+    ahead, behind = (
+        np.interp(seconds + shift, seconds[told], speed[told]) for shift in (2.5, -2.5)
+    )
+    acceleration = (ahead - behind) / 5.0
+    strong = np.abs(push) >= LEAST_EFFORT * np.max(np.abs(push))
+    strong &= (speed > 1.0) & (np.max(np.abs(push)) > 0.0)
+    held = np.diff(seconds, append=seconds[-1])
+    if float(np.sum(np.minimum(held, 1.0)[strong])) < LEAST_SECONDS:
+        return
+    a, b = acceleration[strong], push[strong]
+    if np.std(a) < 0.05 or np.std(b) == 0.0:
+        return
+    agreement = float(np.corrcoef(a, b)[0, 1])
+    if agreement < AGAINST:
+        raise InputError(
+            f"the train slows down whenever {name} would drive it (correlation {agreement:.2f})",
+            remedy="check sign and part of the columns of the efforts and of the lever in the"
+            " profile: traction speeds a train up",
+        )
+
+
+SUSPECT = 1.15
+"""Ratio of two columns from which on their units are suspected."""
+
+CONFUSIONS = {
+    1.609: "miles an hour taken for km/h",
+    1.852: "knots taken for km/h",
+    1.944: "m/s taken for knots",
+    1.152: "knots taken for miles an hour",
+}
+"""Ratios that units of speed have."""
+
+LEAST_LEVELS = 5
+"""Levels that a column must take before it is said to be quantised."""
+
+LEAST_CHANGES = 20
+"""Changes that it must show."""
+
+HELD = 0.3
+"""Share of its samples that must repeat the one before."""
+
+ONE_STEP = 0.9
+"""Share of its changes that must be by one step."""
+
+ROUNDING = 0.01
+"""Share of a step by which the digits that a file keeps may change it."""
+
+
+def suspect_units(table: Table, limits: Limits) -> Result:
+    """Tell columns that disagree by a factor that is too small to be refused."""
+    findings: list[Finding] = []
+    for name, ratio, problem in ratios(table, limits):
+        size = max(ratio, 1.0 / ratio)
+        if size < SUSPECT:
+            continue
+        nearest = min(CONFUSIONS, key=lambda known: abs(known - size))
+        likely = f": {CONFUSIONS[nearest]}?" if abs(nearest / size - 1.0) < 0.02 else ""
+        findings.append(Finding("unit_suspected", 1, (), base_name(name), problem + likely))
+    return table, findings
+
+
+def find_quantised(table: Table, limits: Limits) -> Result:  # noqa: ARG001
+    """Tell columns whose steps are coarser than what they measure changes between two samples."""
+    findings: list[Finding] = []
+    for name, values in table.signals.items():
+        item = field_of(name)[2]
+        if item.interpolation != "linear":
+            continue
+        step = quantum(values)
+        if step is not None:
+            cells = np.isfinite(values)
+            note = f"steps of {step:.4g} {item.unit}"
+            findings += table.found("quantised", cells, base_name(name), note)
+    return table, [Finding(f.rule, f.count, (), f.column, f.note) for f in findings]
+
+
+def quantum(values: FloatArray) -> float | None:
+    """The step of a column that moves by one step at a time; None if it does not.
+
+    Parameters
+    ----------
+    values : (n,) array
+        NaN where absent.
+    """
+    known = values[np.isfinite(values)]
+    change = np.diff(known)
+    moving = np.flatnonzero(change)
+    if moving.size < LEAST_CHANGES:
+        return None
+    within = change[moving[0] : moving[-1] + 1]
+    size = np.abs(within[within != 0.0])
+    step = float(np.median(size))
+    single: BoolArray = np.abs(size - step) <= ROUNDING * step
+    held = float(np.mean(within == 0.0))
+    levels = (float(np.max(known)) - float(np.min(known))) / step
+    if held < HELD or float(np.mean(single)) < ONE_STEP or levels < LEAST_LEVELS:
+        return None
+    return step
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +478,18 @@ RULES = (
     Rule("empty", "refuse"),
     Rule("before_first_fix", "keep", clock.drop_before_first_fix),
     Rule("time_unreadable", "refuse", clock.drop_unreadable_time),
-    Rule("clock_step", "keep", clock_steps.undo_clock_steps),
+    Rule("clock_step", "keep", clock.undo_clock_steps),
     Rule("clock_jump", "refuse", clock.drop_clock_jumps),
     Rule("time_backwards", "refuse", clock.sort_time),
     Rule("duplicates", "refuse", clock.drop_duplicates),
     Rule("subsecond", "keep", clock.rebuild_subsecond),
     Rule("same_time", "refuse", clock.merge_same_time),
-    Rule("no_fix", "keep", values.blank_without_fix),
-    Rule("out_of_limits", "keep", values.blank_out_of_limits),
-    Rule("spikes", "keep", values.blank_spikes),
-    Rule("inconsistent", "keep", checks.refuse_inconsistent),
-    Rule("unit_suspected", "keep", suspicions.tell_units),
-    Rule("quantised", "keep", suspicions.tell_quantised),
+    Rule("no_fix", "keep", blank_without_fix),
+    Rule("out_of_limits", "keep", blank_out_of_limits),
+    Rule("spikes", "keep", blank_spikes),
+    Rule("inconsistent", "keep", refuse_inconsistent),
+    Rule("unit_suspected", "keep", suspect_units),
+    Rule("quantised", "keep", find_quantised),
     Rule("gaps", "keep", clock.count_gaps),
     Rule("off_line", "keep"),
     Rule("slip", "keep"),

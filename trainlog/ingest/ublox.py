@@ -13,7 +13,7 @@ from pathlib import Path
 from trainlog.ingest.mapping import recording_of
 from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions
 from trainlog.ingest.recording import Recording
-from trainlog.ingest.textfile import open_text
+from trainlog.ingest.tabular import open_text
 
 TIME = ("Year", "Month", "Day", "Hour", "Minute", "Second")
 

@@ -1,4 +1,7 @@
-"""Delimited text: from bytes to columns of text, with the row of the file that each stands in."""
+"""Formats ``csv`` and ``parquet``: tables of any layout, described by a profile.
+
+A file becomes columns of text (Parquet: of its own types), each row with its number in the file.
+"""
 
 from __future__ import annotations
 
@@ -10,37 +13,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+import pyarrow.parquet
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.profile import FileOptions, suggestion
-from trainlog.ingest.recording import SHOWN_ROWS, Finding, IntArray, Raw
+from trainlog.ingest.mapping import recording_of, wanted_columns
+from trainlog.ingest.profile import FileOptions, Profile, suggestion
+from trainlog.ingest.recording import SHOWN_ROWS, Cells, Finding, IntArray, Raw, Recording
 
 MAX_RAGGED = 0.5
 """Share of rows with the wrong number of cells beyond which the delimiter is doubted."""
-
-
-@dataclass(frozen=True, eq=False)
-class Cells:
-    """The columns of a file that were asked for.
-
-    Attributes
-    ----------
-    table : pyarrow.Table
-        One column a name, of text or as the file types them.
-    rows : (n,) int64 array
-        Row of the file, as an editor counts them.
-    rows_read : int
-        `n` and the rows that could not be split into cells.
-    findings : tuple of Finding
-    raw : tuple of Raw
-    """
-
-    table: pa.Table
-    rows: IntArray
-    rows_read: int
-    findings: tuple[Finding, ...] = ()
-    raw: tuple[Raw, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,3 +295,76 @@ def _data_lines(data: bytes, position: int, first_row: int, comment: str) -> tup
     kept = ~np.isin(buffer[starts], passed_over)
     clean = buffer[np.repeat(kept, lengths)].tobytes()
     return clean, first_row + np.flatnonzero(kept)
+
+
+def is_delimited(head: bytes) -> bool:
+    """Whether a file may be delimited text: no zero bytes, or the byte order mark of UTF-16."""
+    return head[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" not in head.rstrip(b"\0")
+
+
+def read_delimited(path: Path, profile: Profile | None) -> Recording:
+    """Read delimited text as `profile` describes it.
+
+    Raises
+    ------
+    InputError
+        If there is no profile, or the file does not fit it.
+    """
+    if profile is None:
+        raise InputError(
+            "is text of a layout that trainlog does not know",
+            file=path,
+            remedy="give a profile that says which column is what; docs/ingest.md has an example",
+        )
+    text = open_text(path, profile.file)
+    cells = text.cells(wanted_columns(profile, text.names, path))
+    return recording_of(cells, profile, path)
+
+
+MAGIC = b"PAR1"
+
+
+def is_parquet(head: bytes) -> bool:
+    """Whether a file begins as Parquet does."""
+    return head.startswith(MAGIC)
+
+
+def read_parquet(path: Path, profile: Profile | None) -> Recording:
+    """Read a Parquet table as `profile` describes it; its rows count from 1.
+
+    Raises
+    ------
+    InputError
+        If there is no profile, the file is damaged, or does not fit the profile.
+    """
+    if profile is None:
+        raise InputError(
+            "is a Parquet table of a layout that trainlog does not know",
+            file=path,
+            remedy="give a profile that says which column is what; docs/ingest.md has an example",
+        )
+    data = pa.BufferReader(read_bytes(path))
+    try:
+        names = tuple(pa.parquet.read_schema(data).names)
+        wanted = list(dict.fromkeys(wanted_columns(profile, names, path)))
+        for name in wanted:
+            if name not in names:
+                raise InputError(
+                    f"no column '{name}'", file=path, remedy=suggestion(name, names, "columns")
+                )
+        data.seek(0)
+        table = pa.parquet.read_table(data, columns=wanted)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"is no Parquet table that can be read: {_first_line(error)}",
+            file=path,
+            remedy="copy the file again; was the recorder stopped while writing?",
+        ) from error
+    if not table.num_rows:
+        raise InputError("holds no row of data", file=path, remedy="record again")
+    rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
+    return recording_of(Cells(table, rows, rows.size), profile, path)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0][:120]
