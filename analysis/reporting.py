@@ -29,9 +29,9 @@ from trainlog.units import KMH, clock
 
 if TYPE_CHECKING:
     # They bring the solvers, which most commands that print a table do without.
-    from analysis.trajectory.advice import AdvicePoint
-    from analysis.trajectory.front import Front
     from analysis.trajectory.journey import JourneyPlan
+    from analysis.trajectory.optimiser import Front
+    from analysis.trajectory.phases import AdvicePoint
 
 
 def new_table(title: str, *columns: str, **options: Any) -> Table:

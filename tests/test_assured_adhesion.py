@@ -13,7 +13,7 @@ from trajectory_world import observed
 
 from analysis.adhesion.condition_map import SETTINGS
 from analysis.adhesion.demonstrated import assured_adhesion, borne_adhesion, typical_adhesion
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 
@@ -100,7 +100,7 @@ def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -
 def test_a_trajectory_counts_on_what_the_map_has_seen_what_was_borne_and_what_it_is_told() -> None:
     track = made({3: 0.07}, {(8, 3): 1.0})
     line = replace(level_line(track.length), name=track.line)
-    run = Run(
+    run = TrajectoryProblem(
         line, flirt(), tuple(observed(flirt(), 1.0)), 0.0, 1_000.0, condition=track, sigmas=1.0
     )
     cells = np.linspace(0.0, 1_000.0, BINS + 1)

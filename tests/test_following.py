@@ -22,7 +22,7 @@ from analysis.control.plot import draw_following
 from analysis.control.route import Able, Way, able, bounds, highest, way
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError, LogError
 from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
@@ -57,8 +57,10 @@ def plan(name: str = "flirt") -> tuple[Train, Trajectory]:
 LIGHT, MIDDLE, HEAVY = "2 t, r0.9", "10 t, r1.0", "18 t, r1.1"
 
 
-def run_of(train: Train, trajectory: Trajectory) -> Run:
-    return Run(hilly_line(), train, trajectory.configurations, 0.0, hilly_line().length)
+def run_of(train: Train, trajectory: Trajectory) -> TrajectoryProblem:
+    return TrajectoryProblem(
+        hilly_line(), train, trajectory.configurations, 0.0, hilly_line().length
+    )
 
 
 @cache

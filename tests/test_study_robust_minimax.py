@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from analysis.studies.cunillera_2022 import run as study
+from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
-from analysis.trajectory.problem import discretise
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.formats.trajectory import read_trajectory

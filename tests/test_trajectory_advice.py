@@ -13,11 +13,10 @@ import pytest
 from trajectory_world import FLIRT, drawn, hilly_line, observed, slippery
 
 from analysis.trajectory import Phase, optimise
-from analysis.trajectory.advice import advice, with_advice, write_advice
-from analysis.trajectory.front import energy_against_time
-from analysis.trajectory.phases import agreement, phases_of
-from analysis.trajectory.plot_front import draw_front
-from analysis.trajectory.run import Run
+from analysis.trajectory.optimiser import energy_against_time
+from analysis.trajectory.phases import advice, agreement, phases_of, with_advice, write_advice
+from analysis.trajectory.plot import draw_front
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
@@ -173,11 +172,11 @@ def test_against_the_chainage_the_map_is_read_backwards() -> None:
     line = hilly_line()
     condition = slippery(line, (7_000.0, 8_000.0, 0.08))
     configurations = tuple(observed(FLIRT, 1.0))
-    run = Run(
+    run = TrajectoryProblem(
         line.reversed(), FLIRT, configurations, 0.0, line.length,
         condition=condition, direction="reverse",
     )  # fmt: skip
-    forward = Run(line, FLIRT, configurations, 0.0, line.length, condition=condition)
+    forward = TrajectoryProblem(line, FLIRT, configurations, 0.0, line.length, condition=condition)
     points = np.linspace(0.0, line.length, 401)
     assert run.adhesion_at(points) == pytest.approx(forward.adhesion_at(line.length - points))
     assert run.adhesion(points) == pytest.approx(forward.adhesion(line.length - points[::-1])[::-1])

@@ -14,7 +14,7 @@ from trajectory_world import FLIRT, VIRM6, drawn, hilly_line, level_line, observ
 
 from analysis.trajectory import optimise
 from analysis.trajectory.audit import Audit, audit
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import TrainlogError
 from trainlog.railway import Line, Trajectory
 from trainlog.units import GRAVITY
@@ -25,9 +25,9 @@ def hilly() -> Trajectory:
     return optimise(hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), reserve=0.1, cells=200)
 
 
-def run_of(trajectory: Trajectory, **changes: object) -> Run:
+def run_of(trajectory: Trajectory, **changes: object) -> TrajectoryProblem:
     line = hilly_line()
-    run = Run(line, FLIRT, trajectory.configurations, 0.0, line.length)
+    run = TrajectoryProblem(line, FLIRT, trajectory.configurations, 0.0, line.length)
     return replace(run, **changes)
 
 
@@ -129,7 +129,7 @@ def test_line_energy_of_the_audit_is_efforts_times_efficiency(hilly: Trajectory)
 
 
 def test_no_answer_leaves_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(self: Audit, run: Run, running_time: float) -> list[str]:
+    def failing(self: Audit, run: TrajectoryProblem, running_time: float) -> list[str]:
         return ["configuration 'x1' arrives late by [s] 3"]
 
     monkeypatch.setattr(Audit, "failures", failing)

@@ -13,14 +13,12 @@ from trajectory_world import FLIRT, VIRM6, hilly_line, observed
 
 from analysis.trajectory import optimise
 from analysis.trajectory.active_set import first_guess
-from analysis.trajectory.bound import lower_bound
+from analysis.trajectory.certificate import lower_bound
+from analysis.trajectory.convex import Relaxation
+from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.linearised import Solution
-from analysis.trajectory.mesh import graded_mesh
-from analysis.trajectory.minimax import minimise
-from analysis.trajectory.problem import Problem, discretise
-from analysis.trajectory.relaxation import Relaxation
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.sqp import Solution, minimise
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 
@@ -28,9 +26,9 @@ TIME = 450.0
 
 
 @cache
-def solved(objective: str) -> tuple[Problem, Solution, np.ndarray]:
+def solved(objective: str) -> tuple[DiscreteProblem, Solution, np.ndarray]:
     line = hilly_line()
-    run = Run(
+    run = TrajectoryProblem(
         line, FLIRT, tuple(observed(FLIRT, 1.0, 1.05)), 0.0, line.length,
         objective=objective,  # type: ignore[arg-type]
     )  # fmt: skip
@@ -45,7 +43,7 @@ def solved(objective: str) -> tuple[Problem, Solution, np.ndarray]:
 CASES = ("wheel", "line", "expected")
 
 
-def bounded(problem: Problem, solution: Solution) -> float:
+def bounded(problem: DiscreteProblem, solution: Solution) -> float:
     speeds = np.sqrt(2.0 * solution.plan.z)
     # A hundredth of a second is far more than the cells' mean speeds can be wrong by.
     spare = np.full(problem.shape[0], 0.01)

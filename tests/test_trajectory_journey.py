@@ -198,7 +198,7 @@ def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_section
 
 def test_the_worst_mixture_of_two_plans_is_where_they_cost_the_same() -> None:
     """A plan x costs x² + 1 or (x - 1)² + 1.5: at worst least where both are the same."""
-    from analysis.trajectory.mixture import worst_mixture
+    from analysis.trajectory.journey import worst_mixture
 
     def energies(mixture: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
         x = float(mixture[1])  # least expected cost of mixture[0] x² + mixture[1] (x - 1)²

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from trajectory_world import FLIRT, drawn, hilly_line
 
-from analysis.trajectory import optimise, representatives
-from analysis.trajectory.problem import discretise
-from analysis.trajectory.run import Run
+from analysis.trajectory import active_set, optimise
+from analysis.trajectory.discretisation import discretise
+from analysis.trajectory.problem import TrajectoryProblem
 
 OPTIONS = {"reserve": 0.1, "cells": 80}
 
@@ -17,7 +17,7 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     configurations = drawn(FLIRT, 24, seed=2)
     found = {}
     for few in (12, 24):
-        monkeypatch.setattr(representatives, "FEW", few)
+        monkeypatch.setattr(active_set, "FEW", few)
         found[few] = optimise(
             hilly_line(), FLIRT, configurations, objective="expected", **OPTIONS
         ).certificate  # type: ignore[arg-type]
@@ -74,12 +74,12 @@ def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
     configurations = tuple(drawn(FLIRT, 20, seed=4))
     line = hilly_line()
     weights = tuple(np.arange(1.0, 21.0).tolist())
-    run = Run(line, FLIRT, configurations, 0.0, line.length, weights=weights)
+    run = TrajectoryProblem(line, FLIRT, configurations, 0.0, line.length, weights=weights)
     problem = discretise(run, run.breakpoints)
-    rows = representatives.kinds(problem, slowest=7)
-    assert len(rows) == 1 + representatives.KINDS
+    rows = active_set.kinds(problem, slowest=7)
+    assert len(rows) == 1 + active_set.KINDS
     assert len(set(rows)) == len(rows)
-    shares = representatives.shared(problem, rows, {7})
+    shares = active_set.shared(problem, rows, {7})
     assert shares.parts.sum(axis=1) == pytest.approx(1.0)
     assert shares.parts.min() >= 0.0
     assert shares.weights.sum() == pytest.approx(1.0)

@@ -13,7 +13,7 @@ from trajectory_world import FLIRT, drawn, hilly_line, level_line, observed, ste
 from analysis.trajectory import active_set, convex, optimise, optimiser
 from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import NoSolutionError
-from analysis.trajectory.linearised import Solution
+from analysis.trajectory.sqp import Solution
 from trainlog.errors import TrainlogError
 from trainlog.railway import Trajectory
 

@@ -9,7 +9,7 @@ import pytest
 from trajectory_world import FLIRT, VIRM6, drawn, hilly_line, level_line, observed
 
 from analysis.trajectory import Phase, optimise
-from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.discretisation import graded_mesh
 from analysis.trajectory.phases import phases_by_control, phases_by_switching, spelled
 from analysis.trajectory.plot import draw_trajectory
 from trainlog.formats.line import read_line

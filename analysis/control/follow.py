@@ -21,7 +21,7 @@ from analysis.control.pace import paced, sampled
 from analysis.control.route import able, at_once, held_back, way
 from analysis.studies.hauck_2023.controller import Program, solve
 from analysis.studies.hauck_2023.dynamics import value
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
@@ -291,7 +291,7 @@ def run_of(
     train: Train,
     condition: TrackConditionMap | None = None,
     layer: str = "wet",
-) -> Run:
+) -> TrajectoryProblem:
     """The run that a trajectory was made for, with a map of now.
 
     Raises
@@ -313,7 +313,7 @@ def run_of(
             remedy="optimise it for a final speed of 0",
         )
     settings = trajectory.provenance.get("settings", {})
-    return Run(
+    return TrajectoryProblem(
         line, train, trajectory.configurations, start, min(end, line.length),
         condition=condition, layer=layer,
         protected_length=float(settings.get("protected_length", 0.0)),

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.studies.hauck_2023.dynamics import GRID, value
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.railway import Trajectory
 from trainlog.units import GRAVITY
 
@@ -123,7 +123,7 @@ class Way(NamedTuple):
     last_pull: float
 
 
-def able(run: Run) -> Able:
+def able(run: TrajectoryProblem) -> Able:
     """What all configurations of a run can do; limits as those of the trajectory."""
     train, every = run.train, run.configurations
     masses = [pick(c.mass for c in every) for pick in (min, max)]
@@ -155,7 +155,11 @@ def able(run: Run) -> Able:
 
 
 def way(
-    run: Run, trajectory: Trajectory, can: Able, around: float = 0.0, below: float = 0.0
+    run: TrajectoryProblem,
+    trajectory: Trajectory,
+    can: Able,
+    around: float = 0.0,
+    below: float = 0.0,
 ) -> Way:
     """Tables of a run from its start to its end.
 
@@ -189,7 +193,7 @@ def way(
     return found
 
 
-def _adhesion(run: Run, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _adhesion(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Maximum adhesion that the driver counts on in traction and in braking.
 
     Where the map was not observed he expects what its own places and neighbours make likely

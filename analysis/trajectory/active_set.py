@@ -1,49 +1,173 @@
-"""Active set over the configurations: optimise for a few, let all ride along, add who cannot.
+"""Active set over the configurations: optimise for a few, roll out all, add those that fail.
 
 The optimum for some configurations that all the others can follow is the optimum for all, and the
 lower bound for some is one for all. Few are ever active: the slowest, and those short of power.
+
+In the expected energy every configuration counts. What one regains depends smoothly on its
+properties: a program for few representatives, each with the weight of all that it represents,
+finds nearly the same traction; what the others regain under it is driven and counted one by one,
+and the bound holds for all of them: a configuration takes its share of the multipliers of its
+representatives.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
-from analysis.trajectory.amend import amended
-from analysis.trajectory.bound import lower_bound
-from analysis.trajectory.convex import NoSolutionError
-from analysis.trajectory.infeasible import (
+from analysis.trajectory.convex import NoSolutionError, Relaxation
+from analysis.trajectory.discretisation import DiscreteProblem, Plan
+from analysis.trajectory.feasibility import (
     LATE,
     brakes_explained,
     still_late,
     time_explained,
     unsettled,
 )
-from analysis.trajectory.linearised import Solution
-from analysis.trajectory.minimax import EVENNESS, minimise, with_costates
-from analysis.trajectory.pace import (
+from analysis.trajectory.rollout import (
+    amended,
     capped_run,
-    cell_times,
     delays,
     energy_of,
     realise,
     ride_along,
     ride_behind,
 )
-from analysis.trajectory.problem import Plan, Problem
-from analysis.trajectory.relaxation import Relaxation
-from analysis.trajectory.representatives import (
-    kinds,
-    multipliers_for_all,
-    shared,
-    short_of_time,
-)
+from analysis.trajectory.sqp import EVENNESS, Multipliers, Solution, minimise, with_costates
 
 FloatArray = NDArray[np.float64]
+
+FEW = 12
+"""Configurations up to which each is in the program itself."""
+
+KINDS = 10
+"""Configurations that stand for others, where there are more."""
+
+_SHORT = 1.1
+"""Worth of traction over the usual, from which a configuration is short of time."""
+
+_SUM = 30.0
+"""How strictly shares add up to 1, over how well they match the properties."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """Who stands for whom.
+
+    Attributes
+    ----------
+    rows : tuple of r int
+        Configurations of the program.
+    parts : (q, r) array
+        How each configuration is mixed of them; each row adds up to 1.
+    weights : (r,) array
+        Probability that each of them stands for.
+    """
+
+    rows: tuple[int, ...]
+    parts: FloatArray
+    weights: FloatArray
+
+
+def kinds(problem: DiscreteProblem, slowest: int) -> list[int]:
+    """Rows of few configurations that differ most, the slowest among them (farthest first).
+
+    Those without weight have no say in what is expected.
+    """
+    counted = np.flatnonzero(problem.weights > 0.0)
+    if counted.size <= FEW:
+        return counted.tolist()
+    unit, found = _properties(problem)[counted], [slowest]
+    others = _properties(problem)[found]
+    while len(found) <= KINDS:
+        away = np.linalg.norm(unit[:, None] - others, axis=2).min(axis=1)
+        found.append(int(counted[np.argmax(away)]))
+        others = np.vstack((others, unit[np.argmax(away)]))
+    return found
+
+
+def shared(problem: DiscreteProblem, rows: Sequence[int], alone: Collection[int]) -> Shares:
+    """Mix every configuration of `rows`, by its properties.
+
+    Those `alone` stand for themselves only: they are short of time, which the others are not.
+    """
+    unit, chosen = _properties(problem), list(rows)
+    others = [number for number, row in enumerate(chosen) if row not in alone] or [0]
+    corners = np.vstack((unit[[chosen[number] for number in others]].T, np.full(len(others), _SUM)))
+    parts = np.zeros((unit.shape[0], len(chosen)))
+    for row, each in enumerate(unit):
+        found, _ = nnls(corners, np.append(each, _SUM))
+        parts[row, others] = found / found.sum()
+    parts[chosen] = np.eye(len(chosen))
+    return Shares(tuple(chosen), parts, problem.weights @ parts)
+
+
+def short_of_time(problem: DiscreteProblem, rows: Sequence[int], found: Multipliers) -> set[int]:
+    """Those of `rows` to which traction is worth more than to the others, being short of time.
+
+    Where the common traction is more than a configuration needs it brakes a little, and to all
+    that do traction is worth what braking regains. Who never does cannot stand for them.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        Of `rows`, each with the weight of all that it stands for.
+    found : Multipliers
+        Of its optimum.
+    """
+    worth = found.pull.sum(axis=1) / np.maximum(problem.weights, 1e-300)
+    weighty = problem.weights > 0.0
+    usual = float(np.median(worth[weighty]))
+    short = np.flatnonzero(weighty & (worth > _SHORT * usual)).tolist()
+    return {rows[each] for each in short}
+
+
+def multipliers_for_all(
+    problem: DiscreteProblem, shares: Shares, found: Multipliers
+) -> Multipliers:
+    """Each configuration's share of the multipliers of those that stand for it.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        With all configurations and their own weights.
+    shares : Shares
+    found : Multipliers
+        Of the program for few.
+    """
+    part = problem.weights[:, None] * shares.parts / np.maximum(shares.weights, 1e-300)
+    # Who stands for nothing, active for its limits alone, keeps what it has.
+    for number in np.flatnonzero(shares.weights == 0.0):
+        part[shares.rows[number], number] = 1.0
+    return Multipliers(
+        pull=part @ found.pull,
+        time=part @ found.time,
+        passing=part @ found.passing,
+        opening=part @ found.opening,
+        power=part @ found.power,
+        dynamic_power=part @ found.dynamic_power,
+        share=problem.weights,
+    )
+
+
+def _properties(problem: DiscreteProblem) -> FloatArray:
+    """Inertia, resistance at two speeds and power, each over its range, (q, 4)."""
+    configurations = problem.run.configurations
+    fast = float(np.sqrt(2.0 * problem.ceiling.max()))
+    values = np.array(
+        [
+            [c.inertia, float(c.resistance(0.5 * fast)), float(c.resistance(fast)), c.max_power]
+            for c in configurations
+        ]
+    )
+    spread = np.ptp(values, axis=0)
+    return np.asarray((values - values.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0))
+
 
 _OVER = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
@@ -67,17 +191,8 @@ _DEARER = 1e-5
 _IDLE = 1e-3
 """Switching function below which a configuration has no say, and leaves a prepared set."""
 
-_SHORT = 0.05
-"""Price of time over the highest, from which a configuration counts as short of it."""
-
 _MANY = 40
 """Configurations above which only those that stand out are scouted with."""
-
-_CONE_TOLERANCE = 1e-8
-"""Of the cone solver's value, absolute [J/kg] and relative."""
-
-_CLOSE = 0.1
-"""Gap, times the number of cells, above which a better bound is looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +224,7 @@ class Answer:
 
     Attributes
     ----------
-    problem : Problem
+    problem : DiscreteProblem
         With the traction tapered as the plan has it.
     plan : Plan
     active : tuple of int
@@ -124,7 +239,7 @@ class Answer:
         Rows that stand for themselves only in the expected energy.
     """
 
-    problem: Problem
+    problem: DiscreteProblem
     plan: Plan
     active: tuple[int, ...]
     solution: Solution
@@ -133,7 +248,7 @@ class Answer:
     alone: frozenset[int] = frozenset()
 
 
-def outstanding(problem: Problem, least_times: FloatArray) -> list[int]:
+def outstanding(problem: DiscreteProblem, least_times: FloatArray) -> list[int]:
     """Rows of the configurations that may decide: the extreme ones by any mix of properties.
 
     Whoever decides all the same shows when everybody rides along; here few are looked at.
@@ -157,7 +272,7 @@ def outstanding(problem: Problem, least_times: FloatArray) -> list[int]:
     return sorted(found) if some else list(range(q))
 
 
-def first_guess(problem: Problem, speeds: FloatArray, running_time: float) -> Guess:
+def first_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: float) -> Guess:
     """The slowest and the dearest configuration, and their fastest run cut off.
 
     Where a window of time opens on the way, the fastest too; all, where all have a say.
@@ -180,7 +295,9 @@ def first_guess(problem: Problem, speeds: FloatArray, running_time: float) -> Gu
     return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
 
 
-def finer_guess(answer: Answer, coarse: FloatArray, problem: Problem, rows: Sequence[int]) -> Guess:
+def finer_guess(
+    answer: Answer, coarse: FloatArray, problem: DiscreteProblem, rows: Sequence[int]
+) -> Guess:
     """What was found on one grid, on another one.
 
     Parameters
@@ -189,7 +306,7 @@ def finer_guess(answer: Answer, coarse: FloatArray, problem: Problem, rows: Sequ
         For the configurations `rows` of `problem`.
     coarse : (m + 1,) array [m]
         Its grid.
-    problem : Problem
+    problem : DiscreteProblem
     """
     solution, positions = answer.solution, problem.positions
     influence = np.abs(solution.multipliers.pull / np.diff(coarse)).max(axis=1)
@@ -209,13 +326,18 @@ def finer_guess(answer: Answer, coarse: FloatArray, problem: Problem, rows: Sequ
 
 
 def search(
-    problem: Problem, guess: Guess, speeds: FloatArray, running_time: float, *, coarse: bool = False
+    problem: DiscreteProblem,
+    guess: Guess,
+    speeds: FloatArray,
+    running_time: float,
+    *,
+    coarse: bool = False,
 ) -> Answer:
     """The robust optimum.
 
     Parameters
     ----------
-    problem : Problem
+    problem : DiscreteProblem
         With all configurations.
     guess : Guess
     speeds : (q, n + 1) array [m/s]
@@ -273,7 +395,7 @@ def search(
 
 
 def _amended(
-    problem: Problem, rows: list[int], solution: Solution, running_time: float, owed: float
+    problem: DiscreteProblem, rows: list[int], solution: Solution, running_time: float, owed: float
 ) -> tuple[Solution, Plan] | None:
     """The solution made exact without another program, and how all ride.
 
@@ -293,73 +415,14 @@ def _amended(
     return replace(solution, plan=driven, energy=energy), everyone
 
 
-def best_bound(
-    problem: Problem, answer: Answer, speeds: FloatArray, running_time: float
-) -> tuple[float, str]:
-    """Lower bound of the worst-case energy [J/kg], and how it was found.
-
-    The multipliers of the optimum give it; or those of an optimum for the configurations alone to
-    which time is worth something, for the bound cannot hold the power of others; or, if none of
-    this comes close, the cone relaxation.
-    """
-    part, solution = problem.select(answer.active), answer.solution
-    expected = problem.run.objective == "expected"
-    if expected and not set(np.flatnonzero(problem.weights).tolist()) <= set(answer.active):
-        shares = shared(problem, answer.active, answer.alone)
-        every = multipliers_for_all(problem, shares, solution.multipliers)
-        spare, start = _spare(problem, answer.plan), np.sqrt(2.0 * answer.plan.z)
-        return lower_bound(problem, every, start, running_time, spare), "shared multipliers"
-    close = 1.0 - _CLOSE / problem.shape[1]
-    bound = _bounded(part, solution, running_time)
-    if bound >= close * solution.energy:
-        return bound, "multipliers"
-    said = solution.time_price > _SHORT * solution.time_price.max()
-    priced = np.flatnonzero(said | (expected & (part.weights > 0.0))).tolist()
-    rows = [answer.active[row] for row in priced]
-    if len(priced) < len(answer.active):
-        part = problem.select(rows)
-        told = solution.multipliers.select(priced)
-        alone = replace(solution, plan=solution.plan.select(priced), multipliers=told)
-        solution = with_costates(part, alone, running_time)
-        bound = max(bound, _bounded(part, solution, running_time))
-        if bound >= close * answer.solution.energy:
-            return bound, "multipliers of those short of time"
-    try:
-        relaxed = Relaxation(part, speeds[rows]).least_energy(running_time)
-    except NoSolutionError:
-        return bound, "multipliers"
-    spare = _spare(part, solution.plan)
-    # The cone solver's value may be above the least by what it stops at.
-    value = relaxed.bound - _CONE_TOLERANCE * (1.0 + abs(relaxed.bound))
-    relaxation = value - float(relaxed.time_price @ spare)
-    return max(bound, relaxation), f"cone relaxation: {relaxed.status}"
-
-
-def _bounded(problem: Problem, solution: Solution, running_time: float) -> float:
-    speeds, spare = np.sqrt(2.0 * solution.plan.z), _spare(problem, solution.plan)
-    return lower_bound(problem, solution.multipliers, speeds, running_time, spare)
-
-
-def _spare(problem: Problem, plan: Plan) -> FloatArray:
-    """By how much the true times are shorter than those by the mean speeds of the cells [s].
-
-    The bounds take the latter; they pay for the difference.
-    """
-    driven = realise(problem, plan)
-    speed = np.sqrt(2.0 * driven.z)
-    model = 2.0 * problem.step / (speed[:, :-1] + speed[:, 1:])
-    ahead = np.cumsum(model - cell_times(problem, driven), axis=1)
-    if np.isfinite(problem.earliest).any():
-        ahead = np.abs(ahead)
-    return np.asarray(np.maximum(ahead.max(axis=1), 0.0))
-
-
-def _slowest(problem: Problem, speeds: FloatArray) -> int:
+def _slowest(problem: DiscreteProblem, speeds: FloatArray) -> int:
     """The configuration that takes longest on its fastest run."""
     return int(np.argmax((problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)))
 
 
-def _program(problem: Problem, rows: Sequence[int], alone: frozenset[int]) -> Problem:
+def _program(
+    problem: DiscreteProblem, rows: Sequence[int], alone: frozenset[int]
+) -> DiscreteProblem:
     """The problem of few configurations, each with the weight of those that it stands for."""
     part = problem.select(rows)
     if problem.run.objective != "expected":
@@ -368,7 +431,11 @@ def _program(problem: Problem, rows: Sequence[int], alone: frozenset[int]) -> Pr
 
 
 def _all_follow(
-    problem: Problem, rows: list[int], alone: frozenset[int], riding: Plan, running_time: float
+    problem: DiscreteProblem,
+    rows: list[int],
+    alone: frozenset[int],
+    riding: Plan,
+    running_time: float,
 ) -> Plan:
     """The same traction; who is not in the program brakes as gently as those that stand for it.
 
@@ -386,7 +453,7 @@ def _all_follow(
 
 
 def _dearer_follow(
-    problem: Problem, rows: list[int], solution: Solution, riding: Plan, running_time: float
+    problem: DiscreteProblem, rows: list[int], solution: Solution, riding: Plan, running_time: float
 ) -> Plan:
     """The same traction; who regains less than all in the program brakes as gently as the leader.
 
@@ -406,7 +473,9 @@ def _dearer_follow(
     return riding
 
 
-def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -> Plan:
+def _all_ride(
+    problem: DiscreteProblem, rows: list[int], part: DiscreteProblem, optimum: Plan
+) -> Plan:
     """The optimum for the active configurations, and how the others follow it."""
     common = optimum.braking[0] if problem.common else None
     riding, driven = ride_along(problem, optimum.traction, common), realise(part, optimum)
@@ -415,7 +484,7 @@ def _all_ride(problem: Problem, rows: list[int], part: Problem, optimum: Plan) -
 
 
 def _violators(
-    problem: Problem, plan: Plan, running_time: float, active: list[int], wider: float
+    problem: DiscreteProblem, plan: Plan, running_time: float, active: list[int], wider: float
 ) -> set[int]:
     """The worst of the others of each kind: late, short of power or brake, too fast, too dear."""
     fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge))
@@ -450,7 +519,7 @@ def _worst(amounts: FloatArray, limit: float) -> set[int]:
     return {int(first), int(second)} if excess[second] > 0.4 * excess[first] else {int(first)}
 
 
-def _dearest(problem: Problem, least_times: FloatArray) -> int:
+def _dearest(problem: DiscreteProblem, least_times: FloatArray) -> int:
     """The configuration of the highest resistance at the mean speed of the fastest runs."""
     speed = float(problem.step.sum()) / float(np.median(least_times))
     drag = problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2
@@ -459,7 +528,7 @@ def _dearest(problem: Problem, least_times: FloatArray) -> int:
 
 
 def _optimum(
-    problem: Problem,
+    problem: DiscreteProblem,
     plan: Plan,
     price: FloatArray,
     speeds: FloatArray,

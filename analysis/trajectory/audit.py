@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.trajectory.problem import inside
-from analysis.trajectory.run import Run
+from analysis.trajectory.discretisation import inside
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.railway.motion import in_parts
 from trainlog.units import GRAVITY
 
@@ -83,7 +83,7 @@ class Audit:
         """Running time of each configuration [s]."""
         return np.asarray(self.times[:, -1])
 
-    def failures(self, run: Run, running_time: float) -> list[str]:
+    def failures(self, run: TrajectoryProblem, running_time: float) -> list[str]:
         """Every test that a configuration did not pass, in words."""
         checks = (
             ("arrives late by [s]", self.arrival - running_time, ARRIVAL_TOLERANCE),
@@ -106,7 +106,7 @@ class Audit:
 
 
 def audit(
-    run: Run,
+    run: TrajectoryProblem,
     positions: FloatArray,
     traction: FloatArray,
     taper: FloatArray,
@@ -185,7 +185,7 @@ def audit(
 
 
 def _passed(
-    run: Run, positions: FloatArray, speeds: FloatArray, times: FloatArray
+    run: TrajectoryProblem, positions: FloatArray, speeds: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """How far each configuration leaves the windows of the passing points, at worst."""
     early, tardy, slow = (np.full(speeds.shape[0], -np.inf) for _ in range(3))

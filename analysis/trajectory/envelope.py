@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.problem import Problem, discretise
-from analysis.trajectory.run import Run
+from analysis.trajectory.discretisation import DiscreteProblem, discretise
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InfeasibleError
 from trainlog.railway.motion import brake_backwards, in_parts, pull_forwards, speed_of
 from trainlog.units import KMH
@@ -57,7 +57,7 @@ class Envelope:
         return np.array([np.interp(positions, self.positions, row) for row in times])
 
 
-def fastest_run(run: Run) -> Envelope:
+def fastest_run(run: TrajectoryProblem) -> Envelope:
     """Speed envelope and least time of each configuration of `run`.
 
     Raises
@@ -104,7 +104,7 @@ def fastest_run(run: Run) -> Envelope:
     return Envelope(problem.positions, speeds, times)
 
 
-def braking_curves(problem: Problem, traction: FloatArray | None = None) -> FloatArray:
+def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None) -> FloatArray:
     """Highest ``z`` at each node from which every limit ahead can still be kept.
 
     Parameters
@@ -141,7 +141,7 @@ def braking_curves(problem: Problem, traction: FloatArray | None = None) -> Floa
     )[0]  # fmt: skip
 
 
-def _fine_grid(run: Run) -> FloatArray:
+def _fine_grid(run: TrajectoryProblem) -> FloatArray:
     """The breakpoints, cells of 10 m, and cells that shrink towards both ends."""
     edges = run.breakpoints
     ramp = 0.02 * 1.25 ** np.arange(32)

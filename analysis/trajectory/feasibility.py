@@ -1,4 +1,4 @@
-"""What the fastest runs refuse before any solver runs: timetables and windows out of reach."""
+"""Why a timetable cannot be kept: by the fastest runs before any solver runs, or after a search."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.trajectory.convex import NoSolutionError, Relaxation
+from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
-from analysis.trajectory.problem import discretise
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.sqp import minimise
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, TimingPoint
 from trainlog.units import KMH, clock
@@ -39,12 +41,12 @@ def seconds(time: float) -> str:
     return f"{time:.1f} s" if time >= 0.1 else f"{time:.1g} s"
 
 
-def check_time(run: Run, fastest: Envelope, running_time: float) -> None:
+def check_time(run: TrajectoryProblem, fastest: Envelope, running_time: float) -> None:
     """Refuse a timetable or windows that some configuration cannot keep by itself.
 
     Parameters
     ----------
-    run : Run
+    run : TrajectoryProblem
     fastest : Envelope
         Of every configuration.
     running_time : float [s]
@@ -80,12 +82,12 @@ def check_time(run: Run, fastest: Envelope, running_time: float) -> None:
     check_speeds(run, fastest)
 
 
-def held_back(run: Run, fastest: Envelope, row: int) -> str:
+def held_back(run: TrajectoryProblem, fastest: Envelope, row: int) -> str:
     """What holds a configuration's fastest run, and for how much of its time.
 
     Parameters
     ----------
-    run : Run
+    run : TrajectoryProblem
     fastest : Envelope
     row : int
         Configuration.
@@ -124,12 +126,12 @@ def held_back(run: Run, fastest: Envelope, row: int) -> str:
     return ", ".join([spent[0].replace("%", "% of the time", 1), *spent[1:]])
 
 
-def _without_map(run: Run, positions: FloatArray) -> FloatArray:
+def _without_map(run: TrajectoryProblem, positions: FloatArray) -> FloatArray:
     """The largest tractive effort if the rail were good, (n,) [m/s²]."""
     return discretise(replace(run, condition=None), positions).traction
 
 
-def _check_times(run: Run, fastest: Envelope, running_time: float) -> None:
+def _check_times(run: TrajectoryProblem, fastest: Envelope, running_time: float) -> None:
     """Refuse windows of time that a configuration cannot keep even on its fastest run.
 
     Between any two of them, departure and arrival included: passed at the earliest at the first,
@@ -156,7 +158,7 @@ def _check_times(run: Run, fastest: Envelope, running_time: float) -> None:
 
 
 def _told(
-    run: Run,
+    run: TrajectoryProblem,
     points: Sequence[TimingPoint],
     pair: tuple[int, int],
     row: int,
@@ -179,7 +181,7 @@ def _told(
     )
 
 
-def check_speeds(run: Run, fastest: Envelope) -> None:
+def check_speeds(run: TrajectoryProblem, fastest: Envelope) -> None:
     """Refuse windows of speed above what a configuration reaches there."""
     for point in run.windows:
         if point.lowest_speed is None:
@@ -199,3 +201,109 @@ def check_speeds(run: Run, fastest: Envelope) -> None:
             f" {KMH * point.lowest_speed:.1f} km/h are asked for; it is held by {why}",
             remedy="lower what is asked for",
         )
+
+
+LATE = 5e-5
+"""Lateness that counts [s]."""
+
+
+def time_explained(
+    problem: DiscreteProblem, relaxation: Relaxation, running_time: float, word: str
+) -> InfeasibleError:
+    """Why the relaxation, and so the problem, has no solution."""
+    names = names_of(problem)
+    try:
+        time = relaxation.least_time()
+    except NoSolutionError:
+        return InfeasibleError(f"no common run of {names}: the relaxation is {word}")
+    if time <= running_time:
+        return unsettled(problem, running_time, f"the relaxation is {word}")
+    return InfeasibleError(
+        f"under one common traction, in {problem.shape[1]} cells, at least {time:.1f} s are needed"
+        f" by {names}; the timetable gives {running_time:.1f} s, {seconds(time - running_time)} are"
+        " missing",
+        remedy=f"allow at least {np.ceil(time):.0f} s",
+    )
+
+
+def still_late(problem: DiscreteProblem, running_time: float, late: float) -> InfeasibleError:
+    """Why nothing was found where the programs settle on a plan that is late by some seconds."""
+    return InfeasibleError(
+        f"{running_time:.2f} s are not enough for {names_of(problem)} under one common traction on"
+        f" {problem.shape[1]} cells: {seconds(late)} are missing",
+        remedy=f"allow {seconds(1.1 * late)} more, or more cells",
+    )
+
+
+def unsettled(problem: DiscreteProblem, running_time: float, word: str) -> InfeasibleError:
+    """Why nothing was found where the programs do not settle; that nothing exists is not proven."""
+    return InfeasibleError(
+        f"no trajectory of {names_of(problem)} was found for {running_time:.1f} s on"
+        f" {problem.shape[1]} cells, and none was proven impossible: {word}",
+        remedy="try more cells, or another running time",
+    )
+
+
+def brakes_explained(
+    problem: DiscreteProblem, speeds: FloatArray, running_time: float
+) -> InfeasibleError:
+    """Why one braking effort does not bring them all to the speed asked for at the end."""
+    names = names_of(problem)
+    lowest = lowest_end_speed(problem, speeds, running_time)
+    if lowest is None:
+        return InfeasibleError(
+            f"with one braking effort for all, {names} cannot keep {running_time:.1f} s whatever"
+            " their speed at the end",
+            remedy="allow more time, or let each configuration brake for itself (recourse)",
+        )
+    return InfeasibleError(
+        f"with one braking effort for all, {names} cannot all end below {KMH * lowest:.1f} km/h in"
+        f" {running_time:.1f} s; asked for are {KMH * problem.run.final_speed:.1f} km/h",
+        remedy="let each configuration brake for itself (recourse), or end faster",
+    )
+
+
+def lowest_end_speed(
+    problem: DiscreteProblem, speeds: FloatArray, running_time: float
+) -> float | None:
+    """The lowest speed [m/s] at the end that all configurations can keep, to 0.05 m/s.
+
+    With common braking the one that runs most easily decides how hard all brake, and the others
+    must not come to a stand before the end.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        Its own speed at the end is taken to be out of reach.
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
+    running_time : float [s]
+
+    Returns
+    -------
+    float or None
+        None if the running time cannot be kept at any speed.
+    """
+
+    def reached(speed: float) -> bool:
+        trial = replace(problem, final=0.5 * speed**2)
+        try:
+            relaxed = Relaxation(trial, speeds).least_energy(running_time)
+            solution = minimise(trial, relaxed.plan, relaxed.time_price, running_time, rounds=12)
+        except NoSolutionError:
+            return False
+        return solution.lateness <= LATE
+
+    low, high = float(np.sqrt(2.0 * problem.final)), float(np.sqrt(2.0 * problem.ceiling[-1]))
+    if not reached(high):
+        return None
+    while high - low > 0.05:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if reached(middle) else (middle, high)
+    return high
+
+
+def names_of(problem: DiscreteProblem) -> str:
+    """The configurations by their names, for a message."""
+    names = [f"'{configuration.name}'" for configuration in problem.run.configurations]
+    return f"configuration{'s' * (len(names) > 1)} {', '.join(names)}"

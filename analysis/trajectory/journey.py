@@ -1,33 +1,231 @@
 """A whole journey: sections between stops, and the departures that make it cheapest.
 
-Sections are coupled by their times (`schedule`): that is how the reserve of a timetable is shared
-among them. And by the train, which runs in one configuration from the first stop to the last
-(`mixture`).
+Sections are coupled by their times. The least energy of a section is convex in its departure and
+arrival, and the multipliers of a solution are its slopes: each solution is a cutting plane, and a
+linear program over the cuts and the windows chooses the next times (Kelley, 1960).
+
+They are coupled by the train, too: a configuration is the same in all sections, so that what is
+spent at worst is ``max over configurations of the sum over sections``. By the minimax theorem it is
+the highest, over mixtures of the configurations, of the least energy expected under the mixture;
+and each section's least expected energy can be found by itself. Every mixture gives a lower bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, held_back, place_of, seconds
-from analysis.trajectory.mixture import worst_mixture
 from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.run import Run
-from analysis.trajectory.schedule import Schedule, best_times
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Configuration, Line, Train, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.units import clock
 
 FloatArray = NDArray[np.float64]
+
+_TURNS = 12
+_CLOSE = 2e-4
+"""Energy that other times might still save, relative, when the search for them ends."""
+
+_LEAST_MARGIN = 1.01
+"""Least running time over that of the slowest configuration by itself."""
+
+
+class Schedule:
+    """Departures and arrivals that keep the windows, and the linear programs over them."""
+
+    def __init__(self, least: FloatArray, low: FloatArray, high: FloatArray, dwell: float) -> None:
+        self.least, self.low, self.high, self.dwell = least, low, high, dwell
+        m = least.size
+        self.rows: list[FloatArray] = []
+        self.right: list[float] = []
+        self.cuts: list[FloatArray] = []
+        self.levels: list[float] = []
+        for number in range(m - 1):
+            # departure of the next section not before this arrival and the dwell time
+            row = np.zeros(3 * m + 1)
+            row[2 * number + 1], row[2 * number + 2] = 1.0, -1.0
+            self.rows.append(row)
+            self.right.append(-dwell)
+
+    @property
+    def count(self) -> int:
+        """How many sections."""
+        return self.least.size
+
+    def anew(self) -> Schedule:
+        """The same without its cuts."""
+        return Schedule(self.least, self.low, self.high, self.dwell)
+
+    def even(self) -> FloatArray:
+        """Times that give every section the same reserve over its least time, (m, 2) [s]."""
+        m = self.count
+        rows, right = list(self.rows), list(self.right)
+        for number in range(m):
+            row = np.zeros(3 * m + 1)
+            row[2 * number], row[2 * number + 1], row[-1] = 1.0, -1.0, self.least[number]
+            rows.append(row)
+            right.append(-float(self.least[number]))
+        cost = np.zeros(3 * m + 1)
+        cost[-1] = -1.0
+        bounds = [*self._bounds(), *[(0.0, 0.0)] * m, (-0.5, 3.0)]
+        return self._solved(cost, rows, right, bounds)[0]
+
+    def cheapest(self) -> tuple[FloatArray, float]:
+        """Times of the least energy that the cuts allow, (m, 2) [s], and that energy [J]."""
+        m = self.count
+        rows, right = list(self.rows), list(self.right)
+        for number in range(m):
+            row = np.zeros(3 * m + 1)
+            row[2 * number], row[2 * number + 1] = 1.0, -1.0
+            rows.append(row)
+            right.append(-_LEAST_MARGIN * float(self.least[number]))
+        cost = np.zeros(3 * m + 1)
+        cost[2 * m : 3 * m] = 1.0
+        bounds = [*self._bounds(), *[(0.0, None)] * m, (0.0, 0.0)]
+        return self._solved(cost, [*rows, *self.cuts], [*right, *self.levels], bounds)
+
+    def cut(self, number: int, times: FloatArray, energy: float, slopes: FloatArray) -> None:
+        """Energy of a section is at least that at `times` and what the slopes add."""
+        row = np.zeros(3 * self.count + 1)
+        row[2 * number : 2 * number + 2] = slopes / 1e6
+        row[2 * self.count + number] = -1.0
+        self.cuts.append(row)
+        self.levels.append(float(slopes @ times - energy) / 1e6)
+
+    def _bounds(self) -> list[tuple[float, float | None]]:
+        pairs = zip(self.low.ravel().tolist(), self.high.ravel().tolist(), strict=True)
+        return [(low, None if high == np.inf else high) for low, high in pairs]
+
+    def _solved(
+        self, cost: FloatArray, rows: list[FloatArray], right: list[float], bounds: Any
+    ) -> tuple[FloatArray, float]:
+        found = linprog(cost, A_ub=np.array(rows), b_ub=np.array(right), bounds=bounds)
+        if found.status != 0:
+            raise InfeasibleError(
+                "journey: the windows leave no times for the slowest configuration",
+                remedy="open the windows longer",
+            )
+        return np.asarray(found.x[: 2 * self.count]).reshape(-1, 2), 1e6 * float(found.fun)
+
+
+def best_times(
+    schedule: Schedule, solve: Callable[[int, FloatArray], Trajectory], start: FloatArray
+) -> tuple[FloatArray, float]:
+    """Times of least energy, and what others might still save, relative.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        Without cuts.
+    solve : callable
+        From a section's number and its times, (2,) [s], to its trajectory.
+    start : (m, 2) array [s]
+        Where the search begins.
+    """
+    times, best, chosen, saving = start, np.inf, start, np.inf
+    for _ in range(_TURNS):
+        energy = 0.0
+        for number in range(schedule.count):
+            certificate = solve(number, times[number]).certificate
+            energy += certificate["energy"]
+            arriving = sum(certificate["time_price"].values())
+            slopes = np.array([certificate["departure_price"], -arriving])
+            schedule.cut(number, times[number], certificate["energy"], slopes)
+        if energy < best:
+            best, chosen = energy, times
+        times, least = schedule.cheapest()
+        saving = max((best - least) / max(abs(best), 1.0), 0.0)
+        if saving <= _CLOSE:
+            break
+        # Half way to the cuts' optimum: cuts far from it mislead.
+        times = 0.5 * (times + chosen)
+    return chosen, saving
+
+
+_MIXTURE_TURNS = 10
+_MIXTURE_CLOSE = 1e-4
+"""Part of the energy by which the worst may be above what its mixture expects, at the end."""
+
+_LITTLE = 0.05
+"""Part of a mixture that is enough for a configuration to have its own brakes optimised."""
+
+_LEAST_PART = 2e-3
+"""Part of a mixture below which a configuration is left out of it."""
+
+
+def worst_mixture(energies: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
+    """The mixture under which the least expected energy is highest, about.
+
+    Parameters
+    ----------
+    energies : callable
+        From a mixture to the energies of all configurations, (q,) [J], under the plan of least
+        expected energy.
+    start : (q,) array
+        Where the search begins; parts that add up to 1.
+
+    Returns
+    -------
+    (q,) array
+        Parts that add up to 1: the mixture whose plan has the least worst energy of those tried.
+    """
+    mixture, chosen, best, least = start, start, np.inf, -np.inf
+    seen = list[FloatArray]()
+    for _ in range(_MIXTURE_TURNS):
+        found = energies(mixture)
+        seen.append(found)
+        least = max(least, float(mixture @ found))
+        if found.max() < best:
+            best, chosen = float(found.max()), mixture
+        scale = float(np.abs(seen).max())
+        if best - least <= _MIXTURE_CLOSE * scale:
+            break
+        before, mixture = mixture, _rounded(_next(np.array(seen) / scale, chosen))
+        if np.abs(mixture - before).max() < _LEAST_PART:
+            break
+    return chosen
+
+
+def _next(seen: FloatArray, chosen: FloatArray) -> FloatArray:
+    """First a little of all that are dearer than the mixture expects, then what the cuts say."""
+    if seen.shape[0] == 1:
+        dearer = (seen[0] > chosen @ seen[0]) & (chosen == 0.0)
+        if dearer.any():
+            return np.asarray((1.0 - _LITTLE) * chosen + _LITTLE * dearer / dearer.sum())
+    # Half way to the cuts' optimum: cuts far from it mislead.
+    return np.asarray(0.5 * (_highest(seen) + chosen))
+
+
+def _highest(seen: FloatArray) -> FloatArray:
+    """The mixture under which the least of the energies seen is highest."""
+    count = seen.shape[1]
+    found = linprog(
+        np.append(np.zeros(count), -1.0),
+        A_ub=np.column_stack((-seen, np.ones(seen.shape[0]))),
+        b_ub=np.zeros(seen.shape[0]),
+        A_eq=np.append(np.ones(count), 0.0)[None],
+        b_eq=np.ones(1),
+        bounds=[*[(0.0, 1.0)] * count, (None, None)],
+    )
+    return np.asarray(found.x[:count])
+
+
+def _rounded(mixture: FloatArray) -> FloatArray:
+    """Without those that hardly count: who has no part needs no place in the program."""
+    kept = np.where(mixture < _LEAST_PART, 0.0, mixture)
+    return np.asarray(kept / kept.sum())
+
 
 _SCOUTING_CELLS = 120
 
@@ -296,7 +494,9 @@ def _fastest(
     chosen: dict[str, Any] = {key: value for key, value in options.items() if key in known}
     chosen |= {**_ends(section), "condition": options.get("condition_map")}
     first, last = section.departure.position, section.arrival.position
-    run = Run(line, train, tuple(configurations), first, last, windows=section.passing, **chosen)
+    run = TrajectoryProblem(
+        line, train, tuple(configurations), first, last, windows=section.passing, **chosen
+    )
     fastest = fastest_run(run)
     check_speeds(run, fastest)
     slowest = int(np.argmax(fastest.times))

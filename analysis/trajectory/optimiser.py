@@ -1,29 +1,34 @@
-"""A robust trajectory with its certificate: the room's front door."""
+"""A robust trajectory with its certificate, and energy against running time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import (
     Answer,
-    best_bound,
     finer_guess,
     first_guess,
     outstanding,
     search,
 )
 from analysis.trajectory.audit import Audit, audit
-from analysis.trajectory.certificate import certificate_of, refereed
+from analysis.trajectory.certificate import best_bound, certificate_of, refereed
+from analysis.trajectory.discretisation import (
+    BRAKING_WEIGHT,
+    REGAINING_WEIGHT,
+    DiscreteProblem,
+    discretise,
+    graded_mesh,
+)
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.feasibility import check_time
-from analysis.trajectory.mesh import BRAKING_WEIGHT, REGAINING_WEIGHT, graded_mesh
-from analysis.trajectory.pace import BESIDE_LEAST, least_time_together
-from analysis.trajectory.problem import Problem, discretise
-from analysis.trajectory.run import Braking, Direction, Objective, Run
+from analysis.trajectory.problem import Braking, Direction, Objective, TrajectoryProblem
+from analysis.trajectory.rollout import BESIDE_LEAST, least_time_together
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.railway import Configuration, Line, TimingPoint, TrackConditionMap, Train, Trajectory
 
@@ -131,7 +136,7 @@ def optimise(
     error tells the lowest end speed they can all reach.
     """
     _check_arguments(running_time, reserve, cells)
-    run = Run(
+    run = TrajectoryProblem(
         line, train, tuple(configurations), start, line.length if end is None else end,
         initial_speed, final_speed, braking, objective,
         condition_map, layer, sigmas, protected_length, tuple(windows),
@@ -197,7 +202,11 @@ def optimise(
 
 
 def _with_time_to_allow(
-    refusal: InfeasibleError, run: Run, fastest: Envelope, running_time: float, cells: int
+    refusal: InfeasibleError,
+    run: TrajectoryProblem,
+    fastest: Envelope,
+    running_time: float,
+    cells: int,
 ) -> InfeasibleError:
     """The refusal; where time is missing, with a time that all keep under one common traction."""
     if running_time > 1.01 * float(fastest.times.max()) or run.windows:
@@ -213,15 +222,15 @@ def _with_time_to_allow(
     )
 
 
-def _mesh(run: Run, through: FloatArray, fastest: Envelope, cells: int) -> FloatArray:
+def _mesh(run: TrajectoryProblem, through: FloatArray, fastest: Envelope, cells: int) -> FloatArray:
     speeds = fastest.speeds[int(np.argmax(fastest.times))]
     weight = REGAINING_WEIGHT if run.at_line else BRAKING_WEIGHT
     return graded_mesh(through, fastest.positions, speeds, cells, weight)
 
 
 def _audited(
-    run: Run, fastest: Envelope, running_time: float, cells: int
-) -> tuple[Problem, Answer, Audit, tuple[int, float] | None]:
+    run: TrajectoryProblem, fastest: Envelope, running_time: float, cells: int
+) -> tuple[DiscreteProblem, Answer, Audit, tuple[int, float] | None]:
     """The problem on its grid, its answer, the audit that the answer passed, and a coarser grid's.
 
     A grid too coarse for the line shows in the audit; then it is made finer. It is made finer once
@@ -263,7 +272,7 @@ def _audited(
 
 
 def _scouted(
-    run: Run, fastest: Envelope, positions: FloatArray, running_time: float
+    run: TrajectoryProblem, fastest: Envelope, positions: FloatArray, running_time: float
 ) -> Answer | None:
     """The optimum on a coarse grid: first for the configurations that stand out, then for all.
 
@@ -283,7 +292,7 @@ def _scouted(
         return None
 
 
-def _reading(run: Run) -> dict[str, str | float]:
+def _reading(run: TrajectoryProblem) -> dict[str, str | float]:
     """How the track-condition map was read."""
     told: dict[str, str | float] = {"layer": run.layer, "sigmas": run.sigmas}
     if np.isfinite(run.assumed_adhesion):
@@ -307,3 +316,86 @@ def _check_arguments(running_time: float | None, reserve: float, cells: int) -> 
             f"trajectory: {cells} cells make no sense",
             remedy=f"give {FEWEST_CELLS} to {MOST_CELLS}",
         )
+
+
+RESERVES = (0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.13, 0.17, 0.22, 0.3)
+"""Over the least time; closer where the front is steep."""
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """Least energies for several running times.
+
+    Attributes
+    ----------
+    trajectories : tuple of m Trajectory
+        Each with its certificate, shortest running time first.
+    least_time : float [s]
+        Of the slowest configuration by itself.
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    least_time: float
+
+    @property
+    def times(self) -> FloatArray:
+        """Running times, (m,) [s]."""
+        return np.array([each.running_time for each in self.trajectories])
+
+    @property
+    def energies(self) -> FloatArray:
+        """Worst-case (or expected) energies, (m,) [J]."""
+        return np.array([each.certificate["energy"] for each in self.trajectories])
+
+    @property
+    def bounds(self) -> FloatArray:
+        """Lower bounds of the energies, (m,) [J]."""
+        return np.array([each.certificate["lower_bound"] for each in self.trajectories])
+
+    @property
+    def prices(self) -> FloatArray:
+        """What a second more saves, from the multipliers of the running time, (m,) [J/s]."""
+        return np.array(
+            [sum(each.certificate["time_price"].values()) for each in self.trajectories]
+        )
+
+
+def energy_against_time(
+    line: Line,
+    train: Train,
+    configurations: Sequence[Configuration],
+    *,
+    reserves: Sequence[float] = RESERVES,
+    **options: Any,
+) -> Front:
+    """Least energy for several reserves over the least time.
+
+    Parameters
+    ----------
+    line, train, configurations
+        As for `optimise`.
+    reserves : sequence of float
+        Parts of the least time. Those that cannot be kept together are left out.
+    **options
+        What else `optimise` takes, the same for every point.
+
+    Raises
+    ------
+    InputError
+        If there are no reserves.
+    InfeasibleError
+        If not one of them can be kept.
+    """
+    if not len(reserves):
+        raise InputError("front: no reserves are given")
+    found: list[Trajectory] = []
+    failure: InfeasibleError | None = None
+    for reserve in sorted(set(reserves)):
+        try:
+            found.append(optimise(line, train, configurations, reserve=reserve, **options))
+        except InfeasibleError as error:
+            failure = error
+    if not found:
+        assert failure is not None
+        raise failure
+    return Front(tuple(found), max(found[0].certificate["least_time"]))

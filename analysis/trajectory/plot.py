@@ -1,4 +1,4 @@
-"""Picture of a trajectory: speed, phases, efforts and gradient over km."""
+"""Pictures: a trajectory over km, and a Pareto front of energy against running time."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from analysis.trajectory.optimiser import Front
 from analysis.trajectory.phases import Phase, phases_of
 from trainlog.railway import Line, Trajectory
 from trainlog.units import KMH, PER_MILLE, clock
@@ -222,3 +223,38 @@ def _draw_gradient(axes: Axes, trajectory: Trajectory, line: Line) -> None:
     steepest = max(1.0, 1.1 * float(np.abs(gradient).max()))
     axes.set_ylim(-steepest, steepest)
     dress(axes, x="", y="‰", title="Gradient")
+
+
+def draw_front(front: Front, path: str | Path) -> None:
+    """Draw the least energies over the running time, with their slopes, and the price below.
+
+    Parameters
+    ----------
+    front : Front
+    path : path
+        PNG file.
+    """
+    times, energies, prices = front.times, front.energies / _KWH, front.prices / _KWH
+    figure = new_figure(8.0, 6.5)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
+    reach = 0.35 * float(max(times[-1] - times[0], 1.0)) / max(times.size - 1, 1)
+    for time, energy, price in zip(times, energies, prices, strict=True):
+        ends = (time - reach, time + reach)
+        line = (energy + price * reach, energy - price * reach)
+        above.plot(ends, line, color=ORANGE, linewidth=1.4)
+    above.plot(times, energies, "o", color=BLUE, markersize=5)
+    handles = [
+        above.plot([], [], "o", color=BLUE, markersize=5, label="least energy")[0],
+        above.plot([], [], color=ORANGE, linewidth=1.4, label="its slope, from the multipliers")[0],
+        above.axvline(front.least_time, color=GREY, linewidth=0.9, linestyle="--",
+                      label="least time of the slowest configuration"),
+    ]  # fmt: skip
+    above.legend(handles=handles, fontsize=8, frameon=False)
+    first = front.trajectories[0]
+    title = f"{first.train} on {first.line}: {first.energy_told}"
+    dress(above, x="", y="kWh", title=title)
+    below.plot(times, 1e3 * prices, "o-", color=BLUE, markersize=4, linewidth=1.2)
+    below.set_ylim(bottom=0.0)
+    dress(below, x="running time [s]", y="Wh/s", title="What a second more saves")
+    below.xaxis.label.set_color(INK)
+    write_figure(figure, path)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.convex import power_cells, tells_dynamic
-from analysis.trajectory.problem import Plan, Problem
+from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from trainlog.railway.motion import SUBSTEPS
 
 FloatArray = NDArray[np.float64]
@@ -52,7 +52,7 @@ class Opinion:
         return self.status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
-def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinion:
+def second_opinion(problem: DiscreteProblem, start: Plan, running_time: float) -> Opinion:
     """Minimise the worst-case energy from `start` within `running_time` [s]."""
     q, n = problem.shape
     rows = 1 if problem.common else q
@@ -106,7 +106,7 @@ def second_opinion(problem: Problem, start: Plan, running_time: float) -> Opinio
 
 
 def _cell() -> ca.Function:
-    """Motion through one cell as in `dynamics.advance`: ``z`` at its end, and the time in it."""
+    """Motion through one cell as in `motion.advance`: ``z`` at its end, and the time in it."""
     z0, effort, drag0 = ca.SX.sym("z"), ca.SX.sym("effort"), ca.SX.sym("drag0", SUBSTEPS + 1)
     drag1, drag2, step = ca.SX.sym("drag1"), ca.SX.sym("drag2"), ca.SX.sym("step")
 
@@ -136,7 +136,13 @@ def _speed(z: Any) -> Any:
 
 
 def _bounded(
-    problem: Problem, start: Plan, z: Any, traction: Any, braking: Any, dynamic: Any, worst: Any
+    problem: DiscreteProblem,
+    start: Plan,
+    z: Any,
+    traction: Any,
+    braking: Any,
+    dynamic: Any,
+    worst: Any,
 ) -> tuple[Any, FloatArray, FloatArray, FloatArray]:
     """All unknowns in one vector, with their bounds and where they start."""
     q, n = problem.shape
@@ -164,7 +170,7 @@ def _bounded(
 
 
 def _solved(
-    problem: Problem,
+    problem: DiscreteProblem,
     objective: Any,
     unknowns: Any,
     rules: list[tuple[Any, float, float]],

@@ -17,10 +17,10 @@ import numpy as np
 
 from analysis.resistance import TripFit, TripRefusedError, fit_trip, parameter_set
 from analysis.trajectory import optimise
+from analysis.trajectory.discretisation import discretise, tapered_as
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.pace import cell_times, ride_along
-from analysis.trajectory.problem import discretise, tapered_as
-from analysis.trajectory.run import Run
+from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.rollout import cell_times, ride_along
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
@@ -58,10 +58,10 @@ def judge(line: Line, train: Train, found: ParameterSet, true: list[Configuratio
     trajectory = optimise(line, train, chosen, reserve=RESERVE)
     took = process_time() - began
     ours, others = (
-        fastest_run(Run(line, train, tuple(each), 0.0, line.length)).times
+        fastest_run(TrajectoryProblem(line, train, tuple(each), 0.0, line.length)).times
         for each in (chosen, true)
     )
-    run = Run(line, train, tuple(true), 0.0, line.length)
+    run = TrajectoryProblem(line, train, tuple(true), 0.0, line.length)
     problem = tapered_as(discretise(run, trajectory.positions), trajectory)
     plan = ride_along(problem, trajectory.tractive_effort / problem.reference, None)
     arrival = cell_times(problem, plan).sum(axis=1)

@@ -20,10 +20,10 @@ import numpy as np
 
 from analysis.studies.cunillera_2022.run import TRAIN as VIRM6
 from analysis.trajectory import optimise
-from analysis.trajectory.pace import paced_run
-from analysis.trajectory.problem import discretise, tapered_as
+from analysis.trajectory.discretisation import discretise, tapered_as
+from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.referee import Opinion, second_opinion
-from analysis.trajectory.run import Run
+from analysis.trajectory.rollout import paced_run
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
@@ -92,7 +92,7 @@ def referee(case: Case, found: Trajectory, repeats: int) -> tuple[Opinion, float
     """IPOPT's answer, the median processor time [s], and the reference inertia [kg]."""
     active = found.certificate["active"]
     known = {"initial_speed", "final_speed", "objective"}
-    run = Run(
+    run = TrajectoryProblem(
         case.line, case.train, case.observed(), 0.0, case.line.length,
         **{key: value for key, value in case.options.items() if key in known},
     )  # fmt: skip

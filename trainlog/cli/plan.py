@@ -200,7 +200,7 @@ def _ends(
 def _told(trajectory: Trajectory, line: Line, output: Path) -> None:
     """Write a trajectory, its picture and its advice, and print what it is."""
     from analysis.reporting import advice_table, trajectory_table
-    from analysis.trajectory.advice import advice, write_advice
+    from analysis.trajectory.phases import advice, write_advice
     from analysis.trajectory.plot import draw_trajectory
     from trainlog.formats.trajectory import write_trajectory
 
@@ -236,8 +236,8 @@ def _front(
 ) -> None:
     """Energy against running time, printed and drawn."""
     from analysis.reporting import front_table
-    from analysis.trajectory.front import energy_against_time
-    from analysis.trajectory.plot_front import draw_front
+    from analysis.trajectory.optimiser import energy_against_time
+    from analysis.trajectory.plot import draw_front
 
     known = {key: value for key, value in options.items() if key != "reserve"}
     with working("optimising for other running times"):
@@ -260,7 +260,7 @@ def advise(
 
     Example: trainlog advise trip.mcap --trajectory results/trajectory.json -o advised.mcap
     """
-    from analysis.trajectory.advice import with_advice
+    from analysis.trajectory.phases import with_advice
     from trainlog.formats.trajectory import read_trajectory
     from trainlog.mcap import read_log, write_log
 

@@ -5,8 +5,8 @@ maximum principle analysis*, state the problem and its control phases and publis
 instances here are this study's own: the level reference line and the VIRM6 of TTOBench v1.5, three
 configurations, and a downhill for the phase that level track does not have.
 
-The paper's train has unit mass. So do the arrays of `analysis.trajectory.problem`, where all is
-divided by the inertia: efforts are accelerations, powers W/kg, energies J/kg.
+The paper's train has unit mass. So do the arrays of `analysis.trajectory.discretisation`, where all
+is divided by the inertia: efforts are accelerations, powers W/kg, energies J/kg.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.trajectory import optimise
+from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import braking_curves, fastest_run
-from analysis.trajectory.infeasible import lowest_end_speed
-from analysis.trajectory.mesh import graded_mesh
+from analysis.trajectory.feasibility import lowest_end_speed
 from analysis.trajectory.phases import Phase, phases_by_switching, phases_of
-from analysis.trajectory.problem import Problem, discretise
-from analysis.trajectory.run import Braking, Run
+from analysis.trajectory.problem import Braking, TrajectoryProblem
 from trainlog.railway import (
     Configuration,
     Line,
@@ -93,9 +92,9 @@ class Instance:
     initial_speed: float = 1.0
     final_speed: float = 10.0
 
-    def run(self, configurations: Sequence[Configuration], braking: Braking) -> Run:
+    def run(self, configurations: Sequence[Configuration], braking: Braking) -> TrajectoryProblem:
         """What is asked of the optimiser for these configurations."""
-        return Run(
+        return TrajectoryProblem(
             self.line, TRAIN, tuple(configurations), 0.0, self.line.length,
             self.initial_speed, self.final_speed, braking,
         )  # fmt: skip
@@ -298,7 +297,7 @@ def lowest_common_end_speed(
 ) -> float | None:
     """The lowest v_e [m/s] that one braking effort for all allows; None if the time is too short.
 
-    See `analysis.trajectory.infeasible.lowest_end_speed`.
+    See `analysis.trajectory.feasibility.lowest_end_speed`.
     """
     run = replace(instance, final_speed=1e-3).run(chosen, "common")
     fastest = fastest_run(run)
@@ -375,12 +374,12 @@ def cruise(trajectory: Trajectory) -> Cruise:
     )
 
 
-def as_printed(problem: Problem, trajectory: Trajectory, found: Driven) -> dict[str, float]:
+def as_printed(problem: DiscreteProblem, trajectory: Trajectory, found: Driven) -> dict[str, float]:
     """Largest excess over each constraint of the paper, eqs. (5) to (8); not positive if kept.
 
     Parameters
     ----------
-    problem : Problem
+    problem : DiscreteProblem
         Of the configurations that were driven.
     trajectory : Trajectory
     found : Driven

@@ -8,8 +8,8 @@ from rich.table import Table
 
 from analysis.reporting import new_table
 from analysis.studies.cunillera_2022 import run as study
+from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
-from analysis.trajectory.problem import discretise
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH
 

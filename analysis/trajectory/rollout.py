@@ -1,19 +1,26 @@
-"""A run at a given pace: full traction up to a cruising speed, hold it, brake at the last moment.
+"""The configurations driven under a common traction: rollouts, delays, corrections of lateness.
 
-All configurations ride together under the common traction. It is where the optimiser starts, and
-how a configuration that was not optimised for would drive.
+All configurations share the traction; each brakes for itself, or all alike. A run at a given pace
+(full traction up to a cruising speed, hold it, brake at the last moment) is where the optimiser
+starts; how a configuration drives that was not optimised for is rolled out under the traction
+found.
+
+What little time a plan still lacks is made up for without another program: at an optimum all cells
+of partial traction are worth the same, so that it may be made up for in any of them at the price of
+the optimum, to first order.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction, taper_for
 from analysis.trajectory.envelope import braking_curves
-from analysis.trajectory.problem import Plan, Problem, taper_for
 from trainlog.railway.motion import advance, in_parts, landing, speed_of, traverse
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +35,7 @@ BESIDE_LEAST = 1e-6
 """What a least time has to spare, relative: its own rounding."""
 
 
-def paced_run(problem: Problem, running_time: float) -> Plan:
+def paced_run(problem: DiscreteProblem, running_time: float) -> Plan:
     """The run at the slowest cruising speed that keeps `running_time` [s], or the fastest one."""
     curves = braking_curves(problem)
     slow, fast = 1.0, float(np.sqrt(2.0 * problem.ceiling.max()))
@@ -45,7 +52,7 @@ def paced_run(problem: Problem, running_time: float) -> Plan:
     return plan
 
 
-def least_time_together(problem: Problem) -> float:
+def least_time_together(problem: DiscreteProblem) -> float:
     """Time [s] in which all arrive under one common traction.
 
     A trifle above that of the fastest run of the slowest by itself, whose traction follows the
@@ -58,7 +65,7 @@ def least_time_together(problem: Problem) -> float:
 
 
 def capped_run(
-    problem: Problem, speeds: FloatArray, running_time: float
+    problem: DiscreteProblem, speeds: FloatArray, running_time: float
 ) -> tuple[Plan, FloatArray]:
     """The fastest run cut off at a cruising speed, and about what a second of it is worth.
 
@@ -95,7 +102,7 @@ def capped_run(
     return plan, price
 
 
-def _plan_of(problem: Problem, speeds: FloatArray, row: int) -> Plan:
+def _plan_of(problem: DiscreteProblem, speeds: FloatArray, row: int) -> Plan:
     """The efforts that given speeds take, the common traction after the configuration `row`."""
     z, mean = 0.5 * speeds**2, 0.5 * (speeds[:, :-1] + speeds[:, 1:])
     drag = problem.mean_drag0 + problem.drag1[:, None] * mean
@@ -108,12 +115,14 @@ def _plan_of(problem: Problem, speeds: FloatArray, row: int) -> Plan:
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
 
-def duration(problem: Problem, plan: Plan) -> float:
+def duration(problem: DiscreteProblem, plan: Plan) -> float:
     """Running time [s] of the slowest configuration."""
     return float(cell_times(problem, plan).sum(axis=1).max())
 
 
-def delays(problem: Problem, plan: Plan, running_time: float) -> tuple[FloatArray, FloatArray]:
+def delays(
+    problem: DiscreteProblem, plan: Plan, running_time: float
+) -> tuple[FloatArray, FloatArray]:
     """How late and how early each configuration is at worst [s], (q,) arrays; negative if in time.
 
     At the end, and at the passing points.
@@ -125,12 +134,12 @@ def delays(problem: Problem, plan: Plan, running_time: float) -> tuple[FloatArra
     return late.max(axis=1), early.max(axis=1)
 
 
-def cell_times(problem: Problem, plan: Plan) -> FloatArray:
+def cell_times(problem: DiscreteProblem, plan: Plan) -> FloatArray:
     """Time [s] of each configuration in each cell, (q, n)."""
     return cross(problem, plan)[1]
 
 
-def cross(problem: Problem, plan: Plan) -> tuple[FloatArray, FloatArray]:
+def cross(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Each cell by itself: ``z`` at its end, and the time in it [s]; (q, n)."""
     effort = problem.gain[:, None] * (plan.traction - plan.braking)
     reached, times = in_parts(
@@ -143,7 +152,7 @@ def cross(problem: Problem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     return reached, times
 
 
-def drive(problem: Problem, plan: Plan) -> Plan:
+def drive(problem: DiscreteProblem, plan: Plan) -> Plan:
     """Drive the plan: common traction as planned, the brake as it takes to meet planned speeds.
 
     With common braking the plan's effort is applied as it is. Where a configuration does not
@@ -156,7 +165,7 @@ def drive(problem: Problem, plan: Plan) -> Plan:
     return Plan(z, plan.traction, braking, np.minimum(plan.dynamic, braking))
 
 
-def realise(problem: Problem, plan: Plan) -> Plan:
+def realise(problem: DiscreteProblem, plan: Plan) -> Plan:
     """The plan as it is driven.
 
     With common braking the efforts are applied as they are. Otherwise each configuration makes the
@@ -178,7 +187,7 @@ def realise(problem: Problem, plan: Plan) -> Plan:
     return riding
 
 
-def ride_along(problem: Problem, traction: FloatArray, braking: FloatArray | None) -> Plan:
+def ride_along(problem: DiscreteProblem, traction: FloatArray, braking: FloatArray | None) -> Plan:
     """How each configuration runs under a given common traction, braking as late as it may.
 
     Parameters
@@ -198,7 +207,7 @@ def ride_along(problem: Problem, traction: FloatArray, braking: FloatArray | Non
 
 
 def ride_behind(
-    problem: Problem, traction: FloatArray, leader: FloatArray, running_time: float
+    problem: DiscreteProblem, traction: FloatArray, leader: FloatArray, running_time: float
 ) -> Plan:
     """How each configuration runs under a common traction, no faster than another, if in time.
 
@@ -229,7 +238,7 @@ def ride_behind(
     return found
 
 
-def _gentler(problem: Problem, traction: FloatArray, curves: FloatArray) -> FloatArray:
+def _gentler(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> FloatArray:
     """The braking curves of the dynamic brake alone, for those that it can bring to a stand."""
     dynamic = np.minimum(problem.braking, problem.dynamic)
     alone = replace(problem, braking=dynamic, friction=np.zeros_like(dynamic))
@@ -238,14 +247,14 @@ def _gentler(problem: Problem, traction: FloatArray, curves: FloatArray) -> Floa
     return np.where(able[:, None], gentle, curves)
 
 
-def _below(problem: Problem, traction: FloatArray, curves: FloatArray) -> Plan:
+def _below(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> Plan:
     """The ride below the curves as a plan."""
     z, braking = ride_below(problem, curves, traction)
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
 
 def ride_below(
-    problem: Problem, curves: FloatArray, traction: FloatArray
+    problem: DiscreteProblem, curves: FloatArray, traction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """``z`` and braking under a given traction, braking as late as the `curves` allow."""
     z, braking = in_parts(
@@ -258,7 +267,7 @@ def ride_below(
     return z, braking
 
 
-def energy_of(problem: Problem, plan: Plan) -> float:
+def energy_of(problem: DiscreteProblem, plan: Plan) -> float:
     """What the run minimises of a plan as it is driven: worst or expected energy [J/kg]."""
     run = problem.run
     wheel = float(plan.traction @ problem.step)
@@ -270,20 +279,79 @@ def energy_of(problem: Problem, plan: Plan) -> float:
     return float(wheel / train.efficiency_traction - least)
 
 
-def dynamic_share(problem: Problem, z: FloatArray, braking: FloatArray) -> FloatArray:
+def dynamic_share(problem: DiscreteProblem, z: FloatArray, braking: FloatArray) -> FloatArray:
     """The most of `braking` that the dynamic brake can take at these speeds, (q, n) [m/s²]."""
     highest = np.sqrt(2.0 * (np.maximum(z[:, :-1], z[:, 1:]) + problem.bulge + 1e-12))
     by_power = problem.dynamic_power / highest
     return np.asarray(np.minimum(np.minimum(braking, problem.dynamic), by_power))
 
 
-def _run_at(problem: Problem, curves: FloatArray, cruising_speed: float) -> Plan:
+def _run_at(problem: DiscreteProblem, curves: FloatArray, cruising_speed: float) -> Plan:
     z, traction, braking = keep_pace(
         curves, cruising_speed, problem.common, problem.initial, problem.traction, problem.gain,
         problem.power, problem.taper.fall, problem.taper.crest, problem.braking, problem.drag0,
         problem.drag1, problem.drag2, problem.step,
     )  # fmt: skip
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
+
+
+_LATEST = 2e-5
+"""Lateness that is left [s]."""
+
+_SOONEST = 5e-4
+"""Earliness that is left, worth less than what the programs leave [s]."""
+
+_SECANTS = 8
+
+_FIRST = 0.05
+"""Share of its room by which the traction is changed first."""
+
+
+def amended(problem: DiscreteProblem, plan: Plan, running_time: float) -> FloatArray | None:
+    """A common traction under which all of `problem` are in time, or None if that takes more.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        Of the configurations that a plan was optimised for.
+    plan : Plan
+        Nearly in time.
+    running_time : float [s]
+
+    Returns
+    -------
+    (n,) array [m/s²] or None
+    """
+    room = _room(problem, plan)
+
+    def late(share: float) -> float:
+        driven = realise(problem, replace(plan, traction=plan.traction + share * room))
+        return float(delays(problem, driven, running_time)[0].max())
+
+    share = _in_time(late)
+    return None if share is None else plan.traction + share * room
+
+
+def _room(problem: DiscreteProblem, plan: Plan) -> FloatArray:
+    """By how much each cell of partial traction may change, (n,) [m/s²]."""
+    most, least = most_traction(problem, plan.z), np.abs(problem.taper.fall)
+    return np.asarray(np.maximum(np.minimum(plan.traction - least, most - plan.traction), 0.0))
+
+
+def _in_time(late: Callable[[float], float]) -> float | None:
+    """The share at which the lateness is between its bounds, by secants."""
+    share, value, slope = 0.0, late(0.0), np.nan
+    for _ in range(_SECANTS):
+        if -_SOONEST <= value <= _LATEST:
+            return share
+        # The first step is a guess, later ones follow the slope that was met.
+        change = _FIRST * float(np.sign(value)) if np.isnan(slope) else -(value + _LATEST) / slope
+        reached = late(share + change) if abs(share + change) <= 1.0 else np.inf
+        if not np.isfinite(reached) or reached == value:
+            return None
+        slope = (reached - value) / change
+        share, value = share + change, reached
+    return None
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

@@ -1,0 +1,470 @@
+"""A run cut into cells: the grid, and the arrays of the trajectory problem.
+
+The grid is fine where the speed changes and goes through every breakpoint of the line. Space is
+the independent variable. Every configuration has its own ``z = v²/2`` at the nodes
+between the cells; the controls are constant in a cell, but for traction where it follows the power
+as the speed changes: there it is linear. All forces are divided by one reference
+inertia, so that efforts are accelerations and energies are in J/kg of that inertia::
+
+    dz/ds = gain (u_f - u_b) - drag0 - drag1 v - drag2 v²,    Cunillera et al. (2022), eq. (2)
+
+with ``gain`` the reference inertia over the configuration's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.railway import Trajectory
+from trainlog.railway.motion import SUBSTEPS
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+_SPEED_SHARE = 0.65
+"""Share of the cells that goes where the speed changes."""
+
+BRAKING_WEIGHT, REGAINING_WEIGHT = 0.25, 1.3
+"""Cells for a loss of speed over those for a gain: constant braking effort is exact in any cell,
+but wastes power of a dynamic brake that feeds back. Chosen with `_SPEED_SHARE` for the least gap on
+five lines."""
+
+
+def graded_mesh(
+    breakpoints: FloatArray,
+    positions: FloatArray,
+    speeds: FloatArray,
+    cells: int,
+    braking_weight: float = BRAKING_WEIGHT,
+) -> FloatArray:
+    """Positions of the nodes: some cells even in position, more even in the change of speed.
+
+    Near a standstill cells of equal speed change are short (below 1 m at the start): without them
+    the time of the first metres is wrong.
+
+    Parameters
+    ----------
+    breakpoints : (m,) array [m]
+        Nodes that there must be, from the start to the end.
+    positions, speeds : (k,) array [m], [m/s]
+        The speed envelope.
+    cells : int
+        How many cells there should be; if the breakpoints alone make nearly as many, a quarter
+        of it on top of theirs.
+    braking_weight : float
+        Cells for a loss of speed over those for a gain.
+
+    Returns
+    -------
+    (n + 1,) array [m]
+    """
+    change = np.diff(speeds)
+    change = np.where(change > 0.0, change, -braking_weight * change)
+    even = np.diff(positions) / (positions[-1] - positions[0])
+    share = even
+    if change.sum() > 0.0:
+        share = (1.0 - _SPEED_SHARE) * even + _SPEED_SHARE * change / change.sum()
+    mass = np.concatenate(([0.0], np.cumsum(share)))
+    at = np.interp(breakpoints, positions, mass)
+    counts = _allot(np.diff(at), max(cells, breakpoints.size - 1 + cells // 4))
+    # Inside an interval the nodes are even in the mass, so the cells grow with the speed.
+    inner = [
+        np.interp(np.linspace(low, high, count + 1)[1:-1], mass, positions)
+        for low, high, count in zip(at[:-1], at[1:], counts, strict=True)
+        if count > 1
+    ]
+    return np.unique(np.concatenate((breakpoints, *inner)))
+
+
+def _allot(mass: FloatArray, cells: int) -> NDArray[np.int64]:
+    """Cells for each interval: proportional to its mass, at least one, `cells` in all."""
+    low, high = 0.0, 4.0 * cells / max(float(mass.sum()), 1e-12)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if np.maximum(np.ceil(middle * mass), 1.0).sum() > cells:
+            high = middle
+        else:
+            low = middle
+    return np.maximum(np.ceil(low * mass), 1.0).astype(np.int64)
+
+
+_BULGE_PARTS = 16
+
+_STANDING = 1e-8
+"""``z`` below which a train stands [m²/s²]."""
+
+_HALF_FULL, _NEARLY_FULL = 0.5, 0.95
+"""Parts of the power from which traction begins to follow it, and follows it all the way."""
+
+_CREST_SPARE, _ROUNDING = 1.1, 1e-7
+"""What is left below the power in a tapered cell, over what its own curve asks for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taper:
+    """Traction that is linear in a cell, where it follows the power as the speed changes.
+
+    Attributes
+    ----------
+    fall : (n,) array [m/s²]
+        By how much it is above its mean where the cell begins, and below where it ends.
+    crest : (n,) array
+        By what part it has to stay below the power at both ends, since that is curved between.
+    full : (n,) array of bool
+        Where it follows the power all the way, from the beginning of the cell to its end.
+    """
+
+    fall: FloatArray
+    crest: FloatArray
+    full: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class DiscreteProblem:
+    """The arrays of a run, cut into n cells, for q configurations; per unit reference inertia.
+
+    Attributes
+    ----------
+    positions : (n + 1,) array [m]
+    step : (n,) array [m]
+    reference : float [kg]
+        The reference inertia.
+    gain : (q,) array
+        Reference inertia over the configuration's.
+    drag0 : (q, n, SUBSTEPS + 1) array [m/s²]
+        Gradient, curves and constant running resistance at the ends of equal parts of each cell.
+    drag1 : (q,) array [1/s]
+    drag2 : (q, n) array [1/m]
+        With the tunnel's share.
+    ceiling : (n + 1,) array [m²/s²]
+        Largest permitted ``z`` at the nodes, so that the limit holds between them too.
+    bulge : (n,) array [m²/s²]
+        By how much ``z`` can rise above both ends of a cell inside it.
+    traction : (n,) array [m/s²]
+        Largest common tractive effort; eq. (6) with comfort and adhesion.
+    power : (q,) array [W/kg]
+        Largest tractive effort times speed; eq. (5).
+    taper : Taper
+        Of the common traction; `drag0` holds it, so that the motion is that of the cells' means.
+    braking : (q, n) array [m/s²]
+        Largest braking effort, all brakes together; eq. (7) with comfort and adhesion.
+    friction, dynamic : (q, n) array [m/s²]
+        What each kind of brake can do.
+    dynamic_power : float [W/kg]
+    weights : (q,) array
+        Of the configurations in the expected energy; they add up to 1.
+    initial, final : float [m²/s²]
+        ``z`` at the start, and the most it may be at the end; eq. (8).
+    floor : (n + 1,) array [m²/s²]
+        Least ``z`` at the nodes; above 0 only where the train must pass fast enough.
+    passed : (p,) array of int
+        Nodes of the passing points.
+    earliest, latest : (p,) array [s]
+        When they may be passed; infinite where there is no bound.
+    """
+
+    run: TrajectoryProblem
+    positions: FloatArray
+    step: FloatArray
+    reference: float
+    gain: FloatArray
+    drag0: FloatArray
+    drag1: FloatArray
+    drag2: FloatArray
+    ceiling: FloatArray
+    bulge: FloatArray
+    traction: FloatArray
+    power: FloatArray
+    taper: Taper
+    braking: FloatArray
+    friction: FloatArray
+    dynamic: FloatArray
+    dynamic_power: float
+    initial: float
+    final: float
+    floor: FloatArray
+    passed: NDArray[np.int64]
+    earliest: FloatArray
+    latest: FloatArray
+    weights: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of configurations and of cells."""
+        return self.drag2.shape[0], self.drag2.shape[1]
+
+    @property
+    def mean_drag0(self) -> FloatArray:
+        """Mean of `drag0` over each cell, (q, n) [m/s²]."""
+        ends = 0.5 * (self.drag0[:, :, 0] + self.drag0[:, :, -1])
+        return np.asarray((self.drag0[:, :, 1:-1].sum(axis=2) + ends) / SUBSTEPS)
+
+    @property
+    def common(self) -> bool:
+        """Whether all configurations share one braking effort."""
+        return self.run.braking == "common"
+
+    @property
+    def final_ceiling(self) -> float:
+        """Largest permitted ``z`` at the end [m²/s²]: the asked speed or the limit there."""
+        return min(self.final, float(self.ceiling[-1]))
+
+    def traction_by_power(self, z: FloatArray) -> FloatArray:
+        """Largest mean traction that each configuration's power allows, (q, n) [m/s²].
+
+        Parameters
+        ----------
+        z : (q, n + 1) array [m²/s²]
+        """
+        speed = np.sqrt(2.0 * (z[:, :-1] + self.bulge)), np.sqrt(2.0 * (z[:, 1:] + self.bulge))
+        usable = self.power[:, None] * (1.0 - self.taper.crest)
+        begin, end = (usable / np.maximum(v, 1e-6) for v in speed)
+        return np.asarray(np.minimum(begin - self.taper.fall, end + self.taper.fall))
+
+    def tapered(self, taper: Taper) -> DiscreteProblem:
+        """The same problem with the common traction tapered so; this one must not be."""
+        profile = 1.0 - 2.0 * np.linspace(0.0, 1.0, SUBSTEPS + 1)
+        fall = self.gain[:, None, None] * taper.fall[:, None] * profile
+        # Who gains speed and loses it again in such a cell is fastest inside.
+        rise = 0.25 * self.gain.max() * np.maximum(taper.fall, 0.0) * self.step
+        ceiling = self.ceiling - np.maximum(np.append(rise, 0.0), np.insert(rise, 0, 0.0))
+        ceiling = np.maximum(ceiling, np.minimum(self.floor, self.ceiling))
+        ceiling[0] = max(ceiling[0], self.initial)
+        return replace(self, drag0=self.drag0 - fall, taper=taper, ceiling=ceiling)
+
+    def select(self, rows: Sequence[int]) -> DiscreteProblem:
+        """The same problem for some of the configurations; common limits stay those of all."""
+        chosen = list(rows)
+        arrays: dict[str, Any] = {
+            name: getattr(self, name)[chosen]
+            for name in (
+                "gain", "drag0", "drag1", "drag2", "power", "braking", "friction", "dynamic",
+                "weights"
+            )
+        }  # fmt: skip
+        configurations = tuple(self.run.configurations[row] for row in chosen)
+        run = replace(self.run, configurations=configurations, weights=())
+        return replace(self, run=run, **arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A trajectory in the making: all controls and where they lead.
+
+    Attributes
+    ----------
+    z : (q, n + 1) array [m²/s²]
+    traction : (n,) array [m/s²]
+        Per unit reference inertia, as the efforts below.
+    braking, dynamic : (q, n) array [m/s²]
+        All brakes together, and the dynamic brake's part in it.
+    """
+
+    z: FloatArray
+    traction: FloatArray
+    braking: FloatArray
+    dynamic: FloatArray
+
+    def select(self, rows: Sequence[int]) -> Plan:
+        """The same plan for some of the configurations."""
+        chosen = list(rows)
+        return Plan(self.z[chosen], self.traction, self.braking[chosen], self.dynamic[chosen])
+
+    def put(self, rows: Any, other: Plan, others: Any = slice(None)) -> None:
+        """Have `rows` drive as the rows `others` of another plan of the same traction, in place."""
+        self.z[rows], self.braking[rows] = other.z[others], other.braking[others]
+        self.dynamic[rows] = other.dynamic[others]
+
+    def joined(self, other: Plan) -> Plan:
+        """With the configurations of another plan of the same traction behind its own."""
+        return Plan(
+            np.concatenate((self.z, other.z)),
+            self.traction,
+            np.concatenate((self.braking, other.braking)),
+            np.concatenate((self.dynamic, other.dynamic)),
+        )
+
+
+def most_traction(problem: DiscreteProblem, z: FloatArray) -> FloatArray:
+    """Largest common traction at the speeds of all configurations, (n,) [m/s²]: a cell's mean."""
+    by_effort = problem.traction - np.abs(problem.taper.fall)
+    return np.asarray(np.minimum(by_effort, problem.traction_by_power(z + 1e-9).min(axis=0)))
+
+
+def taper_for(problem: DiscreteProblem, plan: Plan) -> Taper:
+    """Traction tapered where a plan pulls with all the power of a configuration.
+
+    Traction that is constant in a cell wastes the power of its slower part; what is lost is
+    proportional to the length of the cells. On the chord of ``power / v`` it goes with the square.
+    """
+    speed = np.sqrt(2.0 * np.maximum(plan.z, _STANDING))
+    ends = plan.z[:, :-1] + problem.bulge, plan.z[:, 1:] + problem.bulge
+    most = [(problem.power[:, None] / np.sqrt(2.0 * np.maximum(z, _STANDING))).min(0) for z in ends]
+    begin, end = (np.minimum(each, problem.traction) for each in most)
+    mean = 0.5 * (begin + end)
+    # Between half and nearly all of it by degrees: else a cell in which traction ends would be
+    # tapered in every other round.
+    share = (plan.traction / mean - _HALF_FULL) / (_NEARLY_FULL - _HALF_FULL)
+    fall = 0.5 * (begin - end) * np.clip(share, 0.0, 1.0)
+    # How far the chord rises above the curve inside the cells, for whoever has just the power for
+    # both ends. The speed is higher there than between the ends as the net effort falls with it.
+    shares = np.linspace(0.0, 1.0, 2 * SUBSTEPS + 1)[1:-1, None]
+    drag = 0.5 * problem.drag1[:, None] / np.maximum(speed[:, :-1], 1e-3) + problem.drag2
+    lift = problem.gain[:, None] * fall + drag * np.diff(plan.z, axis=1)
+    lift = np.max(np.maximum(lift, 0.0) / np.maximum(plan.z[:, :-1], _STANDING), axis=0)
+    lift = lift * problem.step * shares * (1.0 - shares)
+    left = (mean - fall) / (mean + fall)
+    used = (1.0 - shares * (1.0 - left)) * np.sqrt(1.0 - shares + shares / left**2 + lift)
+    crest = _CREST_SPARE * (used.max(axis=0) - 1.0) + _ROUNDING
+    crest = np.where(fall != 0.0, np.minimum(crest, 0.5), 0.0)
+    full = (fall != 0.0) & (share >= 1.0) & (most[0] == begin) & (most[1] == end)
+    return Taper(fall * (1.0 - crest), crest, full)
+
+
+def tapered_as(problem: DiscreteProblem, trajectory: Trajectory) -> DiscreteProblem:
+    """The problem with its common traction tapered as in a trajectory on the same grid."""
+    none = np.zeros(problem.step.size)
+    fall = 0.5 * trajectory.tractive_effort_fall / problem.reference
+    return problem.tapered(Taper(fall, none, none > 0.0))
+
+
+def inside(positions: FloatArray, parts: int) -> FloatArray:
+    """Positions [m] of the ends of equal parts of each cell, (n, parts + 1).
+
+    The outermost lie a trifle inside the cell, on its own side of whatever changes at a node.
+    """
+    shares = np.clip(np.linspace(0.0, 1.0, parts + 1), 1e-9, 1.0 - 1e-9)
+    return np.asarray(positions[:-1, None] + np.diff(positions)[:, None] * shares)
+
+
+def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem:
+    """Cut `run` into cells between `positions`.
+
+    Parameters
+    ----------
+    positions : (n + 1,) array [m]
+        From the run's start to its end, through all of its breakpoints; a sketch may leave out
+        those of the line, and has the mean of what they separate.
+    """
+    train, step = run.train, np.diff(positions)
+    middle = positions[:-1] + 0.5 * step
+    masses = np.array([c.mass for c in run.configurations])[:, None]
+    inertia = np.array([c.inertia for c in run.configurations])
+    reference = float(inertia.max())
+    gain = reference / inertia
+
+    track, bulge = _track(run, positions)
+    coefficients = np.array(
+        [[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in run.configurations]
+    )
+    tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(middle))
+    limit = run.permitted_speed(middle)
+    lowest = np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf))
+    # Between its ends a cell's speed rises above them where the track's force changes in the cell.
+    highest = np.maximum(np.append(bulge, 0.0), np.insert(bulge, 0, 0.0))
+    ceiling = 0.5 * lowest**2 - highest
+    ceiling[0] = max(ceiling[0], 0.5 * run.initial_speed**2)
+    passed = np.searchsorted(positions, [point.position for point in run.windows])
+    floor = np.zeros(positions.size)
+    for node, point in zip(passed.tolist(), run.windows, strict=True):
+        if point.highest_speed is not None:
+            ceiling[node] = min(ceiling[node], 0.5 * point.highest_speed**2)
+        floor[node] = 0.5 * (point.lowest_speed or 0.0) ** 2
+    efforts = effort_limits(run, positions)
+    return DiscreteProblem(
+        run=run,
+        positions=positions,
+        step=step,
+        reference=reference,
+        gain=gain,
+        drag0=(coefficients[:, :1, None] + masses[:, :, None] * track) / inertia[:, None, None],
+        drag1=coefficients[:, 1] / inertia,
+        drag2=(coefficients[:, 2:] + tunnel) / inertia[:, None],
+        ceiling=ceiling,
+        bulge=bulge,
+        traction=efforts.traction.min(axis=0) / reference,
+        power=np.array([c.max_power for c in run.configurations]) / reference,
+        taper=Taper(np.zeros(step.size), np.zeros(step.size), np.zeros(step.size, dtype=bool)),
+        braking=efforts.braking / reference,
+        friction=efforts.friction / reference,
+        dynamic=efforts.dynamic / reference,
+        dynamic_power=train.max_dynamic_braking_power / reference,
+        initial=0.5 * run.initial_speed**2,
+        final=0.5 * run.final_speed**2,
+        floor=floor,
+        passed=passed.astype(np.int64),
+        earliest=_bounds([point.earliest for point in run.windows], -np.inf),
+        latest=_bounds([point.latest for point in run.windows], np.inf),
+        weights=_probabilities(run),
+    )
+
+
+def _probabilities(run: TrajectoryProblem) -> FloatArray:
+    weights = np.array(run.weights or np.ones(len(run.configurations)))
+    return np.asarray(weights / weights.sum())
+
+
+def _bounds(values: Sequence[float | None], without: float) -> FloatArray:
+    return np.array([without if value is None else value for value in values], dtype=np.float64)
+
+
+def _track(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Track acceleration at the ends of equal parts of each cell, and the bulge that it makes."""
+    if np.isin(run.breakpoints, positions).all():
+        return run.line.track_acceleration(inside(positions, SUBSTEPS)), _bulge(run, positions)
+    step = np.diff(positions)
+    middles = positions[:-1, None] + step[:, None] * (np.arange(_BULGE_PARTS) + 0.5) / _BULGE_PARTS
+    mean = run.line.track_acceleration(middles).mean(axis=1, keepdims=True)
+    return np.repeat(mean, SUBSTEPS + 1, axis=1), np.zeros(step.size)
+
+
+def _bulge(run: TrajectoryProblem, positions: FloatArray) -> FloatArray:
+    """By how much ``z`` can rise above both ends inside a cell of changing curvature, (n,)."""
+    track = run.line.track_acceleration(inside(positions, _BULGE_PARTS))
+    parts = 0.5 * (track[:, :-1] + track[:, 1:])
+    spared = np.cumsum(parts.mean(axis=1, keepdims=True) - parts, axis=1).max(axis=1)
+    bulge = np.maximum(spared, 0.0) * np.diff(positions) / _BULGE_PARTS
+    return np.where(np.ptp(track, axis=1) > 1e-9, bulge, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class EffortLimits:
+    """Largest efforts [N] of each configuration in each cell, power apart; (q, n) arrays."""
+
+    traction: FloatArray
+    braking: FloatArray
+    friction: FloatArray
+    dynamic: FloatArray
+
+
+def effort_limits(run: TrajectoryProblem, positions: FloatArray) -> EffortLimits:
+    """Efforts that machine, comfort and adhesion allow in the cells between `positions`.
+
+    Traction and the dynamic brake act on the powered axles, all brakes together on every axle.
+    """
+    train, adhesion = run.train, run.adhesion(positions)
+    cells = adhesion.size
+    if np.all(adhesion == adhesion[0]):
+        adhesion = adhesion[:1]
+    mass = np.array([[c.mass] for c in run.configurations])
+    inertia = np.array([[c.inertia] for c in run.configurations])
+    adhesive = np.array([[train.adhesive_weight(c.mass - train.mass)] for c in run.configurations])
+    on_powered, on_all = adhesion * adhesive, adhesion * GRAVITY * mass
+
+    def least(*limits: FloatArray | float) -> FloatArray:
+        lowest = np.minimum.reduce(np.broadcast_arrays(*limits))
+        return np.ascontiguousarray(np.broadcast_to(lowest, (len(run.configurations), cells)))
+
+    comfort = train.max_deceleration * inertia
+    return EffortLimits(
+        traction=least(train.max_tractive_effort, train.max_acceleration * inertia, on_powered),
+        braking=least(train.max_braking_effort, comfort, on_all),
+        friction=least(train.max_pneumatic_braking_effort, comfort, on_all),
+        dynamic=least(train.max_dynamic_braking_effort, comfort, on_powered),
+    )
