@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from trainlog.formats.consist import write_consist
+from trainlog.formats.train import write_consist
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.railway.formation import RollingVehicle
 from trainlog.railway.resistance import RunningResistance

@@ -34,7 +34,7 @@ from tests.coasting_trips import (
 from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import train_of
-from trainlog.formats.coast_down import (
+from trainlog.formats.parameters import (
     coast_down_from_bytes,
     coast_down_to_bytes,
     read_coast_down,

@@ -13,13 +13,17 @@ from test_formats_roundtrip import simple_line, simple_train
 
 from trainlog.errors import InputError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
-from trainlog.formats.consist import consist_from_bytes
 from trainlog.formats.files import read_bytes
-from trainlog.formats.journey import journey_from_bytes, journey_to_bytes
-from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
+from trainlog.formats.line import (
+    journey_from_bytes,
+    journey_to_bytes,
+    line_from_bytes,
+    line_to_bytes,
+    read_line,
+)
 from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
+from trainlog.formats.train import consist_from_bytes, read_train, train_from_bytes, train_to_bytes
 from trainlog.formats.trajectory import trajectory_from_bytes, trajectory_to_bytes
 from trainlog.railway import (
     BrakingCurves,

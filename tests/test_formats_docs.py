@@ -7,19 +7,27 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from trainlog.formats import consist
-from trainlog.formats.coast_down import _CoastDownFile, _CurvePart, _QuantityPart
 from trainlog.formats.condition import _Layer, _MapFile
-from trainlog.formats.journey import _JourneyFile
-from trainlog.formats.line import _Geometry, _LineFile
-from trainlog.formats.parameters import ConfigurationPart, ResistancePart, _ParametersFile
+from trainlog.formats.line import _Geometry, _JourneyFile, _LineFile
+from trainlog.formats.parameters import (
+    ConfigurationPart,
+    ResistancePart,
+    _CoastDownFile,
+    _CurvePart,
+    _ParametersFile,
+    _QuantityPart,
+)
 from trainlog.formats.schema import File
 from trainlog.formats.train import (
     BRAKING_PARAMETERS,
     _Axles,
     _Brake,
     _BrakingCurves,
+    _ConsistBrake,
+    _ConsistFile,
+    _Coupler,
     _TrainFile,
+    _Vehicle,
 )
 from trainlog.formats.trajectory import _TrajectoryFile
 
@@ -29,7 +37,7 @@ SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
     ("## Train", (_TrainFile, _Axles, _Brake, _BrakingCurves)),
     (
         "## Consist",
-        (consist._ConsistFile, consist._Brake, consist._Vehicle, consist._Coupler),
+        (_ConsistFile, _ConsistBrake, _Vehicle, _Coupler),
     ),
     ("## Journey", (_JourneyFile,)),
     ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),

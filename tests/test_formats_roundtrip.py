@@ -21,22 +21,31 @@ from hypothesis import HealthCheck, given, settings
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
-from trainlog.formats.consist import consist_from_bytes, consist_to_bytes
 from trainlog.formats.files import read_json
-from trainlog.formats.journey import (
+from trainlog.formats.line import (
     journey_from_bytes,
     journey_to_bytes,
+    line_from_bytes,
+    line_to_bytes,
     read_journey,
+    read_line,
     write_journey,
+    write_line,
 )
-from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
 from trainlog.formats.parameters import (
     parameters_from_bytes,
     parameters_to_bytes,
     read_parameters,
     write_parameters,
 )
-from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
+from trainlog.formats.train import (
+    consist_from_bytes,
+    consist_to_bytes,
+    read_train,
+    train_from_bytes,
+    train_to_bytes,
+    write_train,
+)
 from trainlog.formats.trajectory import (
     read_trajectory,
     trajectory_from_bytes,

@@ -16,10 +16,9 @@ from hypothesis import HealthCheck, assume, given, settings
 
 from trainlog.errors import InputError
 from trainlog.formats import ttobench
-from trainlog.formats.journey import read_journey
-from trainlog.formats.line import read_line
+from trainlog.formats.line import read_journey, read_line
 from trainlog.formats.train import read_train
-from trainlog.formats.ttobench_layout import JourneyLayout, TrackLayout, TrainLayout
+from trainlog.formats.ttobench import JourneyLayout, TrackLayout, TrainLayout
 from trainlog.railway import BrakingCurves, Line, Station, Train
 from trainlog.railway.journey import Journey, TimingPoint
 

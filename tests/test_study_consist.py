@@ -16,9 +16,9 @@ from analysis.studies.in_train_forces.table import consist_tables, forces_table
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.consist import consist_from_bytes, read_consist, write_consist
 from trainlog.formats.line import write_line
 from trainlog.formats.samples import names, sample
+from trainlog.formats.train import consist_from_bytes, read_consist, write_consist
 from trainlog.mcap import read_log, write_log
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant

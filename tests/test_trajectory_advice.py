@@ -209,7 +209,7 @@ def test_commands_write_sections_a_front_and_advice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from trainlog.cli.main import main
-    from trainlog.formats.journey import write_journey
+    from trainlog.formats.line import write_journey
     from trainlog.railway import Journey, TimingPoint
 
     def run(*words: object) -> None:

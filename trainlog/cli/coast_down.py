@@ -40,7 +40,7 @@ def coast_down(
     from analysis.resistance.coast_down import coast_down_logs, coast_down_logs_without_gradient
     from analysis.resistance.coast_down.plot import draw_coast_down, draw_without_gradient
     from analysis.resistance.coast_down.table import coast_down_table, without_gradient_table
-    from trainlog.formats.coast_down import write_coast_down
+    from trainlog.formats.parameters import write_coast_down
 
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")

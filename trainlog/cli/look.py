@@ -45,7 +45,7 @@ def info(logs: LogsOrConsists) -> None:
     Example: trainlog info results/trips/trip-01.mcap
     """
     from analysis.studies.in_train_forces.table import consist_tables
-    from trainlog.formats.consist import read_consist
+    from trainlog.formats.train import read_consist
     from trainlog.mcap import describe
     from trainlog.mcap.show import render
 

@@ -222,7 +222,7 @@ def _journey(
     """Optimise a journey; a file a section, numbered."""
     from analysis.reporting import journey_table
     from analysis.trajectory import optimise_journey
-    from trainlog.formats.journey import read_journey
+    from trainlog.formats.line import read_journey
 
     with working("optimising the sections"):
         plan = optimise_journey(*asked, read_journey(journey), dwell=dwell, **options)

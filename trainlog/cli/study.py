@@ -96,9 +96,9 @@ def consist(
     from analysis.studies.in_train_forces import run as study
     from analysis.studies.in_train_forces.plot import draw_in_train_forces
     from analysis.studies.in_train_forces.table import forces_table
-    from trainlog.formats.consist import read_consist
     from trainlog.formats.line import read_line
     from trainlog.formats.samples import sample
+    from trainlog.formats.train import read_consist
     from trainlog.mcap import write_log
     from trainlog.units import KMH
 

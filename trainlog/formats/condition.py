@@ -10,11 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes, write_bytes
-from trainlog.formats.layout import plain
+from trainlog.formats.files import plain, read_bytes, write_bytes
 from trainlog.formats.parameters import Details
-from trainlog.formats.quantities import Array, FloatArray, Quantity
-from trainlog.formats.schema import File, Part, built
+from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 
 _Length = Annotated[float, Quantity("m", "m")]

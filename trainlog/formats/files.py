@@ -14,8 +14,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
+
 from trainlog.errors import InputError
-from trainlog.formats.mistaken import LOOKED_AT, mistaken_json
 
 _REMEDIES = {
     errno.ENOENT: "create its folder first",
@@ -276,3 +277,163 @@ def refuse_reading(path: str | Path, error: OSError) -> NoReturn:
         raise InputError("is a folder", file=path, remedy="name a file in it") from error
     reason = (error.strerror or str(error)).lower()
     raise InputError(f"cannot be read: {reason}", file=path, remedy="check the path") from error
+
+
+_WIDTH = 96
+"""Longest line of a small object [characters]; rows of tables may be longer."""
+
+
+def to_bytes(value: Any) -> bytes:
+    """Lay out a value as JSON: the same value gives the same bytes.
+
+    Lists of plain values stand on one line, lists of lists one row a line, small objects on one
+    line. Floats are written with the fewest digits that read back as the same double.
+
+    Raises
+    ------
+    InputError
+        If the value holds NaN, infinity or something JSON has no word for; names the key.
+    """
+    return ("".join(_pieces(value, 0)) + "\n").encode()
+
+
+def plain(value: Any, place: str = "") -> Any:
+    """`value` in JSON's own types: numpy scalars and arrays, tuples and the like replaced.
+
+    Raises
+    ------
+    InputError
+        If it cannot be said in JSON; names the key.
+    """
+    if isinstance(value, dict):
+        return {str(key): plain(item, f"{place}.{key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist(), place)
+    if isinstance(value, float) and not np.isfinite(value):
+        raise InputError(f"{place.lstrip('.') or 'value'}: {value} cannot be written to a file")
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    raise InputError(
+        f"{place.lstrip('.') or 'value'}: a {type(value).__name__} cannot be written to a file"
+    )
+
+
+def shortest(values: Any) -> Any:
+    """Floats that are whole numbers as integers, which read back as the same doubles."""
+    if isinstance(values, list | tuple):
+        return [shortest(value) for value in values]
+    whole = isinstance(values, float) and values.is_integer() and abs(values) < 2**53
+    # Minus zero has no integer.
+    return int(values) if whole and not (values == 0 and np.signbit(values)) else values
+
+
+def _pieces(value: Any, depth: int) -> Iterator[str]:
+    flat = _one_line(value)
+    if flat is not None:
+        yield flat
+        return
+    inner = "  " * (depth + 1)
+    opening, closing = "{}" if isinstance(value, dict) else "[]"
+    items = value.items() if isinstance(value, dict) else ((None, item) for item in value)
+    separator = opening
+    for key, item in items:
+        yield f"{separator}\n{inner}"
+        if key is not None:
+            yield f"{_text(key)}: "
+        yield from _pieces(item, depth + 1)
+        separator = ","
+    yield f"\n{'  ' * depth}{closing}"
+
+
+def _one_line(value: Any) -> str | None:
+    """`value` on one line, or None if it should be broken up."""
+    if isinstance(value, dict):
+        parts = [_one_line(item) for item in value.values()]
+        if any(part is None or part.startswith(("[", "{")) for part in parts):
+            return None if value else "{}"
+        text = ", ".join(f"{_text(key)}: {part}" for key, part in zip(value, parts, strict=True))
+        return f"{{{text}}}" if len(text) <= _WIDTH else None
+    if isinstance(value, list):
+        if any(isinstance(item, dict | list) for item in value):
+            return None
+        return f"[{', '.join(map(_text, value))}]"
+    return _text(value)
+
+
+def _text(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+LOOKED_AT = 4096
+"""So many bytes from the beginning tell what a file is."""
+
+_INGEST = "'trainlog ingest' makes logs of recordings"
+_UNPACK = "unpack it first"
+_BAG = "'mcap convert', of the MCAP project, makes an MCAP file of it"
+
+_BEGINNINGS = (
+    (
+        b"PAR1",
+        "a Parquet file",
+        "'trainlog convert FOLDER.parquet -o trip.mcap' makes a log of a converted one, "
+        "'trainlog ingest' of a recording; summaries of a fit are for 'trainlog fit'",
+    ),
+    (b"RRF", "a recording of the Rerun viewer", "give the logs that it shows"),
+    (b"#ROSBAG", "a bag of ROS 1", _BAG),
+    (b"SQLite format 3", "an SQLite database, as bags of ROS 2 are", _BAG),
+    (b"MDF ", "an MDF file", _INGEST),
+    (b"\x1f\x8b", "compressed with gzip", _UNPACK),
+    (b"\x28\xb5\x2f\xfd", "compressed with zstd", _UNPACK),
+    (b"PK\x03\x04", "a ZIP archive", _UNPACK),
+    (b"\x89PNG", "a picture", "give the log that it shows"),
+)
+_MCAP = b"\x89MCAP"
+_FORMAT = re.compile(rb'"format"\s*:\s*"(trainlog/[a-z_-]{1,40})"')
+
+
+def mistaken_log(start: bytes) -> tuple[str, str]:
+    """What a file is that was given for a log and is none, and the remedy.
+
+    Parameters
+    ----------
+    start : bytes
+        The beginning of a file that is no MCAP file; `LOOKED_AT` bytes are enough.
+
+    Returns
+    -------
+    tuple of str
+        What is wrong and the remedy, for a `LogError`.
+    """
+    if not start:
+        return "is empty", "expected a log in the MCAP format"
+    for beginning, what, remedy in _BEGINNINGS:
+        if start.startswith(beginning):
+            return f"is not an MCAP file but {what}", remedy
+    if start.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"["):
+        ours = _FORMAT.search(start)
+        what = f"a {ours[1].decode()} file" if ours else "a JSON file"
+        remedy = "give the logs (.mcap) of the trips themselves" if ours else _INGEST
+        return f"is not an MCAP file but {what}", remedy
+    if _is_text(start):
+        return "is not an MCAP file but text", _INGEST
+    return "is not an MCAP file", "expected a log in the MCAP format"
+
+
+def mistaken_json(start: bytes) -> str | None:
+    """What a file is that was given for JSON, from its beginning; None if that does not tell."""
+    if start.startswith(_MCAP):
+        return "a log (MCAP)"
+    return next((what for beginning, what, _ in _BEGINNINGS if start.startswith(beginning)), None)
+
+
+def _is_text(start: bytes) -> bool:
+    """Whether it is text in UTF-8; a character may be cut at the end."""
+    try:
+        words = start[: max(1, len(start) - 3)].decode()
+    except UnicodeDecodeError as error:
+        if error.start < len(start) - 8:
+            return False
+        words = start[: error.start].decode()
+    return bool(words) and all(sign.isprintable() or sign in "\t\r\n" for sign in words)

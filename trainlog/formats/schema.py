@@ -1,22 +1,31 @@
-"""Checked keys, versions and errors: what every file of the project has in common.
+"""What every file of the project has in common: checked keys, versions, errors, units.
 
-A format is a pydantic model whose fields are in SI units; `trainlog.formats.quantities` says how
-they stand in the file.
+A format is a pydantic model whose fields are in SI units. Annotations say how a field stands in the
+file: the unit it is written with, and the dimension it must have on reading, in whatever unit the
+file declares.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import ErrorDetails, PydanticSerializationError
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import (
+    CoreSchema,
+    ErrorDetails,
+    PydanticCustomError,
+    PydanticSerializationError,
+    core_schema,
+)
 
 from trainlog.errors import InputError
-from trainlog.formats.files import parse_json
-from trainlog.formats.layout import plain, to_bytes
+from trainlog.formats.files import parse_json, plain, shortest, to_bytes
+from trainlog.units import factor, to_si
 
 
 class Part(BaseModel):
@@ -84,7 +93,7 @@ def checked(model: type[Model], content: Any, file: str | Path) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise told(error, file) from error
+        raise error_of(error, file) from error
 
 
 def dumped(part: Part) -> dict[str, Any]:
@@ -118,7 +127,7 @@ def built(make: Callable[[], Result], file: str | Path) -> Result:
         ) from error
 
 
-def told(error: ValidationError, file: str | Path) -> InputError:
+def error_of(error: ValidationError, file: str | Path) -> InputError:
     """The first complaint in one line, and how many more there are; misspelt keys go first."""
     complaints = error.errors(include_url=False)
     first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
@@ -147,3 +156,276 @@ def _at_least(complaint: ErrorDetails) -> str:
 
 def _sentence(message: str) -> str:
     return message[:1].lower() + message[1:]
+
+
+FloatArray = NDArray[np.float64]
+
+INFINITY: tuple[str, float] = ("infinity", np.inf)
+"""Radii of straight track."""
+
+MISSING: tuple[None, float] = (None, np.nan)
+"""Values that are not set."""
+
+_NUMBER = core_schema.float_schema(strict=True, allow_inf_nan=False)
+_TEXT = core_schema.str_schema(strict=True)
+
+
+def declared(values: ArrayLike, unit: str, si: str) -> Any:
+    """SI values in a file's unit, as plain numbers that read back as they were."""
+    slope, offset = factor(unit, si)
+    numbers = np.asarray(values, dtype=np.float64)
+    if (slope, offset) == (1.0, 0.0):
+        return shortest(numbers.tolist())
+    written = readable(numbers, (numbers - offset) / slope, lambda x: to_si(x, unit, si))
+    return shortest(written.tolist())
+
+
+def readable(
+    values: FloatArray, converted: FloatArray, read: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """`converted` with as few digits, from 12 on, as `read` needs to return `values` exactly.
+
+    Where no double reads back exactly it has 14 digits, which read and write to themselves.
+    """
+    written = _rounded(converted, 14)
+    exact = np.zeros(values.shape, dtype=np.bool_)
+    for digits in (12, 14, 15, 16, 17):
+        candidate = _rounded(converted, digits)
+        found = ~exact & (read(candidate) == values)
+        written = np.where(found, candidate, written)
+        exact |= found
+        if np.all(exact):
+            break
+    return written
+
+
+def _rounded(values: FloatArray, digits: int) -> FloatArray:
+    return np.array([float(f"{x:.{digits}g}") for x in values.ravel()]).reshape(values.shape)
+
+
+def _to_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:
+    """Convert, telling a wrong unit in pydantic's way so that its place is kept."""
+    try:
+        with np.errstate(over="ignore"):
+            converted = to_si(values, unit, si)
+    except InputError as error:
+        raise PydanticCustomError(
+            "unit",
+            "{problem}; {remedy}",
+            {"where": where, "problem": error.problem, "remedy": error.remedy or ""},
+        ) from error
+    if not np.all(np.isfinite(converted)):
+        raise PydanticCustomError("finite_number", "is not a finite number")
+    return converted
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its unit: ``{"value": 122, "unit": "t"}``; a float in `si` inside.
+
+    Attributes
+    ----------
+    unit : str
+        What it is written in.
+    si : str
+    """
+
+    unit: str
+    si: str
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(
+            self._read,
+            _keys(value=_NUMBER, unit=_TEXT),
+            serialization=core_schema.plain_serializer_function_ser_schema(self.write),
+        )
+
+    def _read(self, found: dict[str, Any]) -> float:
+        return float(_to_si(found["value"], found["unit"], self.si))
+
+    def write(self, value: float) -> dict[str, Any]:
+        """The number as it stands in the file."""
+        return {"value": declared(value, self.unit, self.si), "unit": self.unit}
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """Numbers under published names, each a `Quantity`; a dict of float inside.
+
+    Attributes
+    ----------
+    quantities : dict of str to Quantity
+        Every name that may occur.
+    """
+
+    quantities: dict[str, Quantity]
+
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.typed_dict_schema(
+            {
+                name: core_schema.typed_dict_field(
+                    quantity.__get_pydantic_core_schema__(float, handler), required=False
+                )
+                for name, quantity in self.quantities.items()
+            },
+            extra_behavior="forbid",
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _write(self, content: dict[str, float]) -> dict[str, Any]:
+        for name in content:
+            if name not in self.quantities:
+                raise InputError(
+                    f"parameter '{name}' is not known, so its unit is not either",
+                    remedy=f"known are {', '.join(self.quantities)}",
+                )
+        return {
+            name: quantity.write(content[name])
+            for name, quantity in self.quantities.items()
+            if name in content
+        }
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes
+    ----------
+    name : str
+    unit, si : str
+        The unit it is written in and the one it holds inside; without units it is text.
+    instead : (word, float), optional
+        A word that may stand in place of a number, and the number that it is inside.
+    """
+
+    name: str
+    unit: str = ""
+    si: str = ""
+    instead: tuple[str | None, float] | None = None
+
+    @property
+    def cell(self) -> CoreSchema:
+        """What one cell may hold."""
+        if not self.unit:
+            return _TEXT
+        if self.instead is None:
+            return _NUMBER
+        word = self.instead[0]
+        if word is None:
+            return core_schema.nullable_schema(_NUMBER)
+        return core_schema.union_schema(
+            [core_schema.literal_schema([word]), _NUMBER],
+            custom_error_type="cell",
+            custom_error_message=f"should be a finite number or '{word}'",
+        )
+
+    def read(self, cells: tuple[Any, ...], units: dict[str, str]) -> Any:
+        """The column in SI units, from its cells and the table's units."""
+        if not self.unit:
+            return cells
+        word, value = self.instead or MISSING
+        is_word = np.array([cell == word for cell in cells], dtype=np.bool_)
+        numbers = [0.0 if cell == word else cell for cell in cells]
+        converted = _to_si(numbers, units[self.name], self.si, f"units.{self.name}")
+        return np.where(is_word, value, converted)
+
+    def write(self, values: Any) -> list[Any]:
+        """The column's cells."""
+        if not self.unit:
+            return list(values)
+        numbers = np.asarray(values, dtype=np.float64)
+        if self.instead is None:
+            return list(declared(numbers, self.unit, self.si))
+        word, _ = self.instead
+        written = declared(np.where(np.isfinite(numbers), numbers, 0.0), self.unit, self.si)
+        return [w if f else word for w, f in zip(written, np.isfinite(numbers), strict=True)]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows with declared units: ``{"units": {"position": "m", ...}, "values": [[...], ...]}``.
+
+    Inside, a tuple with one member a column: an array in SI units, or a tuple of str.
+    """
+
+    columns: tuple[Column, ...]
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        row = core_schema.tuple_positional_schema([c.cell for c in self.columns], strict=False)
+        units = {column.name: _TEXT for column in self.columns if column.unit}
+        return core_schema.no_info_after_validator_function(
+            self._read,
+            _keys(units=_keys(**units), values=core_schema.list_schema(row, strict=True)),
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _read(self, found: dict[str, Any]) -> tuple[Any, ...]:
+        cells = list(zip(*found["values"], strict=True)) or [()] * len(self.columns)
+        return tuple(
+            column.read(values, found["units"])
+            for column, values in zip(self.columns, cells, strict=True)
+        )
+
+    def _write(self, content: tuple[Any, ...]) -> dict[str, Any]:
+        cells = [c.write(values) for c, values in zip(self.columns, content, strict=True)]
+        return {
+            "units": {column.name: column.unit for column in self.columns if column.unit},
+            "values": [list(row) for row in zip(*cells, strict=True)],
+        }
+
+
+@dataclass(frozen=True)
+class Array:
+    """Numbers with one unit: ``{"unit": "m/s", "values": [[...], ...]}``; an array inside.
+
+    Attributes
+    ----------
+    si : str
+        What it is written in, exactly, and what it holds.
+    dimensions : {1, 2}
+    gaps : bool
+        Whether values may be missing: ``null`` in the file, NaN inside.
+    """
+
+    si: str
+    dimensions: int = 1
+    gaps: bool = False
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        values: CoreSchema = core_schema.nullable_schema(_NUMBER) if self.gaps else _NUMBER
+        for _dimension in range(self.dimensions):
+            values = core_schema.list_schema(values, strict=True)
+        return core_schema.no_info_after_validator_function(
+            self._read,
+            _keys(unit=_TEXT, values=values),
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _read(self, found: dict[str, Any]) -> FloatArray:
+        rows = found["values"]
+        if self.dimensions == 2 and len({len(row) for row in rows}) > 1:
+            raise PydanticCustomError("ragged", "rows differ in length")
+        numbers = np.array(rows, dtype=np.float64)
+        missing = np.isnan(numbers)
+        converted = _to_si(np.where(missing, 0.0, numbers), found["unit"], self.si)
+        return np.where(missing, np.nan, converted)
+
+    def _write(self, content: FloatArray) -> dict[str, Any]:
+        values = shortest(np.asarray(content, dtype=np.float64).tolist())
+        return {"unit": self.si, "values": _with_gaps(values) if self.gaps else values}
+
+
+def _with_gaps(values: Any) -> Any:
+    if isinstance(values, list):
+        return [_with_gaps(value) for value in values]
+    return None if np.isnan(values) else values
+
+
+def _keys(**fields: CoreSchema) -> CoreSchema:
+    """An object with exactly these keys."""
+    return core_schema.typed_dict_schema(
+        {name: core_schema.typed_dict_field(schema) for name, schema in fields.items()},
+        extra_behavior="forbid",
+        strict=True,
+    )

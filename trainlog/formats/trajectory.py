@@ -9,11 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes, write_bytes
-from trainlog.formats.layout import plain
+from trainlog.formats.files import plain, read_bytes, write_bytes
 from trainlog.formats.parameters import ConfigurationPart, Details
-from trainlog.formats.quantities import Array, FloatArray, Quantity
-from trainlog.formats.schema import File, built
+from trainlog.formats.schema import Array, File, FloatArray, Quantity, built
 from trainlog.railway.trajectory import Trajectory
 
 _ROUNDING = 1e-6

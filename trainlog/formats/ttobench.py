@@ -7,20 +7,430 @@ is that of version 1.5, which has tunnels, ETCS braking data and journeys.
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, cast
+
+import numpy as np
+from pydantic import ConfigDict, Field
 
 from trainlog.errors import InputError
-from trainlog.formats import journey as journey_format
 from trainlog.formats import line as line_format
 from trainlog.formats import train as train_format
-from trainlog.formats.files import read_json, write_bytes
-from trainlog.formats.layout import to_bytes
-from trainlog.formats.schema import built, checked, dumped
-from trainlog.formats.ttobench_layout import JourneyLayout, Layout, TrackLayout, TrainLayout
+from trainlog.formats.files import read_json, to_bytes, write_bytes
+from trainlog.formats.schema import (
+    INFINITY,
+    MISSING,
+    Array,
+    Column,
+    FloatArray,
+    Named,
+    Part,
+    Quantity,
+    Table,
+    built,
+    checked,
+    dumped,
+)
 from trainlog.railway.journey import Journey
-from trainlog.railway.line import Line
-from trainlog.railway.train import Train
+from trainlog.railway.line import Line, Station, StepProfile
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Axles, BrakingCurves, Train
+from trainlog.units import GRAVITY
+
+LIBRARY_VERSION = "TTOBench v1.5"
+"""The version of the layout, written into files that do not come from the library."""
+
+_POSITION = Column("position", "m", "m")
+_Length = Annotated[float, Quantity("m", "m")]
+_Mass = Annotated[float, Quantity("kg", "kg")]
+_Speed = Annotated[float, Quantity("km/h", "m/s")]
+_Acceleration = Annotated[float, Quantity("m/s^2", "m/s^2")]
+_Power = Annotated[float, Quantity("kW", "W")]
+_Force = Annotated[float, Quantity("kN", "N")]
+_Linear = Annotated[float, Quantity("kN/(km/h)", "N/(m/s)")]
+_Quadratic = Annotated[float, Quantity("kN/(km/h)^2", "N/(m/s)^2")]
+_Share = Annotated[float, Quantity("%", "1")]
+_Count = Annotated[float, Quantity("-", "1")]
+
+_Columns = tuple[Any, ...]
+_Stops = Annotated[FloatArray, Array("m")]
+_Limits = Annotated[_Columns, Table((_POSITION, Column("velocity", "km/h", "m/s")))]
+_Slopes = Annotated[_Columns, Table((_POSITION, Column("slope", "permil", "1")))]
+_Radii = Annotated[
+    _Columns,
+    Table(
+        (
+            _POSITION,
+            Column("radius at start", "m", "m", INFINITY),
+            Column("radius at end", "m", "m", INFINITY),
+        )
+    ),
+]
+_Tunnels = Annotated[
+    _Columns,
+    Table((_POSITION, Column("length", "m", "m"), Column("cross section", "m^2", "m^2"))),
+]
+_TunnelResistance = Annotated[
+    _Columns,
+    Table(
+        (
+            Column("cross section", "m^2", "m^2"),
+            Column("coefficient", "kN/(km/h)^2", "N/(m/s)^2"),
+        )
+    ),
+]
+_Curve = Annotated[
+    _Columns, Table((Column("velocity", "m/s", "m/s"), Column("deceleration", "m/s^2", "m/s^2")))
+]
+_TimingPoints = Annotated[
+    _Columns,
+    Table(
+        (
+            _POSITION,
+            Column("lower time constraint", "s", "s", MISSING),
+            Column("upper time constraint", "s", "s", MISSING),
+            Column("lower speed constraint", "km/h", "m/s", MISSING),
+            Column("upper speed constraint", "km/h", "m/s", MISSING),
+        )
+    ),
+]
+_TrackParameters = Annotated[
+    dict[str, float], Named({"M_NVAVADH": Quantity("-", "1"), "Kt_int": Quantity("-", "1")})
+]
+
+
+class Layout(Part):
+    """A part whose keys are words with spaces between."""
+
+    model_config = ConfigDict(alias_generator=lambda name: name.replace("_", " "))
+
+    @classmethod
+    def filled(cls, **values: Any) -> Self:
+        """A part with these values, by the names of its fields, taken as they are."""
+        by_key = {str(cls.model_fields[name].alias): value for name, value in values.items()}
+        return cast(Self, cls.model_construct(None, **by_key))
+
+
+class Metadata(Layout):
+    """Who made a file, and what it is called."""
+
+    id: str = Field(min_length=1)
+    library_version: str
+    created_by: str | None = None
+    license: str | None = None
+    description: str | None = None
+    associated_track: str | None = None
+
+    @property
+    def source(self) -> str:
+        """Everything but the names, in words that `of` takes apart again."""
+        if (self.library_version, self.created_by, self.license) == (LIBRARY_VERSION, None, None):
+            return self.description or ""
+        told = {
+            "created by": self.created_by,
+            "license": self.license,
+            "description": self.description,
+        }
+        words = [f"; {word} {value}" for word, value in told.items() if value is not None]
+        return f"library {self.library_version}{''.join(words)}"
+
+    @staticmethod
+    def of(name: str, source: str, track: str | None = None) -> Metadata:
+        """The metadata of something called `name` with that source."""
+        found = re.fullmatch(
+            r"library (.*?)(?:; created by (.*?))?(?:; license (.*?))?(?:; description (.*))?",
+            source,
+        )
+        version, author, licence, description = found.groups() if found else (None,) * 4
+        return Metadata.filled(
+            id=name,
+            library_version=version or LIBRARY_VERSION,
+            created_by=author,
+            license=licence,
+            description=description if found else source or None,
+            associated_track=track,
+        )
+
+
+class TrackLayout(Layout):
+    """A track."""
+
+    metadata: Metadata
+    altitude: _Length | None = None
+    stops: _Stops
+    speed_limits: _Limits
+    gradients: _Slopes | None = None
+    curvatures: _Radii | None = None
+    tunnels: _Tunnels | None = None
+    etcs: _TrackParameters | None = Field(default=None, alias="ETCS braking data")
+
+    def line(self) -> Line:
+        """The line that the track is."""
+        _check_stops(self.stops)
+        gradients, curves = self.gradients, self.curvatures
+        return Line(
+            name=self.metadata.id,
+            length=float(self.stops[-1]),
+            stations=tuple(Station(f"km {s / 1e3:.3f}", s) for s in self.stops.tolist()),
+            speed_limits=line_format.profile("speed limits", *self.speed_limits),
+            gradients=_LEVEL if gradients is None else line_format.profile("gradients", *gradients),
+            curvatures=None if curves is None else line_format.curvature_profile(*curves),
+            tunnels=line_format.tunnels(self.tunnels),
+            altitude=self.altitude or 0.0,
+            source=self.metadata.source,
+            braking_parameters=self.etcs or {},
+        )
+
+    @staticmethod
+    def of(line: Line) -> TrackLayout:
+        """The track that a line is."""
+        stops = np.array([station.position for station in line.stations])
+        if stops.size < 2 or stops[0] != 0.0 or stops[-1] != line.length:
+            raise InputError(
+                f"line '{line.name}' does not begin and end at a station, as a TTOBench track does",
+                remedy="add stations at its ends",
+            )
+        limits, gradients, curves = line.speed_limits, line.gradients, line.curvatures
+        return TrackLayout.filled(
+            metadata=Metadata.of(line.name, line.source),
+            altitude=line.altitude,
+            stops=stops,
+            speed_limits=(limits.positions, limits.values),
+            gradients=(gradients.positions, gradients.values),
+            curvatures=None if curves is None else line_format.radii(curves),
+            tunnels=line_format.tunnel_columns(line.tunnels),
+            etcs=line.braking_parameters or None,
+        )
+
+
+_LEVEL = StepProfile(np.zeros(1), np.zeros(1))
+
+
+def _check_stops(stops: FloatArray) -> None:
+    if stops.size < 2 or stops[0] != 0.0:
+        raise InputError(
+            "needs at least two stops, the first at 0 m",
+            place="stops.values",
+            remedy="give both ends of the track",
+        )
+    falling = np.flatnonzero(np.diff(stops) <= 0.0)
+    if falling.size:
+        raise InputError(
+            f"stop at {stops[falling[0] + 1]:.12g} m follows stop at {stops[falling[0]]:.12g} m",
+            place=f"stops.values[{falling[0] + 1}]",
+            remedy="positions must increase",
+        )
+
+
+class Etcs(Part):
+    """ETCS braking data of a train."""
+
+    emergency: _Curve | None = Field(default=None, alias="A_brake_emergency")
+    service: _Curve | None = Field(default=None, alias="A_brake_service")
+    dry: _Count | None = Field(default=None, alias="K_dry_rst")
+    wet: _Count | None = Field(default=None, alias="K_wet_rst")
+    cut_off: Annotated[float, Quantity("s", "s")] | None = Field(default=None, alias="T_traction")
+    build_up: Annotated[float, Quantity("s", "s")] | None = Field(default=None, alias="T_be")
+    service_build_up: Annotated[float, Quantity("s", "s")] | None = Field(
+        default=None, alias="T_bs"
+    )
+    uncertainty: Annotated[float, Quantity("%", "%")] | None = Field(
+        default=None, alias="v_uncertainty"
+    )
+
+    def curves(self) -> BrakingCurves:
+        """The braking curves, and the constants by their published names."""
+        constants = {
+            str(field.alias): getattr(self, name)
+            for name, field in Etcs.model_fields.items()
+            if name not in ("emergency", "service") and getattr(self, name) is not None
+        }
+        emergency, service = train_format.pairs(self.emergency), train_format.pairs(self.service)
+        return BrakingCurves(emergency, service, constants)
+
+    @staticmethod
+    def of(curves: BrakingCurves) -> Etcs:
+        """The data that braking curves are."""
+        published = {str(field.alias) for field in Etcs.model_fields.values()}
+        for name in curves.parameters:
+            if name not in published:
+                raise InputError(f"braking parameter '{name}' is not known to TTOBench")
+        by_key: dict[str, Any] = {
+            "A_brake_emergency": train_format.columns(curves.emergency),
+            "A_brake_service": train_format.columns(curves.service),
+            **curves.parameters,
+        }
+        return Etcs.model_construct(None, **by_key)
+
+
+class TrainLayout(Layout):
+    """A train."""
+
+    metadata: Metadata
+    num_seats: _Count | None = None
+    num_coaches: _Count | None = None
+    length: _Length | None = None
+    mass: _Mass
+    rho: _Share | None = None
+    max_traction_power: _Power
+    max_reg_braking_power: _Power
+    max_traction_force: _Force
+    max_reg_braking_force: _Force
+    max_pn_braking_force: _Force | None = None
+    max_acceleration: _Acceleration | None = None
+    max_deceleration: _Acceleration | None = None
+    max_speed: _Speed
+    rolling_resistance_r0: _Force
+    rolling_resistance_r1: _Linear
+    rolling_resistance_r2: _Quadratic
+    efficiency_traction: _Share | None = None
+    efficiency_reg_brake: _Share | None = None
+    tunnel_resistance: _TunnelResistance | None = None
+    etcs: Etcs | None = Field(default=None, alias="ETCS braking data")
+
+    def train(self) -> Train:
+        """The train that the file describes."""
+        if self.rho is not None and self.rho >= 1.0:
+            raise InputError(
+                f"the rotating parts would weigh {self.rho:.12g} times the train",
+                place="rho",
+                remedy="give the part above 1, for example 0.06 or 6 %",
+            )
+        values = {ours: getattr(self, theirs) for theirs, ours in _TRAIN_FIELDS.items()}
+        given = {ours: value for ours, value in values.items() if value is not None}
+        return Train(
+            **{"rotating_mass_factor": 0.0} | self._unlimited() | given,
+            name=self.metadata.id,
+            source=self.metadata.source,
+            resistance=RunningResistance(
+                self.rolling_resistance_r0, self.rolling_resistance_r1, self.rolling_resistance_r2
+            ),
+            tunnel_resistance=train_format.pairs(self.tunnel_resistance),
+            braking_curves=None if self.etcs is None else self.etcs.curves(),
+            seats=_whole("num seats", self.num_seats),
+            coaches=_whole("num coaches", self.num_coaches),
+            axles=_assumed_axles(
+                self.mass,
+                max(self.max_traction_force, self.max_reg_braking_force),
+                self.rho or 0.0,
+            ),
+            assumed=(*(ours for ours in values if ours not in given), *_NOT_IN_TTOBENCH),
+        )
+
+    def _unlimited(self) -> dict[str, float]:
+        """The accelerations that effort and mass allow, where nothing else limits them."""
+        inertia = self.mass * (1.0 + (self.rho or 0.0))
+        braking = self.max_reg_braking_force + (self.max_pn_braking_force or 0.0)
+        return {
+            "max_acceleration": self.max_traction_force / inertia,
+            "max_deceleration": braking / inertia,
+        }
+
+    @staticmethod
+    def of(train: Train) -> TrainLayout:
+        """The file that describes a train."""
+        known = {
+            theirs: getattr(train, ours)
+            for theirs, ours in _TRAIN_FIELDS.items()
+            if ours not in train.assumed and not (ours == "length" and train.length == 0.0)
+        }
+        return TrainLayout.filled(
+            metadata=Metadata.of(train.name, train.source),
+            num_seats=train.seats,
+            num_coaches=train.coaches,
+            rolling_resistance_r0=train.resistance.r0,
+            rolling_resistance_r1=train.resistance.r1,
+            rolling_resistance_r2=train.resistance.r2,
+            tunnel_resistance=train_format.columns(train.tunnel_resistance),
+            etcs=None if train.braking_curves is None else Etcs.of(train.braking_curves),
+            **known,
+        )
+
+
+_TRAIN_FIELDS = {
+    "length": "length",
+    "mass": "mass",
+    "rho": "rotating_mass_factor",
+    "max_traction_power": "max_traction_power",
+    "max_reg_braking_power": "max_dynamic_braking_power",
+    "max_traction_force": "max_tractive_effort",
+    "max_reg_braking_force": "max_dynamic_braking_effort",
+    "max_pn_braking_force": "max_pneumatic_braking_effort",
+    "max_acceleration": "max_acceleration",
+    "max_deceleration": "max_deceleration",
+    "max_speed": "max_speed",
+    "efficiency_traction": "efficiency_traction",
+    "efficiency_reg_brake": "efficiency_regeneration",
+}
+"""Names of a train's numbers in TTOBench and here."""
+
+_NOT_IN_TTOBENCH = ("max_load", "axles", "brake")
+"""Fields of a train that TTOBench does not know."""
+
+
+_AXLE_LOAD = 18_000.0
+_ADHESION_IN_USE = 0.29
+"""A powered axle carries so much [kg], and full effort uses so much adhesion at most, unless the
+train is too light for that: what good dry rail bears."""
+
+_POWERED_SHARE = 0.72
+"""Of the rotating mass, at most this share is in the powered axles."""
+
+
+def _assumed_axles(mass: float, effort: float, rotating: float) -> Axles:
+    """Powered axles that carry the published effort of the motors [N] without slip on dry rail.
+
+    As many as that needs, each with `_AXLE_LOAD`; no more than the train weighs [kg]. Their
+    rotating mass fits into the train's, which is `rotating` times its mass.
+    """
+    count = max(2, math.ceil(effort / (_ADHESION_IN_USE * GRAVITY * _AXLE_LOAD)))
+    usual = Axles()
+    room = _POWERED_SHARE * rotating * mass / count
+    return Axles(
+        count=count,
+        adhesive_mass=min(count * _AXLE_LOAD, mass),
+        wheel_radius=usual.wheel_radius,
+        rotating_mass=min(usual.rotating_mass, room) if room > 0.0 else usual.rotating_mass,
+    )
+
+
+def _whole(place: str, number: float | None) -> int | None:
+    if number is None:
+        return None
+    if number != int(number) or number < 1:
+        raise InputError(f"{number:.12g} is not a count", place=place, remedy="give 1 or more")
+    return int(number)
+
+
+class JourneyLayout(Layout):
+    """A journey."""
+
+    metadata: Metadata
+    timing_points: _TimingPoints
+
+    def journey(self) -> Journey:
+        """The journey that the file describes."""
+        if self.metadata.associated_track is None:
+            raise InputError(
+                "'associated track' is missing", place="metadata", remedy="name the track's id"
+            )
+        return Journey(
+            name=self.metadata.id,
+            line=self.metadata.associated_track,
+            points=line_format.timing_points(self.timing_points),
+            source=self.metadata.source,
+        )
+
+    @staticmethod
+    def of(journey: Journey) -> JourneyLayout:
+        """The file that describes a journey."""
+        return JourneyLayout.filled(
+            metadata=Metadata.of(journey.name, journey.source, journey.line),
+            timing_points=line_format.timing_columns(journey.points),
+        )
+
 
 Kind = Literal["track", "train", "journey"]
 
@@ -69,7 +479,7 @@ def convert(path: str | Path, output: str | Path) -> Path:
         train_format.write_train(found, target)
     else:
         target = target.with_name(f"{target.name}.journey.json")
-        journey_format.write_journey(found, target)
+        line_format.write_journey(found, target)
     return target
 
 

@@ -24,7 +24,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.formats.mistaken import LOOKED_AT, mistaken_log
+from trainlog.formats.files import LOOKED_AT, mistaken_log
 from trainlog.mcap.errors import damaged, shown
 from trainlog.mcap.findings import Findings, checksum_of
 from trainlog.mcap.layout import RECORD_HEAD

@@ -12,9 +12,9 @@ from analysis.resistance.coast_down.results import result_of
 from analysis.resistance.coast_down.together import CoastDown, coast_down
 from analysis.resistance.coast_down.unknown_gradient import coast_down_without_gradient
 from trainlog import __version__
-from trainlog.formats.coast_down import CoastDownResult
 from trainlog.formats.files import sha256_of
 from trainlog.formats.line import read_line
+from trainlog.formats.parameters import CoastDownResult
 from trainlog.mcap.stretches import stretches
 from trainlog.trip import Trip
 

@@ -21,7 +21,7 @@ from analysis.plotting import (
 )
 from analysis.resistance.coast_down import CoastDown
 from analysis.resistance.coast_down.fit import TripCoastDown
-from trainlog.formats.coast_down import CoastDownResult
+from trainlog.formats.parameters import CoastDownResult
 from trainlog.units import KMH
 
 SHOWN = 4

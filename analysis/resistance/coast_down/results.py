@@ -11,7 +11,7 @@ from analysis.resistance.coast_down.detection import Segment
 from analysis.resistance.coast_down.fit import TripCoastDown
 from analysis.resistance.coast_down.motion import Motion
 from analysis.resistance.coast_down.together import CoastDown
-from trainlog.formats.coast_down import CoastDownResult, DragCurve, Identified
+from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 
 NAMES = (("mass_ratio", "1"), ("c0", "m/s^2"), ("c1", "1/s"), ("c2", "1/m"))
 """Parameters of the curve, in the order of its covariance, with their units."""

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from analysis.reporting import new_table
 from analysis.resistance.coast_down import CoastDown
-from trainlog.formats.coast_down import CoastDownResult
+from trainlog.formats.parameters import CoastDownResult
 from trainlog.units import GRAVITY, KMH, PER_MILLE
 
 

@@ -29,7 +29,7 @@ from analysis.resistance.coast_down.together import check_any, one_train
 from analysis.resistance.curve import band_factor, curve_std, powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
-from trainlog.formats.coast_down import CoastDownResult, DragCurve, Identified
+from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 from trainlog.railway.line import Line
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import KMH

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from analysis.studies.amirhosseini_2024.controller import SlidingModeController, Target
 from estimators.resets import edges_crossed, periods_elapsed
 from estimators.rls import RecursiveLeastSquares
-from trainlog.formats.consist import read_consist
 from trainlog.formats.samples import sample
+from trainlog.formats.train import read_consist
 from trainlog.railway import Line, RunningResistance, Station, StepProfile
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant, Variation

@@ -10,9 +10,9 @@ from analysis.studies.amirhosseini_2024.run import Run
 from analysis.studies.in_train_forces import run as in_train_forces
 from analysis.studies.in_train_forces.run import ConsistRun
 from trainlog import __version__
-from trainlog.formats.consist import consist_to_bytes
 from trainlog.formats.files import sha256
 from trainlog.formats.line import line_to_bytes
+from trainlog.formats.train import consist_to_bytes
 from trainlog.topics import (
     ENVIRONMENT,
     ESTIMATED_RESISTANCE,
