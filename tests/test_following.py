@@ -12,14 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_world import flirt, hilly_line, level_line, steps
 
-from analysis.control import kernels as kernels
+from analysis.control import prediction as prediction
 from analysis.control.follow import Follower, Margin, Tuning
-from analysis.control.kernels import TICK, Belief
 from analysis.control.observer import Observer
 from analysis.control.odometry import MARGIN, Odometry
-from analysis.control.pace import ahead, paced, sampled
+from analysis.control.pace import pace_to_arrive, rollout, sampled
 from analysis.control.plot import draw_following
-from analysis.control.route import Able, Way, able, bounds, highest, way
+from analysis.control.prediction import TICK, TrainEstimate
+from analysis.control.route import (
+    RouteTables,
+    TrainLimits,
+    ceiling_square,
+    effort_limits,
+    route_tables,
+    train_limits,
+)
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.problem import TrajectoryProblem
@@ -36,7 +43,7 @@ from trainlog.simulation.scenario import (
 )
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, balises
 
-NEUTRAL = Belief(1.0, 0.0, 0.0)
+NEUTRAL = TrainEstimate(1.0, 0.0, 0.0)
 
 
 @cache
@@ -64,11 +71,11 @@ def run_of(train: Train, trajectory: Trajectory) -> TrajectoryProblem:
 
 
 @cache
-def known(name: str = "flirt") -> tuple[Able, Way]:
+def known(name: str = "flirt") -> tuple[TrainLimits, RouteTables]:
     train, trajectory = plan(name)
     run = run_of(train, trajectory)
-    can = able(run)
-    return can, way(run, trajectory, can)
+    can = train_limits(run)
+    return can, route_tables(run, trajectory, can)
 
 
 def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
@@ -144,14 +151,14 @@ def test_what_creeping_wheels_hold_is_kept_below_the_limit() -> None:
     """The guard lets a pulling train come less near to the ceiling than a coasting one."""
     can, road = known()
     p, past = 6_000.0, np.zeros(6)
-    top = float(np.sqrt(highest(p, road)))
-    pull = kernels.allowed(p, top, p, road, can)[1]
-    held = kernels.spun(pull, p, road, can)
-    assert held == pytest.approx(can.spinning * kernels.CREEP, rel=0.7)
-    assert kernels.spun(-0.5, p, road, can) == 0.0
+    top = float(np.sqrt(ceiling_square(p, road)))
+    pull = prediction.effort_bounds(p, top, p, road, can)[1]
+    held = prediction.creep_momentum(pull, p, road, can)
+    assert held == pytest.approx(can.spinning * prediction.CREEP, rel=0.7)
+    assert prediction.creep_momentum(-0.5, p, road, can) == 0.0
     near = top - 0.05
-    free = kernels.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can._replace(spinning=0.0))
-    assert kernels.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can) < free
+    free = prediction.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can._replace(spinning=0.0))
+    assert prediction.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can) < free
 
 
 def test_masses_at_both_ends_of_the_set_and_a_brake_that_takes_its_time() -> None:
@@ -353,9 +360,9 @@ def test_the_linearisation_is_the_derivative_of_the_prediction(
     def states(change: float) -> np.ndarray:
         moved = efforts.copy()
         moved[column] += change
-        return kernels.linearised(position, speed, 0.1, past, moved, 10, NEUTRAL, road, can)[0]
+        return prediction.linearised(position, speed, 0.1, past, moved, 10, NEUTRAL, road, can)[0]
 
-    response = kernels.linearised(position, speed, 0.1, past, efforts, 10, NEUTRAL, road, can)[1]
+    response = prediction.linearised(position, speed, 0.1, past, efforts, 10, NEUTRAL, road, can)[1]
     slope = (states(1e-4) - states(-1e-4)) / 2e-4
     # Nodes of the gradient table between both predictions make the derivative jump a little.
     np.testing.assert_allclose(response[:, :, column], slope, atol=2e-2, rtol=1e-2)
@@ -366,7 +373,7 @@ def test_a_level_prediction_is_known_in_closed_form() -> None:
     can, road = known("friction")
     still = can._replace(r0=0.0, r1=0.0, r2=0.0, mass=0.0)
     past, brake = np.zeros(20), 0.5
-    states, *_ = kernels.linearised(
+    states, *_ = prediction.linearised(
         1_000.0, 20.0, 0.0, past, np.full(6, -brake), 10, NEUTRAL, road, still
     )
     for k in range(7):
@@ -379,7 +386,7 @@ def test_friction_that_was_asked_for_acts_whatever_is_asked_now() -> None:
     can, road = known("friction")
     waiting = np.full(20, 0.8)
     braked, free = (
-        kernels.linearised(1_000.0, 20.0, 0.0, past, np.zeros(4), 10, NEUTRAL, road, can)[0]
+        prediction.linearised(1_000.0, 20.0, 0.0, past, np.zeros(4), 10, NEUTRAL, road, can)[0]
         for past in (waiting, np.zeros(20))
     )
     assert braked[2, 1] < free[2, 1] - 0.3
@@ -393,14 +400,14 @@ def test_every_train_of_the_set_can_brake_below_the_ceiling() -> None:
     can, road = known()
     for start in (900.0, 2_600.0, 4_900.0, 9_600.0, 10_700.0):
         for row in can.corners:
-            p, v = float(start), float(np.sqrt(highest(start, road)))
+            p, v = float(start), float(np.sqrt(ceiling_square(start, road)))
             while p < road.end - 0.5 and v > 0.1:
-                brake = bounds(p, v, road, can)[1]
-                a = -brake / row[1] - kernels.held_back(p, v, row, road)
-                if v < np.sqrt(highest(p, road)) - 0.05:
+                brake = effort_limits(p, v, road, can)[1]
+                a = -brake / row[1] - prediction.free_deceleration(p, v, row, road)
+                if v < np.sqrt(ceiling_square(p, road)) - 0.05:
                     a = max(a, -0.02)  # no more than is needed
                 p, v = p + 0.1 * v, v + 0.1 * a
-                assert v <= np.sqrt(highest(p, road)) + 0.15
+                assert v <= np.sqrt(ceiling_square(p, road)) + 0.15
 
 
 @settings(max_examples=40, deadline=None)
@@ -414,25 +421,25 @@ def test_the_guard_keeps_every_train_of_the_set_within_bounds(
     position: float, share: float, effort: float, name: str
 ) -> None:
     can, road = known(name)
-    speed = share * float(np.sqrt(highest(position, road)))
+    speed = share * float(np.sqrt(ceiling_square(position, road)))
     past = np.zeros(20 if name == "friction" else 6)
-    found = kernels.guarded(position, speed, 0.0, past, 0.0, effort, 5, 12, road, can)
-    low, high = kernels.allowed(position, speed, position, road, can)
+    found = prediction.guarded(position, speed, 0.0, past, 0.0, effort, 5, 12, road, can)
+    low, high = prediction.effort_bounds(position, speed, position, road, can)
     assert low - 1e-12 <= found <= high + 1e-12
     assert found <= max(effort, low) + 1e-12
-    safe = kernels.keeps(position, speed, 0.0, past, 0.0, found, 5, 12, road, can)
+    safe = prediction.stays_below_ceiling(position, speed, 0.0, past, 0.0, found, 5, 12, road, can)
     assert safe or found == pytest.approx(
-        kernels.allowed(position, speed, position + 0.5 * speed, road, can)[0]
+        prediction.effort_bounds(position, speed, position + 0.5 * speed, road, can)[0]
     )
 
 
 def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time() -> None:
     can, road = known()
     rows = np.zeros((400, 4))
-    times = [ahead(f, 3_000.0, 20.0, rows, NEUTRAL, road, can)[0] for f in (0.8, 0.9, 1.0, 1.1)]
+    times = [rollout(f, 3_000.0, 20.0, rows, NEUTRAL, road, can)[0] for f in (0.8, 0.9, 1.0, 1.1)]
     assert all(np.diff(times) < 0.0)
     left = times[2] + 7.0
-    factor, time, count = paced(left, 1.0, 3_000.0, 20.0, rows, NEUTRAL, road, can)
+    factor, time, count = pace_to_arrive(left, 1.0, 3_000.0, 20.0, rows, NEUTRAL, road, can)
     assert 0.8 < factor < 1.0
     assert time == pytest.approx(left, abs=0.03)
     states, efforts = sampled(rows, count, 20, 1.0)
@@ -440,17 +447,17 @@ def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time() -> None:
     # The reference is a motion: positions are the integral of the speeds.
     mean = 0.5 * (states[1:, 1] + states[:-1, 1])
     np.testing.assert_allclose(np.diff(states[:, 0]), mean, atol=0.1)
-    assert np.all(states[:, 1] ** 2 <= [highest(p, road) + 0.05 for p in states[:, 0]])
+    assert np.all(states[:, 1] ** 2 <= [ceiling_square(p, road) + 0.05 for p in states[:, 0]])
     assert np.all(efforts * can.inertia <= can.traction)
 
 
 def test_who_is_early_does_not_brake_while_there_is_traction_to_come() -> None:
     can, road = known()
     rows = np.zeros((400, 4))
-    speed = float(np.sqrt(kernels.value(road.goal, road.origin, 3_000.0)))
-    _, count = ahead(0.8, 3_000.0, speed, rows, NEUTRAL, road, can)
+    speed = float(np.sqrt(prediction.value(road.goal, road.origin, 3_000.0)))
+    _, count = rollout(0.8, 3_000.0, speed, rows, NEUTRAL, road, can)
     near = rows[: count - 1]
-    free = near[:, 1] ** 2 < [highest(p + 6.0, road) - 1.0 for p in near[:, 0]]
+    free = near[:, 1] ** 2 < [ceiling_square(p + 6.0, road) - 1.0 for p in near[:, 0]]
     assert np.all(near[free & (near[:, 0] < road.last_pull - 50.0), 3] > -1e-6)
 
 

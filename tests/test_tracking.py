@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from analysis.control import tracking_kernels as kernels
+from analysis.control.qp import SOFTNESS, solve, terminal_weight
+from analysis.control.route import value
 from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023 import prediction as kernels
 from analysis.studies.hauck_2023.controller import (
     HOLDING_SPEED,
-    SOFTNESS,
     TrackingController,
     Tuning,
-    solve,
 )
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
@@ -78,7 +78,7 @@ def worst(plan: Reference, rows: np.ndarray) -> np.ndarray:
     section = plan.section
     found = []
     for _, p, v, u in rows[rows[:, 2] > 0.0]:
-        sine = dynamics.value(section.tables.sine, section.tables.origin, p)
+        sine = value(section.tables.sine, section.tables.origin, p)
         grip, limit = float(section.maximum_adhesion(p)), float(section.line.speed_limit(p))
         c = section.constants
         found.append((*dynamics.constraint_values(v, u, sine, grip, limit, c), abs(u) - 1.0))
@@ -100,7 +100,7 @@ def test_the_condensed_program_is_the_sum_of_the_costs(plan: Reference) -> None:
     controller = TrackingController(plan, "reference")
     program = controller.program(40.0, plan.at(40.0)[0] - 3.0, plan.at(40.0)[1] + 0.2)
     rng = np.random.default_rng(0)
-    x, y = rng.normal(size=(2, program.levers.size)) * 0.05
+    x, y = rng.normal(size=(2, program.inputs.size)) * 0.05
 
     def cost(change: np.ndarray) -> float:
         return 0.5 * change @ program.hessian @ change + program.gradient @ change
@@ -114,7 +114,7 @@ def test_the_condensed_program_is_the_sum_of_the_costs(plan: Reference) -> None:
 
 def test_terminal_cost_is_the_fixed_point_of_riccati() -> None:
     a, b = kernels.exact_step(0.0, -0.02, 0.6, 1.0)
-    p = kernels.terminal_weight(a, b, 1.0, 0.01)
+    p = terminal_weight(a, b, 1.0, 0.01)
     q, r = np.diag([1.0, 0.0]), 0.01
     gain = (b @ p @ a) / (r + b @ p @ b)
     np.testing.assert_allclose(p, q + a.T @ p @ a - np.outer(a.T @ p @ b, gain), rtol=1e-6)
@@ -183,7 +183,7 @@ def test_the_guard_leaves_a_safe_lever_alone_and_cuts_an_unsafe_one(plan: Refere
     # A slippery place begins at 150 m; what it bears is that of the lightest train.
     cut = controller.guarded(1.0, 145.0, 5.0)
     assert 0.8 < float(PUBLISHED_TRAIN.full_effort(5.0)) * cut / (0.08 * 9.81 * LIGHT) < 1.0
-    ceiling = np.sqrt(dynamics.value(plan.section.tables.ceiling, plan.section.tables.origin, 700))
+    ceiling = np.sqrt(value(plan.section.tables.ceiling, plan.section.tables.origin, 700))
     assert controller.guarded(1.0, 700.0, float(ceiling)) < 0.4  # what holds on the climb
 
 

@@ -14,13 +14,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.control import kernels as kernels
-from analysis.control.kernels import TICK, Belief, Weights
+from analysis.control import prediction as prediction
 from analysis.control.observer import Observer
-from analysis.control.pace import paced, sampled
-from analysis.control.route import able, at_once, held_back, way
-from analysis.studies.hauck_2023.controller import Program, solve
-from analysis.studies.hauck_2023.dynamics import value
+from analysis.control.pace import pace_to_arrive, sampled
+from analysis.control.prediction import TICK, TrainEstimate, Weights
+from analysis.control.qp import QPSubproblem, solve
+from analysis.control.route import (
+    dynamic_braking,
+    free_deceleration,
+    route_tables,
+    train_limits,
+    value,
+)
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
@@ -140,13 +145,15 @@ class Follower:
         run = run_of(trajectory, line, train, condition, layer)
         self.tuning = tuning or Tuning()
         self.unsolved = 0
-        self._can = able(run)
+        self._limits = train_limits(run)
         self._margin = margin or Margin()
-        self._way = way(run, trajectory, self._can, self._margin.position, self._margin.speed)
+        self._route = route_tables(
+            run, trajectory, self._limits, self._margin.position, self._margin.speed
+        )
         self._arrival = DEPARTURE + float(trajectory.times[trajectory.latest, -1])
         self._departure = departure
         self._release = departure - train.brake.dead_time - 3.0 * train.brake.lag
-        self._observer = Observer(self._can)
+        self._observer = Observer(self._limits)
         self._factor = 1.0
         self._rows = np.zeros((400, 4))
         self._past = np.zeros(round(train.brake.dead_time / TICK))
@@ -165,17 +172,17 @@ class Follower:
         return self._arrived
 
     @property
-    def belief(self) -> Belief:
+    def belief(self) -> TrainEstimate:
         """What the train was found to be on its way."""
         return self._observer.belief
 
     def demand(self, observation: Observation) -> Demand:
         """The efforts wanted now."""
-        distance = self._way.end - observation.position
+        distance = self._route.end - observation.position
         if observation.speed < AT_REST and distance <= STOPPED:
             self._arrived = True
         if self._arrived or observation.time < self._release:
-            return Demand(0.0, HOLDING * self._can.mass)
+            return Demand(0.0, HOLDING * self._limits.mass)
         if observation.time < self._departure - 1e-9:
             return Demand()
         last = max(min(self.tuning.every, self._ticks * TICK), PERIOD)
@@ -183,94 +190,100 @@ class Follower:
             self._observe(observation)
             self._effort = self._decide(observation)
             self._decided = observation.time
-        low, high = kernels.allowed(
-            observation.position, observation.speed, observation.position, self._way, self._can
+        low, high = prediction.effort_bounds(
+            observation.position, observation.speed, observation.position, self._route, self._limits
         )
         effort = min(max(self._effort, low), high)
         self._passes(observation.speed, effort)
-        force = effort * self._can.inertia
+        force = effort * self._limits.inertia
         return Demand(max(force, 0.0), max(-force, 0.0))
 
     def _passes(self, speed: float, effort: float) -> None:
         """Keep book of what the brake will do of its own for the next tick."""
-        quick, asked = kernels.split(effort, speed, self._can)
+        quick, asked = prediction.split(effort, speed, self._limits)
         waiting = np.append(self._past, asked)
         late, self._past = float(waiting[0]), waiting[1:]
-        after = late + (self._friction - late) * math.exp(-PERIOD / self._can.lag)
+        after = late + (self._friction - late) * math.exp(-PERIOD / self._limits.lag)
         self._acted.append(quick - 0.5 * (self._friction + after))
         self._friction = after
 
     def _observe(self, seen: Observation) -> None:
         """Learn from what the train did since the last decision."""
         if self._since is not None and self._acted and seen.speed > SLOW:
-            can, (before, speed) = self._can, self._since
+            limits, (before, speed) = self._limits, self._since
             span = len(self._acted) * PERIOD
             place, mean = 0.5 * (before + seen.position), 0.5 * (speed + seen.speed)
-            middle = np.array([can.mass, can.inertia, can.r0, can.r1, can.r2])
-            track = can.mass / can.inertia * value(self._way.track, self._way.origin, place)
+            middle = np.array([limits.mass, limits.inertia, limits.r0, limits.r1, limits.r2])
+            track = (
+                limits.mass / limits.inertia * value(self._route.track, self._route.origin, place)
+            )
             self._observer.update(
                 acceleration=(seen.speed - speed) / span,
                 effort=float(np.mean(self._acted)),
-                drag=held_back(place, mean, middle, self._way) - track,
+                drag=free_deceleration(place, mean, middle, self._route) - track,
                 track=track,
                 span=span,
             )
         self._since = seen.position, seen.speed
         self._acted = []
 
-    def program(self, seen: Observation) -> Program:
-        """The program of a decision at a state; its `levers` are specific efforts [m/s²].
+    def program(self, seen: Observation) -> QPSubproblem:
+        """The program of a decision at a state; its `inputs` are specific efforts [m/s²].
 
         The first is held until the next decision; the horizon ends at the stop at the latest.
         """
-        tuning, can, road = self.tuning, self._can, self._way
+        tuning, limits, route = self.tuning, self._limits, self._route
         belief = self._observer.belief
         p, v, lasting = seen.position, seen.speed, belief._replace(drift=0.0)
         left = self._arrival - seen.time
-        self._factor, time, count = paced(left, self._factor, p, v, self._rows, lasting, road, can)
+        self._factor, time, count = pace_to_arrive(
+            left, self._factor, p, v, self._rows, lasting, route, limits
+        )
         most = round(tuning.step / TICK)
         ticks = int(np.clip(math.ceil(time / (tuning.horizon * TICK) - 1e-9), 1, most))
         n = int(np.clip(math.ceil(time / (ticks * TICK)), SHORTEST, tuning.horizon))
         target, aim = sampled(self._rows, count, n, ticks * TICK)
         aim = aim - belief.drift / belief.gain
         plan = self._guess(aim, ticks, seen.time)
-        states, response, kept, low, high = kernels.linearised(
-            p, v, self._friction, self._past, plan, ticks, belief, road, can
+        states, response, kept, low, high = prediction.linearised(
+            p, v, self._friction, self._past, plan, ticks, belief, route, limits
         )
-        hessian, gradient, rows, upper, lower = kernels.condensed(
+        hessian, gradient, rows, upper, lower = prediction.condensed(
             states, response, kept, low, high, target, aim, self._effort, tuning.weights,
-            ticks * TICK, belief, road,
+            ticks * TICK, belief, route,
         )  # fmt: skip
         self._ticks = ticks
-        return Program(hessian, gradient, rows, upper, lower, kept)
+        return QPSubproblem(hessian, gradient, rows, upper, lower, kept)
 
     def _decide(self, seen: Observation) -> float:
         """The specific effort [m/s²] until the next decision."""
-        if seen.speed < AT_REST and seen.position > self._way.end - MOVING_UP:
-            back = kernels.resisted(seen.position, 0.0, self._observer.belief, self._way, self._can)
+        if seen.speed < AT_REST and seen.position > self._route.end - MOVING_UP:
+            back = prediction.expected_deceleration(
+                seen.position, 0.0, self._observer.belief, self._route, self._limits
+            )
             return self._guarded(seen, CREEPING + max(back, 0.0))
         program = self.program(seen)
         change, status = solve(program)
         if status <= 0:
             self.unsolved += 1
-            change = np.zeros(program.levers.size)
-        self._plan = program.levers + change
+            change = np.zeros(program.inputs.size)
+        self._plan = program.inputs + change
         return self._guarded(seen, float(self._plan[0]))
 
     def _guarded(self, seen: Observation, effort: float) -> float:
         """The effort next to `effort` that is safe until the next decision has taken effect."""
-        can = self._can
+        limits = self._limits
         held = max(round(min(self.tuning.every, self._ticks * TICK) / TICK), 1)
         lead = 2
-        if at_once(seen.speed, can) < can.braking:
-            lead += len(self._past) + round(2.0 * can.lag / TICK)
+        if dynamic_braking(seen.speed, limits) < limits.braking:
+            lead += len(self._past) + round(2.0 * limits.lag / TICK)
         beyond = max(SURE * seen.position_std - self._margin.position, 0.0)
         speed = seen.speed + max(SURE * seen.speed_std - self._margin.speed, 0.0)
         return min(
             float(
-                kernels.guarded(
+                prediction.guarded(
                     place, speed, self._friction, self._past, self._effort, effort,
-                    held, held + lead, self._way, can,
+                    held, held + lead, self._route, limits,
                 )
             )
             for place in {seen.position - beyond, seen.position + beyond}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.control.kernels import Belief
-from analysis.control.route import Able
+from analysis.control.prediction import TrainEstimate
+from analysis.control.route import TrainLimits
 
 FloatArray = NDArray[np.float64]
 
@@ -27,15 +27,15 @@ SURPRISE = 5.0
 
 
 class Observer:
-    """Finds gain, drag and drift (see `analysis.control.kernels`) from what the train does.
+    """Finds gain, drag and drift (see `analysis.control.prediction`) from what the train does.
 
     Parameters
     ----------
-    can : Able
+    can : TrainLimits
         The observed set, from whose spread it starts.
     """
 
-    def __init__(self, can: Able) -> None:
+    def __init__(self, can: TrainLimits) -> None:
         inertias, drags = can.corners[:, 1], can.corners[:, 2:] @ (1.0, 20.0, 400.0)
         spreads = [np.ptp(values) / values.sum() * values.size for values in (inertias, drags)]
         gain, drag = (0.5 * max(float(spread), LEAST_SPREAD) for spread in spreads)
@@ -43,9 +43,9 @@ class Observer:
         self._covariance = np.diag([gain**2, drag**2, DRIFT**2])
 
     @property
-    def belief(self) -> Belief:
+    def belief(self) -> TrainEstimate:
         """What the train is taken to be now."""
-        return Belief(*self._state.tolist())
+        return TrainEstimate(*self._state.tolist())
 
     def update(
         self, acceleration: float, effort: float, drag: float, track: float, span: float

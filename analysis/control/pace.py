@@ -17,9 +17,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.control.kernels import Belief, resisted
-from analysis.control.route import SHARE, Able, Way, bounds, highest
-from analysis.studies.hauck_2023.dynamics import GRID, value
+from analysis.control.prediction import TrainEstimate, expected_deceleration
+from analysis.control.route import (
+    GRID,
+    SHARE,
+    RouteTables,
+    TrainLimits,
+    ceiling_square,
+    effort_limits,
+    value,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -43,8 +50,14 @@ SETTLED = 0.02
 
 
 @njit(cache=True)
-def ahead(
-    factor: float, p: float, v: float, rows: FloatArray, b: Belief, w: Way, can: Able
+def rollout(
+    factor: float,
+    p: float,
+    v: float,
+    rows: FloatArray,
+    estimate: TrainEstimate,
+    route: RouteTables,
+    limits: TrainLimits,
 ) -> tuple[float, int]:
     """Run ahead from a state to the stop.
 
@@ -64,9 +77,9 @@ def ahead(
     """
     time, square, count = 0.0, v * v, 0
     start = p
-    while w.end - p > 1e-6:
+    while route.end - p > 1e-6:
         speed = math.sqrt(square)
-        left = w.end - p
+        left = route.end - p
         step = 0.5 if left <= LAST else GRID
         if p - start > NEAR and left > LAST + COARSE * GRID:
             step = COARSE * GRID
@@ -75,22 +88,22 @@ def ahead(
         step = min(step, left)
         q = p + step
         if left - step < 1e-6:
-            q = w.end
-        pull, brake = bounds(q, speed, w, can)
-        back = resisted(0.5 * (p + q), speed, b, w, can)
-        most = square + 2.0 * step * (b.gain * pull / can.inertia - back)
+            q = route.end
+        pull, brake = effort_limits(q, speed, route, limits)
+        back = expected_deceleration(0.5 * (p + q), speed, estimate, route, limits)
+        most = square + 2.0 * step * (estimate.gain * pull / limits.inertia - back)
         least = square - 2.0 * step * back
-        if p >= w.last_pull:
-            least -= 2.0 * step * b.gain * SHARE * brake / can.inertia
-        goal = factor * factor * max(value(w.goal, w.origin, q), 0.0)
-        found = min(max(min(goal, most), least), highest(q, w))
-        if q < w.end:
+        if p >= route.last_pull:
+            least -= 2.0 * step * estimate.gain * SHARE * brake / limits.inertia
+        goal = factor * factor * max(value(route.goal, route.origin, q), 0.0)
+        found = min(max(min(goal, most), least), ceiling_square(q, route))
+        if q < route.end:
             # Where it would stall it crawls: the time tells, and the train pulls all it can.
             found = max(found, CRAWL * CRAWL)
         after = math.sqrt(max(found, 0.0))
         if count < rows.shape[0] - 1:
             rows[count, 0], rows[count, 1], rows[count, 2] = p, speed, time
-            rows[count, 3] = ((found - square) / (2.0 * step) + back) / b.gain
+            rows[count, 3] = ((found - square) / (2.0 * step) + back) / estimate.gain
             count += 1
         time += 2.0 * step / max(speed + after, 1e-9)
         p, square = q, found
@@ -99,8 +112,15 @@ def ahead(
 
 
 @njit(cache=True)
-def paced(
-    left: float, guess: float, p: float, v: float, rows: FloatArray, b: Belief, w: Way, can: Able
+def pace_to_arrive(
+    left: float,
+    guess: float,
+    p: float,
+    v: float,
+    rows: FloatArray,
+    estimate: TrainEstimate,
+    route: RouteTables,
+    limits: TrainLimits,
 ) -> tuple[float, float, int]:
     """The factor with which the train arrives in `left` seconds, or the nearest to it.
 
@@ -111,18 +131,18 @@ def paced(
     count : int
         Of the rows filled; see `ahead`.
     """
-    time, count = ahead(guess, p, v, rows, b, w, can)
+    time, count = rollout(guess, p, v, rows, estimate, route, limits)
     if abs(time - left) <= SETTLED:
         return guess, time, count
     reach = 0.004
     low, high, slow, fast = guess, guess, time, time
     while slow < left and low > SLOWEST:
         low = max(low - reach, SLOWEST)
-        slow, _ = ahead(low, p, v, rows, b, w, can)
+        slow, _ = rollout(low, p, v, rows, estimate, route, limits)
         reach *= 4.0
     while fast > left and high < FASTEST:
         high = min(high + reach, FASTEST)
-        fast, _ = ahead(high, p, v, rows, b, w, can)
+        fast, _ = rollout(high, p, v, rows, estimate, route, limits)
         reach *= 4.0
     factor = low if slow < left else high
     if slow >= left >= fast:
@@ -132,14 +152,14 @@ def paced(
             if turn % 2 == 0:
                 share = min(max((slow - left) / max(slow - fast, 1e-9), 0.05), 0.95)
             factor = low + share * (high - low)
-            time, count = ahead(factor, p, v, rows, b, w, can)
+            time, count = rollout(factor, p, v, rows, estimate, route, limits)
             if abs(time - left) <= SETTLED or high - low < 1e-5:
                 return factor, time, count
             if time > left:
                 low, slow = factor, time
             else:
                 high, fast = factor, time
-    time, count = ahead(factor, p, v, rows, b, w, can)
+    time, count = rollout(factor, p, v, rows, estimate, route, limits)
     return factor, time, count
 
 

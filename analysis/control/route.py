@@ -17,12 +17,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.studies.hauck_2023.dynamics import GRID, value
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.railway import Trajectory
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
+
+GRID = 5.0
+"""Spacing of tables along a route [m]."""
 
 MARGIN = 0.04
 """The controller stays this far below the permitted speed [m/s]; the guard may use it."""
@@ -53,7 +55,7 @@ PARTS = 5
 """Of a cell, at which limits and adhesion are looked up."""
 
 
-class Able(NamedTuple):
+class TrainLimits(NamedTuple):
     """What every train of the set can do, for the compiled code.
 
     Attributes
@@ -93,7 +95,7 @@ class Able(NamedTuple):
     corners: FloatArray
 
 
-class Way(NamedTuple):
+class RouteTables(NamedTuple):
     """Tables from `origin` [m] to the stop at `end`, (n,) arrays.
 
     Attributes
@@ -123,7 +125,26 @@ class Way(NamedTuple):
     last_pull: float
 
 
-def able(run: TrajectoryProblem) -> Able:
+@njit(cache=True)
+def value(table: FloatArray, origin: float, position: float) -> float:
+    """A table at a position [m]; ends are extended."""
+    x = (position - origin) / GRID
+    if x <= 0.0:
+        return table[0]
+    if x >= table.size - 1:
+        return table[-1]
+    i = int(x)
+    return table[i] + (x - i) * (table[i + 1] - table[i])
+
+
+@njit(cache=True)
+def rate(table: FloatArray, origin: float, position: float) -> float:
+    """How fast a table changes at a position [1/m]."""
+    i = min(max(int((position - origin) / GRID), 0), table.size - 2)
+    return (table[i + 1] - table[i]) / GRID
+
+
+def train_limits(run: TrajectoryProblem) -> TrainLimits:
     """What all configurations of a run can do; limits as those of the trajectory."""
     train, every = run.train, run.configurations
     masses = [pick(c.mass for c in every) for pick in (min, max)]
@@ -135,7 +156,7 @@ def able(run: TrajectoryProblem) -> Able:
         for drag in (drags.min(axis=0), drags.max(axis=0))
     ]
     r0, r1, r2 = (0.5 * (drags.min(axis=0) + drags.max(axis=0))).tolist()
-    return Able(
+    return TrainLimits(
         traction=min(train.max_tractive_effort, train.max_acceleration * inertias[0]),
         power=min(c.max_power for c in every),
         braking=BLENDING * min(train.max_braking_effort, train.max_deceleration * inertias[0]),
@@ -154,13 +175,13 @@ def able(run: TrajectoryProblem) -> Able:
     )
 
 
-def way(
+def route_tables(
     run: TrajectoryProblem,
     trajectory: Trajectory,
-    can: Able,
+    limits: TrainLimits,
     around: float = 0.0,
     below: float = 0.0,
-) -> Way:
+) -> RouteTables:
     """Tables of a run from its start to its end.
 
     Limits begin `around` [m] earlier and end so much later, and are `below` [m/s] lower.
@@ -178,7 +199,7 @@ def way(
     pulling, braking = _adhesion(run, fine)
     goal = np.interp(places, trajectory.positions, trajectory.speeds[trajectory.latest] ** 2)
     pulls = np.flatnonzero(trajectory.tractive_effort > 1e-3 * trajectory.tractive_effort.max())
-    found = Way(
+    found = RouteTables(
         origin=origin,
         end=run.end,
         track=run.line.track_acceleration(places),
@@ -189,7 +210,7 @@ def way(
         goal=goal,
         last_pull=float(trajectory.positions[pulls[-1] + 1]),
     )
-    brake_ahead(found.ceiling, found, can)
+    brake_ahead(found.ceiling, found, limits)
     return found
 
 
@@ -219,50 +240,57 @@ def _lowest_around(fine: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def bounds(p: float, v: float, w: Way, can: Able) -> tuple[float, float]:
+def effort_limits(
+    p: float, v: float, route: RouteTables, limits: TrainLimits
+) -> tuple[float, float]:
     """Largest tractive and braking effort [N] that machine, comfort and adhesion allow."""
-    grip = value(w.adhesion, w.origin, p)
-    powered = grip * can.on_powered
-    pulling = value(w.pulling, w.origin, p) * can.on_powered
-    pull = min(can.traction, pulling, can.power / max(v, 0.1))
-    brake = min(can.braking, grip * can.on_all)
+    grip = value(route.adhesion, route.origin, p)
+    powered = grip * limits.on_powered
+    pulling = value(route.pulling, route.origin, p) * limits.on_powered
+    pull = min(limits.traction, pulling, limits.power / max(v, 0.1))
+    brake = min(limits.braking, grip * limits.on_all)
     # The dynamic brake is used first, and it acts on the powered axles alone.
-    if at_once(v, can) > powered:
+    if dynamic_braking(v, limits) > powered:
         brake = min(brake, powered)
     return pull, brake
 
 
 @njit(cache=True)
-def at_once(v: float, can: Able) -> float:
+def dynamic_braking(v: float, limits: TrainLimits) -> float:
     """Braking effort [N] that needs no friction brake."""
-    return min(can.dynamic, can.dynamic_power / max(v, 0.1))
+    return min(limits.dynamic, limits.dynamic_power / max(v, 0.1))
 
 
 @njit(cache=True)
-def held_back(p: float, v: float, row: FloatArray, w: Way) -> float:
+def free_deceleration(p: float, v: float, row: FloatArray, route: RouteTables) -> float:
     """Deceleration [m/s²] of a train (mass, inertia, r0, r1, r2) without effort."""
-    drag = row[2] + (row[3] + (row[4] + value(w.tunnel, w.origin, p)) * v) * v
-    return (drag + row[0] * value(w.track, w.origin, p)) / row[1]
+    drag = row[2] + (row[3] + (row[4] + value(route.tunnel, route.origin, p)) * v) * v
+    return (drag + row[0] * value(route.track, route.origin, p)) / row[1]
 
 
 @njit(cache=True)
-def brake_ahead(squares: FloatArray, w: Way, can: Able) -> None:
+def brake_ahead(squares: FloatArray, route: RouteTables, limits: TrainLimits) -> None:
     """Lower `squares` to those from which all ahead can be kept by the train that brakes worst."""
     for i in range(squares.size - 2, -1, -1):
-        place = w.origin + GRID * i
+        place = route.origin + GRID * i
         ahead, best = squares[i + 1], squares[i + 1]
         for _ in range(2):
             v = math.sqrt(0.5 * (ahead + best))
-            share = SETTLING_SHARE if w.end - place < SETTLING else SHARE
-            brake = share * min(bounds(place, v, w, can)[1], bounds(place + GRID, v, w, can)[1])
+            share = SETTLING_SHARE if route.end - place < SETTLING else SHARE
+            brake = share * min(
+                effort_limits(place, v, route, limits)[1],
+                effort_limits(place + GRID, v, route, limits)[1],
+            )
             worst = 1e9
-            for row in can.corners:
-                worst = min(worst, brake / row[1] + held_back(place + 0.5 * GRID, v, row, w))
+            for row in limits.corners:
+                worst = min(
+                    worst, brake / row[1] + free_deceleration(place + 0.5 * GRID, v, row, route)
+                )
             best = ahead + 2.0 * GRID * max(worst, 0.0)
         squares[i] = min(squares[i], best)
 
 
 @njit(cache=True)
-def highest(p: float, w: Way) -> float:
+def ceiling_square(p: float, route: RouteTables) -> float:
     """Square of the highest speed [m²/s²] at a position."""
-    return max(value(w.ceiling, w.origin, p), 0.0)
+    return max(value(route.ceiling, route.origin, p), 0.0)

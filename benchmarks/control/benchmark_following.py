@@ -23,7 +23,7 @@ from rich.table import Table
 
 from analysis.control.follow import Follower, Margin, run_of
 from analysis.control.odometry import MARGIN, Odometry
-from analysis.studies.hauck_2023.controller import Program
+from analysis.control.qp import QPSubproblem
 from analysis.trajectory import optimise
 from analysis.trajectory.envelope import fastest_run
 from trainlog.formats.condition import read_map
@@ -69,7 +69,7 @@ class Watched:
     def __init__(self, follower: Follower) -> None:
         self.follower = follower
         self.spent: list[float] = []
-        self.programs: list[Program] = []
+        self.programs: list[QPSubproblem] = []
         self._program = follower.program
         follower.program = self._kept  # type: ignore[method-assign]
 
@@ -87,10 +87,10 @@ class Watched:
             self.spent.append(1e3 * (time.process_time() - begun))
         return found
 
-    def _kept(self, observation: Observation) -> Program:
+    def _kept(self, observation: Observation) -> QPSubproblem:
         self._decided = True
         program = self._program(observation)
-        if program.levers.size == self.follower.tuning.horizon and len(self.spent) % 50 == 10:
+        if program.inputs.size == self.follower.tuning.horizon and len(self.spent) % 50 == 10:
             self.programs.append(program)
         return program
 

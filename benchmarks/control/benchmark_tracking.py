@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from analysis.studies.hauck_2023.controller import SOFTNESS, Program, TrackingController, solve
+from analysis.control.qp import SOFTNESS, QPSubproblem, solve
+from analysis.studies.hauck_2023.controller import TrackingController
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import Reference, reference
 from analysis.studies.hauck_2023.section import section_of
@@ -57,7 +58,7 @@ def states(plan: Reference) -> list[tuple[float, float, float]]:
     return found
 
 
-def peer_cvxpy() -> Callable[[Program], float]:
+def peer_cvxpy() -> Callable[[QPSubproblem], float]:
     """The program with parameters, compiled once; the square root of H keeps it DPP."""
     root, linear = cp.Parameter((N, N)), cp.Parameter(N)
     rows, low, high = cp.Parameter((2 * N, N)), cp.Parameter(3 * N), cp.Parameter(3 * N)
@@ -66,18 +67,18 @@ def peer_cvxpy() -> Callable[[Program], float]:
     kept = [x >= low[:N], x <= high[:N], rows @ x + slack >= low[N:], rows @ x + slack <= high[N:]]
     problem = cp.Problem(cp.Minimize(cost), kept)
 
-    def step(program: Program) -> float:
+    def step(program: QPSubproblem) -> float:
         root.value = np.linalg.cholesky(program.hessian).T
         linear.value, rows.value = program.gradient, program.rows
         low.value, high.value = np.maximum(program.lower, -1e6), np.minimum(program.upper, 1e6)
         problem.solve(solver=cp.CLARABEL)
         assert problem.status in ("optimal", "optimal_inaccurate"), problem.status
-        return float(program.levers[0] + x.value[0])
+        return float(program.inputs[0] + x.value[0])
 
     return step
 
 
-def peer_ipopt() -> Callable[[Program], float]:
+def peer_ipopt() -> Callable[[QPSubproblem], float]:
     x, slack = ca.MX.sym("x", N), ca.MX.sym("s", 2 * N)
     given = ca.MX.sym("p", N * N + N + 2 * N * N)
     h = ca.reshape(given[: N * N], N, N)
@@ -92,7 +93,7 @@ def peer_ipopt() -> Callable[[Program], float]:
     options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
     solver = ca.nlpsol("step", "ipopt", problem, options)
 
-    def step(program: Program) -> float:
+    def step(program: QPSubproblem) -> float:
         free = np.full(2 * N, np.inf)
         answer = solver(
             p=np.concatenate([
@@ -104,15 +105,15 @@ def peer_ipopt() -> Callable[[Program], float]:
             ubg=program.upper[N:],
         )  # fmt: skip
         assert solver.stats()["success"]
-        return float(program.levers[0] + np.asarray(answer["x"])[0, 0])
+        return float(program.inputs[0] + np.asarray(answer["x"])[0, 0])
 
     return step
 
 
-def own(program: Program) -> float:
+def own(program: QPSubproblem) -> float:
     change, status = solve(program)
     assert status > 0
-    return float(program.levers[0] + change[0])
+    return float(program.inputs[0] + change[0])
 
 
 def timed(work: Callable[[], object], repeats: int) -> float:

@@ -8,14 +8,16 @@ prediction from the measured state (a real-time iteration), which also serves a 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.control import tracking_kernels as kernels
-from analysis.control.mass import ObservedMass, window
+from analysis.control.qp import QPSubproblem, solve
+from analysis.control.route import value
 from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023 import prediction as kernels
+from analysis.studies.hauck_2023.mass import ObservedMass, window
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference
 from analysis.studies.hauck_2023.target import Fast, latest, paced, returning, with_lead
@@ -51,9 +53,6 @@ FAST_STEP = 5.0
 SHORTEST = 6
 """Steps of the horizon that remain at the stop."""
 
-SOFTNESS = 1e-7
-"""Of the ceiling of the speed in the program: one over its quadratic weight."""
-
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
@@ -81,28 +80,6 @@ class Tuning:
         for name in ("horizon", "position", "lever", "mass"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"tracking: {name} {getattr(self, name)} is not positive")
-
-
-@dataclass(frozen=True, eq=False)
-class Program:
-    """``min 1/2 x'Hx + f'x`` in changes x of the levers about which the motion is linearised.
-
-    Attributes
-    ----------
-    hessian, gradient : (n, n), (n,) arrays
-    rows : (2n, n) array
-        Ceiling of the speed and standstill; soft.
-    upper, lower : (3n,) arrays
-        Of the changes, hard; then of the rows.
-    levers : (n,) array
-    """
-
-    hessian: FloatArray
-    gradient: FloatArray
-    rows: FloatArray
-    upper: FloatArray
-    lower: FloatArray
-    levers: FloatArray
 
 
 @dataclass
@@ -192,7 +169,7 @@ class TrackingController:
         self._plan = plan
         return float(plan[0])
 
-    def program(self, time: float, position: float, speed: float) -> Program:
+    def program(self, time: float, position: float, speed: float) -> QPSubproblem:
         """The program (11) at a state; see `drive`."""
         target, aim = self._target(time, position, speed)
         mass, t, c = self._mass, self._tables, self._constants
@@ -213,7 +190,7 @@ class TrackingController:
             tuning.position, tuning.lever, SAMPLING, mass, t, c,
         )  # fmt: skip
         hessian, gradient, rows, upper, lower = found
-        return Program(hessian, gradient, rows, upper, lower, levers)
+        return QPSubproblem(hessian, gradient, rows, upper, lower, levers)
 
     def guarded(self, lever: float, position: float, speed: float) -> float:
         """The lever next to `lever` that keeps (7) for a second, whatever the train weighs."""
@@ -232,7 +209,7 @@ class TrackingController:
             return None
         if speed < HOLDING_SPEED:
             return 0.0
-        grip = dynamics.value(t.adhesion, t.origin, position + left)
+        grip = value(t.adhesion, t.origin, position + left)
         rest = HOLDING_SPEED**2 / (2.0 * min(HOLDING, grip * GRAVITY))
         lever = float(
             kernels.stopping_lever(position, speed, left - rest, HOLDING_SPEED, self._mass, t, c)
@@ -247,7 +224,7 @@ class TrackingController:
         program = self.program(time, position, speed)
         plan = self._solved(program)
         self._plan = plan
-        change = plan[0] - program.levers[0]
+        change = plan[0] - program.inputs[0]
         if change > program.upper[0] - 1e-6:
             return 1.0
         return -1.0 if change < program.lower[0] + 1e-6 else float(plan[0])
@@ -308,7 +285,7 @@ class TrackingController:
     def _starting(self, position: float) -> float:
         """The lever above which a train at rest begins to move."""
         t, c = self._tables, self._constants
-        sine = float(dynamics.value(t.sine, t.origin, position))
+        sine = float(value(t.sine, t.origin, position))
         weight = GRAVITY * (sine + c.rolling * np.sqrt(1.0 - sine**2))
         return float(self._mass * weight / (c.k1 + c.k3))
 
@@ -320,29 +297,9 @@ class TrackingController:
         extra = max(aim.size - shifted.size, 0)
         return np.concatenate([shifted, np.full(extra, shifted[-1])])[: aim.size]
 
-    def _solved(self, program: Program) -> FloatArray:
+    def _solved(self, program: QPSubproblem) -> FloatArray:
         change, status = solve(program)
         if status <= 0:
             self.unsolved += 1
-            return np.ascontiguousarray(program.levers)
-        return program.levers + change
-
-
-def solve(program: Program) -> tuple[FloatArray, int]:
-    """Solve a program by DAQP.
-
-    Returns
-    -------
-    change : (n,) array
-    status : int
-        Positive where the optimum was found.
-    """
-    import daqp
-
-    sense: NDArray[np.int32] = np.zeros(program.upper.size, dtype=np.int32)
-    sense[program.levers.size :] = 8  # soft
-    answer: tuple[Any, ...] = daqp.solve(
-        program.hessian, program.gradient, program.rows, program.upper, program.lower, sense,
-        rho_soft=SOFTNESS,
-    )  # fmt: skip
-    return np.asarray(answer[0]), int(answer[2])
+            return np.ascontiguousarray(program.inputs)
+        return program.inputs + change

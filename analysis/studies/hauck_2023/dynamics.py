@@ -16,13 +16,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from analysis.control.route import GRID, value
 from analysis.studies.hauck_2023.model import LeverTrain
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
-
-GRID = 5.0
-"""Spacing of the tables along a section [m]."""
 
 
 class Constants(NamedTuple):
@@ -65,25 +63,6 @@ def constants(train: LeverTrain) -> Constants:
         train.drag, train.rolling_coefficient, train.k1, train.k2, train.k3,
         train.mass, train.max_mass, train.max_acceleration,
     )  # fmt: skip
-
-
-@njit(cache=True)
-def value(table: FloatArray, origin: float, position: float) -> float:
-    """A table at a position [m]; ends are extended."""
-    x = (position - origin) / GRID
-    if x <= 0.0:
-        return table[0]
-    if x >= table.size - 1:
-        return table[-1]
-    i = int(x)
-    return table[i] + (x - i) * (table[i + 1] - table[i])
-
-
-@njit(cache=True)
-def rate(table: FloatArray, origin: float, position: float) -> float:
-    """How fast a table changes at a position [1/m]."""
-    i = min(max(int((position - origin) / GRID), 0), table.size - 2)
-    return (table[i + 1] - table[i]) / GRID
 
 
 @njit(cache=True)

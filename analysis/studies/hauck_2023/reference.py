@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.control.route import GRID
 from analysis.studies.hauck_2023 import dynamics as dynamics
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
@@ -263,7 +264,7 @@ def _interval(
     import casadi as ca
 
     c, t = section.planning_constants, section.planned
-    nodes = (t.origin + dynamics.GRID * np.arange(t.sine.size) - section.origin.position) / 1e3
+    nodes = (t.origin + GRID * np.arange(t.sine.size) - section.origin.position) / 1e3
     sine = ca.interpolant("sine", "bspline", [nodes], t.sine)
     grip = ca.interpolant("grip", "bspline", [nodes], t.adhesion)
     ceiling = ca.interpolant("ceiling", "bspline", [nodes], t.ceiling)

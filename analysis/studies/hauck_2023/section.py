@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.adhesion.demonstrated import assured_adhesion
+from analysis.control.route import GRID, value
 from analysis.studies.hauck_2023 import dynamics as dynamics
-from analysis.studies.hauck_2023.dynamics import GRID, Tables
+from analysis.studies.hauck_2023.dynamics import Tables
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, LeverTrain
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, StepProfile, TrackConditionMap
@@ -280,8 +281,8 @@ def _fastest(
     run = FastRun(*dynamics.fastest_run(start, 0.0, end, step, most, mass, inertia, t, c))
     if run.positions[-1] < end - 1e-6:
         place = float(run.positions[-1])
-        sine = dynamics.value(t.sine, t.origin, place)
-        grip = dynamics.value(t.adhesion, t.origin, place)
+        sine = value(t.sine, t.origin, place)
+        grip = value(t.adhesion, t.origin, place)
         raise InfeasibleError(
             f"{section.name}: a train of {mass / 1e3:g} t comes to a stand at km"
             f" {place / 1e3:.3f}, on {1e3 * sine:.1f} per mille with a maximum adhesion of"

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.studies.hauck_2023.dynamics import GRID
+from analysis.control.route import GRID
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN, LeverTrain
 from analysis.studies.hauck_2023.section import SMOOTHING, fastest, section_of
 from trainlog.formats.line import read_line

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.control.route import value
 from analysis.studies.hauck_2023 import dynamics as dynamics
 from trainlog.units import GRAVITY
 
@@ -108,10 +109,10 @@ def window(
     if np.ptp(lever[1:]) > STEADY or speed[-1] < SLOWEST:
         return None
     position, speed, lever = position[SETTLING:], speed[SETTLING:], lever[SETTLING + 1 :]
-    grip = [dynamics.value(t.adhesion, t.origin, p) for p in position]
+    grip = [value(t.adhesion, t.origin, p) for p in position]
     if max(grip) > EVEN * min(grip):
         return None
-    sine = np.array([dynamics.value(t.sine, t.origin, p) for p in position])
+    sine = np.array([value(t.sine, t.origin, p) for p in position])
     weight = GRAVITY * float(np.mean(sine + c.rolling * np.sqrt(1.0 - sine**2)))
     mean = 0.5 * (speed[1:] + speed[:-1])
     effort = lever * (c.k1 * np.exp(-c.k2 * mean) + c.k3)

@@ -12,6 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from analysis.control.prediction import AHEAD
+from analysis.control.qp import speed_rows, terminal_weight, tracking_cost
+from analysis.control.route import rate, value
 from analysis.studies.hauck_2023.dynamics import (
     Constants,
     Tables,
@@ -19,8 +22,6 @@ from analysis.studies.hauck_2023.dynamics import (
     drift,
     full_effort,
     lever_bounds,
-    rate,
-    value,
 )
 from trainlog.units import GRAVITY
 
@@ -28,9 +29,6 @@ FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 10
 """Of the prediction in one sampling period."""
-
-AHEAD = 0.5
-"""The rail is looked at this much further on [s]: efforts follow their demand with a lag."""
 
 HELD = 1.0
 """For this long a lever that the guard lets through could be held under the ceiling [s]."""
@@ -107,22 +105,6 @@ def predicted(
 
 
 @njit(cache=True)
-def terminal_weight(a: FloatArray, b: FloatArray, weight: float, lever: float) -> FloatArray:
-    """Cost to go of the unconstrained regulator, by iterating Riccati's equation."""
-    p = np.zeros((2, 2))
-    p[0, 0] = weight
-    for _ in range(60):
-        pb = p @ b
-        gain = (a.T @ pb) / (lever + b @ pb)
-        new = a.T @ p @ a - np.outer(gain, a.T @ pb)
-        new[0, 0] += weight
-        if np.abs(new - p).max() < 1e-9 * np.abs(new).max():
-            break
-        p = 0.5 * (new + new.T)
-    return p
-
-
-@njit(cache=True)
 def condensed(
     states: FloatArray, levers: FloatArray, deviation: FloatArray, target: FloatArray,
     aim: FloatArray, weight: float, effort: float, span: float, m: float, t: Tables, c: Constants,
@@ -171,37 +153,14 @@ def condensed(
         response[k + 1, :, k] = last_b
         least, most = bounds_over(p, v, states[k + 1, 0], states[k + 1, 1], t, c)
         lower[k], upper[k] = least - u, most - u
-    h, f = np.zeros((n, n)), np.zeros(n)
-    for k in range(1, n + 1):
-        gone = states[k, 0] + free[k, 0] - target[k, 0]
-        for i in range(n):
-            x = weight * response[k, 0, i]
-            f[i] += x * gone
-            for j in range(i + 1):
-                h[i, j] += x * response[k, 0, j]
-    end = terminal_weight(last_a, last_b, weight, effort)
-    end[0, 0] -= weight
-    gap = states[n] + free[n] - target[n]
-    last = response[n]
-    for i in range(n):
-        x = end[0, 0] * last[0, i] + end[0, 1] * last[1, i]
-        y = end[1, 0] * last[0, i] + end[1, 1] * last[1, i]
-        f[i] += x * gap[0] + y * gap[1] + effort * (levers[i] - aim[i])
-        h[i, i] += effort
-        for j in range(i + 1):
-            h[i, j] += x * last[0, j] + y * last[1, j]
-            h[j, i] = h[i, j]
-    rows = np.empty((2 * n, n))
-    for k in range(1, n + 1):
+    squares, slopes = np.empty(n + 1), np.empty(n + 1)
+    for k in range(n + 1):
         p, v = states[k, 0], states[k, 1]
-        slope = rate(t.ceiling, t.origin, p)
-        room = value(t.ceiling, t.origin, p) - v * v - 2.0 * v * BELOW
-        for j in range(n):
-            rows[k - 1, j] = 2.0 * v * response[k, 1, j] - slope * response[k, 0, j]
-            rows[n + k - 1, j] = response[k, 1, j]
-        upper[n + k - 1] = room - 2.0 * v * free[k, 1] + slope * free[k, 0]
-        upper[2 * n + k - 1] = 1e30
-        lower[2 * n + k - 1] = -(v + free[k, 1])
+        squares[k] = value(t.ceiling, t.origin, p) - 2.0 * v * BELOW
+        slopes[k] = rate(t.ceiling, t.origin, p)
+    terminal = terminal_weight(last_a, last_b, weight, effort)
+    h, f = tracking_cost(response, states + free - target, levers - aim, terminal, weight, effort)
+    rows, upper[n:], lower[n:] = speed_rows(response, states, free, squares, slopes)
     return h, f, rows, upper, lower
 
 
