@@ -21,7 +21,7 @@ from recorder_files import (
     ubx,
 )
 
-from trainlog.errors import InputError
+from trainlog.errors import InputError, MissingExtraError
 from trainlog.ingest import ingest, repairs_of, report_of
 from trainlog.trip import Trip
 
@@ -155,7 +155,7 @@ def test_logs_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str
 
 def test_a_missing_parser_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pynmeagps", None)
-    with pytest.raises(InputError, match=r'pip install "trainlog.recorders.'):
+    with pytest.raises(MissingExtraError, match=r"pip install .trainlog.recorders."):
         read(tmp_path, nmea_lines(drive(9, 1.0)))
 
 

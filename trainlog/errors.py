@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 class TrainlogError(Exception):
-    """Bad input, told in one line.
+    """Bad input, stated in one line.
 
     Parameters
     ----------
@@ -55,3 +55,7 @@ class NotIdentifiableError(TrainlogError):
 
 class InfeasibleError(TrainlogError):
     """No trajectory satisfies the constraints; the message says which one and by how much."""
+
+
+class MissingExtraError(TrainlogError):
+    """A package that an extra of trainlog installs is missing; the message names the extra."""

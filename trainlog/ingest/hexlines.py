@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from trainlog.errors import InputError
+from trainlog.extras import load
 from trainlog.ingest.mapping import from_parts
 from trainlog.ingest.nmea import epochs_of
 from trainlog.ingest.profile import FileOptions, Profile
@@ -33,7 +34,6 @@ from trainlog.ingest.recording import (
     Raw,
     Recording,
     Table,
-    extra,
 )
 from trainlog.ingest.tabular import TextFile, open_text
 
@@ -285,7 +285,7 @@ def _count_others(lines: _Lines, others: BoolArray, messages: Messages) -> None:
     places = np.flatnonzero(others)
     if not places.size:
         return
-    parse = extra("pyubx2").UBXReader.parse
+    parse = load("pyubx2").UBXReader.parse
     for i in places:
         try:
             message = parse(lines.bytes(i))

@@ -22,9 +22,10 @@ import pandas as pd
 import pyarrow as pa
 
 from trainlog.errors import InputError
+from trainlog.extras import load
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import WORDS, Column, Profile, suggestion
-from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, extra, field_of
+from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, field_of
 from trainlog.units import factor
 
 UNITS = {
@@ -92,7 +93,7 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
 @contextmanager
 def _open(path: Path) -> Iterator[Any]:
     """The file as asammdf gives it."""
-    library = extra("asammdf")
+    library = load("asammdf")
     try:
         stream = path.open("rb")
     except OSError as error:

@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from trainlog.errors import InputError
+from trainlog.extras import load
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.recording import (
@@ -30,7 +31,6 @@ from trainlog.ingest.recording import (
     Messages,
     Recording,
     Table,
-    extra,
 )
 
 KNOT = 1852.0 / 3600.0
@@ -98,7 +98,7 @@ class Epochs:
     """The epochs that sentences make, gathered one sentence after the other."""
 
     def __init__(self) -> None:
-        self.parse = extra("pynmeagps").NMEAReader.parse
+        self.parse = load("pynmeagps").NMEAReader.parse
         self.rows: list[int] = []
         self.of_day: list[datetime.time] = []
         self.prefixes: list[str] = []

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -237,23 +235,6 @@ VERTICAL_PER_VDOP = 4.2
 
 MAX_DAMAGED = 0.5
 """Share of messages that cannot be read beyond which it is another kind of file."""
-
-
-def extra(module: str) -> Any:
-    """A parser library that only the extra ``recorders`` brings.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise InputError(
-            f"needs the package {module}, which is not installed",
-            remedy='pip install "trainlog[recorders]"',
-        ) from error
 
 
 @dataclass
