@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from trainlog.formats.attached import train_of
 from trainlog.railway import RunningResistance, StepProfile, TrackConditionMap
-from trainlog.simulation.recording import SCENARIO_ATTACHMENT
-from trainlog.trip import Trip
+from trainlog.trip import SCENARIO_ATTACHMENT, Trip
 
 FloatArray = NDArray[np.float64]
 

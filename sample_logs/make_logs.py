@@ -16,8 +16,8 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.mcap import write_log
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv
-from trainlog.simulation.scenario import draw_scenarios, simulate
 
 LOGS = {"trip-01": "nonstop.mcap", "trip-03": "stopping.mcap"}
 """Logs: a dry trip from St.Gallen to Wil without a stop, and a wet one that calls everywhere."""

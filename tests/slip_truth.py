@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.adhesion.slip import SlipAnalysis, slip
 from estimators.slip import SlipDetector
-from trainlog.simulation.recording import recorded
-from trainlog.simulation.scenario import Scenario, drive
+from trainlog.simulation import Scenario, drive, recorded
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]

@@ -33,14 +33,14 @@ from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError, LogError
 from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
-from trainlog.simulation.drivers import DEPARTURE, Observation
-from trainlog.simulation.scenario import (
+from trainlog.simulation import (
     Locator,
     Scenario,
     drive,
     simulate,
     trajectory_scenarios,
 )
+from trainlog.simulation.drivers import DEPARTURE, Observation
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, balises
 
 NEUTRAL = TrainEstimate(1.0, 0.0, 0.0)

@@ -18,8 +18,8 @@ from trainlog.ingest import ingest, report_of
 from trainlog.ingest.chainage import Fixes, chainage_of
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.recorders import write_ublox_csv
-from trainlog.simulation.scenario import draw_scenarios, simulate
 from trainlog.trip import Trip
 
 METRES_PER_DEGREE = 111_177.0

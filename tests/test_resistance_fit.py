@@ -29,7 +29,7 @@ from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train, train_to_bytes
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import RunningResistance, StepProfile, Tunnel
-from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of
 

@@ -38,7 +38,7 @@ from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
 from trainlog.mcap import write_log
 from trainlog.railway import RunningResistance
-from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.simulation import draw_scenarios, simulate
 
 Array = NDArray[np.float64]
 

@@ -12,6 +12,13 @@ from simulated_world import flirt, hilly_line, level_line, steps, trajectory_of
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Station
+from trainlog.simulation import (
+    Run,
+    Scenario,
+    draw_scenarios,
+    drive,
+    trajectory_scenarios,
+)
 from trainlog.simulation.drivers import (
     Demand,
     Driver,
@@ -19,18 +26,10 @@ from trainlog.simulation.drivers import (
     Observation,
     Stop,
     TimetableDriver,
-    permitted_speeds,
     plan,
     running_time,
 )
 from trainlog.simulation.plant import Plant
-from trainlog.simulation.scenario import (
-    Run,
-    Scenario,
-    draw_scenarios,
-    drive,
-    trajectory_scenarios,
-)
 
 
 def journey(line=None, adhesion: float = 0.3, **changes: object) -> Scenario:
@@ -82,7 +81,7 @@ def test_timetable_driver_keeps_limits_and_stops(
     )
     scenario = journey(habits=habits, mass=122_000.0 + load)
     found = columns(scenario, drive(scenario))
-    limit = permitted_speeds(scenario.line, scenario.train.length, found["position"])
+    limit = scenario.line.limits_over(scenario.train.length)(found["position"])
     assert np.max(found["speed"] - limit) <= 1.0 / 3.6
     wanted = [station.position for station in scenario.line.stations]
     np.testing.assert_allclose(stands(found), wanted, atol=1.5)
@@ -157,7 +156,7 @@ def test_the_whole_train_must_have_passed_a_restriction() -> None:
     line = replace(level_line(), speed_limits=steps((0.0, 20.0), (500.0, 30.0), (800.0, 10.0)))
     grid = np.array([0.0, 499.0, 501.0, 550.0, 559.0, 799.0, 801.0])
     np.testing.assert_array_equal(
-        permitted_speeds(line, 58.6, grid), [20.0, 20.0, 20.0, 20.0, 30.0, 30.0, 10.0]
+        line.limits_over(58.6)(grid), [20.0, 20.0, 20.0, 20.0, 30.0, 30.0, 10.0]
     )
 
 

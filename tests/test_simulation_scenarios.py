@@ -17,13 +17,13 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
 from trainlog.mcap import read_log, write_log
-from trainlog.simulation.adhesion_truth import base_map
-from trainlog.simulation.recorders import OVERFLOW, write_recorder_csv, write_ublox_csv
-from trainlog.simulation.scenario import (
+from trainlog.simulation import (
     Scenario,
     draw_scenarios,
     simulate,
 )
+from trainlog.simulation.recorders import OVERFLOW, write_recorder_csv, write_ublox_csv
+from trainlog.simulation.scenario import base_map
 from trainlog.simulation.sensors import Sensors
 from trainlog.topics import TOPICS, units
 from trainlog.trip import Trip

@@ -15,7 +15,7 @@ from trainlog.errors import LogError
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Axles
 from trainlog.resampling import interpolated
-from trainlog.simulation.scenario import draw_scenarios
+from trainlog.simulation import draw_scenarios
 from trainlog.simulation.sensors import Sensors
 from trainlog.topics import TOPICS
 from trainlog.trip import TRAIN_ATTACHMENT, Trip, column_field

@@ -34,7 +34,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.mcap import write_log
 from trainlog.railway import TrackConditionMap
-from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]

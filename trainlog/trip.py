@@ -28,6 +28,9 @@ LINE_ATTACHMENT = "line.json"
 TRAIN_ATTACHMENT = "train.json"
 """Attachment that holds the train, in trainlog's train format."""
 
+SCENARIO_ATTACHMENT = "scenario.json"
+"""Attachment that holds the truth of a simulated trip."""
+
 NO_POSITION = f"it needs a position in {' or '.join(POSITION_TOPICS)}; slice it by time"
 """What to do about a trip that cannot be sliced by position."""
 

@@ -228,16 +228,7 @@ class TrajectoryProblem:
     @property
     def limits(self) -> StepProfile:
         """The line's speed limits as the protected length of the train meets them [m/s]."""
-        profile, length = self.line.speed_limits, self.protected_length
-        if length == 0.0:
-            return profile
-        edges = np.unique(np.concatenate((profile.positions, profile.positions + length)))
-        edges = np.concatenate(([0.0], edges[edges > 0.0]))
-        behind = edges[:, None] - length
-        under_train = (profile.positions <= edges[:, None]) & (
-            np.append(profile.positions[1:], np.inf) > behind
-        )
-        return StepProfile(edges, np.where(under_train, profile.values, np.inf).min(axis=1))
+        return self.line.limits_over(self.protected_length)
 
     def permitted_speed(self, position: FloatArray) -> FloatArray:
         """Highest permitted speed [m/s] at each position: line and train."""

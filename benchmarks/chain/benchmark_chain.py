@@ -23,7 +23,7 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import Line, RunningResistance, Train
-from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip, seconds
 
 

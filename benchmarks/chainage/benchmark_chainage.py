@@ -26,7 +26,7 @@ from trainlog.formats.train import read_train
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Profile
 from trainlog.railway.geometry import nearest_on, track_of
-from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.sensors import correlated
 from trainlog.topics import GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip, frame_of

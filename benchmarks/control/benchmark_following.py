@@ -31,8 +31,8 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
+from trainlog.simulation import Scenario, drive, trajectory_scenarios
 from trainlog.simulation.drivers import DEPARTURE, Demand, Observation
-from trainlog.simulation.scenario import Scenario, drive, trajectory_scenarios
 from trainlog.simulation.sensors import Reading, Sensors
 from trainlog.units import KMH
 

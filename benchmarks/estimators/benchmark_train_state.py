@@ -28,8 +28,7 @@ from estimators.train_state import TrainStateFilter, TrainStates
 from estimators.train_state_recursion import CREEP, CREEP_FLOOR, CREEP_TIME
 from trainlog.railway import StepProfile
 from trainlog.resampling import interpolated
-from trainlog.simulation.recording import recorded
-from trainlog.simulation.scenario import Scenario, draw_scenarios, drive
+from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.sensors import correlated
 from trainlog.units import KMH
 

@@ -32,7 +32,7 @@ from trainlog.formats.attached import line_of
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
-from trainlog.simulation.scenario import Scenario, draw_scenarios, simulate
+from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION
 from trainlog.trip import Trip, frame_of, seconds
 

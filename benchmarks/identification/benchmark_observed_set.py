@@ -25,7 +25,7 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import Configuration, Line, ParameterSet, Train
-from trainlog.simulation.scenario import draw_scenarios, simulate
+from trainlog.simulation import draw_scenarios, simulate
 
 RESERVE = 0.10
 """Of the timetable over the least time of the slowest configuration of the set."""

@@ -24,7 +24,7 @@ from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
 from trainlog.railway import Line, StepProfile
-from trainlog.simulation.scenario import Scenario, draw_scenarios, simulate
+from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 FloatArray = NDArray[np.float64]

@@ -21,8 +21,7 @@ from estimators.slip import SlipDetector
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
-from trainlog.simulation.recording import recorded
-from trainlog.simulation.scenario import Scenario, draw_scenarios, drive
+from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.sensors import Sensors
 
 

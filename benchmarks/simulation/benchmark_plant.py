@@ -20,8 +20,8 @@ from scipy.integrate import solve_ivp
 
 from trainlog.railway import Line, RunningResistance, Station, StepProfile, Train
 from trainlog.railway.adhesion import DRY
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.plant import Plant
-from trainlog.simulation.scenario import draw_scenarios, simulate
 from trainlog.units import GRAVITY
 
 EFFORT = 60e3

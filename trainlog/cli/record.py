@@ -30,7 +30,7 @@ from trainlog.trip import Trip
 
 if TYPE_CHECKING:
     from trainlog.railway import Line, Train
-    from trainlog.simulation.scenario import Scenario
+    from trainlog.simulation import Scenario
 
 app = typer.Typer()
 line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
@@ -75,8 +75,8 @@ def simulate(
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
     """
     from trainlog.mcap import write_log
-    from trainlog.simulation.scenario import draw_scenarios
-    from trainlog.simulation.scenario import (
+    from trainlog.simulation import draw_scenarios
+    from trainlog.simulation import (
         simulate as drive,
     )
 
@@ -135,8 +135,8 @@ def _following(
     from analysis.control.odometry import MARGIN, Odometry
     from trainlog.formats.condition import read_map
     from trainlog.formats.trajectory import read_trajectory
+    from trainlog.simulation import trajectory_scenarios
     from trainlog.simulation.drivers import DEPARTURE
-    from trainlog.simulation.scenario import trajectory_scenarios
 
     plan = read_trajectory(trajectory)
     follows = partial(

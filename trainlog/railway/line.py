@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -205,6 +206,24 @@ class Survey:
                 )
 
 
+class Pieces(NamedTuple):
+    """Pieces of a line in which gradient and tunnel are constant; (n,) arrays.
+
+    Attributes
+    ----------
+    start, width : [m]
+    sine : of the gradient's angle
+    curvature, bend : [1/m], [1/m²]
+        At the start, and its change along the piece.
+    """
+
+    start: FloatArray
+    width: FloatArray
+    sine: FloatArray
+    curvature: FloatArray
+    bend: FloatArray
+
+
 @dataclass(frozen=True)
 class Line:
     """A railway line between two ends.
@@ -346,6 +365,36 @@ class Line:
         pieces.extend(np.array([t.position, t.position + t.length]) for t in self.tunnels)
         points = np.unique(np.concatenate(pieces))
         return points[(points >= 0.0) & (points <= self.length)]
+
+    def pieces(self) -> Pieces:
+        """The line between its breakpoints, as compiled code reads it."""
+        start = self.breakpoints
+        start = start[start < self.length]
+        width = np.diff(np.append(start, self.length))
+        inside = start + 1e-6 * width
+        nearly = start + (1.0 - 1e-6) * width
+        slope = self.gradient(start)
+        curvature = self.curvature(inside)
+        bend = (self.curvature(nearly) - curvature) / (nearly - inside)
+        return Pieces(start, width, slope / np.hypot(1.0, slope), curvature, bend)
+
+    def limits_over(self, train_length: float) -> StepProfile:
+        """The speed limits [m/s] as a train meets them whose rear must have passed a restriction.
+
+        Parameters
+        ----------
+        train_length : float [m]
+            Length that a limit protects; 0: the limits of the train's front.
+        """
+        profile = self.speed_limits
+        if train_length == 0.0:
+            return profile
+        edges = np.unique(np.concatenate((profile.positions, profile.positions + train_length)))
+        behind = edges[:, None] - train_length
+        under_train = (profile.positions <= edges[:, None]) & (
+            np.append(profile.positions[1:], np.inf) > behind
+        )
+        return StepProfile(edges, np.where(under_train, profile.values, np.inf).min(axis=1))
 
     def reversed(self) -> Line:
         """The line travelled from its end to its start."""

@@ -1,4 +1,50 @@
-"""Simulated trips: the plant, its drivers, its sensors, and the scenarios they make.
+"""Simulated trips: a train on a line, who drives it, what its sensors record.
 
-`trainlog.simulation.scenario` is the way in: ``draw_scenarios`` and ``simulate``.
+``draw_scenarios`` draws trips of a train over a line, ``simulate`` makes the log of one. A
+controller drives when it implements the protocol `Driver`.
 """
+
+from trainlog.simulation.consist import ConsistPlant, ConsistState, Variation
+from trainlog.simulation.drivers import (
+    Demand,
+    Driver,
+    Habits,
+    Observation,
+    Stop,
+    TimetableDriver,
+    check_stops,
+    plan,
+    running_time,
+)
+from trainlog.simulation.plant import Drive, Plant, PlantState
+from trainlog.simulation.recording import Run, drive, recorded, simulate
+from trainlog.simulation.scenario import Scenario, draw_scenarios, trajectory_scenarios
+from trainlog.simulation.sensors import Instruments, Reading, Sensors
+
+__all__ = [
+    "ConsistPlant",
+    "ConsistState",
+    "Demand",
+    "Drive",
+    "Driver",
+    "Habits",
+    "Instruments",
+    "Observation",
+    "Plant",
+    "PlantState",
+    "Reading",
+    "Run",
+    "Scenario",
+    "Sensors",
+    "Stop",
+    "TimetableDriver",
+    "Variation",
+    "check_stops",
+    "draw_scenarios",
+    "drive",
+    "plan",
+    "recorded",
+    "running_time",
+    "simulate",
+    "trajectory_scenarios",
+]

@@ -16,7 +16,6 @@ from trainlog.railway.consist import Consist
 from trainlog.railway.resistance import tunnel_force_per_weight
 from trainlog.simulation import particles
 from trainlog.simulation.particles import WORKS
-from trainlog.simulation.track import pieces
 
 FloatArray = NDArray[np.float64]
 
@@ -341,7 +340,7 @@ def track_table(line: Line) -> FloatArray:
     (n + 1, 6) array
         Columns `particles.START` to `particles.TUNNEL`.
     """
-    start, width, sine, curvature, bend = pieces(line)
+    start, width, sine, curvature, bend = line.pieces()
     height = np.concatenate(([0.0], np.cumsum(sine * width)[:-1]))
     tunnel = np.zeros(start.size)
     for each in line.tunnels:

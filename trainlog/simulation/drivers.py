@@ -81,17 +81,6 @@ def check_stops(line: Line, stops: tuple[Stop, ...]) -> None:
             )
 
 
-def permitted_speeds(line: Line, train_length: float, grid: FloatArray) -> FloatArray:
-    """Permitted speed [m/s] for a whole train, whose rear must also have passed a restriction."""
-    starts, values = line.speed_limits.positions, line.speed_limits.values
-    ends = np.append(starts[1:], np.inf)
-    allowed = np.full(grid.shape, np.inf)
-    for start, end, value in zip(starts, ends, values, strict=True):
-        under = (grid >= start) & (grid - train_length < end)
-        allowed[under] = np.minimum(allowed[under], value)
-    return allowed
-
-
 def braking_ceiling(grid: FloatArray, limits: FloatArray, deceleration: float) -> FloatArray:
     """Highest speed [m/s] at each grid point from which every limit ahead can be kept."""
     energy = limits**2 + 2.0 * deceleration * grid
@@ -152,7 +141,7 @@ def running_time(
     load : float [kg]
     """
     grid = np.linspace(start, end, max(int((end - start) / GRID), 2) + 1)
-    limits = np.minimum(permitted_speeds(line, train.length, grid), train.max_speed)
+    limits = np.minimum(line.limits_over(train.length)(grid), train.max_speed)
     limits[-1] = 0.0
     mass = train.mass + load
     drag = train.resistance
@@ -367,7 +356,7 @@ class TimetableDriver:
         self.mass = train.mass if mass is None else mass
         self.inertia = self.mass + train.rotating_mass
         grid = np.arange(0.0, line.length + 2.0 * GRID, GRID)
-        limits = np.minimum(permitted_speeds(line, train.length, grid), train.max_speed)
+        limits = np.minimum(line.limits_over(train.length)(grid), train.max_speed)
         self._limits = limits
         self._ceiling = braking_ceiling(
             grid, np.maximum(limits - self.habits.margin, 1.0), self.habits.deceleration

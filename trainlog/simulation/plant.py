@@ -17,7 +17,6 @@ from trainlog.railway import Line, RunningResistance, StepProfile, Train
 from trainlog.railway.adhesion import DRY, creep_coefficients
 from trainlog.simulation import dynamics
 from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, Parameters
-from trainlog.simulation.track import pieces
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -339,7 +338,7 @@ def track_table(line: Line, train: Train) -> FloatArray:
         Start [m], sine of the gradient, curvature at the start [1/m], its change [1/m²], and the
         tunnel's quadratic resistance [N/(m/s)²].
     """
-    start, _, sine, curvature, bend = pieces(line)
+    start, _, sine, curvature, bend = line.pieces()
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(start))
     return np.ascontiguousarray(np.column_stack([start, sine, curvature, bend, tunnel]))
 

@@ -1,33 +1,126 @@
-"""From an exact run to a trip: what the train would have recorded, and the truth beside it."""
+"""Drive a scenario, and record it as the train would: its sensors, and the truth beside them."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog import __version__
+from trainlog.errors import InfeasibleError
 from trainlog.formats.files import sha256
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.simulation import sensors as measuring
-from trainlog.simulation.drivers import DEPARTURE
+from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
+from trainlog.simulation.scenario import Scenario
 from trainlog.simulation.sensors import NANOSECONDS
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
-
-if TYPE_CHECKING:
-    from trainlog.simulation.scenario import Run, Scenario
+from trainlog.trip import (
+    LINE_ATTACHMENT,
+    SCENARIO_ATTACHMENT,
+    TRAIN_ATTACHMENT,
+    Trip,
+    frame_of,
+)
 
 FloatArray = NDArray[np.float64]
 
-SCENARIO_ATTACHMENT = "scenario.json"
-"""Attachment that holds the truth of a simulated trip."""
+STANDING = 10.0
+"""Recorded after the arrival [s]."""
+
+STUCK = 1200.0
+"""A train that is not braked and has not moved for so long [s] will not."""
 
 INFO, WARNING = 2, 3
 """Levels of foxglove.Log."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What happened, exactly.
+
+    Attributes
+    ----------
+    seconds : (n,) array [s]
+        Since the beginning of the trip.
+    samples : (n, columns) array
+        See `Plant.columns`.
+    demands : (n, 2) array [N]
+        Tractive and braking effort asked for.
+    """
+
+    seconds: FloatArray
+    samples: FloatArray
+    demands: FloatArray
+
+
+def drive(scenario: Scenario) -> Run:
+    """Let the driver drive the plant from the first stop to the last.
+
+    Raises
+    ------
+    InfeasibleError
+        If the train does not arrive within three times its planned time, or has not moved for
+        `STUCK` though it is not braked, as it is at a stop.
+    """
+    plant = scenario.plant()
+    driver = scenario.driver()
+    trajectory = scenario.trajectory
+    if trajectory is None:
+        origin, patience = scenario.stops[0].position, 3.0 * scenario.stops[-1].arrival
+    else:
+        origin, patience = float(trajectory.positions[0]), 3.0 * trajectory.running_time
+    state = plant.at(origin)
+    sight = scenario.sight(origin)
+    steps = round(PERIOD / plant.parameters.step)
+    rate = round(scenario.sensors.rate * PERIOD)
+    blocks: list[FloatArray] = []
+    demands: list[tuple[float, float]] = []
+    acceleration = 0.0
+    arrived: float | None = None
+    moved, place = 0.0, origin
+    position, speed = origin, 0.0
+    while True:
+        time = len(blocks) * PERIOD
+        wanted = driver.demand(sight(Observation(time, position, speed, acceleration)))
+        demands.append((wanted.tractive_effort, wanted.braking_effort))
+        if arrived is None and driver.finished:
+            arrived = time
+        if arrived is not None and time >= arrived + STANDING:
+            break
+        if wanted.braking_effort > 0.0 or abs(position - place) > 1.0:
+            moved, place = time, position
+        if time > patience + 600.0 or time > moved + STUCK:
+            raise InfeasibleError(
+                f"trip '{scenario.name}': the train does not arrive; at km"
+                f" {position / 1e3:.3f} after {time:.0f} s",
+                remedy="check adhesion, gradients and tractive effort there",
+            )
+        blocks.append(plant.advance(state, *demands[-1], steps, steps // rate))
+        position, before, speed = state.position, speed, state.speed
+        acceleration = (speed - before) / PERIOD
+    samples = np.concatenate(blocks)
+    return Run(
+        np.arange(len(samples)) / scenario.sensors.rate,
+        samples,
+        np.repeat(np.array(demands[: len(blocks)]), rate, axis=0),
+    )
+
+
+def simulate(scenario: Scenario) -> Trip:
+    """Drive a scenario and record it as the train's sensors would.
+
+    Raises
+    ------
+    InputError
+        For a train or stops that cannot be.
+    InfeasibleError
+        If the train does not arrive.
+    """
+    return recorded(scenario, drive(scenario))
 
 
 def recorded(scenario: Scenario, run: Run) -> Trip:

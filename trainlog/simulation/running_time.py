@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line
 from trainlog.railway.formation import Formation
-from trainlog.simulation.drivers import braking_ceiling, permitted_speeds
+from trainlog.simulation.drivers import braking_ceiling
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -87,7 +87,7 @@ def _run_with(line: Line, formation: Formation, loaded: float, step: float) -> S
     """The run with one step."""
     mass = formation.mass(loaded)
     positions = _grid(line, formation.length, step)
-    limits = np.minimum(permitted_speeds(line, formation.length, positions), formation.max_speed)
+    limits = np.minimum(line.limits_over(formation.length)(positions), formation.max_speed)
     limits[-1] = 0.0
     ceiling = braking_ceiling(positions, limits, formation.deceleration)
     knots = np.unique(

@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from trainlog.errors import InfeasibleError, InputError
+from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
-from trainlog.simulation.adhesion_truth import base_map, trip_profile
+from trainlog.railway.condition import BIN_LENGTH
 from trainlog.simulation.drivers import (
-    PERIOD,
     Driver,
     Habits,
     Observation,
@@ -24,9 +23,7 @@ from trainlog.simulation.drivers import (
     plan,
 )
 from trainlog.simulation.plant import Plant
-from trainlog.simulation.recording import recorded
 from trainlog.simulation.sensors import NANOSECONDS, Instruments, Reading, Sensors, wheel_scales
-from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]
 
@@ -39,14 +36,17 @@ RAIL_CLEANING = (0.97, 0.99, 1.01, 1.03)
 SURVEY_ERROR = 0.1e-3
 """Standard deviation of a line file's gradients, from element to element."""
 
-STANDING = 10.0
-"""Recorded after the arrival [s]."""
+CORRELATION_LENGTH = 120.0
+"""Distance over which adhesion varies [m] (Ornstein-Uhlenbeck)."""
+
+BASE = {"dry": (0.325, 0.04), "wet": (0.175, 0.08)}
+"""Median of the base map and standard deviation of its logarithm, by weather."""
+
+SPOTS = {"dry": (0.1, 0.16), "wet": (0.06, 0.12)}
+"""Range of the maximum adhesion in slippery spots, by weather."""
 
 Locator = Callable[[Reading], Observation]
 """Tells a driver of the train what its instruments let it know."""
-
-STUCK = 1200.0
-"""A train that is not braked and has not moved for so long [s] will not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,91 +217,6 @@ def _told(profile: StepProfile) -> dict[str, Any]:
     """A profile along the line in its own direction, for JSON."""
     told = {"positions": profile.positions, "values": profile.values}
     return {"direction": "forward"} | {name: array.tolist() for name, array in told.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What happened, exactly.
-
-    Attributes
-    ----------
-    seconds : (n,) array [s]
-        Since the beginning of the trip.
-    samples : (n, columns) array
-        See `Plant.columns`.
-    demands : (n, 2) array [N]
-        Tractive and braking effort asked for.
-    """
-
-    seconds: FloatArray
-    samples: FloatArray
-    demands: FloatArray
-
-
-def drive(scenario: Scenario) -> Run:
-    """Let the driver drive the plant from the first stop to the last.
-
-    Raises
-    ------
-    InfeasibleError
-        If the train does not arrive within three times its planned time, or has not moved for
-        `STUCK` though it is not braked, as it is at a stop.
-    """
-    plant = scenario.plant()
-    driver = scenario.driver()
-    trajectory = scenario.trajectory
-    if trajectory is None:
-        origin, patience = scenario.stops[0].position, 3.0 * scenario.stops[-1].arrival
-    else:
-        origin, patience = float(trajectory.positions[0]), 3.0 * trajectory.running_time
-    state = plant.at(origin)
-    sight = scenario.sight(origin)
-    steps = round(PERIOD / plant.parameters.step)
-    rate = round(scenario.sensors.rate * PERIOD)
-    blocks: list[FloatArray] = []
-    demands: list[tuple[float, float]] = []
-    acceleration = 0.0
-    arrived: float | None = None
-    moved, place = 0.0, origin
-    position, speed = origin, 0.0
-    while True:
-        time = len(blocks) * PERIOD
-        wanted = driver.demand(sight(Observation(time, position, speed, acceleration)))
-        demands.append((wanted.tractive_effort, wanted.braking_effort))
-        if arrived is None and driver.finished:
-            arrived = time
-        if arrived is not None and time >= arrived + STANDING:
-            break
-        if wanted.braking_effort > 0.0 or abs(position - place) > 1.0:
-            moved, place = time, position
-        if time > patience + 600.0 or time > moved + STUCK:
-            raise InfeasibleError(
-                f"trip '{scenario.name}': the train does not arrive; at km"
-                f" {position / 1e3:.3f} after {time:.0f} s",
-                remedy="check adhesion, gradients and tractive effort there",
-            )
-        blocks.append(plant.advance(state, *demands[-1], steps, steps // rate))
-        position, before, speed = state.position, speed, state.speed
-        acceleration = (speed - before) / PERIOD
-    samples = np.concatenate(blocks)
-    return Run(
-        np.arange(len(samples)) / scenario.sensors.rate,
-        samples,
-        np.repeat(np.array(demands[: len(blocks)]), rate, axis=0),
-    )
-
-
-def simulate(scenario: Scenario) -> Trip:
-    """Drive a scenario and record it as the train's sensors would.
-
-    Raises
-    ------
-    InputError
-        For a train or stops that cannot be.
-    InfeasibleError
-        If the train does not arrive.
-    """
-    return recorded(scenario, drive(scenario))
 
 
 def draw_scenarios(
@@ -491,3 +406,89 @@ def trajectory_scenarios(
             )
         )
     return scenarios
+
+
+def bin_centres(count: int) -> FloatArray:
+    """Centres [m] of the first `count` bins of a line."""
+    return np.asarray((np.arange(count) + 0.5) * BIN_LENGTH, dtype=np.float64)
+
+
+def smooth_variation(count: int, generator: np.random.Generator) -> FloatArray:
+    """Ornstein-Uhlenbeck process of unit variance over `count` bins."""
+    from scipy.signal import lfilter
+
+    keep = np.exp(-BIN_LENGTH / CORRELATION_LENGTH)
+    white = generator.standard_normal(count)
+    white[1:] *= np.sqrt(1.0 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], white))
+
+
+def spot(centres: FloatArray, start: float, length: float, depth: float) -> FloatArray:
+    """Upper bound of the logarithm of adhesion that a spot imposes; its ends fade over 50 m."""
+    outside = np.maximum(np.maximum(start - centres, centres - (start + length)), 0.0)
+    return np.asarray(np.where(outside < 75.0, np.log(depth) + outside / 50.0, np.inf))
+
+
+def likely_places(line: Line, generator: np.random.Generator) -> FloatArray:
+    """Where persistent spots begin [m]: around the stations and on the climbs.
+
+    Each station has one or more on either side, where trains brake and leave; some climbs have one.
+    """
+    around = [
+        station.position + side * generator.uniform(100.0, 550.0)
+        for station in line.stations
+        for side in (-1.0, -1.0, 1.0, 1.0)
+        if generator.uniform() < 0.4
+    ]
+    edges, slopes = line.gradients.positions, line.gradients.values
+    climbs = edges[(np.abs(slopes) > 0.008) & (generator.uniform(size=edges.size) < 0.08)]
+    places = np.concatenate((np.array(around), climbs + generator.uniform(0.0, 200.0, climbs.size)))
+    return places[(places > 50.0) & (places < line.length - 350.0)]
+
+
+def base_map(line: Line, weather: str, seed: int) -> FloatArray:
+    """Maximum adhesion a bin of the line that every trip in that weather meets.
+
+    Parameters
+    ----------
+    line : Line
+        In its own direction.
+    weather : {"dry", "wet"}
+    seed : int
+
+    Returns
+    -------
+    (bins,) array
+    """
+    # The same places are slippery in the dry and in the wet, more so in the wet.
+    where = np.random.default_rng([seed, 1])
+    generator = np.random.default_rng([seed, 2, sorted(BASE).index(weather)])
+    centres = bin_centres(int(np.ceil(line.length / BIN_LENGTH)))
+    median, spread = BASE[weather]
+    logarithm = np.log(median) + spread * smooth_variation(centres.size, generator)
+    for start in likely_places(line, where):
+        length = where.uniform(100.0, 300.0)
+        depth = generator.uniform(*SPOTS[weather])
+        logarithm = np.minimum(logarithm, spot(centres, start, length, depth))
+    return np.asarray(np.exp(logarithm))
+
+
+def trip_profile(
+    line: Line, base: FloatArray, weather: str, generator: np.random.Generator
+) -> StepProfile:
+    """The base map as one trip meets it: 4 % of variation and now and then a new spot.
+
+    Returns
+    -------
+    StepProfile
+        In the line's own direction.
+    """
+    centres = bin_centres(base.size)
+    logarithm = np.log(base) + 0.04 * smooth_variation(base.size, generator)
+    for _ in range(int(generator.poisson(2.0 if weather == "wet" else 0.5))):
+        start = generator.uniform(0.0, line.length)
+        length = generator.uniform(50.0, 150.0)
+        depth = generator.uniform(*SPOTS[weather])
+        logarithm = np.minimum(logarithm, spot(centres, start, length, depth))
+    edges = centres - 0.5 * BIN_LENGTH
+    return StepProfile(edges, np.asarray(np.minimum(np.exp(logarithm), 0.5)))

@@ -7,9 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.studies.hauck_2023.run import Run
 from trainlog import __version__
-from trainlog.simulation.recording import recorded
-from trainlog.simulation.scenario import Run as Samples
-from trainlog.simulation.scenario import Scenario
+from trainlog.simulation import Run as Samples
+from trainlog.simulation import Scenario, recorded
 from trainlog.topics import REFERENCE, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
 

@@ -20,14 +20,14 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.condition import BIN_LENGTH
-from trainlog.simulation.adhesion_truth import (
+from trainlog.simulation.drivers import Stop
+from trainlog.simulation.scenario import (
     base_map,
     bin_centres,
     likely_places,
     smooth_variation,
     spot,
 )
-from trainlog.simulation.drivers import Stop
 
 FloatArray = NDArray[np.float64]
 
