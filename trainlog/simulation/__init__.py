@@ -18,7 +18,7 @@ from trainlog.simulation.drivers import (
 )
 from trainlog.simulation.plant import Drive, Plant, PlantState
 from trainlog.simulation.recording import Run, drive, recorded, simulate
-from trainlog.simulation.scenario import Scenario, draw_scenarios, trajectory_scenarios
+from trainlog.simulation.scenario import Locator, Scenario, draw_scenarios, trajectory_scenarios
 from trainlog.simulation.sensors import Instruments, Reading, Sensors
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "Driver",
     "Habits",
     "Instruments",
+    "Locator",
     "Observation",
     "Plant",
     "PlantState",
