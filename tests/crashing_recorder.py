@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 import trainlog
-from trainlog.mcap.recorder import warm_up
 
 FLUSH = 0.05
 """Period of the recording [s]."""
@@ -26,8 +25,6 @@ FLUSH = 0.05
 START = 1_735_689_600 * 10**9
 REPORT = struct.Struct("<dqq")
 """When, how many samples of each topic were given until then, how many of them were written."""
-
-warm_up()
 
 
 def values_at(number: Any) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -12,10 +12,9 @@ from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainlog.mcap.chunks import plan_of
-from trainlog.mcap.layout import MESSAGE, Value, gather, layout, scatter, varint
+from trainlog.mcap.chunks import plan_of, stream_of
+from trainlog.mcap.codec import MESSAGE, Value, gather, layout, scatter, varint
 from trainlog.mcap.schemas import descriptor_set
-from trainlog.mcap.streams import stream_of
 from trainlog.topics import GNSS_FIX, TOPICS, Topic
 from trainlog.trip import frame_of
 

@@ -13,8 +13,9 @@ from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Schema
 from mcap.stream_reader import StreamReader
 
-from trainlog.mcap.layout import MESSAGE
-from trainlog.mcap.sink import PackedChunk, RawChunk, Sink, packed
+from trainlog.mcap.chunks import PackedChunk, RawChunk, packed
+from trainlog.mcap.codec import MESSAGE
+from trainlog.mcap.writer import Sink
 
 TIMES = [5, 3, 9]
 

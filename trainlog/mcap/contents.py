@@ -16,8 +16,8 @@ from mcap.records import Channel, DataEnd, Footer, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
+from trainlog.mcap.codec import RECORD_HEAD
 from trainlog.mcap.errors import damaged
-from trainlog.mcap.layout import RECORD_HEAD
 from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.records import parsed, records
 from trainlog.mcap.source import Source

@@ -16,8 +16,8 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 
+from trainlog.mcap.codec import Columns, accuracies
 from trainlog.mcap.errors import unusable
-from trainlog.mcap.samples import Columns, accuracies
 from trainlog.topics import EVENTS, GNSS_FIX, Topic
 
 Decoder = Callable[[bytes], Any]

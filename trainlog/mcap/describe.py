@@ -13,7 +13,6 @@ from mcap.records import Channel
 from trainlog.errors import LogError
 from trainlog.formats.files import sha256
 from trainlog.mcap.account import Account
-from trainlog.mcap.channels import UNIT, axles_of
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.intervals import Rhythm, rhythms
@@ -21,6 +20,7 @@ from trainlog.mcap.located import position_span
 from trainlog.mcap.names import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
 from trainlog.mcap.places import Contents
 from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of
+from trainlog.mcap.schemas import UNIT, axles_of
 from trainlog.mcap.source import Source
 from trainlog.mcap.stored import MisplacedError
 from trainlog.mcap.walk import contents_by_walk

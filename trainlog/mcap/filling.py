@@ -14,10 +14,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.channels import topic_of
-from trainlog.mcap.layout import LOG_TIME, gather
+from trainlog.mcap.codec import LOG_TIME, gather
 from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.records import Index, index_of, opened
+from trainlog.mcap.schemas import topic_of
 from trainlog.mcap.selection import Columns
 from trainlog.mcap.source import Source
 from trainlog.mcap.stored import MisplacedError, fetched, fetched_index

@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Schema
 
 from trainlog.mcap.account import Loss
-from trainlog.mcap.layout import RECORD_HEAD
+from trainlog.mcap.codec import RECORD_HEAD
 from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.records import parsed
 from trainlog.mcap.schemas import descriptor_set

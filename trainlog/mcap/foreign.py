@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.mcap.account import Account
+from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.errors import in_file, shown
 from trainlog.mcap.foreign_columns import Columns
 from trainlog.mcap.foreign_decoders import UndecodableError, decoder_of
 from trainlog.mcap.foreign_rows import BrokenMessage, Decode
-from trainlog.mcap.layout import MESSAGE, RECORD_HEAD
 from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.reader import check_data_section, report_losses
 from trainlog.mcap.records import Index, index_of, opened

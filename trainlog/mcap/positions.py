@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from trainlog.mcap.samples import sample_codec
+from trainlog.mcap.codec import sample_codec
 from trainlog.mcap.schemas import WireField
 from trainlog.topics import TOPICS
 from trainlog.trip import POSITION_TOPICS

@@ -24,8 +24,8 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
+from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
 from trainlog.mcap.errors import damaged, shown
-from trainlog.mcap.layout import MESSAGE, RECORD_HEAD
 
 Index = dict[int, NDArray[np.uint64]]
 """Log time and offset in the chunk, shape (n, 2), of the messages by channel id."""

@@ -15,16 +15,17 @@ from mcap.writer import MCAP0_MAGIC
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write
 from trainlog.mcap.account import Account
+from trainlog.mcap.chunks import PackedChunk, RawChunk, packed
+from trainlog.mcap.codec import RECORD_HEAD
 from trainlog.mcap.errors import in_file
-from trainlog.mcap.layout import RECORD_HEAD
 from trainlog.mcap.names import POSITIONS_RECORD, RECOVERY_RECORD
 from trainlog.mcap.places import AttachmentPlace, ChunkPlace, Contents
 from trainlog.mcap.records import Index, opened, parsed
-from trainlog.mcap.sink import PackedChunk, RawChunk, Sink, packed
 from trainlog.mcap.source import Source
 from trainlog.mcap.stored import attachment_data, fetched, fetched_index
 from trainlog.mcap.tally import tally
 from trainlog.mcap.walk import check_is_mcap, contents_by_walk
+from trainlog.mcap.writer import Sink
 
 _LONGEST_HEADER = 4096
 """Longer headers are not believed [bytes]."""

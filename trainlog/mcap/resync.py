@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from trainlog.mcap.layout import MESSAGE, RECORD_HEAD
+from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
 from trainlog.mcap.source import Source
 
 _FIELDS = {

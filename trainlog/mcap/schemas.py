@@ -1,12 +1,17 @@
-"""Protobuf schemas, made from the table of topics.
+"""Schemas and channels: how the table of topics is declared in a file, and read from one.
 
 A ``trainlog.*`` message has one ``optional double`` a field; a field with one value for each
 powered axle is a ``repeated double``. The field's number is its place in the table, so new fields
 go at the end of a topic. A reader finds fields by name, in the descriptor that the file carries.
+
+A channel's metadata explains its fields to whoever opens the file: ``unit.<field>`` (SI),
+``meaning.<field>`` and, for a field with one value for each powered axle, ``axles.<field>``, the
+number of values in every message.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache
 
@@ -19,11 +24,18 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 from google.protobuf.message import DecodeError
-from mcap.records import Schema
+from mcap.records import Channel, Schema
+from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from trainlog.mcap.errors import shown, unusable
-from trainlog.topics import Topic
+from trainlog.topics import TOPICS, Topic
+
+UNIT, MEANING, AXLES = "unit.", "meaning.", "axles."
+"""Prefixes of a channel's metadata keys."""
+
+_MOST_AXLES = 4096
+"""More values in one message are not believed; a message would pass 64 KiB."""
 
 _FOXGLOVE = {"foxglove.LocationFix": LocationFix, "foxglove.Log": Log}
 
@@ -49,6 +61,50 @@ class WireField:
     repeated: bool
 
 
+def schema_of(topic: Topic, schema_id: int) -> Schema:
+    """The schema record of a topic."""
+    return Schema(
+        id=schema_id,
+        name=topic.message,
+        encoding=SchemaEncoding.Protobuf,
+        data=descriptor_set(topic),
+    )
+
+
+def channel_of(topic: Topic, channel_id: int, schema_id: int, axles: dict[str, int]) -> Channel:
+    """The channel record of a topic whose fields have that many axles."""
+    metadata = {f"{UNIT}{field.name}": field.unit for field in topic.fields}
+    metadata |= {f"{MEANING}{field.name}": field.meaning for field in topic.fields}
+    metadata |= {f"{AXLES}{name}": str(count) for name, count in axles.items()}
+    return Channel(
+        id=channel_id,
+        topic=topic.name,
+        message_encoding=MessageEncoding.Protobuf,
+        metadata=metadata,
+        schema_id=schema_id,
+    )
+
+
+def topic_of(channel: Channel, schema: Schema | None) -> Topic | None:
+    """The topic of trainlog's table that a file's channel carries; None if it is foreign."""
+    topic = TOPICS.get(channel.topic)
+    if topic is None or schema is None or schema.name != topic.message:
+        return None
+    encodings = (channel.message_encoding, schema.encoding)
+    if encodings != (MessageEncoding.Protobuf, SchemaEncoding.Protobuf):
+        return None
+    return topic
+
+
+def axles_of(channel: Channel) -> dict[str, int]:
+    """How many values each repeated field of the channel has, as its metadata state."""
+    counts = {}
+    for key, text in channel.metadata.items():
+        if key.startswith(AXLES) and re.fullmatch(r"[0-9]{1,4}", text):
+            counts[key.removeprefix(AXLES)] = min(int(text), _MOST_AXLES)
+    return counts
+
+
 @cache
 def descriptor_set(topic: Topic) -> bytes:
     """The serialised FileDescriptorSet that the log embeds for `topic`."""
@@ -63,7 +119,7 @@ def descriptor_set(topic: Topic) -> bytes:
 def wire_fields(schema: Schema) -> tuple[WireField, ...] | None:
     """The fields of the message that `schema` declares, in the order of their numbers.
 
-    None if the message holds anything else than doubles, or fields that cannot be told apart.
+    None if the message holds anything else than doubles, or two fields of one name or number.
 
     Raises
     ------
@@ -125,7 +181,7 @@ def _file(topic: Topic) -> FileDescriptorProto:
         if item.per_axle:
             field.label = FieldDescriptorProto.LABEL_REPEATED
         else:
-            # proto3 tells an absent value from zero by a oneof of the field alone.
+            # In proto3 a oneof of the field alone distinguishes an absent value from zero.
             field.label = FieldDescriptorProto.LABEL_OPTIONAL
             field.proto3_optional = True
             field.oneof_index = len(message.oneof_decl)

@@ -11,8 +11,8 @@ from isal import isal_zlib
 from mcap.opcode import Opcode
 
 from trainlog.errors import LogError
+from trainlog.mcap.codec import RECORD_HEAD
 from trainlog.mcap.errors import damaged, shown
-from trainlog.mcap.layout import RECORD_HEAD
 from trainlog.mcap.places import AttachmentPlace, ChunkPlace
 from trainlog.mcap.records import (
     Index,

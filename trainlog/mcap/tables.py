@@ -13,12 +13,10 @@ import pandas as pd
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from trainlog.mcap.channels import codec_of
+from trainlog.mcap.codec import LOG_TIME, Codec, Columns, SampleCodec, codec_of, gather
 from trainlog.mcap.decode import Decoder, columns_of, decoder_of
 from trainlog.mcap.errors import unusable
-from trainlog.mcap.layout import LOG_TIME, gather
 from trainlog.mcap.records import message_data
-from trainlog.mcap.samples import Codec, Columns, SampleCodec
 from trainlog.mcap.stored import MisplacedError
 from trainlog.topics import EVENTS, Topic, column_field
 from trainlog.trip import frame_of

@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.layout import MESSAGE, RECORD_HEAD
+from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
 from trainlog.mcap.records import Index, gone_through, records
 
 _HEAD = np.dtype(

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
+from trainlog.mcap.codec import RECORD_HEAD
 from trainlog.mcap.errors import damaged, shown
 from trainlog.mcap.findings import Findings, checksum_of
-from trainlog.mcap.layout import RECORD_HEAD
 from trainlog.mcap.places import ChunkPlace, Contents
 from trainlog.mcap.records import Index, opened, parsed, stored_index
 from trainlog.mcap.resync import (
