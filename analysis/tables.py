@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
+
+JOULES_PER_KWH = 3.6e6
 
 _PADDING = 3
 """Of each column: a space on both sides, and what divides it from the next."""
@@ -44,3 +50,30 @@ class WordTable(Table):
                 part = (room - sum(least)) * (wishes[number] - least[number]) // more
                 column.width = least[number] + part
         yield from super().__rich_console__(console, options)
+
+
+def new_table(title: str, *columns: str, **options: Any) -> Table:
+    """An empty table in the house's form."""
+    table = WordTable(
+        title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options
+    )
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def with_band(value: float, std: float, unit: str = "") -> str:
+    """A value with its 95 % band, to the digits that the band leaves meaningful."""
+    reach = 1.96 * std
+    digits = max(0, 1 - math.floor(math.log10(reach))) if reach > 0.0 else 1
+    return f"{value:.{digits}f} ± {reach:.{digits}f}{unit}"
+
+
+def kwh(energy: float) -> str:
+    """An energy [J] in kilowatt hours."""
+    return f"{energy / JOULES_PER_KWH:.2f} kWh"
+
+
+def excess(excess: float) -> float:
+    """An excess as people read it: nothing rather than a negative or a minus zero."""
+    return excess if excess > 0.0 else 0.0

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.resistance.windows import Recording
+from analysis.resistance.recording import Recording
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Axles, Line, RunningResistance, Station, StepProfile, Train

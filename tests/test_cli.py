@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.reporting import new_table
+from analysis.tables import new_table
 from trainlog.cli import demo, terminal
 from trainlog.cli import main as cli
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

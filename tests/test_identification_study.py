@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from analysis.resistance import TripFit, fit_trip
-from analysis.resistance.curve import powers
+from analysis.resistance.regression import powers
 from trainlog.errors import NotIdentifiableError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "identification"))

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from analysis.reporting import new_table
+from analysis.tables import new_table
 
 HEADINGS = ("section", "timetable s", "least of a reference s", "iterations of IPOPT", "least s")
 ROW = ("Chemnitz Hbf - Chemnitz-Hilbersdorf", "222", "204.7", "41 (of 5000)", "180.2")

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from resistance_trips import changed, constant_speed, trip
 
 from analysis.resistance import TripRefusedError, fit_trip
-from analysis.resistance.diagnostics import Residuals, diagnosed
-from analysis.resistance.refusal import REASONS
+from analysis.resistance.recording import REASONS
+from analysis.resistance.regression import Residuals, diagnosed
 from trainlog.trip import Trip
 
 Array = NDArray[np.float64]

@@ -17,10 +17,9 @@ from resistance_trips import LINE, RESISTANCE, TRAIN, changed, constant_speed, r
 from analysis.estimates import with_estimates, without_wheel_error
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.coast_down import coast_down
-from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import mass_prior
-from analysis.resistance.recording import prepare
-from analysis.resistance.refusal import TripRefusedError
+from analysis.resistance.recording import TripRefusedError, prepare
+from analysis.resistance.regression import band_factor, curve_std, powers
 from analysis.resistance.windows import build_windows
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of

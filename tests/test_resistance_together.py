@@ -24,13 +24,11 @@ from analysis.resistance import (
     summarised,
 )
 from analysis.resistance.combination import nearest_physical
-from analysis.resistance.curve import powers
-from analysis.resistance.diagnostics import Residuals
 from analysis.resistance.fit import History, WindowPoints
-from analysis.resistance.plot import draw_fits
-from analysis.resistance.plot_trip import draw_each_refused, draw_refused, draw_trip
-from analysis.resistance.recording import SpeedScale
-from analysis.resistance.refusal import AllRefusedError, Timeline
+from analysis.resistance.logs import AllRefusedError
+from analysis.resistance.plot import draw_each_refused, draw_fits, draw_refused, draw_trip
+from analysis.resistance.recording import SpeedScale, Timeline
+from analysis.resistance.regression import Residuals, powers
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import read_parameters, write_parameters

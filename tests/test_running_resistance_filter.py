@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, constant_speed, recording
 
-from analysis.resistance.windows import Recording
+from analysis.resistance.recording import Recording
 from estimators.running_resistance import RunningResistanceFilter
 from estimators.running_resistance_recursion import UNIT_SPEED, UNKNOWN_SPEED
 from trainlog.errors import InputError

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from simulated_world import level_line, steps
 
+from analysis.consist_table import consist_tables
 from analysis.studies.amirhosseini_2024.trips import consist_trip
 from analysis.studies.in_train_forces import run as study
 from analysis.studies.in_train_forces.plot import draw_in_train_forces
-from analysis.studies.in_train_forces.table import consist_tables, forces_table
+from analysis.studies.in_train_forces.table import forces_table
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from resistance_trips import constant_speed, trip
 
 from analysis.resistance import combine, fit_logs, summarised
-from analysis.resistance.random_effects import random_effects
+from analysis.resistance.combination import random_effects
 from tests.test_resistance_together import drawn
 from trainlog.errors import InputError
 from trainlog.formats.parameters import parameters_to_bytes

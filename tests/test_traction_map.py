@@ -27,7 +27,7 @@ from analysis.adhesion.condition_map import (
     update,
     update_logs,
 )
-from analysis.adhesion.field import Prior, solve_field
+from analysis.adhesion.evidence import Prior, solve_field
 from analysis.adhesion.plot import draw_map
 from analysis.adhesion.slip import slip
 from trainlog.errors import InputError, LogError

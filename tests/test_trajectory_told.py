@@ -12,9 +12,9 @@ import pytest
 from rich.console import Console
 from trajectory_world import FLIRT, hilly_line, observed
 
-from analysis.reporting import trajectory_table
 from analysis.trajectory import optimise
 from analysis.trajectory.plot import _title
+from analysis.trajectory.table import trajectory_table
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import Trajectory

@@ -1,7 +1,7 @@
 """The track-condition map: maximum adhesion along a line, learnt from trips.
 
 Each trip gives additive evidence a bin (`evidence`). `update` adds it to a map and solves for the
-estimate (`analysis.adhesion.field`). All sums are exact: trips can be processed apart, in any
+estimate (`analysis.adhesion.evidence`). All sums are exact: trips can be processed apart, in any
 order and grouping, and give the same map, byte for byte.
 """
 
@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 
 from analysis.adhesion.evidence import (
     Evidence,
+    Prior,
     check_line,
     condition_of,
     evidence,
     evidence_of,
     evidence_of_parts,
     setting,
+    solve_field,
 )
-from analysis.adhesion.field import Prior, solve_field
 from analysis.adhesion.slip import SlipAnalysis, slip
 from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError

@@ -21,8 +21,6 @@ from trainlog.trip import Trip, seconds
 
 FloatArray = NDArray[np.float64]
 
-JOULES_PER_KWH = 3.6e6
-
 STANDSTILL = 0.3
 """Speeds below this count as standing [m/s]; wheel-speed noise stays under it."""
 

@@ -5,12 +5,11 @@
 `fit_logs` does all of it for files.
 """
 
-from analysis.resistance.combination import CommonFit, combine
+from analysis.resistance.combination import CommonFit, combine, summarised
 from analysis.resistance.fit import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.logs import Fits, fit_logs
 from analysis.resistance.observed import parameter_set
-from analysis.resistance.refusal import TripRefusedError
-from analysis.resistance.summary import summarised
+from analysis.resistance.recording import TripRefusedError
 
 __all__ = [
     "CommonFit",

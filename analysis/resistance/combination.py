@@ -1,30 +1,368 @@
-"""Many trips together: the common curve, and how trips differ from it.
+"""Many trips together: what they have in common, how they differ, and the best estimate of each.
 
-Trips differ: wind, weather, the train itself. `analysis.resistance.random_effects` finds what they
-have in common, and draws each towards it by as much as its own uncertainty warrants. Of a trip its
-summary is needed, not its log: a million trips are a million rows, in any order.
+Trips differ: wind, weather, the train itself. Of a trip its summary is needed (`summarised`), not
+its log: a million trips are a million rows, in any order. Each trip's parameters are a draw from a
+normal distribution around the mean, seen with that trip's own covariance (`random_effects`):
+
+    single_i ~ N(mean, between),    value_i ~ N(single_i, variance_i).
+
+`between` is found by restricted maximum likelihood with a weak prior, by expectation maximisation
+in compiled sums over the trips; its steps, which shrink geometrically, are extrapolated.
+
+A line is surveyed once (`shared_variance`). Trips over the same line in the same direction meet the
+same errors of its gradients, and their mean keeps them, however many trips there are. How alike
+they are from trip to trip depends on how each was driven; they are taken for wholly alike in one
+direction, and for independent between directions, though there they cancel in part: the band of
+the mean is rather too wide than too narrow.
+
+References
+----------
+Laird, N. M., Ware, J. H. (1982), Random-effects models for longitudinal data, Biometrics 38(4),
+eqs. (3.2)-(3.6).
+Varadhan, R., Roland, C. (2008), Simple and globally convergent methods for accelerating the
+convergence of any EM algorithm, Scandinavian Journal of Statistics 35(2), scheme S3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import TripFit
-from analysis.resistance.random_effects import random_effects
-from analysis.resistance.shared import shared_variance
-from analysis.resistance.summary import summarised
+from analysis.resistance.recording import TripRefusedError
+from analysis.resistance.regression import band_factor, curve_std, powers
+from trainlog import __version__
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.summaries import covariances_of, ordered, parameters_of, surveys_of
+from trainlog.formats.summaries import (
+    COLUMNS,
+    COVARIANCE,
+    PARAMETERS,
+    SURVEY,
+    covariances_of,
+    ordered,
+    parameters_of,
+    surveys_of,
+)
 from trainlog.railway.resistance import RunningResistance
 
+SOFTWARE = f"trainlog {__version__}"
+
+
+def summarised(
+    fits: Sequence[TripFit],
+    refused: Mapping[str, TripRefusedError] | None = None,
+    *,
+    trains: Mapping[str, str] | None = None,
+    digests: Mapping[str, str] | None = None,
+) -> pd.DataFrame:
+    """Summaries of trips that were fitted, and of those that were refused.
+
+    Parameters
+    ----------
+    fits : sequence of TripFit
+    refused : mapping of trip to TripRefusedError, optional
+    trains : mapping of trip to name of the train, optional
+        Of the refused trips.
+    digests : mapping of trip to SHA-256, optional
+        Of their logs; empty where there is none.
+
+    Returns
+    -------
+    DataFrame
+        With the columns of `trainlog.formats.summaries.COLUMNS`, in the order of trip.
+    """
+    known = digests or {}
+    rows = [_row(fit) for fit in fits]
+    rows += [
+        {
+            "trip": trip,
+            "train": (trains or {}).get(trip, ""),
+            "refused": error.reason,
+            "message": str(error),
+        }
+        for trip, error in (refused or {}).items()
+    ]
+    for row in rows:
+        row |= {"sha256": known.get(str(row["trip"]), ""), "software": SOFTWARE}
+    empty = {"text": "", "count": 0, "number": np.nan}
+    columns = {
+        column.name: pd.Series(
+            [row.get(column.name, empty[column.kind]) for row in rows],
+            dtype={"text": object, "count": np.int64, "number": np.float64}[column.kind],
+        )
+        for column in COLUMNS
+    }
+    return ordered(pd.DataFrame(columns))
+
+
+def _row(fit: TripFit) -> dict[str, object]:
+    upper = fit.covariance[np.triu_indices(4)].tolist()
+    survey = fit.survey[:3, :3][np.triu_indices(3)].tolist()
+    number: dict[str, float | None] = {
+        "freedom": fit.freedom,
+        "rotating_mass": fit.rotating_mass,
+        "train_power": fit.train_power,
+        "asked_lowest": fit.asked[0],
+        "asked_highest": fit.asked[1],
+        "speed_lowest": fit.speed_range[0],
+        "speed_highest": fit.speed_range[1],
+        "condition": fit.condition,
+        "windows": fit.windows["used"],
+        "outliers": fit.windows["outlier"],
+        "delay": fit.nuisance["delay"],
+        "brake_scale": fit.nuisance["brake_scale"],
+        "cluster_factor": fit.cluster_factor,
+        "residual_std": fit.residual_std,
+        "residual_correlation": fit.residual_correlation,
+        "speed_scale": fit.scale.factor,
+        "speed_scale_std": fit.scale.std,
+    }
+    if fit.max_power is not None:
+        number |= {"max_power": fit.max_power, "max_power_std": fit.max_power_std}
+    return {
+        "trip": fit.trip,
+        "train": fit.train,
+        "refused": "",
+        "message": "",
+        "speed_scale_source": fit.scale.source,
+        "gradients": fit.gradients,
+        **dict(zip(PARAMETERS, [*fit.beta.tolist(), fit.mass], strict=True)),
+        **dict(zip(COVARIANCE, upper, strict=True)),
+        **dict(zip(SURVEY, survey, strict=True)),
+        **number,
+        **{f"noise_{cause}": size for cause, size in fit.noise.items()},
+        **{f"masked_{reason}": time for reason, time in fit.masked.items()},
+    }
+
+
 FloatArray = NDArray[np.float64]
+
+ROUNDS = 200
+"""Most rounds of the expectation maximisation, each three steps."""
+
+TOLERANCE = 1e-9
+"""Relative change of the variance between trips in a step that ends the search."""
+
+
+@dataclass(frozen=True, eq=False)
+class Effects:
+    """What trips have in common, and each of them.
+
+    Attributes
+    ----------
+    mean : (3,) array
+    variance : (3, 3) array
+        Of the mean.
+    between : (3, 3) array
+        Of one trip around the mean.
+    single, single_variance : (k, 3), (k, 3, 3) array
+        Each trip drawn towards the mean by as much as its own variance warrants.
+    """
+
+    mean: FloatArray
+    variance: FloatArray
+    between: FloatArray
+    single: FloatArray
+    single_variance: FloatArray
+
+
+def random_effects(
+    values: FloatArray, variances: FloatArray, expected: FloatArray, trust: float
+) -> Effects:
+    """Mean of trips that differ, and the best estimate of each.
+
+    Parameters
+    ----------
+    values : (k, 3) array
+        Of about the same size in every column; sums go over the trips as they stand.
+    variances : (k, 3, 3) array
+    expected : (3, 3) array
+        Variance between trips that is expected beforehand.
+    trust : float
+        This expectation counts as much as so many trips.
+    """
+    between = expected.copy()
+    for _ in range(ROUNDS):
+        first = _step(values, variances, between, expected, trust)
+        second = _step(values, variances, first, expected, trust)
+        if np.max(np.abs(second - first)) <= TOLERANCE * np.max(np.abs(first)):
+            between = second
+            break
+        change, bend = first - between, second - 2.0 * first + between
+        length = -float(np.linalg.norm(change) / max(float(np.linalg.norm(bend)), 1e-300))
+        leap = between - 2.0 * length * change + length**2 * bend
+        # A leap that leaves the covariances is not made.
+        sound = np.all(np.linalg.eigvalsh(leap) > 1e-6 * np.linalg.eigvalsh(second)[0])
+        between = _step(values, variances, leap, expected, trust) if sound else second
+    mean, variance = _mean(values, variances, between)
+    single, single_variance = _single(values, variances, between, mean, variance)
+    return Effects(mean, variance, between, single, single_variance)
+
+
+def _step(
+    values: FloatArray,
+    variances: FloatArray,
+    between: FloatArray,
+    expected: FloatArray,
+    trust: float,
+) -> FloatArray:
+    """One step of the expectation maximisation; Laird and Ware (1982), eq. (3.4)."""
+    mean, variance = _mean(values, variances, between)
+    total = _spread(values, variances, between, mean, variance)
+    total = 0.5 * (total + total.T)
+    return np.asarray((total + trust * expected) / (len(values) + trust))
+
+
+def _mean(
+    values: FloatArray, variances: FloatArray, between: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    information, pulled = _information(values, variances, between)
+    variance = np.linalg.inv(information)
+    variance = 0.5 * (variance + variance.T)
+    return variance @ pulled, variance
+
+
+@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+def _weight(variance: FloatArray, between: FloatArray) -> tuple[float, ...]:
+    """Upper triangle of the inverse of ``variance + between``, by its cofactors."""
+    a, b = variance[0, 0] + between[0, 0], variance[0, 1] + between[0, 1]
+    c = variance[0, 2] + between[0, 2]
+    d, e = variance[1, 1] + between[1, 1], variance[1, 2] + between[1, 2]
+    f = variance[2, 2] + between[2, 2]
+    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * first + b * second + c * third)
+    return (
+        first * scale,
+        second * scale,
+        third * scale,
+        (a * f - c * c) * scale,
+        (b * c - a * e) * scale,
+        (a * d - b * b) * scale,
+    )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _information(
+    values: FloatArray, variances: FloatArray, between: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Sums over the trips of their weights and of their weighted values."""
+    total, pulled = np.zeros(6), np.zeros(3)
+    for k in range(len(values)):
+        a, b, c, d, e, f = _weight(variances[k], between)
+        x, y, z = values[k, 0], values[k, 1], values[k, 2]
+        total[0] += a
+        total[1] += b
+        total[2] += c
+        total[3] += d
+        total[4] += e
+        total[5] += f
+        pulled[0] += a * x + b * y + c * z
+        pulled[1] += b * x + d * y + e * z
+        pulled[2] += c * x + e * y + f * z
+    return _full(total), pulled
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _spread(
+    values: FloatArray,
+    variances: FloatArray,
+    between: FloatArray,
+    mean: FloatArray,
+    variance: FloatArray,
+) -> FloatArray:
+    """Sum over the trips of the expected square of their distance from the mean.
+
+    With w the weight of a trip, it is ``between + between s between`` where
+    ``s = w d d' w - w + w variance w`` and d is the value less the mean.
+    """
+    total = np.zeros(6)
+    p, q, r = variance[0, 0], variance[0, 1], variance[0, 2]
+    s, t, u = variance[1, 1], variance[1, 2], variance[2, 2]
+    for k in range(len(values)):
+        a, b, c, d, e, f = _weight(variances[k], between)
+        x, y, z = values[k, 0] - mean[0], values[k, 1] - mean[1], values[k, 2] - mean[2]
+        g, h, i = a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
+        # Rows of w variance.
+        a0, a1, a2 = a * p + b * q + c * r, a * q + b * s + c * t, a * r + b * t + c * u
+        b0, b1, b2 = b * p + d * q + e * r, b * q + d * s + e * t, b * r + d * t + e * u
+        c0, c1, c2 = c * p + e * q + f * r, c * q + e * s + f * t, c * r + e * t + f * u
+        total[0] += g * g - a + a0 * a + a1 * b + a2 * c
+        total[1] += g * h - b + a0 * b + a1 * d + a2 * e
+        total[2] += g * i - c + a0 * c + a1 * e + a2 * f
+        total[3] += h * h - d + b0 * b + b1 * d + b2 * e
+        total[4] += h * i - e + b0 * c + b1 * e + b2 * f
+        total[5] += i * i - f + c0 * c + c1 * e + c2 * f
+    out: FloatArray = len(values) * between + between @ _full(total) @ between
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _full(triangle: FloatArray) -> FloatArray:
+    """The symmetric matrix of which this is the upper triangle, row by row."""
+    out = np.empty((3, 3))
+    out[0, 0], out[1, 1], out[2, 2] = triangle[0], triangle[3], triangle[5]
+    out[0, 1] = out[1, 0] = triangle[1]
+    out[0, 2] = out[2, 0] = triangle[2]
+    out[1, 2] = out[2, 1] = triangle[4]
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _single(
+    values: FloatArray,
+    variances: FloatArray,
+    between: FloatArray,
+    mean: FloatArray,
+    variance: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Each trip drawn towards the mean, and its variance; Laird and Ware (1982), eq. (3.2)."""
+    count, triangle = len(values), np.empty(6)
+    single, single_variance = np.empty((count, 3)), np.empty((count, 3, 3))
+    one = np.eye(3)
+    for k in range(count):
+        for n, entry in enumerate(_weight(variances[k], between)):
+            triangle[n] = entry
+        gain = between @ _full(triangle)
+        rest = one - gain
+        single[k] = mean + gain @ (values[k] - mean)
+        found = between - gain @ between + rest @ variance @ rest.T
+        single_variance[k] = 0.5 * (found + found.T)
+    return single, single_variance
+
+
+def shared_variance(weights: FloatArray, survey: FloatArray, line: NDArray[np.int64]) -> FloatArray:
+    """What shared errors add to the variance of a weighted mean, (3, 3).
+
+    With e_i = D_i u_l, where D_i D_i' is the part of trip i's variance that its line l brings in,
+    and u_l is common to the trips over l: the sum over pairs of different trips of
+    ``W_i D_i D_j' W_j'``.
+
+    Parameters
+    ----------
+    weights : (k, 3, 3) array
+        Of each trip in the mean; they sum up to one.
+    survey : (k, 3, 3) array
+        Of each trip's variance the part that errors of its line bring in.
+    line : (k,) int array
+        Number of the line and direction that the trip ran over.
+    """
+    values, vectors = np.linalg.eigh(survey)
+    lengths = np.sqrt(np.maximum(values, 0.0))
+    # The symmetric root: of two trips that differ, the errors are as alike as they can be.
+    effect = weights @ ((vectors * lengths[:, None, :]) @ vectors.transpose(0, 2, 1))
+    order = np.argsort(line, kind="stable")
+    first = np.flatnonzero(np.diff(line[order], prepend=-1))
+    together = np.add.reduceat(effect[order], first, axis=0)
+    return np.asarray(
+        np.einsum("kij,klj->il", together, together) - np.einsum("kij,klj->il", effect, effect)
+    )
+
 
 BETWEEN_TRIPS = 0.05
 """How much trips are expected to differ from each other, over the curve."""

@@ -8,15 +8,25 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.diagnostics import Residuals
-from analysis.resistance.evidence import Evidence, part_of
 from analysis.resistance.noise import Expected
 from analysis.resistance.power import power_limit
-from analysis.resistance.recording import SpeedScale, check_recorded, speed_scale
-from analysis.resistance.refusal import Reason, Timeline, TripRefusedError
-from analysis.resistance.regression import Regression, regress
-from analysis.resistance.windows import Windows
+from analysis.resistance.recording import (
+    Reason,
+    SpeedScale,
+    Timeline,
+    TripRefusedError,
+    check_recorded,
+    speed_scale,
+)
+from analysis.resistance.regression import (
+    Regression,
+    Residuals,
+    band_factor,
+    curve_std,
+    powers,
+    regress,
+)
+from analysis.resistance.windows import Evidence, Windows, part_of
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
 from trainlog.railway.line import Line, StepProfile

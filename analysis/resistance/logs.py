@@ -10,20 +10,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from analysis.resistance.combination import CommonFit, combine
-from analysis.resistance.evidence import Evidence, part_of, within
+from analysis.resistance.combination import SOFTWARE, CommonFit, combine, summarised
 from analysis.resistance.fit import TripFit, fit_evidence, fit_trip, origin_of
 from analysis.resistance.observed import COVER, LISTED, parameter_set
 from analysis.resistance.recording import (
     ScaleSamples,
     SpeedScale,
+    TripRefusedError,
     calibrated,
     check_recorded,
     scale_samples,
 )
-from analysis.resistance.refusal import AllRefusedError, TripRefusedError
-from analysis.resistance.summary import SOFTWARE, summarised
-from trainlog.errors import InputError, LogError
+from analysis.resistance.windows import Evidence, part_of, within
+from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
@@ -34,6 +33,26 @@ from trainlog.trip import Trip, seconds
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
 """What is read of each log."""
+
+
+class AllRefusedError(NotIdentifiableError):
+    """No trip determines the curve.
+
+    Attributes
+    ----------
+    refused : dict of str to TripRefusedError
+        Why, by trip, of the logs that were read now.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        remedy: str | None = None,
+        refused: dict[str, TripRefusedError],
+    ) -> None:
+        super().__init__(problem, remedy=remedy)
+        self.refused = refused
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,10 +35,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.resistance.combination import CommonFit, accepted, combine, nearest_physical
-from analysis.resistance.curve import powers
+from analysis.resistance.combination import (
+    CommonFit,
+    accepted,
+    combine,
+    nearest_physical,
+    summarised,
+)
 from analysis.resistance.fit import TripFit
-from analysis.resistance.summary import summarised
+from analysis.resistance.regression import powers
 from trainlog.formats.summaries import PARAMETERS, covariances_of, ordered, parameters_of
 from trainlog.railway.configuration import Configuration, ParameterSet
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.resistance.refusal import TripRefusedError
-from analysis.resistance.windows import Recording
 from estimators.kalman import smooth_motion
-from trainlog.errors import LogError
+from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
@@ -21,6 +20,71 @@ from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+Reason = Literal[
+    "not recorded",
+    "contradiction",
+    "gap",
+    "standstill",
+    "braking",
+    "slip",
+    "too short",
+    "condition",
+    "excitation",
+]
+"""``"not recorded"``: speed, chainage or tractive effort is missing altogether.
+``"contradiction"``: the speed is not that of satellites or chainage. ``"gap"``,
+``"standstill"``, ``"braking"``, ``"slip"``: most of the trip was masked for that. ``"too short"``:
+it was not, and there are too few windows all the same. ``"condition"``: speed and effort vary too
+little to tell the parameters apart. ``"excitation"``: at some speed that was asked for the curve
+is known too badly."""
+
+REASONS: tuple[Reason, ...] = get_args(Reason)
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """The trip at a glance, a row a second; (n,) arrays.
+
+    Attributes
+    ----------
+    time : array [s]
+    speed, position : array [m/s], [m]
+    masks : dict of str to bool array
+        What was masked, by reason.
+    """
+
+    time: FloatArray
+    speed: FloatArray
+    position: FloatArray
+    masks: dict[str, NDArray[np.bool_]]
+
+
+class TripRefusedError(NotIdentifiableError):
+    """A trip that does not determine the curve.
+
+    Attributes
+    ----------
+    reason : str
+        One of `REASONS`.
+    timeline : Timeline or None
+        What was masked; None if nothing could be made of the recording.
+    """
+
+    def __init__(
+        self,
+        reason: Reason,
+        problem: str,
+        *,
+        place: str | None = None,
+        remedy: str | None = None,
+        timeline: Timeline | None = None,
+    ) -> None:
+        super().__init__(problem, place=place, remedy=remedy)
+        self.reason: Reason = reason
+        self.timeline = timeline
+
 
 STANDSTILL = 2.0
 """Slower than this [m/s] counts as standing: wheel impulses are too few, drag is not Davis's."""
@@ -94,6 +158,46 @@ class ScaleSamples:
     corrections: FloatArray
     distance: float
     travelled: float
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What the regression needs of a trip, on one clock; all (n,) arrays.
+
+    Attributes
+    ----------
+    time : array [s]
+        Strictly increasing.
+    speed : array [m/s]
+        Measured, true to scale.
+    effort : array [N]
+        At the wheel rims: traction less braking less what tunnels add to the resistance.
+    braking : array [N]
+        Dynamic braking effort, already taken off `effort`.
+    rotating_momentum : array [kg m/s]
+        Of the rotating parts, as masses at the wheel rims.
+    track : array [m/s²]
+        Deceleration by gradient and curves at the train's chainage.
+    track_slope : array [m/s² per m]
+        How it changes with chainage: what an error of position does.
+    section : int array
+        Which piece of the gradient profile the train is on.
+    nearest_edge : int array
+        Which change of gradient is nearest.
+    usable : bool array
+        False where the equation of motion is not to be trusted: braking, standstill, slip, gaps.
+    """
+
+    time: FloatArray
+    speed: FloatArray
+    effort: FloatArray
+    braking: FloatArray
+    rotating_momentum: FloatArray
+    track: FloatArray
+    track_slope: FloatArray
+    section: IntArray
+    nearest_edge: IntArray
+    usable: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

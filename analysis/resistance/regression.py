@@ -10,6 +10,21 @@ the speed, and a wrong scale of the dynamic brake against traction.
 The covariance is that of the noise model, made larger where neighbouring windows err together
 more than the model says (wind, say): the cluster-robust covariance of Liang and Zeger (1986,
 Biometrika 73(1), eq. 6), clusters being stretches of consecutive windows, gives the factor.
+
+`curve_std` and `band_factor` give the uncertainty of the drag curve, at a speed and of the whole.
+`diagnosed` judges the residuals: whitened, they should be independent, normal, of unit variance,
+and have nothing to do with speed. Where they are not, the band holds less than it states.
+
+References
+----------
+Liang, K.-Y., Zeger, S. L. (1986), Longitudinal data analysis using generalized linear models,
+Biometrika 73(1), eq. (6).
+Sun, J., Loader, C. R. (1994), Simultaneous confidence bands for linear regression and smoothing,
+Annals of Statistics 22(3), eq. (1.5): the tube formula for a curve on the sphere.
+Ljung, G. M., Box, G. E. P. (1978), On a measure of lack of fit in time series models, Biometrika
+65(2): the statistic over several lags.
+Jarque, C. M., Bera, A. K. (1987), A test for normality of observations and regression residuals,
+International Statistical Review 55(2).
 """
 
 from __future__ import annotations
@@ -17,15 +32,160 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
+from scipy.optimize import brentq
+from scipy.special import stdtr
 
-from analysis.resistance.noise import Expected, Likelihood, NoiseModel, NoiseParts, estimate_noise
-from analysis.resistance.shares import shares
+from analysis.resistance.noise import (
+    Expected,
+    Likelihood,
+    NoiseModel,
+    NoiseParts,
+    estimate_noise,
+    shares,
+)
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
 
 FloatArray = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+"""Of every band."""
+
+
+def powers(speed: ArrayLike) -> FloatArray:
+    """``(1, v, v²)`` (..., 3) at each speed [m/s]."""
+    v = np.asarray(speed, dtype=np.float64)
+    return np.stack([np.ones(v.shape), v, v**2], axis=-1)
+
+
+def curve_std(covariance: FloatArray, speed: ArrayLike) -> FloatArray:
+    """Standard deviation [N] of ``r0 + r1 v + r2 v²`` at each speed [m/s].
+
+    Parameters
+    ----------
+    covariance : (3, 3) array
+        Of r0, r1, r2.
+    speed : array [m/s]
+    """
+    basis = powers(speed)
+    return np.asarray(np.sqrt(np.einsum("...i,ij,...j->...", basis, covariance, basis)))
+
+
+def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: float) -> float:
+    """How many standard deviations to either side hold the whole true curve in 95 of 100 cases.
+
+    A band that covers each single speed with 95 % misses some part of the curve more often than
+    that; this one does not, between the two `speeds`.
+
+    Parameters
+    ----------
+    covariance : (3, 3) array
+    speeds : (float, float) [m/s]
+    freedom : float
+        Degrees of freedom of the noise's estimate.
+    """
+    # The path of the normalised curve on the unit sphere.
+    root = np.linalg.cholesky(covariance)
+    path = powers(np.linspace(*speeds, 201)) @ root
+    path /= np.linalg.norm(path, axis=1, keepdims=True)
+    length = float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+
+    def missed(factor: float) -> float:
+        tube = length / np.pi * (1.0 + factor**2 / freedom) ** (-0.5 * freedom)
+        return float(tube + 2.0 * stdtr(freedom, -factor) - (1.0 - CONFIDENCE))
+
+    return float(brentq(missed, 0.5, 200.0))
+
+
+LAGS = 10
+"""Neighbours over which correlation is looked for."""
+
+DOUBTFUL = 1e-3
+"""Probability below which a property is called missing; trips are many, false alarms few."""
+
+UNEVEN = (0.7, 1.4)
+"""Standard deviation outside this range means that the noise is not as large as estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Whitened residuals of the windows used; (n,) arrays.
+
+    Attributes
+    ----------
+    time : array [s]
+        End of the window since the trip's first sample.
+    position : array [m]
+    speed : array [m/s]
+        Mean over the window.
+    value : array [1]
+    """
+
+    time: FloatArray
+    position: FloatArray
+    speed: FloatArray
+    value: FloatArray
+
+    def correlation(self, lags: int = LAGS) -> FloatArray:
+        """Autocorrelation (lags,) of the residuals, from lag 1."""
+        value = self.value - self.value.mean()
+        power = max(float(value @ value), 1e-300)
+        lags = min(lags, value.size - 1)
+        return np.array([value[k:] @ value[:-k] / power for k in range(1, lags + 1)])
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What the residuals of a trip say about its fit.
+
+    Attributes
+    ----------
+    std : float
+        Should be 1.
+    independence, normality, flatness : float
+        Probability of residuals at least so strange, if they are independent (Ljung and Box),
+        normal (Jarque and Bera), and do not rise or fall with speed (Spearman).
+    doubts : tuple of str
+        What is missing, in words; empty if nothing is.
+    """
+
+    std: float
+    independence: float
+    normality: float
+    flatness: float
+    doubts: tuple[str, ...]
+
+
+def diagnosed(residuals: Residuals) -> Diagnosis:
+    """What the residuals say; at least three of them."""
+    value = residuals.value
+    count = value.size
+    std = float(np.sqrt(np.mean(value**2)))
+    from scipy.stats import chi2, jarque_bera, spearmanr
+
+    correlation = residuals.correlation()
+    lags = np.arange(1, correlation.size + 1)
+    statistic = count * (count + 2.0) * float(np.sum(correlation**2 / (count - lags)))
+    independence = float(chi2.sf(statistic, correlation.size))
+    spread = float(np.ptp(value)) > 0.0
+    normality = float(jarque_bera(value).pvalue) if spread else 1.0
+    moving = spread and float(np.ptp(residuals.speed)) > 0.0
+    flatness = float(spearmanr(residuals.speed, value).pvalue) if moving else 1.0
+    doubts = []
+    if not UNEVEN[0] <= std <= UNEVEN[1]:
+        doubts.append(f"residuals of {std:.2f} standard deviations: the noise is misjudged")
+    if independence < DOUBTFUL:
+        doubts.append(
+            "neighbouring windows err together: something lasting is left out (wind, map, effort)"
+        )
+    if normality < DOUBTFUL:
+        doubts.append("residuals are not normal: a few windows are far off")
+    if flatness < DOUBTFUL:
+        doubts.append("residuals change with speed: the curve is not a parabola, or speed is off")
+    return Diagnosis(std, independence, normality, flatness, tuple(doubts))
+
 
 DELAY_STD = 0.05
 """Standard deviation of the delay of recorded efforts [s]: half a sample at 10 Hz."""

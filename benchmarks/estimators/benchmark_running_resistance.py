@@ -16,7 +16,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
-from analysis.resistance.windows import Recording
+from analysis.resistance.recording import Recording
 from estimators.running_resistance import RunningResistanceFilter
 from estimators.running_resistance_recursion import FORCE_NOISE, UNIT_SPEED, UNKNOWN_SPEED
 from trainlog.units import GRAVITY

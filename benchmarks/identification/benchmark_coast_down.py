@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_array
 
 from analysis.resistance.coast_down import CoastDown, coast_down
-from analysis.resistance.coast_down.fit import TripCoastDown
+from analysis.resistance.coasting_fit import TripCoastDown
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.formats.line import read_line

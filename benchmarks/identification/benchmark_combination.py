@@ -23,9 +23,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.resistance import combine, parameter_set
-from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS
-from analysis.resistance.curve import powers
-from analysis.resistance.random_effects import TOLERANCE, random_effects
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE, random_effects
+from analysis.resistance.regression import powers
 from trainlog.formats.summaries import (
     COLUMNS,
     COVARIANCE,

@@ -37,7 +37,7 @@ from study import (
     run,
 )
 
-from analysis.resistance.curve import curve_std, powers
+from analysis.resistance.regression import curve_std, powers
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.resistance import TripFit, combine, fit_trip, parameter_set
-from analysis.resistance.curve import powers
+from analysis.resistance.regression import powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample

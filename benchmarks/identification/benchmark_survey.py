@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.resistance import TripFit, fit_trip
-from analysis.resistance.curve import powers
-from analysis.resistance.shared import shared_variance
+from analysis.resistance.combination import shared_variance
+from analysis.resistance.regression import powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

@@ -21,13 +21,11 @@ from monte_carlo import Drawn, Study, draw, trip_of
 from numpy.typing import NDArray
 
 from analysis.resistance import combine, fit_trip
-from analysis.resistance.combination import CommonFit
-from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.evidence import Evidence, part_of
+from analysis.resistance.combination import CommonFit, summarised
 from analysis.resistance.fit import TripFit, origin_of, scale_of
-from analysis.resistance.recording import POSITION_STEP, prepare
-from analysis.resistance.refusal import TripRefusedError
-from analysis.resistance.summary import summarised
+from analysis.resistance.recording import POSITION_STEP, TripRefusedError, prepare
+from analysis.resistance.regression import band_factor, curve_std, powers
+from analysis.resistance.windows import Evidence, part_of
 from estimators.rls import RecursiveLeastSquares
 from estimators.running_resistance import RunningResistanceFilter
 from trainlog.formats.attached import line_of, train_of

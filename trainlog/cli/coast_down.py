@@ -37,9 +37,10 @@ def coast_down(
 
     Example: trainlog coast-down results/recorded -o results/coast-down.json
     """
-    from analysis.resistance.coast_down import coast_down_logs, coast_down_logs_without_gradient
-    from analysis.resistance.coast_down.plot import draw_coast_down, draw_without_gradient
-    from analysis.resistance.coast_down.table import coast_down_table, without_gradient_table
+    from analysis.resistance.coast_down import coast_down_logs
+    from analysis.resistance.plot import draw_coast_down, draw_without_gradient
+    from analysis.resistance.table import coast_down_table, without_gradient_table
+    from analysis.resistance.unknown_gradient import coast_down_logs_without_gradient
     from trainlog.formats.parameters import write_coast_down
 
     destination(output, ".json")

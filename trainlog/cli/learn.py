@@ -58,11 +58,10 @@ def fit(
 
     Example: trainlog fit results/trips -o results/parameters.json
     """
-    from analysis.reporting import fit_table
     from analysis.resistance import fit_logs
-    from analysis.resistance.plot import draw_fits
-    from analysis.resistance.plot_trip import draw_each, draw_each_refused
-    from analysis.resistance.refusal import AllRefusedError
+    from analysis.resistance.logs import AllRefusedError
+    from analysis.resistance.plot import draw_each, draw_each_refused, draw_fits
+    from analysis.resistance.table import fit_table
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
@@ -130,7 +129,7 @@ def map_update(
     """
     from analysis.adhesion.condition_map import update_logs
     from analysis.adhesion.plot import draw_map
-    from analysis.reporting import map_table
+    from analysis.adhesion.table import map_table
     from trainlog.formats.condition import read_map, write_map
 
     destination(condition, ".json")
@@ -158,7 +157,7 @@ def map_show(
     Example: trainlog map show results/map.json --picture map.png
     """
     from analysis.adhesion.plot import draw_map
-    from analysis.reporting import map_table
+    from analysis.adhesion.table import map_table
     from trainlog.formats.condition import read_map
 
     if picture is not None:

@@ -44,7 +44,7 @@ def info(logs: LogsOrConsists) -> None:
 
     Example: trainlog info results/trips/trip-01.mcap
     """
-    from analysis.studies.in_train_forces.table import consist_tables
+    from analysis.consist_table import consist_tables
     from trainlog.formats.train import read_consist
     from trainlog.mcap import describe
     from trainlog.mcap.show import render
@@ -133,7 +133,7 @@ def compare(
     Example: trainlog compare results/trips --with results/driven
     """
     from analysis.comparison.cost import savings
-    from analysis.reporting import savings_table
+    from analysis.comparison.table import savings_table
 
     for each in followed:
         if len(followed) > 1:

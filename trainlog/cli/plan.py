@@ -199,9 +199,9 @@ def _ends(
 
 def _told(trajectory: Trajectory, line: Line, output: Path) -> None:
     """Write a trajectory, its picture and its advice, and print what it is."""
-    from analysis.reporting import advice_table, trajectory_table
     from analysis.trajectory.phases import advice, write_advice
     from analysis.trajectory.plot import draw_trajectory
+    from analysis.trajectory.table import advice_table, trajectory_table
     from trainlog.formats.trajectory import write_trajectory
 
     points = advice(trajectory)
@@ -220,8 +220,8 @@ def _journey(
     output: Path,
 ) -> None:
     """Optimise a journey; a file a section, numbered."""
-    from analysis.reporting import journey_table
     from analysis.trajectory import optimise_journey
+    from analysis.trajectory.table import journey_table
     from trainlog.formats.line import read_journey
 
     with working("optimising the sections"):
@@ -235,9 +235,9 @@ def _front(
     asked: tuple[Line, Train, Sequence[Configuration]], options: dict[str, Any], output: Path
 ) -> None:
     """Energy against running time, printed and drawn."""
-    from analysis.reporting import front_table
     from analysis.trajectory.optimiser import energy_against_time
     from analysis.trajectory.plot import draw_front
+    from analysis.trajectory.table import front_table
 
     known = {key: value for key, value in options.items() if key != "reserve"}
     with working("optimising for other running times"):

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
-from analysis.reporting import new_table
 from analysis.studies.amirhosseini_2024.run import Run, worst
+from analysis.tables import new_table
 
 Figures = tuple[float | None, float | None, float | None]
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
-from analysis.reporting import new_table
 from analysis.studies.cunillera_2022 import run as study
+from analysis.tables import new_table
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
 from trainlog.railway import Configuration, Trajectory

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from analysis.reporting import new_table
 from analysis.studies.hauck_2023.days import Day, Days
 from analysis.studies.hauck_2023.run import Plan, Run
 from analysis.studies.hauck_2023.scenarios import SCENARIOS, Outcome
 from analysis.studies.hauck_2023.section import fastest, least_time_unweighed
+from analysis.tables import new_table
 from trainlog.units import KMH
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from rich.table import Table
 
-from analysis.reporting import new_table
 from analysis.studies.zhao_2025.run import CASES, Run
+from analysis.tables import new_table
 
 SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
 """In which the axles have come to rest at their slip speeds [s]."""

@@ -2,38 +2,46 @@
 
 What coasting looks like is searched for in all trips at once: short stretches that prove nothing by
 themselves do together. Each trip is then fitted alone and the trips are combined as draws around a
-common curve (`analysis.resistance.random_effects`), so that loads, weather and winds
+common curve (`analysis.resistance.combination`), so that loads, weather and winds
 that differ widen the band instead of biasing it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.resistance.coast_down.detection import (
+from analysis.resistance.coasting_detection import (
     TYPICAL,
     TYPICAL_STD,
     Detection,
+    Segment,
     blocks_of,
     detect,
 )
-from analysis.resistance.coast_down.fit import (
+from analysis.resistance.coasting_fit import (
     LARGEST_STD,
     Curve,
     MassRatio,
     TripCoastDown,
     fit_segments,
 )
-from analysis.resistance.coast_down.motion import Motion, motion_of
-from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS
-from analysis.resistance.curve import powers
-from analysis.resistance.random_effects import random_effects
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, random_effects
+from analysis.resistance.motion import TOPICS, Motion, motion_of
+from analysis.resistance.regression import powers
+from trainlog import __version__
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.files import sha256_of
+from trainlog.formats.line import read_line
+from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
+from trainlog.mcap.stretches import stretches
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
@@ -313,3 +321,162 @@ def check_any(found: Sequence[object], refused: dict[str, str]) -> None:
     first = next(iter(refused.values()), "no trip was given")
     others = f" (and {len(refused) - 1} more trips refused)" if len(refused) > 1 else ""
     raise NotIdentifiableError(f"no trip shows the running resistance by coasting{others}; {first}")
+
+
+NAMES = (("mass_ratio", "1"), ("c0", "m/s^2"), ("c1", "1/s"), ("c2", "1/m"))
+"""Parameters of the curve, in the order of its covariance, with their units."""
+
+SPEEDS = 25
+"""Rows of the curve's table."""
+
+
+def result_of(found: CoastDown) -> CoastDownResult:
+    """The file's content; the provenance is added by whoever read the files."""
+    curve = found.curve
+    std = np.sqrt(np.diag(curve.covariance))
+    told = None if found.ratio.source == "data" else f"expected: {found.ratio.source}"
+    return CoastDownResult(
+        train=found.train,
+        gradient="line",
+        quantities=tuple(
+            Identified(name, unit, float(value), float(deviation), told if not number else None)
+            for number, ((name, unit), value, deviation) in enumerate(
+                zip(NAMES, curve.theta, std, strict=True)
+            )
+        ),
+        covariance=curve.covariance,
+        curve=table_of(found),
+        trips=[trip_detail(fit) for fit in found.trips] + refusals(found.refused),
+    )
+
+
+def table_of(found: CoastDown) -> DragCurve | None:
+    """The curve over the speeds that the data support."""
+    supported = found.curve.supported
+    if supported is None:
+        return None
+    speed = np.linspace(*supported, SPEEDS)
+    low, high = found.curve.band(speed)
+    return DragCurve(speed, found.curve(speed), low, high)
+
+
+def trip_detail(fit: TripCoastDown) -> dict[str, Any]:
+    """What is noted of a trip that was fitted."""
+    motion = fit.motion
+    return {
+        "trip": fit.trip,
+        "accepted": True,
+        "speed_from": fit.source,
+        "coasted": fit.coasted,
+        "covered": list(fit.curve.covered),
+        "supported": None if fit.curve.supported is None else list(fit.curve.supported),
+        "fitted": {
+            name: float(value) for (name, _), value in zip(NAMES, fit.curve.theta, strict=True)
+        },
+        "fitted_std": {
+            name: float(value)
+            for (name, _), value in zip(NAMES, np.sqrt(np.diag(fit.curve.covariance)), strict=True)
+        },
+        "windows": fit.windows,
+        "noise": fit.noise,
+        "cluster_factor": fit.cluster_factor,
+        "residual_std": fit.residual_std,
+        "segments": [segment_detail(motion, segment) for segment in fit.segments],
+        "strays": [segment_detail(motion, segment) for segment in fit.strays],
+    }
+
+
+def segment_detail(motion: Motion, segment: Segment) -> dict[str, Any]:
+    """When, where and how fast a coasting segment was."""
+    ends = np.array([segment.start, segment.end])
+    speed = np.interp(ends, motion.time, motion.speed)
+    position = np.interp(ends, motion.time, motion.position)
+    return {
+        "start": str((motion.start + pd.Timedelta(seconds=round(segment.start, 3))).isoformat()),
+        "duration": round(segment.duration, 3),
+        "position": np.round(position, 1).tolist(),
+        "speed": np.round(speed, 3).tolist(),
+        "probability": round(segment.probability, 4),
+    }
+
+
+def refusals(refused: dict[str, str]) -> list[dict[str, Any]]:
+    """What is noted of trips that contribute nothing."""
+    return [
+        {"trip": name, "accepted": False, "reason": reason}
+        for name, reason in sorted(refused.items())
+    ]
+
+
+class CoastDowns(NamedTuple):
+    """What a set of logs shows by coasting.
+
+    Attributes
+    ----------
+    found : CoastDown
+    result : CoastDownResult
+        Ready to be written.
+    """
+
+    found: CoastDown
+    result: CoastDownResult
+
+
+def coast_down_logs(
+    logs: Iterable[Path],
+    line: Path | None = None,
+    speeds: tuple[float, float] | None = None,
+) -> CoastDowns:
+    """Find where the trips of logs coasted, and what that shows of the running resistance.
+
+    Parameters
+    ----------
+    logs : iterable of path
+        Of one train. A log too long for the memory is read in stretches, each a trip of its own.
+    line : path, optional
+        Line file for logs that carry no line.
+    speeds : (float, float) [m/s], optional
+        Speeds between which the curve must be known; see `coast_down`.
+
+    Raises
+    ------
+    NotIdentifiableError, InputError, LogError
+        As `coast_down`, and if a file is not a log or not a line.
+    """
+    given = None if line is None else read_line(line)
+    trips, digests = trips_of(logs)
+    found = coast_down(trips, given, speeds)
+    return CoastDowns(found, with_origin(result_of(found), digests, line))
+
+
+def trips_of(
+    logs: Iterable[Path], topics: tuple[str, ...] = TOPICS
+) -> tuple[list[Trip], dict[str, str]]:
+    """The trips of logs, and the SHA-256 of the log that each came from."""
+    trips: list[Trip] = []
+    digests: dict[str, str] = {}
+    for path in logs:
+        digest = sha256_of(path)
+        for stretch in stretches(path, topics):
+            trip = stretch.named()
+            trips.append(trip)
+            digests[trip.name] = digest
+    return trips, digests
+
+
+def with_origin(
+    result: CoastDownResult, digests: dict[str, str], line: Path | None
+) -> CoastDownResult:
+    """The result with the files that it was made from."""
+    inputs = dict(sorted(digests.items()))
+    if line is not None:
+        inputs["line"] = sha256_of(line)
+    return replace(
+        result,
+        trips=[{**trip, "sha256": digests[trip["trip"]]} for trip in result.trips],
+        provenance={
+            "step": "coast-down",
+            "software": f"trainlog {__version__}",
+            "inputs": inputs,
+        },
+    )

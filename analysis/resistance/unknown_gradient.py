@@ -16,19 +16,21 @@ own. Hence
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.resistance.coast_down.detection import SHORTEST
-from analysis.resistance.coast_down.fit import LARGEST_STD, SHORTEST_RANGE
-from analysis.resistance.coast_down.motion import Motion, motion_of, smoothed_over
-from analysis.resistance.coast_down.together import check_any, one_train
-from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.coast_down import check_any, one_train, trips_of, with_origin
+from analysis.resistance.coasting_detection import SHORTEST
+from analysis.resistance.coasting_fit import LARGEST_STD, SHORTEST_RANGE
+from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
+from analysis.resistance.regression import band_factor, curve_std, powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
+from trainlog.formats.line import read_line
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 from trainlog.railway.line import Line
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
@@ -137,6 +139,30 @@ def coast_down_without_gradient(
     rows = _joined(parts)
     _check_repeated(rows)
     return replace(_solved(rows, told), train=train)
+
+
+def coast_down_logs_without_gradient(
+    logs: Iterable[Path], line: Path | None = None
+) -> CoastDownResult:
+    """What logs tell by coasting where the line's gradients are not known.
+
+    Coasting is where the recorded lever was at rest; see `coast_down_without_gradient`.
+
+    Parameters
+    ----------
+    logs : iterable of path
+        Of one train.
+    line : path, optional
+        Line file for logs that carry no line.
+
+    Raises
+    ------
+    NotIdentifiableError, InputError, LogError
+        As `coast_down_without_gradient`, and if a file is not a log or not a line.
+    """
+    given = None if line is None else read_line(line)
+    trips, digests = trips_of(logs, (*TOPICS, "/train/controls"))
+    return with_origin(coast_down_without_gradient(trips, given), digests, line)
 
 
 def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:

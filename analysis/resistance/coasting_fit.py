@@ -18,14 +18,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.resistance.coast_down.detection import Segment
-from analysis.resistance.coast_down.hidden_effort import SPACING
-from analysis.resistance.coast_down.motion import Motion
-from analysis.resistance.curve import band_factor, curve_std, powers
+from analysis.resistance.coasting_detection import SPACING, Segment
+from analysis.resistance.motion import Motion
 from analysis.resistance.noise import Expected, NoiseParts
-from analysis.resistance.recording import POSITION_STEP, SpeedScale, gradient_pieces
-from analysis.resistance.regression import Regression, regress
-from analysis.resistance.windows import WINDOW, Recording, Windows, build_windows
+from analysis.resistance.recording import POSITION_STEP, Recording, SpeedScale, gradient_pieces
+from analysis.resistance.regression import Regression, band_factor, curve_std, powers, regress
+from analysis.resistance.windows import WINDOW, Windows, build_windows
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance

@@ -1,4 +1,4 @@
-"""What coasting showed, as tables for people: km/h, per mille, N/t."""
+"""Running resistance as tables for people: of the fits, and of what coasting showed."""
 
 from __future__ import annotations
 
@@ -6,10 +6,70 @@ import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from analysis.reporting import new_table
 from analysis.resistance.coast_down import CoastDown
+from analysis.resistance.logs import Fits
+from analysis.resistance.regression import diagnosed
+from analysis.tables import new_table, with_band
 from trainlog.formats.parameters import CoastDownResult
 from trainlog.units import GRAVITY, KMH, PER_MILLE
+
+
+def fit_table(fits: Fits) -> Group:
+    """Running resistance of each trip and of all together, with what it rests on."""
+    title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
+    table = new_table(
+        title, "trip", "r0", "r1", "r2", "mass", "power, kW", "kN at 80 km/h", "windows"
+    )
+    at = 80.0 / KMH
+    for fit in fits.trips:
+        table.add_row(
+            fit.trip,
+            *(
+                with_band(b, s)
+                for b, s in zip(fit.beta, np.sqrt(np.diag(fit.covariance)), strict=False)
+            ),
+            f"{fit.mass / 1e3:.1f} ± {1.96 * fit.mass_std / 1e3:.1f} t",
+            "-"
+            if fit.max_power is None or fit.max_power_std is None
+            else with_band(fit.max_power / 1e3, fit.max_power_std / 1e3),
+            with_band(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3),
+            f"{fit.windows['used']}",
+        )
+    common = fits.common
+    beta = (common.resistance.r0, common.resistance.r1, common.resistance.r2)
+    table.add_section()
+    table.add_row(
+        "together",
+        *(with_band(b, s) for b, s in zip(beta, np.sqrt(np.diag(common.covariance)), strict=True)),
+        "",
+        "",
+        with_band(float(common.resistance(at)) / 1e3, float(common.std(at)) / 1e3),
+        f"{sum(fit.windows['used'] for fit in fits.trips)}",
+    )
+    low, high = common.speed_range
+    words = [
+        "± is the 95 % band; a power is told where a trip reached it. Supported from"
+        f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
+        " correlated: trust the curve.",
+    ]
+    for fit in fits.trips:
+        words += [f"{fit.trip}: {doubt}" for doubt in diagnosed(fit.residuals).doubts]
+    words += [f"refused, {error.reason}: {error}" for error in fits.refused.values()]
+    words += _observed_set(fits)
+    return Group(table, *words)
+
+
+def _observed_set(fits: Fits) -> list[str]:
+    """What the observed set stands for."""
+    found = fits.parameters
+    words = (
+        f"{len(found.configurations)} configurations stand for {found.cover['trips']} trips: their"
+        f" worst case bounds {found.cover['level']:.1%} of trips like these"
+    )
+    if found.cover["level"] < found.cover["asked"]:
+        words += f", fewer than the {found.cover['asked']:.1%} asked for"
+    known = f"{fits.known} logs were not read: their summaries are known." if fits.known else ""
+    return [f"{words}.", *([known] if known else [])]
 
 
 def coast_down_table(found: CoastDown) -> Group:

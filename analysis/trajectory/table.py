@@ -1,0 +1,154 @@
+"""Trajectories, journeys, fronts and driver advice as tables for people: km/h, km, kWh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+
+from analysis.tables import excess, kwh, new_table
+from trainlog.railway import Trajectory
+from trainlog.units import KMH, clock
+
+if TYPE_CHECKING:
+    # They bring the solvers, which a table of a trajectory's file does without.
+    from analysis.trajectory.journey import JourneyPlan
+    from analysis.trajectory.optimiser import Front
+    from analysis.trajectory.phases import AdvicePoint
+
+LISTED = 8
+"""Configurations of a trajectory that are listed one by one."""
+
+VOUCHED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+"""Words of IPOPT by which it vouches for what it found."""
+
+
+def trajectory_table(trajectory: Trajectory) -> Group:
+    """A trajectory and its certificate."""
+    certificate = trajectory.certificate
+    audit = certificate["audit"]
+    title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
+    facts = new_table(title, "", "", show_header=False)
+    least = max(certificate["least_time"])
+    reserve = f"{certificate['reserve']:.1%} over {least:.1f} s ({clock(least)})"
+    deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
+    bound = f"at least {kwh(certificate['lower_bound'])}"
+    cells = f"{certificate['grid']['cells']} cells"
+    agreed = certificate.get("agreement", {})
+    shares = ", ".join(f"{name} {share:.2%}" for name, share in agreed.items())
+    rows = (
+        (
+            "timetable",
+            f"{trajectory.running_time:.1f} s ({clock(trajectory.running_time)}), {reserve}",
+        ),
+        ("configurations", deciding),
+        (trajectory.energy_told, f"{kwh(certificate['energy'])}, {bound}"),
+        ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
+        ("latest arrival", f"{excess(audit['lateness']):.4f} s after the timetable"),
+        ("speed over the limit", f"{excess(audit['overspeed']) * KMH:.5f} km/h"),
+        ("power", f"{audit['power']:.6f} of the limit at most"),
+        ("adhesion", _share(audit["adhesion"])),
+        ("controls as the maximum principle asks", shares or "not told"),
+    )
+    for row in rows:
+        facts.add_row(*row)
+    if "referee" in certificate:
+        judge = certificate["referee"]
+        words = f"{kwh(judge['energy'])}, ours {judge['difference']:+.4%}"
+        if judge["status"] not in VOUCHED:
+            words += f"; {judge['name']} stopped before it was sure: its last point, no proof"
+        facts.add_row(f"second opinion by {judge['name']}", words)
+    table = new_table(
+        "Energy of each configuration",
+        *("configuration", "mass", "arrival", "top speed", "at the wheels", "from the line"),
+    )
+    energies = certificate["wheel_energy"], certificate["line_energy"]
+    order = np.argsort(-np.asarray(energies[trajectory.objective != "wheel"]), kind="stable")
+    for row in order[:LISTED]:
+        configuration = trajectory.configurations[row]
+        table.add_row(
+            configuration.name,
+            f"{configuration.mass / 1e3:.1f} t",
+            f"{trajectory.times[row, -1]:.2f} s",
+            f"{trajectory.speeds[row].max() * KMH:.1f} km/h",
+            *(kwh(each[row]) for each in energies),
+        )
+    rest = len(order) - LISTED
+    return Group(facts, table, *([f"and {rest} more"] if rest > 0 else []))
+
+
+def front_table(front: Front) -> Table:
+    """Energy against running time, and what a second more saves."""
+    first = front.trajectories[0]
+    table = new_table(
+        f"Running time on {first.line}, {first.train}, against {first.energy_told}",
+        *("running time", "reserve", "energy", "gap", "a second more saves"),
+    )
+    for each, price in zip(front.trajectories, front.prices, strict=True):
+        certificate = each.certificate
+        table.add_row(
+            f"{each.running_time:.1f} s",
+            f"{certificate['reserve']:.1%}",
+            kwh(certificate["energy"]),
+            f"{certificate['gap']:.3%}",
+            f"{price / 3.6e3:.1f} Wh",
+        )
+    return table
+
+
+def journey_table(plan: JourneyPlan) -> Table:
+    """Sections of a journey: when, how much, and what a second is worth in each."""
+    certificate, first = plan.certificate, plan.sections[0]
+    dearest, mixed = certificate["dearest"], bool(certificate["mixture"])
+    title = (
+        f"Journey {plan.journey.name} on {plan.journey.line}:"
+        f" {'worst-case energy from the line' if mixed else first.energy_told}"
+        f" {kwh(certificate['energy'])}, at least {kwh(certificate['lower_bound'])} at these"
+        f" times; other times might save {certificate['other_times_might_save']:.2%}"
+    )
+    table = new_table(
+        title,
+        *("from km", "departs", "to km", "arrives", "energy", "gap", "a second is worth"),
+        caption=f"{dearest} takes most in all, {kwh(certificate['dearest_energy'])}"
+        + ("; energies are its own" if mixed else ""),
+        caption_justify="left",
+    )
+    row = first.index_of(dearest)
+    for each, departs, arrives in zip(plan.sections, plan.departures, plan.arrivals, strict=True):
+        found = each.certificate
+        price = sum(found["time_price"].values())
+        table.add_row(
+            f"{each.positions[0] / 1e3:.3f}",
+            f"{departs:.1f} s",
+            f"{each.positions[-1] / 1e3:.3f}",
+            f"{arrives:.1f} s",
+            kwh(found["line_energy"][row] if mixed else found["energy"]),
+            f"{found['gap']:.3%}",
+            f"{price / 3.6e3:.1f} Wh",
+        )
+    return table
+
+
+def advice_table(points: Sequence[AdvicePoint]) -> Table:
+    """Driver advice: where to do what."""
+    table = new_table("Driver advice", "km", "time", "speed", "advice", "until")
+    for point in points:
+        table.add_row(
+            f"{point.position / 1e3:.3f}",
+            clock(point.time),
+            f"{KMH * point.speed:.0f} km/h",
+            point.words,
+            f"{KMH * point.until:.0f} km/h",
+        )
+    return table
+
+
+def _share(adhesion: float) -> str:
+    return f"{adhesion:.6f} of what the map promises at most" if adhesion else "no map was used"
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
