@@ -28,7 +28,7 @@ from rerun.chunk import RrdReader
 
 from trainlog import topics
 from trainlog.errors import InputError, LogError
-from trainlog.replay import record_replay
+from trainlog.replay import write_replay
 from trainlog.replay.clock import clock_of
 from trainlog.replay.curves import CURVES
 from trainlog.replay.samples import Samples, broken, thinned
@@ -45,7 +45,7 @@ def trip() -> Trip:
 @pytest.fixture(scope="module")
 def recording(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("replay") / "one.rrd"
-    record_replay([trip], path)
+    write_replay([trip], path)
     return path
 
 
@@ -99,7 +99,7 @@ def test_each_axle_is_a_line(trip: Trip, recording: Path) -> None:
 def test_every_entity_is_on_every_timeline(trip: Trip, tmp_path: Path) -> None:
     path = tmp_path / "all.rrd"
     plan, condition = trajectory_of(), condition_of()
-    record_replay([trip, made_trip("down", "reverse")], path, trajectory=plan,
+    write_replay([trip, made_trip("down", "reverse")], path, trajectory=plan,
                   condition_map=condition)  # fmt: skip
     found = entities(path)
     moving = {name for name, timelines in found.items() if timelines}
@@ -145,7 +145,7 @@ def test_unknown_values_break_the_line(trip: Trip, tmp_path: Path) -> None:
     state = trip["/train/state"].copy()
     state.iloc[100:150, state.columns.get_loc("speed")] = np.nan
     path = tmp_path / "gap.rrd"
-    record_replay([trip.with_topic(state)], path)
+    write_replay([trip.with_topic(state)], path)
     shown = curve(path, "/trips/up/speed/measured")[:, 0]
     assert np.isnan(shown[100:150]).all()
     assert np.isfinite(np.delete(shown, np.s_[100:150])).all()
@@ -156,7 +156,7 @@ def test_missing_rows_break_the_line(trip: Trip, tmp_path: Path) -> None:
     kept = state.drop(state.index[100:150])
     kept.attrs = state.attrs
     path = tmp_path / "gap.rrd"
-    record_replay([trip.with_topic(kept)], path)
+    write_replay([trip.with_topic(kept)], path)
     shown = curve(path, "/trips/up/speed/measured")[:, 0]
     assert shown.size == len(kept) + 1
     assert np.flatnonzero(np.isnan(shown)).tolist() == [100]
@@ -202,7 +202,7 @@ def test_phases_without_a_lever_follow_the_efforts(trip: Trip, tmp_path: Path) -
     )
     controls.attrs = trip["/train/controls"].attrs
     path = tmp_path / "efforts.rrd"
-    record_replay([trip.with_topic(controls)], path)
+    write_replay([trip.with_topic(controls)], path)
     states = list(rows(path, "/trips/up/phase")["StateChange:state"])
     assert states == ["standstill", "traction", "coasting", "braking", "standstill"]
 
@@ -238,9 +238,9 @@ def test_the_way_along_the_fixes_stands_for_a_line_without_coordinates(
     fix = trip["/gnss/fix"]
     kept = fix.drop(fix.index[400:600])  # an outage of 20 s
     kept.attrs = fix.attrs
-    path = tmp_path / "way.rrd"
-    record_replay([replace(trip, attachments={}).with_topic(kept)], path)
-    before, after = static(path, "/trips/up/place/way", "GeoLineStrings:line_strings")
+    path = tmp_path / "path.rrd"
+    write_replay([replace(trip, attachments={}).with_topic(kept)], path)
+    before, after = static(path, "/trips/up/place/path", "GeoLineStrings:line_strings")
     assert before[0] == pytest.approx(fix[["latitude", "longitude"]].iloc[0])
     assert (len(before), len(after)) == (40, 71)
     assert not {name for name in entities(path) if name.startswith("/lines")}
@@ -251,7 +251,7 @@ def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Pat
     for empty in (topics.EVENTS, topics.TRAIN_CONTROLS, topics.GNSS_FIX, topics.TRUTH):
         bare = bare.with_topic(frame_of(empty, np.empty(0, np.int64), {}))
     path = tmp_path / "bare.rrd"
-    record_replay([bare], path)
+    write_replay([bare], path)
     found = {name for name in entities(path) if name.startswith("/trips")}
     assert found == {"/trips/up/speed/measured", "/trips/up/about"}
 
@@ -261,7 +261,7 @@ def test_slip_is_wheel_less_train_speed_where_nothing_better_is_known(
 ) -> None:
     topics_left = {k: v for k, v in trip.topics.items() if not k.startswith("/estimates")}
     path = tmp_path / "raw.rrd"
-    record_replay([replace(trip, topics=topics_left)], path)
+    write_replay([replace(trip, topics=topics_left)], path)
     shown = curve(path, "/trips/up/slip")
     wheels = trip["/train/axles"][["wheel_speed_1", "wheel_speed_2"]].to_numpy()
     train = trip["/train/state"][["speed"]].to_numpy()
@@ -284,13 +284,13 @@ def test_fixes_alone_give_the_distance_between_them(trip: Trip) -> None:
 def test_a_trip_without_any_place_stays_at_zero(tmp_path: Path) -> None:
     air = frame_of(topics.ENVIRONMENT, START + np.arange(5) * 10**9, {"gradient": np.arange(5.0)})
     path = tmp_path / "air.rrd"
-    record_replay([Trip({"/environment": air})], path)
+    write_replay([Trip({"/environment": air})], path)
     assert set(rows(path, "/trips/unnamed/gradient")["position_mm"]) == {0}
 
 
 def test_each_trip_has_its_own_subtree(trip: Trip, tmp_path: Path) -> None:
     path = tmp_path / "three.rrd"
-    record_replay([trip, made_trip("down", "reverse"), made_trip(top=30.0)], path)
+    write_replay([trip, made_trip("down", "reverse"), made_trip(top=30.0)], path)
     found = entities(path)
     for name in ("up", "down", "up\\ \\(2\\)"):
         assert f"/trips/{name}/speed/measured" in found
@@ -302,7 +302,7 @@ def test_each_trip_has_its_own_subtree(trip: Trip, tmp_path: Path) -> None:
 def test_the_map_lies_under_a_trip_in_its_own_direction(tmp_path: Path) -> None:
     condition = condition_of()
     path = tmp_path / "map.rrd"
-    record_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
+    write_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
     up = rows(path, "/trips/up/adhesion/map/dots")
     down = rows(path, "/trips/down/adhesion/map/dots")
     seen = np.flatnonzero(condition.layers["dry"].observed)
@@ -317,7 +317,7 @@ def test_the_map_lies_under_a_trip_in_its_own_direction(tmp_path: Path) -> None:
 def test_bins_without_evidence_are_not_shown(tmp_path: Path) -> None:
     condition = condition_of()
     path = tmp_path / "map.rrd"
-    record_replay([made_trip()], path, condition_map=condition)
+    write_replay([made_trip()], path, condition_map=condition)
     found = rows(path, "/trips/up/adhesion/map/bins")
     values = found["Measurements:values"][:, 0]
     assert np.isnan(values).sum() == 1 + condition.layers["dry"].observed.sum()
@@ -341,7 +341,7 @@ def test_the_map_of_other_weather_is_not_shown(
     if weather is not None:
         known["weather"] = weather
     path = tmp_path / "map.rrd"
-    record_replay([replace(trip, metadata=known)], path, condition_map=condition_of())
+    write_replay([replace(trip, metadata=known)], path, condition_map=condition_of())
     if legend is None:
         assert "/trips/up/adhesion/map/dots" not in entities(path)
     else:
@@ -351,14 +351,14 @@ def test_the_map_of_other_weather_is_not_shown(
 def test_a_map_of_another_line_is_refused(trip: Trip, tmp_path: Path) -> None:
     path = tmp_path / "map.rrd"
     with pytest.raises(InputError, match=r"of line 'dale'.*ran on 'hill'"):
-        record_replay([trip], path, condition_map=replace(condition_of(), line="dale"))
+        write_replay([trip], path, condition_map=replace(condition_of(), line="dale"))
     assert not list(tmp_path.iterdir())
 
 
 def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
     plan = trajectory_of()
     path = tmp_path / "plan.rrd"
-    record_replay([made_trip(), made_trip("again")], path, trajectory=plan)
+    write_replay([made_trip(), made_trip("again")], path, trajectory=plan)
     middle = curve(path, "/trajectory/speed", "Measurements:values")[:, 0]
     half = np.sqrt(curve(path, "/trajectory/speed", "Measurements:variances")[:, 0])
     assert middle + half == pytest.approx(plan.speeds.max(axis=0) * 3.6)
@@ -371,7 +371,7 @@ def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
 def test_a_trip_is_compared_with_what_is_planned_where_it_is(trip: Trip, tmp_path: Path) -> None:
     topics_left = {name: frame for name, frame in trip.topics.items() if name != "/reference"}
     path = tmp_path / "plan.rrd"
-    record_replay([replace(trip, topics=topics_left)], path, trajectory=trajectory_of())
+    write_replay([replace(trip, topics=topics_left)], path, trajectory=trajectory_of())
     entity = "/trips/up/speed/trajectory"
     middle = curve(path, entity, "Measurements:values")[:, 0]
     position = rows(path, entity)["position_mm"][1:] / 1e3
@@ -385,14 +385,14 @@ def test_trips_that_followed_or_ran_backwards_are_not_compared(trip: Trip, tmp_p
     path = tmp_path / "plan.rrd"
     down = made_trip("down", "reverse")
     topics_left = {name: frame for name, frame in down.topics.items() if name != "/reference"}
-    record_replay([trip, replace(down, topics=topics_left)], path, trajectory=trajectory_of())
+    write_replay([trip, replace(down, topics=topics_left)], path, trajectory=trajectory_of())
     assert [name for name in entities(path) if name.endswith("/speed/trajectory")] == []
 
 
 def test_the_same_trips_give_the_same_content(trip: Trip, tmp_path: Path) -> None:
     first, second = tmp_path / "1.rrd", tmp_path / "2.rrd"
     for path in (first, second):
-        record_replay([trip], path, condition_map=condition_of())
+        write_replay([trip], path, condition_map=condition_of())
     stored = [RrdReader(path).recordings()[0] for path in (first, second)]
     assert stored[0].recording_id == stored[1].recording_id
     assert stored[0].application_id == "trainlog"
@@ -412,7 +412,7 @@ def test_other_content_has_another_id(trip: Trip, tmp_path: Path) -> None:
         ((trip, None), (changed, None), (trip, condition_of()))
     ):
         path = tmp_path / f"{number}.rrd"
-        record_replay([each], path, condition_map=condition)
+        write_replay([each], path, condition_map=condition)
         ids.add(RrdReader(path).recordings()[0].recording_id)
     assert len(ids) == 3
 
@@ -425,15 +425,15 @@ def test_places_that_cannot_be_written_are_refused(
     trip: Trip, tmp_path: Path, name: str, problem: str
 ) -> None:
     with pytest.raises(InputError, match=problem):
-        record_replay([trip], tmp_path / name)
+        write_replay([trip], tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 
 def test_nothing_to_replay_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no trip"):
-        record_replay([], tmp_path / "none.rrd")
+        write_replay([], tmp_path / "none.rrd")
     with pytest.raises(LogError, match="no samples"):
-        record_replay([Trip({})], tmp_path / "none.rrd")
+        write_replay([Trip({})], tmp_path / "none.rrd")
     assert not list(tmp_path.iterdir())
 
 
@@ -441,7 +441,7 @@ def test_an_older_recording_stays_when_a_new_one_fails(trip: Trip, tmp_path: Pat
     path = tmp_path / "replay.rrd"
     path.write_bytes(b"older")
     with pytest.raises(LogError):
-        record_replay([trip, Trip({})], path)
+        write_replay([trip, Trip({})], path)
     assert path.read_bytes() == b"older"
 
 
@@ -452,7 +452,7 @@ def test_a_long_trip_is_sent_whole(tmp_path: Path) -> None:
         topics.TRAIN_STATE, time, {"position": np.arange(count) * 2.0, "speed": np.arange(count)}
     )
     path = tmp_path / "long.rrd"
-    record_replay([Trip({"/train/state": state})], path)
+    write_replay([Trip({"/train/state": state})], path)
     shown = curve(path, "/trips/unnamed/speed/measured")[:, 0]
     assert shown == pytest.approx(np.arange(count) * 3.6)
     assert (
@@ -464,11 +464,11 @@ def test_a_long_trip_is_sent_whole(tmp_path: Path) -> None:
 def test_pieces_are_drawn_as_the_whole(trip: Trip, tmp_path: Path) -> None:
     """Of a held value, samples beside the seams may be more, none of them other."""
     whole, parts = tmp_path / "whole.rrd", tmp_path / "parts.rrd"
-    record_replay([trip], whole)
+    write_replay([trip], whole)
     edges = pd.date_range(trip.start, trip.end, periods=6).as_unit("ns").asi8
     edges[0], edges[-1] = 0, 2**62
     spans = np.column_stack((edges[:-1], edges[1:] - 1))
-    record_replay([lambda: (trip.cut(span[None, :]) for span in spans)], parts)
+    write_replay([lambda: (trip.cut(span[None, :]) for span in spans)], parts)
     one, other = _drawn(whole), _drawn(parts)
     held = {curve.entity for curve in CURVES if curve.held}
     assert one.keys() == other.keys()

@@ -12,7 +12,7 @@ import pytest
 from replay_trips import condition_of, entities, made_trip, trajectory_of
 from rerun.chunk import RrdReader
 
-from trainlog.replay import record_replay
+from trainlog.replay import write_replay
 from trainlog.replay.layout import SHARED_AXIS
 from trainlog.trip import Trip
 
@@ -85,7 +85,7 @@ def test_every_view_has_something_to_show(
     trips: list[Trip], tmp_path: Path, count: int, beside: bool
 ) -> None:
     path = tmp_path / "replay.rrd"
-    record_replay(
+    write_replay(
         trips[:count],
         path,
         trajectory=trajectory_of() if beside else None,
@@ -98,7 +98,7 @@ def test_every_view_has_something_to_show(
 
 def test_everything_recorded_is_shown(trips: list[Trip], tmp_path: Path) -> None:
     path = tmp_path / "replay.rrd"
-    record_replay(trips, path, trajectory=trajectory_of(), condition_map=condition_of())
+    write_replay(trips, path, trajectory=trajectory_of(), condition_map=condition_of())
     queries = layout_of(path).shown()
     hidden = [name for name in entities(path) if not any(matches(q, {name}) for q in queries)]
     assert hidden == []
@@ -106,7 +106,7 @@ def test_everything_recorded_is_shown(trips: list[Trip], tmp_path: Path) -> None
 
 def test_plots_name_quantity_and_unit(trips: list[Trip], tmp_path: Path) -> None:
     path = tmp_path / "replay.rrd"
-    record_replay(trips[:1], path)
+    write_replay(trips[:1], path)
     plots = [view for view in layout_of(path).views() if view["class"] == ["TimeSeries"]]
     assert len(plots) == 7
     assert all(re.search(r"\[(km/h|kN|‰|1)\]", view["name"][0]) for view in plots)
@@ -116,7 +116,7 @@ def test_one_trip_fills_the_screen_and_several_have_tabs(trips: list[Trip], tmp_
     names = []
     for count in (1, 3):
         path = tmp_path / f"{count}.rrd"
-        record_replay(trips[:count], path)
+        write_replay(trips[:count], path)
         layout = layout_of(path)
         tabs = [
             components
@@ -141,7 +141,7 @@ def test_one_trip_fills_the_screen_and_several_have_tabs(trips: list[Trip], tmp_
 def test_a_bare_trip_has_no_empty_plots(tmp_path: Path) -> None:
     trip = made_trip()
     path = tmp_path / "bare.rrd"
-    record_replay(
+    write_replay(
         [replace(trip, topics={"/train/state": trip["/train/state"]}, attachments={})], path
     )
     assert layout_of(path).names() == {"up: speed [km/h]", "Trip"}
@@ -149,7 +149,7 @@ def test_a_bare_trip_has_no_empty_plots(tmp_path: Path) -> None:
 
 def test_plots_show_the_whole_trip_on_a_shared_axis(trips: list[Trip], tmp_path: Path) -> None:
     path = tmp_path / "replay.rrd"
-    record_replay(trips[:1], path)
+    write_replay(trips[:1], path)
     layout = layout_of(path)
     shared = layout.logged["/" + SHARED_AXIS]["TimeAxis:view_range"]
     assert shared == [{"start": None, "end": None}]
@@ -160,7 +160,7 @@ def test_plots_show_the_whole_trip_on_a_shared_axis(trips: list[Trip], tmp_path:
 
 def test_speed_plot_begins_at_zero_and_holds_the_limit(trips: list[Trip], tmp_path: Path) -> None:
     path = tmp_path / "replay.rrd"
-    record_replay(trips[:1], path)
+    write_replay(trips[:1], path)
     layout = layout_of(path)
     speed = next(view for view in layout.views() if view["name"] == ["up: speed [km/h]"])
     low, high = layout.logged[f"{speed['path']}/ScalarAxis"]["ScalarAxis:range"][0]
@@ -173,7 +173,7 @@ def test_an_outlier_does_not_flatten_the_speed_plot(tmp_path: Path) -> None:
     motion = trip["/gnss/motion"].copy()
     motion.iloc[500, 0] = 900.0
     path = tmp_path / "outlier.rrd"
-    record_replay([trip.with_topic(motion)], path)
+    write_replay([trip.with_topic(motion)], path)
     layout = layout_of(path)
     speed = next(view for view in layout.views() if view["name"] == ["up: speed [km/h]"])
     high = layout.logged[f"{speed['path']}/ScalarAxis"]["ScalarAxis:range"][0][1]
@@ -182,7 +182,7 @@ def test_an_outlier_does_not_flatten_the_speed_plot(tmp_path: Path) -> None:
 
 def test_the_map_fits_the_line(trips: list[Trip], tmp_path: Path) -> None:
     path = tmp_path / "replay.rrd"
-    record_replay(trips[:1], path)
+    write_replay(trips[:1], path)
     layout = layout_of(path)
     view = next(view for view in layout.views() if view["class"] == ["Map"])
     zoom = layout.logged[f"{view['path']}/MapZoom"]["MapZoom:zoom"][0]
@@ -197,7 +197,7 @@ def test_several_trips_are_compared_from_their_beginnings(
     trips: list[Trip], tmp_path: Path, count: int, timeline: str
 ) -> None:
     path = tmp_path / "replay.rrd"
-    record_replay(trips[:count], path)
+    write_replay(trips[:count], path)
     panel = layout_of(path).logged["/time_panel"]
     assert panel["TimePanelBlueprint:timeline"] == [timeline]
     assert panel["TimePanelBlueprint:play_state"] == [1]

@@ -1,4 +1,4 @@
-"""The viewer: when it opens, what it is told, and what it shows."""
+"""The viewer: when it opens, its options, and what it shows."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rerun.chunk import McapReader
 
 from trainlog.errors import InputError
 from trainlog.mcap import write_log
-from trainlog.replay import record_replay, viewer
-from trainlog.replay.direct import DRAWN, scalars, write_layout
+from trainlog.replay import viewer, write_replay
+from trainlog.replay.layout import DRAWN, scalars, write_layout
 from trainlog.replay.viewer import has_display, open_viewer, take_picture
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip
@@ -33,7 +33,7 @@ def trip() -> Trip:
 @pytest.fixture(scope="module")
 def recording(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("viewer") / "replay.rrd"
-    record_replay([trip], path, trajectory=trajectory_of(), condition_map=condition_of())
+    write_replay([trip], path, trajectory=trajectory_of(), condition_map=condition_of())
     return path
 
 
@@ -48,7 +48,7 @@ def log(trip: Trip, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def graphics(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Skips where nothing can be drawn, with the viewer's own reason."""
     path = tmp_path_factory.mktemp("graphics") / "try.rrd"
-    record_replay([made_trip()], path)
+    write_replay([made_trip()], path)
     try:
         take_picture(path, path.with_suffix(".png"), size=(200, 200), settle=0.5)
     except InputError as error:
@@ -94,25 +94,25 @@ def test_the_viewer_listens_on_this_machine_alone_and_sends_no_usage_data(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = started(monkeypatch, display=True)
-    told = open_viewer(recording)
+    stated = open_viewer(recording)
     (command, options), *more = calls
     assert not more
     assert command[:3] == [sys.executable, "-m", "rerun_cli"]
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert str(recording) in command
     assert options["env"]["CI"]
-    assert str(recording) in told
+    assert str(recording) in stated
 
 
 def test_without_a_display_it_tells_how_to_open_the_file(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = started(monkeypatch, display=False)
-    told = open_viewer(recording)
+    stated = open_viewer(recording)
     assert calls == []
-    assert str(recording) in told
-    assert "rerun replay.rrd" in told
-    assert "\n" not in told
+    assert str(recording) in stated
+    assert "rerun replay.rrd" in stated
+    assert "\n" not in stated
 
 
 def test_a_recording_that_is_not_there_is_refused(tmp_path: Path) -> None:

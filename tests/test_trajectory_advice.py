@@ -24,7 +24,7 @@ from trainlog.formats.train import read_train
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, ParameterSet, Trajectory
-from trainlog.replay import record_replay
+from trainlog.replay import write_replay
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +140,7 @@ def test_a_replay_refuses_the_trajectory_of_another_line(
 ) -> None:
     trip = read_log(sample("nonstop.mcap"))
     with pytest.raises(InputError, match="was made for line 'else', trip"):
-        record_replay([trip], tmp_path / "a.rrd", trajectory=replace(sampled, line="else"))
+        write_replay([trip], tmp_path / "a.rrd", trajectory=replace(sampled, line="else"))
     assert not list(tmp_path.iterdir())
 
 

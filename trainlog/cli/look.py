@@ -103,11 +103,11 @@ def replay(
     """
     from trainlog.formats.condition import read_map
     from trainlog.formats.trajectory import read_trajectory
-    from trainlog.replay import open_viewer, record_replay
+    from trainlog.replay import open_viewer, write_replay
 
     sources = [partial(part_of, log, start, end, km, PIECE) for log in logs_in(logs)]
     with working(f"writing {output.name}"):
-        record_replay(
+        write_replay(
             sources,
             output,
             trajectory=None if trajectory is None else read_trajectory(trajectory),

@@ -7,7 +7,15 @@ from trainlog.extras import require
 
 require("rerun")
 
-from trainlog.replay.recording import record_replay
+from trainlog.replay.layout import scalars, write_layout
+from trainlog.replay.recording import write_replay
 from trainlog.replay.viewer import has_display, open_viewer, take_picture
 
-__all__ = ["has_display", "open_viewer", "record_replay", "take_picture"]
+__all__ = [
+    "has_display",
+    "open_viewer",
+    "scalars",
+    "take_picture",
+    "write_layout",
+    "write_replay",
+]

@@ -40,7 +40,7 @@ CLOCKS: tuple[tuple[str, ...], ...] = (
     (GNSS_MOTION.name, "speed"),
     (GNSS_FIX.name, "latitude", "longitude"),
 )
-"""Topics, and columns of them, that tell a trip's position, the best first."""
+"""Topics, and columns of them, from which a trip's position is known, the best first."""
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the earth [m]."""
@@ -132,7 +132,7 @@ def clock_of(trip: Trip) -> Clock:
 
 
 def clock_from(start: int, known: Mapping[tuple[str, ...], tuple[Any, ...]]) -> Clock:
-    """The clock of a trip that began at `start` [ns], of which `known` tells the place.
+    """The clock of a trip that began at `start` [ns], with its positions in `known`.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ class Stroke:
     field : str
     name : str
         Legend; lines of one name share an entry. Axles with ``{}`` in it, for the axle's number,
-        are told apart and take the colours `AXLES`.
+        each have their own entry and one of the colours `AXLES`.
     colour : Colour
     scale : float
         Shown over stored value.

@@ -14,9 +14,8 @@ from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.railway import TrackConditionMap, Trajectory
 from trainlog.replay.curves import TRIPS
-from trainlog.replay.drawing import Drawing, draw_line_of, observed
+from trainlog.replay.drawing import Drawing, check_line, draw_line_of, draw_trajectory, observed
 from trainlog.replay.layout import blueprint
-from trainlog.replay.lineside import check_line, draw_trajectory
 from trainlog.replay.survey import Pieces, Survey, neighboured, pieces_of, survey
 from trainlog.trip import Trip
 
@@ -27,7 +26,7 @@ APPLICATION = "trainlog"
 """Rerun's application id: a layout made for it fits every replay."""
 
 
-def record_replay(
+def write_replay(
     trips: Sequence[Trip | Pieces],
     path: str | Path,
     *,

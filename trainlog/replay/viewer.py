@@ -31,7 +31,7 @@ SETTLING = 6.0
 
 
 def open_viewer(path: str | Path) -> str:
-    """Open a recording in the Rerun viewer if there is a display; tell what was done.
+    """Open a recording in the Rerun viewer if there is a display, and state what was done.
 
     The viewer goes on when this process ends, sends no usage data, and listens on this machine
     alone.
@@ -48,7 +48,7 @@ def open_viewer(path: str | Path) -> str:
     """
     recording = Path(path).resolve()
     if not recording.is_file():
-        raise InputError("does not exist", file=path, remedy="write it with record_replay")
+        raise InputError("does not exist", file=path, remedy="write it with write_replay")
     if not has_display():
         return (
             f"No display here; the replay is {recording}. Where there is one:"
@@ -66,7 +66,7 @@ def open_viewer(path: str | Path) -> str:
 
 
 def has_display(environment: Mapping[str, str] | None = None, platform: str = sys.platform) -> bool:
-    """Whether a window can be opened for somebody to look at.
+    """Whether a window can be opened on a display.
 
     On Windows and macOS always, unless this is a remote shell or a continuous integration run;
     elsewhere where X11 or Wayland say so.
@@ -112,7 +112,7 @@ def take_picture(
     at : int
         Where on that timeline: nanoseconds or, on the position timeline, millimetres.
     layout : path, optional
-        Instead of the recording's own, see `trainlog.replay.direct`.
+        Instead of the recording's own, see `trainlog.replay.layout`.
     settle : float [s]
         From when the recording is loaded to when its picture is taken.
 
@@ -127,7 +127,7 @@ def take_picture(
         If there is no such recording, it cannot be shown, or the picture not be written.
     """
     if not Path(recording).is_file():
-        raise InputError("does not exist", file=recording, remedy="write it with record_replay")
+        raise InputError("does not exist", file=recording, remedy="write it with write_replay")
     with _headless(Path(recording).resolve(), size, layout) as viewer:
         if timeline is not None:
             _set_time(viewer, timeline, at)
@@ -210,8 +210,8 @@ def _command(*arguments: str) -> list[str]:
 def _last_words(log: Path) -> str:
     """Why the viewer gave up, if it said so."""
     lines = log.read_text("utf-8", "replace").splitlines()
-    told = [line.strip() for line in lines if "graphics adapter" in line or "panicked" in line]
-    return f": {told[-1]}" if told else ""
+    reasons = [line.strip() for line in lines if "graphics adapter" in line or "panicked" in line]
+    return f": {reasons[-1]}" if reasons else ""
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
