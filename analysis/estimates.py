@@ -14,7 +14,7 @@ from analysis.adhesion.slip import slip
 from analysis.resistance.fit import estimated_resistance, fit_trip
 from analysis.resistance.logs import fit_log
 from analysis.resistance.recording import LARGEST_SCALE, speed_scale
-from estimators.kalman import smooth_motion
+from estimators.motion import smooth_motion
 from trainlog import __version__
 from trainlog.errors import LogError, TrainlogError
 from trainlog.mcap import LogWriter

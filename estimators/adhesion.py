@@ -1,40 +1,29 @@
-"""Adhesion of the powered axles, sample by sample.
+"""Adhesion force of the powered axles, sample by sample and over a whole trip.
 
-A disturbance observer sees the force between wheel and rail as the unknown load of a known
-rotating mass. `smoothed_force` is the observer run forwards and backwards over a recorded trip: no
-lag, for analyses that need not be causal.
-
-Everything is referred to the wheel rim: a powered axle is a mass ``J`` [kg] (its inertia over the
-wheel radius squared) that moves at the circumferential speed ``w`` [m/s], driven by the effort
-``T`` [N] of its motor and held by the adhesion force ``F`` [N]: paper 003, eq. (4)-(9) become
-``J dw/dt = T - F``.
+The force between wheel and rail is the unknown load of a known rotating mass. Everything is
+referred to the wheel rim: a powered axle is a mass ``J`` [kg] (its inertia over the wheel radius
+squared) that moves at the circumferential speed ``w`` [m/s], driven by the effort ``T`` [N] of its
+motor and held by the adhesion force ``F`` [N]; Zhao et al. (2025), eqs. (4)-(9), become
+``J dw/dt = T - F``. F wanders as a Brownian motion: a linear-Gaussian model of two states, which
+`AdhesionObserver` filters and `smoothed_force` smooths.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.interface import (
-    CALIBRATED,
-    array_of,
-    check_state,
-    count_of,
-    number_of,
-    saved_state,
-)
+from estimators.interface import CALIBRATED, Estimator
+from estimators.linear_gaussian import Filtered, LinearGaussian, wandering_slope
 from estimators.slip import samples_of
 from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
 
-STATE_KIND, STATE_VERSION = "trainlog/adhesion_observer", 1
-"""Of a saved state; the version is raised when its meaning changes."""
+NO_SPEED_STD = 100.0
+"""Standard deviation of a wheel speed [m/s] that was not measured at first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +36,7 @@ class AdhesionForce:
 
 @dataclass(frozen=True, eq=False)
 class AdhesionResult:
-    """What the observer knows after the samples so far.
+    """Forces after the samples so far.
 
     Attributes
     ----------
@@ -59,8 +48,8 @@ class AdhesionResult:
         Whether the wheel speeds determine the force of every axle: a speed that is missing for
         long leaves its force unknown.
     excitation : float
-        Share of the standard deviation that the force began with which the wheel speeds removed,
-        of the axle that they tell least about.
+        Share of the force's first standard deviation that the wheel speeds removed, of the axle
+        where it is least.
     samples, resets : int
         Samples since the last reset; resets so far.
     """
@@ -73,13 +62,11 @@ class AdhesionResult:
     resets: int
 
 
-class AdhesionObserver:
+class AdhesionObserver(Estimator):
     """Disturbance observer for the adhesion force of each axle: a Kalman filter.
 
-    The state of an axle is its wheel speed and the adhesion force, which wanders as a Brownian
-    motion: ``J dw/dt = T - F``, ``dF = force_rate dB``. The effort is taken as linear between two
-    samples, so speed and effort of one row must belong to the same instant: one sample of
-    misalignment doubles the error.
+    The effort is taken as linear between two samples, so speed and effort of one row must belong to
+    the same instant: one sample of misalignment doubles the error.
 
     Parameters
     ----------
@@ -90,25 +77,52 @@ class AdhesionObserver:
         Noise of the wheel speed.
     force_rate : float [N/s^0.5]
         How fast the adhesion force may wander.
+
+    Raises
+    ------
+    InputError
+        If there is no axle, or another parameter is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(100) / 10.0  # s
+    >>> effort, force = 30e3, 26e3  # N; what is left turns 1500 kg faster
+    >>> wheel_speed = 10.0 + (effort - force) / 1_500.0 * time
+    >>> observer = AdhesionObserver(1, 1_500.0, speed_std=0.03, force_rate=20e3)
+    >>> _ = observer.update(time, wheel_speed[:, None], np.full((100, 1), effort))
+    >>> print(f"{observer.result().estimate[0]:.0f} N")
+    26000 N
     """
+
+    kind, version = "trainlog/adhesion_observer", 2
+    settings = ("axles", "rotating_mass", "speed_std", "force_rate")
+    memory = ("mean", "covariance", "prior_variance", "effort", "time")
 
     def __init__(
         self, axles: int, rotating_mass: float, speed_std: float, force_rate: float
     ) -> None:
-        check_observer(rotating_mass, speed_std, force_rate)
         if axles < 1:
             raise InputError(f"adhesion observer: needs axles, got {axles}")
         self._axles = axles
-        self._model = (float(rotating_mass), float(speed_std), float(force_rate))
-        self._resets = -1
+        self._rotating_mass, self._speed_std, self._force_rate = (
+            float(rotating_mass), float(speed_std), float(force_rate)
+        )  # fmt: skip
+        for name, value in (
+            ("rotating mass", rotating_mass),
+            ("speed noise", speed_std),
+            ("force rate", force_rate),
+        ):
+            if not (value > 0.0 and np.isfinite(value)):
+                raise InputError(f"adhesion observer: {name} must be positive, got {value}")
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next sample starts anew."""
         self._mean = np.zeros((self._axles, 2))
-        self._covariance = np.full((self._axles, 3), np.nan)
+        self._covariance = np.full((self._axles, 2, 2), np.nan)
         self._prior_variance = np.full(self._axles, np.nan)
-        self._time = np.nan
+        self._time = np.array(np.nan)
         self._effort = np.zeros(self._axles)
         self._samples = 0
         self._resets += 1
@@ -130,80 +144,66 @@ class AdhesionObserver:
         Returns
         -------
         AdhesionForce
-            (n, axles) arrays, as known at each sample.
+            (n, axles) arrays, at each sample by that and the earlier ones.
 
         Raises
         ------
         InputError
             If shapes do not fit or time does not increase.
         """
+        return self._run(time, wheel_speed, wheel_effort, smooth=False)
+
+    def _run(
+        self, time: ArrayLike, wheel_speed: ArrayLike, wheel_effort: ArrayLike, *, smooth: bool
+    ) -> AdhesionForce:
         speed = samples_of("wheel speed", wheel_speed, self._axles)
-        effort = samples_of("wheel effort", wheel_effort, self._axles).copy()
-        clock = _clock(time, speed, effort, self._time)
+        effort = samples_of("wheel effort", wheel_effort, self._axles)
+        clock = _clock(time, speed, effort, float(self._time))
         if clock.size == 0:
             return AdhesionForce(np.empty((0, self._axles)), np.empty((0, self._axles)))
-        means, covariances = _filter(
-            clock, speed, effort, *self._model,
-            self._time, self._effort, self._mean, self._covariance,
-        )  # fmt: skip
+        effort = _held(np.concatenate((self._effort[None], effort)))
         if self._samples == 0:
-            self._prior_variance = covariances[0, :, 2].copy()
-        self._time = float(clock[-1])
+            # The first sample: all effort is taken to go into the rail, with an uncertainty as
+            # large as a second's wandering and the effort itself.
+            effort[0], known = effort[1], ~np.isnan(speed[0])
+            self._mean = np.column_stack([np.nan_to_num(speed[0]), effort[1]])
+            self._prior_variance = self._force_rate**2 + effort[1] ** 2
+            first = np.where(known, self._speed_std, NO_SPEED_STD) ** 2
+            self._covariance = np.zeros((self._axles, 2, 2))
+            self._covariance[:, 0, 0], self._covariance[:, 1, 1] = first, self._prior_variance
+            speed = speed.copy()
+            speed[0] = np.nan
+        before = clock[0] if self._samples == 0 else float(self._time)
+        found = self._filtered(np.diff(clock, prepend=before), speed, effort, smooth=smooth)
+        self._time, self._effort = np.array(clock[-1]), effort[-1].copy()
+        self._mean, self._covariance = found.means[-1].copy(), found.covariances[-1].copy()
         self._samples += clock.size
-        return AdhesionForce(means[:, :, 1], np.sqrt(covariances[:, :, 2]))
+        return AdhesionForce(found.means[:, :, 1].copy(), found.std[:, :, 1])
+
+    def _filtered(
+        self, steps: FloatArray, speed: FloatArray, effort: FloatArray, *, smooth: bool
+    ) -> Filtered:
+        shift = np.zeros((*speed.shape, 2))
+        shift[:, :, 0] = (0.5 * steps / self._rotating_mass)[:, None] * (effort[1:] + effort[:-1])
+        transition, noise = wandering_slope(steps, self._force_rate, -1.0 / self._rotating_mass)
+        model = LinearGaussian(transition, noise, np.array([[[1.0, 0.0]]]), shift=shift)
+        run = model.smooth if smooth else model.filter
+        return run(speed[:, :, None], self._speed_std**2, self._mean, self._covariance)
 
     def result(self) -> AdhesionResult:
         """Force of each axle now."""
-        excitation = 0.0
+        excitation, variance = 0.0, self._covariance[:, 1, 1]
         if self._samples:
-            left = np.sqrt(np.max(self._covariance[:, 2] / self._prior_variance))
+            left = np.sqrt(np.max(variance / self._prior_variance))
             excitation = float(np.clip(1.0 - left, 0.0, 1.0))
         return AdhesionResult(
             estimate=self._mean[:, 1].copy(),
-            covariance=np.diag(self._covariance[:, 2]),
+            covariance=np.diag(variance),
             valid=excitation >= CALIBRATED,
             excitation=excitation,
             samples=self._samples,
             resets=self._resets,
         )
-
-    def state(self) -> dict[str, Any]:
-        """Everything needed to go on later, bit for bit; plain values that JSON can hold."""
-        settings = dict(zip(_MODEL, self._model, strict=True))
-        return saved_state(
-            STATE_KIND,
-            STATE_VERSION,
-            settings | {name: getattr(self, f"_{name}") for name in (*_COUNTS, "time", *_ARRAYS)},
-        )
-
-    @classmethod
-    def resume(cls, state: Mapping[str, Any]) -> Self:
-        """The observer that `state` was taken from.
-
-        Raises
-        ------
-        InputError
-            If the state is of another kind or version, or incomplete.
-        """
-        check_state(state, STATE_KIND, STATE_VERSION, (*_MODEL, *_COUNTS, "time", *_ARRAYS))
-        axles = count_of(state, "axles")
-        observer = cls(axles, *(number_of(state, name) for name in _MODEL))
-        observer._samples = count_of(state, "samples")
-        observer._resets = count_of(state, "resets")
-        observer._time = number_of(state, "time")
-        for name, shape in _ARRAYS.items():
-            setattr(observer, f"_{name}", array_of(state, name, (axles, *shape)))
-        return observer
-
-
-_MODEL = ("rotating_mass", "speed_std", "force_rate")
-_COUNTS = ("axles", "samples", "resets")
-_ARRAYS: dict[str, tuple[int, ...]] = {
-    "mean": (2,),
-    "covariance": (3,),
-    "prior_variance": (),
-    "effort": (),
-}
 
 
 def smoothed_force(
@@ -214,7 +214,7 @@ def smoothed_force(
     speed_std: float,
     force_rate: float,
 ) -> AdhesionForce:
-    """Adhesion force with past and future samples: `AdhesionObserver`, then Rauch-Tung-Striebel.
+    """Adhesion force with past and future samples: no lag, for analyses of a recorded trip.
 
     Parameters
     ----------
@@ -228,30 +228,9 @@ def smoothed_force(
     InputError
         If shapes do not fit or time does not increase.
     """
-    check_observer(rotating_mass, speed_std, force_rate)
     axles = wheel_speed.shape[1] if wheel_speed.ndim == 2 else 1
-    speed = samples_of("wheel speed", wheel_speed, axles)
-    held = samples_of("wheel effort", wheel_effort, axles).copy()
-    clock = _clock(time, speed, held, np.nan)
-    if clock.size == 0:
-        return AdhesionForce(np.empty((0, axles)), np.empty((0, axles)))
-    means, covariances = _filter(
-        clock, speed, held, rotating_mass, speed_std, force_rate,
-        np.nan, np.zeros(axles), np.zeros((axles, 2)), np.full((axles, 3), np.nan),
-    )  # fmt: skip
-    _smooth(clock, held, rotating_mass, force_rate, means, covariances)
-    return AdhesionForce(means[:, :, 1].copy(), np.sqrt(covariances[:, :, 2]))
-
-
-def check_observer(rotating_mass: float, speed_std: float, force_rate: float) -> None:
-    """Refuse parameters that are not positive."""
-    for name, value in (
-        ("rotating mass", rotating_mass),
-        ("speed noise", speed_std),
-        ("force rate", force_rate),
-    ):
-        if not (value > 0.0 and np.isfinite(value)):
-            raise InputError(f"adhesion observer: {name} must be positive, got {value}")
+    observer = AdhesionObserver(axles, rotating_mass, speed_std, force_rate)
+    return observer._run(time, wheel_speed, wheel_effort, smooth=True)
 
 
 def _clock(time: ArrayLike, speed: FloatArray, effort: FloatArray, last: float) -> FloatArray:
@@ -270,105 +249,7 @@ def _clock(time: ArrayLike, speed: FloatArray, effort: FloatArray, last: float) 
     return clock
 
 
-@njit(cache=True)
-def _process_noise(step, rotating_mass, force_rate):  # type: ignore[no-untyped-def]
-    """Covariance of (speed, force) that Brownian force adds in one step."""
-    q = force_rate * force_rate
-    return (
-        q * step**3 / (3.0 * rotating_mass**2),
-        -q * step**2 / (2.0 * rotating_mass),
-        q * step,
-    )
-
-
-@njit(cache=True)
-def _filter(  # type: ignore[no-untyped-def]
-    time, speed, effort, rotating_mass, speed_std, force_rate,
-    last_time, last_effort, mean, covariance,
-):  # fmt: skip
-    """Kalman filter of every axle; fills held efforts in and leaves the last state behind."""
-    n, axles = speed.shape
-    means = np.empty((n, axles, 2))
-    covariances = np.empty((n, axles, 3))
-    r = speed_std * speed_std
-    for axle in range(axles):
-        w, force = mean[axle]
-        p_ww, p_wf, p_ff = covariance[axle]
-        before, t = last_effort[axle], last_time
-        for k in range(n):
-            if np.isnan(effort[k, axle]):
-                effort[k, axle] = before
-            now, z = effort[k, axle], speed[k, axle]
-            if np.isnan(p_ww):
-                # The first sample: all effort is taken to go into the rail, with an uncertainty
-                # as large as a second's wandering.
-                w, force = (0.0 if np.isnan(z) else z), now
-                p_ww = 1e4 if np.isnan(z) else r
-                p_wf, p_ff = 0.0, force_rate * force_rate + now * now
-            else:
-                step = time[k] - t
-                a = step / rotating_mass
-                w += a * (0.5 * (before + now) - force)
-                q_ww, q_wf, q_ff = _process_noise(step, rotating_mass, force_rate)
-                p_ww += -2.0 * a * p_wf + a * a * p_ff + q_ww
-                p_wf += -a * p_ff + q_wf
-                p_ff += q_ff
-                if not np.isnan(z):
-                    g_w, g_f = p_ww / (p_ww + r), p_wf / (p_ww + r)
-                    residual = z - w
-                    w += g_w * residual
-                    force += g_f * residual
-                    p_ff -= g_f * p_wf
-                    p_wf *= 1.0 - g_w
-                    p_ww *= 1.0 - g_w
-            before, t = now, time[k]
-            means[k, axle, 0], means[k, axle, 1] = w, force
-            covariances[k, axle, 0] = p_ww
-            covariances[k, axle, 1] = p_wf
-            covariances[k, axle, 2] = p_ff
-        mean[axle, 0], mean[axle, 1] = w, force
-        covariance[axle, 0], covariance[axle, 1], covariance[axle, 2] = p_ww, p_wf, p_ff
-        last_effort[axle] = before
-    return means, covariances
-
-
-@njit(cache=True)
-def _smooth(time, effort, rotating_mass, force_rate, means, covariances):  # type: ignore[no-untyped-def]
-    """Rauch-Tung-Striebel recursion, in place."""
-    n, axles = effort.shape
-    for axle in range(axles):
-        for k in range(n - 2, -1, -1):
-            step = time[k + 1] - time[k]
-            a = step / rotating_mass
-            w, force = means[k, axle]
-            p_ww, p_wf, p_ff = covariances[k, axle]
-            q_ww, q_wf, q_ff = _process_noise(step, rotating_mass, force_rate)
-            # Prediction to k + 1 and its cross-covariance with the state at k.
-            m_ww = p_ww - 2.0 * a * p_wf + a * a * p_ff + q_ww
-            m_wf = p_wf - a * p_ff + q_wf
-            m_ff = p_ff + q_ff
-            c_ww, c_wf = p_ww - a * p_wf, p_wf
-            c_fw, c_ff = p_wf - a * p_ff, p_ff
-            det = m_ww * m_ff - m_wf * m_wf
-            g_ww = (c_ww * m_ff - c_wf * m_wf) / det
-            g_wf = (c_wf * m_ww - c_ww * m_wf) / det
-            g_fw = (c_fw * m_ff - c_ff * m_wf) / det
-            g_ff = (c_ff * m_ww - c_fw * m_wf) / det
-            d_w = means[k + 1, axle, 0] - (
-                w + a * (0.5 * (effort[k, axle] + effort[k + 1, axle]) - force)
-            )
-            d_f = means[k + 1, axle, 1] - force
-            means[k, axle, 0] = w + g_ww * d_w + g_wf * d_f
-            means[k, axle, 1] = force + g_fw * d_w + g_ff * d_f
-            e_ww = covariances[k + 1, axle, 0] - m_ww
-            e_wf = covariances[k + 1, axle, 1] - m_wf
-            e_ff = covariances[k + 1, axle, 2] - m_ff
-            covariances[k, axle, 0] = p_ww + (
-                g_ww * g_ww * e_ww + 2.0 * g_ww * g_wf * e_wf + g_wf * g_wf * e_ff
-            )
-            covariances[k, axle, 1] = p_wf + (
-                g_ww * g_fw * e_ww + (g_ww * g_ff + g_wf * g_fw) * e_wf + g_wf * g_ff * e_ff
-            )
-            covariances[k, axle, 2] = p_ff + (
-                g_fw * g_fw * e_ww + 2.0 * g_fw * g_ff * e_wf + g_ff * g_ff * e_ff
-            )
+def _held(values: FloatArray) -> FloatArray:
+    """Rows in which a missing value is the last known one before; the first row has all."""
+    known = np.where(np.isnan(values), 0, np.arange(len(values))[:, None])
+    return np.take_along_axis(values, np.maximum.accumulate(known, axis=0), axis=0)

@@ -1,4 +1,4 @@
-"""Updates of a covariance that is kept as ``P = U D Uᵀ``, compiled and in place.
+"""Updates of a covariance that is kept as ``P = U D Uᵀ``; those of each sample compiled, in place.
 
 U is unit upper triangular and D diagonal and positive: whatever is done to the factors here, the
 covariance stays positive definite. Sums of positive terms only, products and quotients of positive
@@ -7,7 +7,7 @@ ones; no difference of covariances is ever taken.
 References
 ----------
 Bierman, G. J. (1977), Factorization Methods for Discrete Sequential Estimation, ch. V (measurement
-update) and ch. VI (Thornton's time update by modified weighted Gram-Schmidt).
+update) and ch. VI (time update).
 Agee, W. S. and Turner, R. H. (1972), Triangular decomposition of a positive definite matrix plus a
 symmetric dyad, White Sands Missile Range, TR-38.
 """
@@ -36,7 +36,7 @@ def measure(
 ) -> None:
     """Bierman's update of the factors and the estimate by one sample of `variance`.
 
-    `gain` (p,) is room to work in.
+    `gain` (p,) is scratch.
     """
     tiny = np.finfo(estimate.dtype).tiny
     before = variance
@@ -105,7 +105,7 @@ def wander(
 ) -> None:
     """Add `variance` to that of the one parameter `which`: Agee and Turner's rank-one update.
 
-    `dyad` (p,) is room to work in: the vector of the dyad, at first the unit vector `which`, so
+    `dyad` (p,) is scratch: the vector of the dyad, at first the unit vector `which`, so
     that the columns to the right of it stay as they are.
     """
     for i in range(which):
@@ -147,44 +147,19 @@ def product(size: int, upper: FloatArray, diagonal: FloatArray, covariance: Floa
             covariance[j, i] = total
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def transform(upper: FloatArray, diagonal: FloatArray, keep: FloatArray, added: FloatArray) -> None:
-    """Thornton's update for ``x <- keep * x + w``, ``w ~ (0, diag(added))``.
+def transform(
+    upper: FloatArray, diagonal: FloatArray, keep: FloatArray, added: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Factors after ``x <- keep * x + w``, ``w ~ (0, diag(added))``.
 
-    Modified weighted Gram-Schmidt on the rows of ``[diag(keep) U, I]`` with the weights
-    ``[D, added]``. Where `keep` is 0 a parameter starts anew, with the variance `added`.
+    The square roots of both parts stand side by side and are made triangular by reflections, from
+    the last row up. Where `keep` is 0 a parameter starts anew, with the variance `added`.
     """
-    size = diagonal.size
-    tiny = np.finfo(diagonal.dtype).tiny
-    wide = np.zeros((size, 2 * size), diagonal.dtype)
-    weight = np.empty(2 * size, diagonal.dtype)
-    for i in range(size):
-        for j in range(size):
-            wide[i, j] = keep[i] * upper[i, j]
-        wide[i, size + i] = 1.0
-        weight[i] = diagonal[i]
-        weight[size + i] = added[i]
-    for j in range(size - 1, -1, -1):
-        total = weight[0] * wide[j, 0] * wide[j, 0]
-        for m in range(1, 2 * size):
-            total += weight[m] * wide[j, m] * wide[j, m]
-        diagonal[j] = max(total, tiny)
-        for i in range(j):
-            shared = weight[0] * wide[i, 0] * wide[j, 0]
-            for m in range(1, 2 * size):
-                shared += weight[m] * wide[i, m] * wide[j, m]
-            upper[i, j] = shared / diagonal[j]
-            for m in range(2 * size):
-                wide[i, m] -= upper[i, j] * wide[j, m]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def all_finite(values: FloatArray) -> bool:
-    """Whether every value is a finite number: one pass, nothing allocated."""
-    for value in values.flat:  # noqa: SIM110 - what is compiled is a loop
-        if not np.isfinite(value):
-            return False
-    return True
+    roots = np.hstack([keep[:, None] * upper * np.sqrt(diagonal), np.diag(np.sqrt(added))])
+    triangular = np.asarray(np.linalg.qr(roots[::-1].T, mode="r")).T[::-1, ::-1]
+    scale = np.diagonal(triangular)
+    floor = np.finfo(diagonal.dtype).tiny
+    return np.ascontiguousarray(triangular / scale), np.maximum(scale**2, floor)
 
 
 @cache
@@ -210,7 +185,7 @@ def recursion(size: int) -> Callable[..., FloatArray]:
         covariance_after: FloatArray,
     ) -> FloatArray:
         innovations = np.empty_like(values)
-        room = np.empty_like(estimate)
+        scratch = np.empty_like(estimate)
         weights = 1.0 / prior
         inverse = 1.0 / forgetting
         # Before the guard the covariance is at most (prior + walk) / forgetting: this information
@@ -221,20 +196,20 @@ def recursion(size: int) -> Callable[..., FloatArray]:
         for k in range(len(rows)):
             if wanders:
                 for i in range(size):
-                    wander(upper, diagonal, room, i, walk[i])
+                    wander(upper, diagonal, scratch, i, walk[i])
             if forgets:
                 for i in range(size):
                     diagonal[i] *= inverse
             if (wanders or forgets) and trace(size, upper, diagonal, weights) > 1.0:
                 for i in range(size):
-                    hold(size, upper, diagonal, room, i, leak[i])
+                    hold(size, upper, diagonal, scratch, i, leak[i])
             # A variance that is the same for all samples comes once.
             variance = noise[k] if len(noise) > 1 else noise[0]
             innovation = values[k]
             for i in range(size):
                 innovation -= rows[k, i] * estimate[i]
             innovations[k] = innovation
-            measure(size, estimate, upper, diagonal, room, rows[k], innovation, variance)
+            measure(size, estimate, upper, diagonal, scratch, rows[k], innovation, variance)
             if k < estimate_after.shape[0]:
                 estimate_after[k] = estimate
                 product(size, upper, diagonal, covariance_after[k])

@@ -1,17 +1,17 @@
 """The one interface of all recursive estimators, and how their state is saved and resumed.
 
-An estimator takes samples in (`update`, one or a block), says at any time what it knows and how
-far the data determine it (`result`), forgets (`reset`), and can be stopped and continued later as
-if nothing had happened (`state`, `resume`): bit for bit, however the samples were cut into blocks.
+An estimator takes samples in (`update`, one or a block), gives at any time its estimate and how far
+the data determine it (`result`), forgets (`reset`), and can be stopped and continued later as if
+nothing had happened (`state`, `resume`): bit for bit, however the samples were cut into blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from trainlog.errors import InputError
 
@@ -22,7 +22,7 @@ CALIBRATED = 0.5
 
 
 class EstimatorResult(Protocol):
-    """What an estimator knows after the samples so far; estimators add what else they know."""
+    """Estimate after the samples so far; each estimator adds fields of its own."""
 
     @property
     def estimate(self) -> FloatArray:
@@ -41,7 +41,7 @@ class EstimatorResult(Protocol):
 
     @property
     def excitation(self) -> float:
-        """0: nothing was learnt in the direction least told about ... 1: everything."""
+        """0: nothing was learnt in the direction with least information ... 1: everything."""
         ...
 
     @property
@@ -55,48 +55,68 @@ class EstimatorResult(Protocol):
         ...
 
 
-class Estimator(Protocol):
-    """What every recursive estimator can do."""
+class Estimator:
+    """What every recursive estimator can do.
+
+    A subclass lists in `settings` the parameters of its constructor and in `memory` the arrays that
+    change while it learns; it keeps each as an attribute of that name with a leading underscore,
+    beside the counts ``_samples`` and ``_resets``. The rest follows from them.
+    """
+
+    kind: ClassVar[str]
+    """Format of a saved state, such as ``"trainlog/rls"``."""
+
+    version: ClassVar[int]
+    """Of a saved state; raised when its meaning changes."""
+
+    settings: ClassVar[tuple[str, ...]]
+    memory: ClassVar[tuple[str, ...]]
+    _samples: int
+    _resets: int = -1
 
     def reset(self) -> None:
         """Forget what was learnt."""
-        ...
+        raise NotImplementedError
 
     def update(self, *args: Any, **kwargs: Any) -> Any:
-        """Learn from one sample or from a block of them; what it takes is the estimator's own."""
-        ...
+        """Learn from one sample or from a block of them; the parameters are the estimator's own."""
+        raise NotImplementedError
 
     def result(self) -> EstimatorResult:
-        """What is known now."""
-        ...
+        """Estimate, covariance and validity now."""
+        raise NotImplementedError
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on later, bit for bit; plain values that JSON can hold."""
-        ...
+        names = (*self.settings, *COUNTS, *self.memory)
+        return saved_state(
+            self.kind, self.version, {name: getattr(self, f"_{name}") for name in names}
+        )
 
     @classmethod
     def resume(cls, state: Mapping[str, Any]) -> Self:
-        """The estimator that `state` was taken from; InputError if it cannot be."""
-        ...
+        """The estimator that `state` was taken from.
+
+        Raises
+        ------
+        InputError
+            If the state is of another kind or version, incomplete, or holds wrong values.
+        """
+        check_state(state, cls.kind, cls.version, (*cls.settings, *COUNTS, *cls.memory))
+        try:
+            estimator = cls(**{name: state[name] for name in cls.settings})
+        except (TypeError, ValueError) as error:
+            raise _broken(cls.kind, f"its settings are wrong ({error})") from error
+        for name in COUNTS:
+            setattr(estimator, f"_{name}", count_of(state, name))
+        for name in cls.memory:
+            fresh = getattr(estimator, f"_{name}")
+            setattr(estimator, f"_{name}", array_of(state, name, fresh.shape, fresh.dtype))
+        return estimator
 
 
-def excitation_of(covariance: ArrayLike, prior: ArrayLike) -> float:
-    """Share of the prior's standard deviation that the data removed where they tell least.
-
-    Parameters
-    ----------
-    covariance, prior : (p, p) array
-        Now and before the first sample; `prior` positive definite.
-
-    Returns
-    -------
-    float
-        ``1 - sqrt(max xᵀ covariance x / xᵀ prior x)``, within 0 and 1.
-    """
-    whitener = np.linalg.inv(np.linalg.cholesky(np.asarray(prior, dtype=np.float64)))
-    scaled = whitener @ np.asarray(covariance, dtype=np.float64) @ whitener.T
-    worst = float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[-1])
-    return float(np.clip(1.0 - np.sqrt(max(worst, 0.0)), 0.0, 1.0))
+COUNTS = ("samples", "resets")
+"""What every estimator counts: samples since the last full reset, and resets so far."""
 
 
 def saved_state(kind: str, version: int, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,6 +130,12 @@ def saved_state(kind: str, version: int, values: Mapping[str, Any]) -> dict[str,
         Raised when the meaning of a saved state changes.
     values : mapping
         Arrays and numbers; arrays become lists and NaN, which JSON lacks, None.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> saved_state("trainlog/example", 1, {"mean": np.array([1.0, np.nan])})
+    {'format': 'trainlog/example', 'version': 1, 'mean': [1.0, None]}
     """
     return {"format": kind, "version": version} | {
         name: _plain(value) for name, value in values.items()
@@ -155,11 +181,6 @@ def array_of(
     if not fits:
         raise _broken(state["format"], f"{name} has shape {array.shape}, needs {shape}")
     return array.reshape(shape)
-
-
-def number_of(state: Mapping[str, Any], name: str) -> float:
-    """A number of a saved state, NaN for None; InputError if it is none."""
-    return float(array_of(state, name, ()))
 
 
 def count_of(state: Mapping[str, Any], name: str) -> int:

@@ -25,11 +25,9 @@ from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import Prepared, prepare
 from estimators.adhesion import AdhesionObserver
 from estimators.interface import EstimatorResult
-from estimators.resets import edges_crossed, record_with_resets
-from estimators.rls import RecursiveLeastSquares
-from estimators.running_resistance import RunningResistanceFilter
+from estimators.odometry import OdometryFilter
+from estimators.rls import RecursiveLeastSquares, edges_crossed, record_with_resets
 from estimators.slip import SlipDetector
-from estimators.train_state import TrainStateFilter
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.samples import folder
 from trainlog.trip import Trip, seconds
@@ -98,39 +96,23 @@ def least_squares(trip: Trip) -> Figures:
     return {"course": estimates} | told(estimator.result())
 
 
-def running_resistance(trip: Trip) -> Figures:
-    recording, train = prepared(trip).recording, train_of(trip)
-    estimator = RunningResistanceFilter(
-        train.mass,
-        0.1 * train.mass,
-        train.resistance,
-        speeds=(10.0, 35.0),
-        rotating_mass=train.rotating_mass,
-    )
-    track = estimator.record(
-        recording.time, recording.speed, recording.effort, recording.track,
-        recording.track_slope, recording.section, recording.usable,
-    )  # fmt: skip
-    return {"course": track.estimate} | told(estimator.result())
-
-
-def train_state(trip: Trip) -> Figures:
-    """From the wheels and the satellites' speed, forwards and in both directions."""
-    time, speed, _ = wheels(trip)
-    motion = trip["/gnss/motion"]
-    instants = seconds(motion, trip["/train/axles"].index[0])
-    told_speed = np.full(time.size, np.nan)
-    told_speed[np.clip(np.searchsorted(time, instants), 0, time.size - 1)] = motion["speed"]
-    estimator = TrainStateFilter(speed.shape[1], position=0.0, position_std=1.0)
-    z = estimator.measurements(time, speed=told_speed, wheel_speed=speed)
-    smooth = TrainStateFilter(speed.shape[1], position=0.0, position_std=1.0).smooth(z, time)
-    course = estimator.update(z, time)
+def odometry(trip: Trip) -> Figures:
+    """From the speeds of wheels and satellites, which are lost for a minute."""
+    state, motion = trip["/train/state"], trip["/gnss/motion"]
+    time, instants = seconds(state), seconds(motion, trip["/train/state"].index[0])
+    seen = np.full(time.size, np.nan)
+    seen[np.clip(np.searchsorted(time, instants), 0, time.size - 1)] = motion["speed"]
+    seen[(time > 300.0) & (time < 360.0)] = np.nan
+    estimator = OdometryFilter()
+    course = [
+        estimator.update(now, wheel_speed=wheel, satellite_speed=satellite)
+        for now, wheel, satellite in zip(time, state["speed"], seen, strict=True)
+    ]
+    every = course[::100]
     return {
-        "course": course.means,
-        "std": course.std,
-        "smooth": smooth.means,
-        "smooth_std": smooth.std,
-    } | told(estimator.result())
+        "course": np.array([each.estimate for each in every]),
+        "std": np.array([[each.position_std, each.speed_std] for each in every]),
+    } | told(course[-1])
 
 
 def wheels(trip: Trip) -> tuple[Array, Array, Array]:
@@ -223,8 +205,7 @@ def coasting(trip: Trip) -> Figures:
 
 REPLAYS: dict[str, Replay] = {
     "least squares": Replay(least_squares),
-    "running resistance": Replay(running_resistance),
-    "train state": Replay(train_state),
+    "odometry": Replay(odometry),
     "slip detector": Replay(slip_detector),
     "adhesion observer": Replay(adhesion_observer),
     "estimates": Replay(estimates, 1e-4),

@@ -15,8 +15,7 @@ from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
 
 from analysis.adhesion.slip import onset
 from estimators.adhesion import AdhesionObserver, smoothed_force
-from estimators.slip import SlipDetector
-from estimators.train_speed import impulse, train_speed
+from estimators.slip import SlipDetector, impulse, train_speed
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import DRY, WET, CreepCurve
 

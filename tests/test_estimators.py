@@ -18,16 +18,12 @@ from estimators.interface import (
     array_of,
     check_state,
     count_of,
-    excitation_of,
-    number_of,
     saved_state,
 )
+from estimators.odometry import OdometryFilter
 from estimators.rls import RecursiveLeastSquares
-from estimators.running_resistance import RunningResistanceFilter
 from estimators.slip import SlipDetector
-from estimators.train_state import TrainStateFilter
 from trainlog.errors import InputError
-from trainlog.railway.resistance import RunningResistance
 
 
 def test_a_saved_state_goes_through_json_and_back() -> None:
@@ -39,7 +35,7 @@ def test_a_saved_state_goes_through_json_and_back() -> None:
     check_state(again, "kind", 3, ("matrix", "none", "std", "count"))
     np.testing.assert_array_equal(array_of(again, "matrix", (2, 2)), values)
     assert array_of(again, "none", (0, 2)).shape == (0, 2)
-    assert np.isnan(number_of(again, "std"))
+    assert np.isnan(array_of(again, "std", ()))
     assert count_of(again, "count") == 4
 
 
@@ -56,19 +52,9 @@ def test_a_saved_state_that_does_not_fit_is_refused() -> None:
     with pytest.raises(InputError, match=r"matrix has shape \(2, 2\), needs \(3,\)"):
         array_of(state, "matrix", (3,))
     with pytest.raises(InputError, match="word is no array"):
-        number_of(state, "word")
+        array_of(state, "word", ())
     with pytest.raises(InputError, match="count is no count: -1"):
         count_of(state, "count")
-
-
-def test_excitation_is_that_of_the_worst_direction() -> None:
-    prior = np.diag([4.0, 9.0])
-    assert excitation_of(prior, prior) == 0.0
-    assert excitation_of(np.diag([0.04, 9.0 / 4.0]), prior) == pytest.approx(0.5)
-    # Nothing is known of the difference of the two, however well of their sum.
-    along = np.array([2.0, -3.0])
-    assert excitation_of(np.outer(along, along), prior) == 0.0
-    assert excitation_of(np.zeros((2, 2)), prior) == 1.0
 
 
 COUNT = 400
@@ -89,16 +75,11 @@ class Case:
     feed: Callable[[Estimator, slice], object]
 
 
-def learn_resistance(estimator: Estimator, part: slice) -> None:
-    acceleration = 2.0 * np.cos(TIME[part] / 5.0)
-    effort = 350e3 * acceleration + 2_000.0 + 40.0 * SPEED[part]
-    estimator.update(TIME[part], SPEED[part], effort, np.zeros(effort.size))
-
-
-def follow_motion(estimator: Estimator, part: slice) -> None:
-    assert isinstance(estimator, TrainStateFilter)
-    z = estimator.measurements(TIME[part], speed=SPEED[part], wheel_speed=WHEELS[part])
-    estimator.update(z, TIME[part])
+def locate(estimator: Estimator, part: slice) -> None:
+    satellites = np.where(np.arange(COUNT) % 5, np.nan, SPEED)
+    felt = 2.0 * np.cos(TIME / 5.0)
+    for row in zip(TIME[part], felt[part], 1.01 * SPEED[part], satellites[part], strict=True):
+        estimator.update(*row)
 
 
 CASES = {
@@ -120,13 +101,7 @@ CASES = {
         lambda: AdhesionObserver(2, 3e3, 0.03, 2e4),
         lambda estimator, part: estimator.update(TIME[part], WHEELS[part], EFFORTS[part]),
     ),
-    "running resistance": Case(
-        lambda: RunningResistanceFilter(
-            350e3, 35e3, RunningResistance(2_000.0, 40.0, 0.7), speeds=(5.0, 35.0)
-        ),
-        learn_resistance,
-    ),
-    "train state": Case(lambda: TrainStateFilter(2), follow_motion),
+    "odometry": Case(lambda: OdometryFilter(speed=20.0, speed_std=1.0), locate),
 }
 """Every estimator stands here once."""
 

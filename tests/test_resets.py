@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from estimators.resets import edges_crossed, periods_elapsed, record_with_resets
-from estimators.rls import RecursiveLeastSquares
+from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed, record_with_resets
 from trainlog.errors import InputError
 
 Array = NDArray[np.float64]

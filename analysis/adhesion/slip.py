@@ -15,10 +15,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from estimators.adhesion import smoothed_force
-from estimators.slip import SlipDetector
-from estimators.train_speed import (
+from estimators.slip import (
     SLOPE_RATE,
     SLOPE_RATE_WITHOUT_BRAKE,
+    SlipDetector,
     TrainSpeed,
     impulse,
     train_speed,

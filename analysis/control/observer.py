@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
 from analysis.control.prediction import TrainEstimate
@@ -39,13 +40,14 @@ class Observer:
         inertias, drags = can.corners[:, 1], can.corners[:, 2:] @ (1.0, 20.0, 400.0)
         spreads = [np.ptp(values) / values.sum() * values.size for values in (inertias, drags)]
         gain, drag = (0.5 * max(float(spread), LEAST_SPREAD) for spread in spreads)
-        self._state = np.array([1.0, 0.0, 0.0])
-        self._covariance = np.diag([gain**2, drag**2, DRIFT**2])
+        self._filter = KalmanFilter(dim_x=3, dim_z=1)
+        self._filter.x = np.array([1.0, 0.0, 0.0])
+        self._filter.P = np.diag([gain**2, drag**2, DRIFT**2])
 
     @property
     def belief(self) -> TrainEstimate:
         """What the train is taken to be now."""
-        return TrainEstimate(*self._state.tolist())
+        return TrainEstimate(*self._filter.x.tolist())
 
     def update(
         self, acceleration: float, effort: float, drag: float, track: float, span: float
@@ -64,21 +66,17 @@ class Observer:
             Deceleration by gradient and curves.
         span : float [s]
         """
-        keep = np.exp(-span / DRIFT_LASTS)
-        self._state[2] *= keep
-        self._covariance[2] *= keep
-        self._covariance[:, 2] *= keep
-        self._covariance[2, 2] += (1.0 - keep**2) * DRIFT**2
-        shown = np.array([effort, -drag, 1.0])
-        expected = effort * self._state[0] - drag * (1.0 + self._state[1]) - track + self._state[2]
-        surprise = acceleration - expected
-        spread = self._covariance @ shown
-        noise = NOISE**2 + (UNSURE * effort) ** 2
-        variance = float(shown @ spread) + noise
-        gain = spread / variance
-        if abs(surprise) > SURPRISE * np.sqrt(variance):
-            gain[:2] = 0.0
-            surprise = np.sign(surprise) * SURPRISE * np.sqrt(variance)
-        self._state += gain * surprise
-        change = np.eye(3) - np.outer(gain, shown)
-        self._covariance = change @ self._covariance @ change.T + noise * np.outer(gain, gain)
+        x, keep = self._filter, float(np.exp(-span / DRIFT_LASTS))
+        x.predict(F=np.diag([1.0, 1.0, keep]), Q=np.diag([0.0, 0.0, (1.0 - keep**2) * DRIFT**2]))
+        row = np.array([[effort, -drag, 1.0]])
+        value, noise = acceleration + drag + track, NOISE**2 + (UNSURE * effort) ** 2
+        spread = x.P @ row[0]
+        variance = float(row[0] @ spread) + noise
+        surprise, reach = value - float(row[0] @ x.x), SURPRISE * float(np.sqrt(variance))
+        if abs(surprise) <= reach:
+            x.update(value, noise, row)
+            return
+        # Wheels that slip show nothing of the train: all of it is drift, which starts anew.
+        x.x[2] += spread[2] / variance * np.clip(surprise, -reach, reach)
+        x.P[2], x.P[:, 2] = 0.0, 0.0
+        x.P[2, 2] = DRIFT**2

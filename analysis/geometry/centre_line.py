@@ -11,7 +11,7 @@ from scipy.ndimage import label
 
 from analysis.geometry.rough_line import GAP, NEAR, rough_line
 from estimators.centre_line import Curve, fitted_curve
-from estimators.kalman import smooth_motion
+from estimators.motion import smooth_motion
 from trainlog.errors import InputError
 from trainlog.ingest.chainage import Fixes, Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of

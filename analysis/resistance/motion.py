@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.resistance.recording import SpeedScale, speed_scale
-from estimators.kalman import smooth_motion
+from estimators.motion import smooth_motion
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.trip import POSITION_TOPICS, Trip, seconds
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from estimators.kalman import smooth_motion
+from estimators.motion import smooth_motion
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train

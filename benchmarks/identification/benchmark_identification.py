@@ -23,7 +23,6 @@ from monte_carlo import CONSTANT, PERFECT, Study
 from numpy.typing import NDArray
 from study import (
     ASKED,
-    SPEEDS,
     Outcome,
     at_the_bound,
     beta_of,
@@ -37,7 +36,6 @@ from study import (
     run,
 )
 
-from analysis.resistance.regression import curve_std, powers
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -62,18 +60,9 @@ STOPPING = replace(Study(), limits=(800.0, 3000.0))
 Combination = Callable[[list[Outcome]], FloatArray]
 
 
-def online(group: list[Outcome]) -> FloatArray:
-    """The online filter that knew nothing before, in information form."""
-    ends = [one.online[0] for one in group]
-    information = [np.linalg.inv(end.covariance) for end in ends]
-    weighted = [w @ end.beta for w, end in zip(information, ends, strict=True)]
-    return np.asarray(np.linalg.solve(np.sum(information, axis=0), np.sum(weighted, axis=0)))
-
-
 ESTIMATORS: dict[str, Combination] = {
     "differenced, mass fixed (RLS)": lambda group: np.mean([o.differenced for o in group], axis=0),
     "windows of 10 s (OLS)": lambda group: np.mean([o.ordinary for o in group], axis=0),
-    "EKF, online, nothing known before": online,
     "fit_trip and combine": lambda group: beta_of(common(group)),
 }
 
@@ -107,8 +96,6 @@ def show_study(outcomes: list[Outcome], study: Study) -> None:
     print(row("asked for", [f"{TARGETS[size]:.2f}" for size in SIZES]))
     for name, estimate in ESTIMATORS.items():
         print(row(name, cells(outcomes, study, estimate)))
-    weak = np.median([error(one.online[1].beta, study) for one in outcomes])
-    print(row("EKF, online, weak prior", [f"{weak:.2f}", "-", "-"]))
     alone = np.median([error(one.beta, study) for one in outcomes])
     print(row("fit_trip alone, negative coefficients let be", [f"{alone:.2f}", "-", "-"]))
     print(row("Cramér-Rao bound [half of the groups]", bound_cells(outcomes, study)))
@@ -136,17 +123,6 @@ def show_coverage(outcomes: list[Outcome], study: Study) -> list[tuple[int, floa
             f"coverage of the 95 % band, {size:3d} trips: single speeds {single:.3f},"
             f" whole curves {whole:.3f} of {len(outcomes) // size}"
         )
-    truth = study.resistance(SPEEDS)
-    for number, name in enumerate(("nothing known before", "weak prior")):
-        ends = [one.online[number] for one in outcomes]
-        z = [
-            np.abs(powers(SPEEDS) @ end.beta - truth) / curve_std(end.covariance, SPEEDS)
-            for end in ends
-        ]
-        print(
-            f"EKF, online, {name}: single speeds {np.mean(np.array(z) < 1.96):.3f},"
-            f" {sum(end.valid for end in ends)} of {len(ends)} valid"
-        )
     r1 = study.resistance.r1
     every = common(outcomes)
     sets = grouped(outcomes, min(100, len(outcomes)))
@@ -169,8 +145,6 @@ def show_refusals(outcomes: list[Outcome], constant: list[Outcome], study: Study
         f" ({', '.join(sorted(told))}),"
         f" {sum(bool(o.refused) for o in outcomes)} of {len(outcomes)} varied"
     )
-    held = sum(one.online[1].valid for one in constant)
-    print(f"EKF, online: {held} of {len(constant)} at one speed valid")
     kept = [one for one in outcomes if not one.refused]
     vague = np.mean(known_to(kept, 10.0, study) > 0.1)
     print(f"known to worse than 10 % at 36 km/h: {100.0 * vague:.0f} % of the varied")

@@ -23,14 +23,12 @@ from numpy.typing import NDArray
 from analysis.resistance import combine, fit_trip
 from analysis.resistance.combination import CommonFit, summarised
 from analysis.resistance.fit import TripFit, origin_of, scale_of
-from analysis.resistance.recording import POSITION_STEP, TripRefusedError, prepare
+from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import band_factor, curve_std, powers
 from analysis.resistance.windows import Evidence, part_of
 from estimators.rls import RecursiveLeastSquares
-from estimators.running_resistance import RunningResistanceFilter
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.summaries import covariances_of
-from trainlog.railway import RunningResistance
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]
@@ -43,22 +41,6 @@ ASKED = (25.0, 40.0)
 few speeds are all slow, or all fast, the rest is not known, as the bound says too."""
 
 PROCESSES = 2
-
-
-WEAK = 1.0
-"""Relative standard deviation of each coefficient of the online filter's weak prior."""
-
-NOTHING = (1.0, 0.1, 0.01)
-"""Standard deviation of r0, r1 and r2 over mass where next to nothing is known."""
-
-
-@dataclass(frozen=True, eq=False)
-class Online:
-    """What the online filter knows at the end of a trip; of r0, r1, r2."""
-
-    beta: FloatArray
-    covariance: FloatArray
-    valid: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +57,6 @@ class Outcome:
         Of the trip alone; no coefficient is held from being negative.
     differenced, ordinary : (3,) array
         The peers'.
-    online : tuple of Online
-        The filter for use while the train runs: nothing known before, and a weak prior.
     bound : (3, 3) array or None
         Information that the trip holds, where it was asked for.
     single, whole : float, bool
@@ -90,7 +70,6 @@ class Outcome:
     beta: FloatArray
     differenced: FloatArray
     ordinary: FloatArray
-    online: tuple[Online, ...]
     bound: FloatArray | None
     single: float
     whole: bool
@@ -198,7 +177,6 @@ def _one(task: tuple[Study, int, bool, bool]) -> Outcome:
             beta=nothing,
             differenced=nothing,
             ordinary=nothing,
-            online=_online(trip, study, seed) if peers else (),
             bound=None,
             single=np.nan,
             whole=False,
@@ -213,7 +191,6 @@ def _one(task: tuple[Study, int, bool, bool]) -> Outcome:
         beta=beta_of(fit),
         differenced=_differenced(drawn, study) if peers else nothing,
         ordinary=_ordinary(trip) if peers else nothing,
-        online=_online(trip, study, seed) if peers else (),
         bound=information(drawn, study) if with_bound else None,
         single=single,
         whole=whole,
@@ -241,40 +218,3 @@ def _ordinary(trip: Trip) -> FloatArray:
     size = np.linalg.norm(windows.x, axis=0)
     theta = np.linalg.lstsq(windows.x / size, windows.y, rcond=None)[0] / size
     return np.asarray(theta[1:] / theta[0])
-
-
-def _online(trip: Trip, study: Study, seed: int) -> tuple[Online, ...]:
-    """The extended Kalman filter, told the sizes of the noise.
-
-    Its weak prior has each coefficient drawn 100 % off the truth, and taken to be.
-    """
-    r = study.resistance
-    true = np.array([r.r0, r.r1, r.r2])
-    drawn = true * (1.0 + WEAK * np.random.default_rng([seed, 2]).standard_normal(3))
-    prepared = prepare(trip, line_of(trip), train_of(trip), scale_of(trip), origin_of(trip))
-    known = prepared.recording
-    found = []
-    for expected, spread in ((np.zeros(3), study.mass * np.array(NOTHING)), (drawn, WEAK * true)):
-        estimator = RunningResistanceFilter(
-            study.mass,
-            0.1 * study.mass,
-            RunningResistance(*expected.tolist()),
-            spread,
-            speeds=(float(SPEEDS[0]), float(SPEEDS[-1])),
-            speed_std=float(np.hypot(study.speed_noise, study.speed_resolution / np.sqrt(12.0))),
-            gradient_std=0.5e-3,
-            chainage_std=20.0 / np.sqrt(3.0),
-            reach=POSITION_STEP,
-        )
-        estimator.update(
-            known.time,
-            known.speed,
-            known.effort,
-            known.track,
-            known.track_slope,
-            known.section,
-            known.usable,
-        )
-        result = estimator.result()
-        found.append(Online(result.estimate[:3], result.covariance[:3, :3], result.valid))
-    return tuple(found)

@@ -3,7 +3,7 @@
 First the best chain of places along the line (`estimators.matching`): where a line comes close to
 itself, continuity and direction decide. Then, a few times over: the fixes are projected where the
 chain or the last turn's motion puts the train, what departs from it is set aside, and the motion is
-smoothed anew (`estimators.kalman`).
+smoothed anew (`estimators.motion`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from estimators.kalman import LASTING_TIME, SmoothedMotion, smooth_motion
 from estimators.matching import Nodes, best_chain
+from estimators.motion import LASTING_TIME, SmoothedMotion, smooth_motion
 from trainlog.errors import InputError
 from trainlog.ingest.recording import BoolArray, FloatArray
 from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of

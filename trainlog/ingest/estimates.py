@@ -1,7 +1,7 @@
 """Smoothed state of an ingested trip: speed and chainage with their standard deviations.
 
 Satellite fixes become chainage where the line's geometry is known; speed and position then come
-from the smoother of `estimators.kalman`, never from differences of raw values.
+from the smoother of `estimators.motion`, never from differences of raw values.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
-from estimators.kalman import SmoothedMotion, smooth_motion
+from estimators.motion import SmoothedMotion, smooth_motion
 from trainlog.ingest.chainage import Fixes, Matched, chainage_of
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.recording import Finding, FloatArray

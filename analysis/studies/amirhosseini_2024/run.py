@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.studies.amirhosseini_2024.controller import SlidingModeController, Target
-from estimators.resets import edges_crossed, periods_elapsed
-from estimators.rls import RecursiveLeastSquares
+from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_consist
 from trainlog.railway import Line, RunningResistance, Station, StepProfile

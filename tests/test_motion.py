@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from estimators.kalman import ACCELERATION_STD, ACCELERATION_TIME, _singer, smooth_motion
+from estimators.motion import ACCELERATION_STD, ACCELERATION_TIME, _singer, smooth_motion
 from trainlog.errors import InputError
 
 Array = NDArray[np.float64]

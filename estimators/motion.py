@@ -1,15 +1,12 @@
 """Smoothing of a train's motion: position, speed and acceleration with their uncertainty.
 
-Kalman filter forward, modified Bryson-Frazier smoother backward, measurements taken one by one, so
-that nothing is ever inverted. The recursion is compiled.
+The motion is a linear-Gaussian model (`estimators.linear_gaussian`) whose acceleration is a
+first-order Markov process.
 
 References
 ----------
 Singer, R. A. (1970), Estimating optimal tracking filter performance for manned maneuvering
-targets, IEEE Trans. AES-6(4), eqs. (3)-(9): acceleration as a first-order Markov process.
-
-Bierman, G. J. (1977), Factorization methods for discrete sequential estimation, ch. X: the
-smoother, eqs. (X.2.13)-(X.2.20).
+targets, IEEE Trans. AES-6(4), eqs. (3)-(9).
 """
 
 from __future__ import annotations
@@ -17,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from estimators.linear_gaussian import LinearGaussian
 from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -39,30 +36,11 @@ reflections that come and go."""
 WHEEL_ERROR_STD = 0.02
 """Standard deviation of the relative error of wheel speeds before it is known: worn wheels."""
 
-GRADIENT_STD = 2e-3
-"""Standard deviation of the gradient's offset from the map's: a survey's error, and what wrong
-mass and running resistance look like."""
-
-GRADIENT_TIME = 30.0
-"""Time over which a gradient offset lasts [s]: an element of the line."""
-
-ACCELEROMETER_BIAS_STD = 0.03
-"""Standard deviation of an accelerometer's constant error [m/s²]."""
-
 NO_SPEED_STD = 50.0
 """Standard deviation of the speed [m/s] before the first sample."""
 
 NO_POSITION_STD = 1e4
 """Standard deviation of the position [m] before the first one is measured."""
-
-
-STATES = 7
-"""Position [m], speed [m/s], acceleration [m/s²], gradient offset [1]; then what measurements have
-of errors that last: of the position over its standard deviation, of the wheels relative to their
-speed, of the accelerometer [m/s²]."""
-
-_MOTION = np.array([0, 1, 2, 4, 5])
-"""The states that speed, wheel speed and position tell of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +54,7 @@ class SmoothedMotion:
     speed, speed_std : array [m/s]
     acceleration, acceleration_std : array [m/s²]
     wheel_error : float
-        What the wheels tell too much of the speed, over what they tell; 0 without them.
+        By how much the wheels show too high a speed, over what they show; 0 without them.
     """
 
     position: FloatArray
@@ -136,6 +114,15 @@ def smooth_motion(
     InputError
         If shapes do not fit, time does not increase, a standard deviation is not positive, or
         nothing was measured.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(0.0, 60.0, 0.5)  # s
+    >>> noise = 0.1 * np.random.default_rng(1).standard_normal(time.size)
+    >>> motion = smooth_motion(time, np.minimum(0.5 * time, 15.0) + noise, 0.1)
+    >>> print(f"{motion.speed[-20]:.2f} ± {motion.speed_std[-20]:.2f} m/s")
+    14.99 ± 0.06 m/s
     """
     instants = _checked_times(time)
     channels = (
@@ -144,20 +131,10 @@ def smooth_motion(
         ("wheel_speed", wheel_speed, wheel_speed_std),
     )
     values, variances = _checked(instants, channels)
-    steps = np.diff(instants, prepend=instants[0])
-    transition, noise = (
-        matrix[:, _MOTION[:, None], _MOTION] for matrix in motion_model(steps, drift)
-    )
-    means, covariances = smoothed(
-        np.arange(steps.size),
-        transition,
-        noise,
-        _observed(values, lasting_std),
-        np.where(np.isfinite(values), values, np.nan),
-        variances,
-        *_start(values, position is not None),
-    )
-    deviations = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+    transition, noise = motion_model(np.diff(instants, prepend=instants[0]), drift)
+    model = LinearGaussian(transition, noise, _observed(values, lasting_std))
+    found = model.smooth(values, variances, *_start(values, position is not None))
+    means, deviations = found.means, found.std
     return SmoothedMotion(
         position=means[:, 0],
         position_std=deviations[:, 0],
@@ -232,21 +209,34 @@ def _start(values: FloatArray, has_position: bool) -> tuple[FloatArray, FloatArr
 
 
 def motion_model(steps: FloatArray, drift: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Transition and process noise (n, `STATES`, `STATES`) over each step [s].
+    """Transition and process noise over each step.
+
+    The state is position [m], speed [m/s], acceleration [m/s²], and two errors of measurements
+    that last: of the position over its standard deviation, of the wheels over the speed they show.
 
     Parameters
     ----------
     steps : (n,) array [s]
     drift : float [m/√s]
         Random walk of the position beyond the integral of the speed.
+
+    Returns
+    -------
+    transition, process_noise : (n, 5, 5) array
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> transition, noise = motion_model(np.array([0.0, 1.0]))
+    >>> transition[1, 0, :3].round(3)  # position after 1 s: x + v + 0.47 a
+    array([1.   , 1.   , 0.468])
     """
-    transition, noise = np.zeros((2, steps.size, STATES, STATES))
+    transition, noise = np.zeros((2, steps.size, 5, 5))
     transition[:, :3, :3], noise[:, :3, :3] = _singer(steps)
     noise[:, 0, 0] += drift**2 * steps
-    for state, std, lasts in ((3, GRADIENT_STD, GRADIENT_TIME), (4, 1.0, LASTING_TIME)):
-        transition[:, state, state] = np.exp(-steps / lasts)
-        noise[:, state, state] = -(std**2) * np.expm1(-2.0 * steps / lasts)
-    transition[:, 5, 5] = transition[:, 6, 6] = 1.0
+    transition[:, 3, 3] = np.exp(-steps / LASTING_TIME)
+    noise[:, 3, 3] = -np.expm1(-2.0 * steps / LASTING_TIME)
+    transition[:, 4, 4] = 1.0
     return transition, noise
 
 
@@ -279,94 +269,3 @@ def _impulse_response(delay: FloatArray) -> FloatArray:
         ],
         axis=-1,
     )
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _turned(matrix: FloatArray, inner: FloatArray) -> FloatArray:
-    """``matrix @ inner @ matrix.T``; loops compile in a tenth of the time of calls to BLAS."""
-    rank = matrix.shape[0]
-    half, whole = np.zeros((rank, rank)), np.zeros((rank, rank))
-    for i in range(rank):
-        for k in range(rank):
-            if matrix[i, k] != 0.0:
-                for j in range(rank):
-                    half[i, j] += matrix[i, k] * inner[k, j]
-    for j in range(rank):
-        for k in range(rank):
-            if matrix[j, k] != 0.0:
-                for i in range(rank):
-                    whole[i, j] += half[i, k] * matrix[j, k]
-    return whole
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    product = np.zeros(vector.size)
-    for i in range(vector.size):
-        for j in range(vector.size):
-            product[i] += matrix[i, j] * vector[j]
-    return product
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def smoothed(
-    which: NDArray[np.int64],
-    transition: FloatArray,
-    noise: FloatArray,
-    observed: FloatArray,
-    measured: FloatArray,
-    variances: FloatArray,
-    mean: FloatArray,
-    covariance: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Means (n, d) and covariances (n, d, d) of the states given all measurements (n, m).
-
-    Step i has the transition and the noise of number ``which[i]``; ``observed`` (n, m, d) is what
-    of the state each measurement shows, NaN a measurement that is missing.
-    """
-    count, rank = measured.shape[0], mean.size
-    means, covariances = np.empty((count, rank)), np.empty((count, rank, rank))
-    innovations, spreads = np.zeros(measured.shape), np.ones(measured.shape)
-    gains = np.zeros((count, measured.shape[1], rank))
-    for i in range(count):
-        step = which[i]
-        mean = _times(transition[step], mean)
-        covariance = _turned(transition[step], covariance) + noise[step]
-        for k in range(measured.shape[1]):
-            if np.isnan(measured[i, k]):
-                continue
-            row = observed[i, k]
-            shared = _times(covariance, row)
-            spreads[i, k] = np.sum(row * shared) + variances[i, k]
-            innovations[i, k] = measured[i, k] - np.sum(row * mean)
-            gains[i, k] = shared / spreads[i, k]
-            mean = mean + gains[i, k] * innovations[i, k]
-            for a in range(rank):
-                for b in range(rank):
-                    covariance[a, b] -= gains[i, k, a] * shared[b]
-        means[i], covariances[i] = mean, covariance
-    adjoint, information = np.zeros(rank), np.zeros((rank, rank))
-    for i in range(count - 1, -1, -1):
-        means[i] -= _times(covariances[i], adjoint)
-        before = information
-        for k in range(measured.shape[1] - 1, -1, -1):
-            if np.isnan(measured[i, k]):
-                continue
-            row, gain = observed[i, k], gains[i, k]
-            adjoint = adjoint - row * (np.sum(gain * adjoint) + innovations[i, k] / spreads[i, k])
-            pulled = _times(information, gain)
-            weight = np.sum(gain * pulled) + 1.0 / spreads[i, k]
-            updated = np.empty((rank, rank))
-            for a in range(rank):
-                for b in range(rank):
-                    updated[a, b] = (
-                        information[a, b]
-                        - row[a] * pulled[b]
-                        - pulled[a] * row[b]
-                        + row[a] * row[b] * weight
-                    )
-            information = updated
-        covariances[i] -= _turned(covariances[i], before)
-        adjoint = _times(transition[which[i]].T, adjoint)
-        information = _turned(transition[which[i]].T, information)
-    return means, covariances

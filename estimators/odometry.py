@@ -1,0 +1,275 @@
+"""Where a train is and how fast it runs, by its own instruments while it runs: odometry.
+
+Between two samples the accelerometer carries the motion on; an axle that neither pulls nor brakes,
+satellites' speed and positions that are known to be passed (balises) correct it. What is missing is
+bridged, as satellites in a tunnel, and the standard deviations grow. The state is position, speed,
+the accelerometer's bias, and by how much the wheel shows too high a speed, over what it shows.
+
+One sample comes at a time, ten times a second at most, so that the filter is filterpy's
+`KalmanFilter`; whole trips are smoothed by `estimators.motion`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from numpy.typing import NDArray
+
+from estimators.interface import Estimator
+from estimators.motion import WHEEL_ERROR_STD
+from trainlog.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+ACCELEROMETER_BIAS_STD = 0.03
+"""Standard deviation of an accelerometer's constant error [m/s²]."""
+
+BIAS_TIME = 600.0
+"""Time over which an accelerometer's bias stays the same [s]."""
+
+UNSTEADY = 0.05
+"""What a steady acceleration between two samples leaves out [m/s²]."""
+
+UNMEASURED = 0.5
+"""Standard deviation of an acceleration that was not measured [m/s²]."""
+
+GATE = 5.0
+"""Speeds further than this many standard deviations from the expected one are left out."""
+
+STANDING = 5
+"""A train stands when its wheel has shown 0 for so many samples."""
+
+STILL = 1e-3
+"""Standard deviation of the speed of a train that stands [m/s]."""
+
+LARGEST_SPEED_STD = 2.0
+"""Standard deviation of the speed [m/s] beyond which it is not valid."""
+
+RECEIVER_STDS = 2.0
+"""A receiver shows the size of the speed, so its noise never averages to 0: its speed is used where
+the wheel shows more than this many of its standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryResult:
+    """The motion now.
+
+    Attributes
+    ----------
+    estimate : (4,) array
+        Position [m], speed [m/s], accelerometer's bias [m/s²], wheel's error [1].
+    covariance : (4, 4) array
+    valid : bool
+        Whether the speed is known to `LARGEST_SPEED_STD`.
+    excitation : float
+        Share of the prior's standard deviation of bias and wheel's error that was removed, of the
+        one where it is less.
+    standing : bool
+        Whether the wheel has shown 0 for long.
+    samples, resets : int
+        Samples since the last reset; resets so far.
+    """
+
+    estimate: FloatArray
+    covariance: FloatArray
+    valid: bool
+    excitation: float
+    standing: bool
+    samples: int
+    resets: int
+
+    @property
+    def position(self) -> float:
+        """Position [m]."""
+        return float(self.estimate[0])
+
+    @property
+    def speed(self) -> float:
+        """Speed [m/s]; 0 where the train stands."""
+        return 0.0 if self.standing else max(float(self.estimate[1]), 0.0)
+
+    @property
+    def position_std(self) -> float:
+        """Standard deviation of the position [m]."""
+        return math.sqrt(self.covariance[0, 0])
+
+    @property
+    def speed_std(self) -> float:
+        """Standard deviation of the speed [m/s]."""
+        return math.sqrt(self.covariance[1, 1])
+
+
+class OdometryFilter(Estimator):
+    """Kalman filter of a train's position and speed, sample by sample.
+
+    Parameters
+    ----------
+    position, position_std : float [m]
+        Known beforehand.
+    speed, speed_std : float [m/s]
+        Known beforehand; default: the train stands.
+    acceleration_noise : float [m/s²]
+        Of the accelerometer; standard deviation, as all that follow.
+    wheel_noise : float [m/s]
+    satellite_noise : float [m/s]
+    balise_noise : float [m]
+
+    Raises
+    ------
+    InputError
+        If a standard deviation is not positive.
+
+    Examples
+    --------
+    A train at 20 m/s whose wheel shows 1 % too much loses its satellites after a minute:
+
+    >>> odometry = OdometryFilter(speed=20.0, speed_std=1.0)
+    >>> for k in range(1200):
+    ...     satellites = 20.0 if k < 600 else float("nan")
+    ...     found = odometry.update(0.1 * k, 0.0, wheel_speed=20.2, satellite_speed=satellites)
+    >>> print(f"{found.speed:.2f} ± {found.speed_std:.2f} m/s")
+    20.00 ± 0.01 m/s
+    """
+
+    kind, version = "trainlog/odometry", 1
+    settings = (
+        "position", "position_std", "speed", "speed_std",
+        "acceleration_noise", "wheel_noise", "satellite_noise", "balise_noise",
+    )  # fmt: skip
+    memory = ("mean", "covariance", "time", "zeros")
+
+    def __init__(
+        self,
+        position: float = 0.0,
+        position_std: float = 10.0,
+        speed: float = 0.0,
+        speed_std: float = STILL,
+        *,
+        acceleration_noise: float = 0.02,
+        wheel_noise: float = 0.03,
+        satellite_noise: float = 0.1,
+        balise_noise: float = 0.5,
+    ) -> None:
+        self._position, self._position_std = float(position), float(position_std)
+        self._speed, self._speed_std = float(speed), float(speed_std)
+        self._acceleration_noise, self._wheel_noise = float(acceleration_noise), float(wheel_noise)
+        self._satellite_noise, self._balise_noise = float(satellite_noise), float(balise_noise)
+        for name in self.settings:
+            value = getattr(self, f"_{name}")
+            if not np.isfinite(value) or (name not in ("position", "speed") and value <= 0.0):
+                raise InputError(f"odometry: {name} must be positive and finite, got {value}")
+        self._filter = KalmanFilter(dim_x=4, dim_z=1)
+        self._prior = np.square(
+            [self._position_std, self._speed_std, ACCELEROMETER_BIAS_STD, WHEEL_ERROR_STD]
+        )
+        self.reset()
+
+    @property
+    def _mean(self) -> FloatArray:
+        return np.asarray(self._filter.x)
+
+    @_mean.setter
+    def _mean(self, mean: FloatArray) -> None:
+        self._filter.x = mean
+
+    @property
+    def _covariance(self) -> FloatArray:
+        return np.asarray(self._filter.P)
+
+    @_covariance.setter
+    def _covariance(self, covariance: FloatArray) -> None:
+        self._filter.P = covariance
+
+    def reset(self) -> None:
+        """Forget everything but what was known beforehand."""
+        self._mean = np.array([self._position, self._speed, 0.0, 0.0])
+        self._covariance = np.diag(self._prior)
+        self._time, self._zeros = np.array(np.nan), np.array(0)
+        self._samples = 0
+        self._resets += 1
+
+    def update(
+        self,
+        time: float,
+        acceleration: float = math.nan,
+        wheel_speed: float = math.nan,
+        satellite_speed: float = math.nan,
+        balise: float = math.nan,
+    ) -> OdometryResult:
+        """Take in one sample; NaN is what was not measured.
+
+        Parameters
+        ----------
+        time : float [s]
+            Increasing from call to call.
+        acceleration : float [m/s²]
+            Along the track, mean since the sample before.
+        wheel_speed, satellite_speed : float [m/s]
+        balise : float [m]
+            Position of a balise that was passed since the sample before.
+
+        Returns
+        -------
+        OdometryResult
+            As of `result`.
+
+        Raises
+        ------
+        InputError
+            If time does not increase.
+        """
+        if not math.isnan(self._time):
+            if not time > self._time:
+                raise InputError(f"odometry: time must increase, got {time} s after {self._time} s")
+            self._predict(time - float(self._time), acceleration)
+        self._time, self._samples = np.array(time), self._samples + 1
+        self._zeros = np.array(self._zeros + 1 if wheel_speed == 0.0 else 0)
+        if self._zeros >= STANDING:
+            self._correct(0.0, (0.0, 1.0, 0.0, 0.0), STILL)
+        else:
+            # w = v / (1 - e) is linear in speed and error: w = v + w e.
+            self._correct(wheel_speed, (0.0, 1.0, 0.0, wheel_speed), self._wheel_noise, GATE)
+        if self._filter.x[1] > RECEIVER_STDS * self._satellite_noise:
+            self._correct(satellite_speed, (0.0, 1.0, 0.0, 0.0), self._satellite_noise, GATE)
+        self._correct(balise, (1.0, 0.0, 0.0, 0.0), self._balise_noise)
+        return self.result()
+
+    def _predict(self, step: float, acceleration: float) -> None:
+        """The motion over a step under the acceleration felt, less the accelerometer's bias."""
+        known = not math.isnan(acceleration)
+        push = np.array([0.5 * step**2, step, 0.0, 0.0])
+        transition = np.eye(4)
+        transition[0, 1] = step
+        transition[:2, 2] = -push[:2] * known
+        rough = math.hypot(self._acceleration_noise, UNSTEADY) if known else UNMEASURED
+        noise = rough**2 * np.outer(push, push)
+        noise[2, 2] = 2.0 * ACCELEROMETER_BIAS_STD**2 * step / BIAS_TIME
+        self._filter.predict(acceleration if known else 0.0, push, transition, noise)
+
+    def _correct(
+        self, value: float, shown: tuple[float, ...], std: float, gate: float = math.inf
+    ) -> None:
+        """Take in one measurement, unless it is missing or too far from the expected one."""
+        if math.isnan(value):
+            return
+        row = np.array([shown])
+        spread = (row @ self._filter.P @ row.T).item() + std**2
+        if abs(value - (row @ self._filter.x).item()) <= gate * math.sqrt(spread):
+            self._filter.update(value, std**2, row)
+
+    def result(self) -> OdometryResult:
+        """Position, speed and the instruments' errors now."""
+        variances = np.diagonal(self._covariance)
+        left = float(np.sqrt(np.max(variances[2:] / self._prior[2:])))
+        return OdometryResult(
+            estimate=self._mean.copy(),
+            covariance=self._covariance.copy(),
+            valid=bool(self._samples > 0 and variances[1] <= LARGEST_SPEED_STD**2),
+            excitation=min(max(1.0 - left, 0.0), 1.0),
+            standing=bool(self._zeros >= STANDING),
+            samples=self._samples,
+            resets=self._resets,
+        )

@@ -1,0 +1,115 @@
+"""The motion while the train runs: outages of satellites, honest deviations, what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from estimators.odometry import OdometryFilter, OdometryResult
+from trainlog.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Run:
+    """A run between two stations and what was measured of it, 10 Hz."""
+
+    time: Array
+    position: Array
+    speed: Array
+    measured: dict[str, Array]
+
+    def located(self, estimator: OdometryFilter, **changes: Array) -> list[OdometryResult]:
+        """What the filter gives after each sample, with some of the measurements changed."""
+        columns = [{**self.measured, **changes}[name] for name in self.measured]
+        return [estimator.update(*row) for row in zip(self.time, *columns, strict=True)]
+
+
+def run(seed: int = 0) -> Run:
+    time = np.arange(0.0, 400.0, 0.1)
+    acceleration = np.interp(
+        time, [0, 20, 22, 60, 64, 250, 252, 290, 292, 400], [0, 0, 0.8, 0.3, 0, 0, -0.7, -0.7, 0, 0]
+    )
+    gained = 0.5 * (acceleration[1:] + acceleration[:-1]) * np.diff(time)
+    speed = np.maximum(np.concatenate(([0.0], np.cumsum(gained))), 0.0)
+    position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
+    mean = np.concatenate(([0.0], np.diff(speed) / np.diff(time)))
+    rng = np.random.default_rng(seed)
+    wheel = (1.0 + 0.01 * rng.standard_normal()) * speed + 0.03 * rng.standard_normal(time.size)
+    satellites = np.abs(speed + 0.1 * rng.standard_normal(time.size))
+    passed = np.diff(position // 1_200.0, prepend=0.0) > 0.0
+    return Run(
+        time, position, speed,
+        {
+            "acceleration": mean + 0.03 * rng.standard_normal()
+            + 0.02 * rng.standard_normal(time.size),
+            "wheel_speed": np.where(speed > 0.0, np.maximum(wheel, 0.0), 0.0),
+            "satellite_speed": np.where(np.arange(time.size) % 2, np.nan, satellites),
+            "balise": np.where(passed, position + 0.5 * rng.standard_normal(time.size), np.nan),
+        },
+    )  # fmt: skip
+
+
+def test_a_minute_without_satellites_is_bridged_and_the_deviation_grows() -> None:
+    for seed in range(4):
+        trip = run(seed)
+        lost = (trip.time > 130.0) & (trip.time < 190.0)
+        satellites = np.where(lost, np.nan, trip.measured["satellite_speed"])
+        found = trip.located(
+            OdometryFilter(),
+            satellite_speed=satellites,
+            balise=np.where(lost, np.nan, trip.measured["balise"]),
+        )
+        first, last = np.flatnonzero(lost)[[0, -1]]
+        assert found[last].position_std > found[first - 1].position_std
+        assert abs(found[last].position - trip.position[last]) < 4.0 * found[last].position_std
+        assert abs(found[last].speed - trip.speed[last]) < 4.0 * found[last].speed_std
+        assert abs(found[last].position - trip.position[last]) < 5.0
+        assert found[last].valid
+
+
+@pytest.mark.parametrize("missing", ["acceleration", "wheel_speed", "satellite_speed", "balise"])
+def test_deviations_are_honest_whatever_is_missing(missing: str) -> None:
+    inside = []
+    for seed in range(6):
+        trip = run(seed)
+        found = trip.located(
+            OdometryFilter(position_std=1.0), **{missing: np.full(trip.time.size, np.nan)}
+        )
+        off = np.array([[each.position, each.speed] for each in found])
+        off -= np.column_stack([trip.position, trip.speed])
+        std = np.array([[each.position_std, each.speed_std] for each in found])
+        moving = trip.speed > 0.5
+        inside.append(np.mean(np.abs(off[moving]) < 1.96 * std[moving], axis=0))
+    assert np.all(np.mean(inside, axis=0) > 0.8), inside
+
+
+def test_the_wheels_diameter_and_the_accelerometers_bias_are_found() -> None:
+    time = 0.1 * np.arange(3_000)
+    estimator = OdometryFilter(speed=20.0, speed_std=1.0)
+    for now in time:
+        found = estimator.update(now, 0.05, wheel_speed=20.4, satellite_speed=20.0)
+    assert found.estimate[3] == pytest.approx(0.4 / 20.4, abs=1e-3)
+    assert found.estimate[2] == pytest.approx(0.05, abs=0.01)
+    assert found.excitation > 0.5
+
+
+def test_without_a_speed_it_is_not_valid() -> None:
+    estimator = OdometryFilter(speed=20.0, speed_std=1.0)
+    assert estimator.update(0.0, wheel_speed=20.0).valid
+    for k in range(1, 1_000):
+        found = estimator.update(float(k))
+    assert not found.valid
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(InputError, match="wheel_noise must be positive"):
+        OdometryFilter(wheel_noise=0.0)
+    estimator = OdometryFilter()
+    estimator.update(1.0, wheel_speed=0.0)
+    with pytest.raises(InputError, match="time must increase, got 1"):
+        estimator.update(1.0, wheel_speed=0.0)
