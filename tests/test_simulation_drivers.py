@@ -12,6 +12,7 @@ from simulated_world import flirt, hilly_line, level_line, steps, trajectory_of
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Station
+from trainlog.railway.motion import running_time
 from trainlog.simulation import (
     Run,
     Scenario,
@@ -27,7 +28,6 @@ from trainlog.simulation.drivers import (
     Stop,
     TimetableDriver,
     plan,
-    running_time,
 )
 from trainlog.simulation.plant import Plant
 
@@ -158,6 +158,24 @@ def test_the_whole_train_must_have_passed_a_restriction() -> None:
     np.testing.assert_array_equal(
         line.limits_over(58.6)(grid), [20.0, 20.0, 20.0, 20.0, 30.0, 30.0, 10.0]
     )
+
+
+@given(
+    starts=st.lists(st.floats(0.1, 11e3), min_size=1, max_size=6, unique=True),
+    length=st.floats(0.1, 700.0),
+)
+def test_a_restriction_ends_where_the_rear_has_passed_it(
+    starts: list[float], length: float
+) -> None:
+    edges = [0.0, *sorted(starts)]
+    speeds = [20.0 + 3.0 * (k * 7 % 5) for k in range(len(edges))]
+    line = replace(level_line(length=12e3), speed_limits=steps(*zip(edges, speeds, strict=True)))
+    found = line.limits_over(length)
+    for front in np.linspace(1.0, 11.9e3, 37):
+        if min(abs(front - np.array([*edges, *(e + length for e in edges)]))) > 1e-6:
+            under = np.linspace(max(front - length, 0.0), front, 2000)
+            places = np.append(under, [e for e in edges if front - length < e <= front])
+            assert found(front) == line.speed_limit(places).min()
 
 
 @pytest.mark.parametrize(

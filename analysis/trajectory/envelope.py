@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InfeasibleError
-from trainlog.railway.motion import brake_backwards, in_parts, pull_forwards, speed_of
+from trainlog.railway.motion import (
+    Brakes,
+    Motion,
+    Traction,
+    brake_backwards,
+    in_parts,
+    pull_forwards,
+    speed_of,
+)
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -83,14 +91,13 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
                 f" {KMH * float(speed_of(curve[a, 0])):.1f} km/h",
                 remedy="begin the run slower or end it faster",
             )
+    traction, motion = Traction(problem.traction, problem.power), _motion_of(problem)
     z, stalled = in_parts(
         problem.shape[0],
         lambda part: pull_forwards(
-            curve[part], problem.initial, problem.traction, problem.gain[part],
-            problem.power[part], problem.mean_drag0[part], problem.drag1[part],
-            problem.drag2[part], problem.step,
+            curve[part], problem.initial, traction.rows(part), motion.rows(part)
         ),
-    )  # fmt: skip
+    )
     for a, configuration in enumerate(run.configurations):
         if stalled[a] >= 0:
             raise InfeasibleError(
@@ -129,16 +136,20 @@ def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None)
             fastest = usable / np.maximum(traction + above, 1e-9)
             highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
             ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
+    brakes = Brakes(problem.braking, problem.friction, problem.dynamic, problem.dynamic_power)
+    motion = _motion_of(problem)
     return in_parts(
         problem.shape[0],
         lambda part: (
             brake_backwards(
-                ceiling[part], problem.final, traction, problem.gain[part], problem.braking[part],
-                problem.friction[part], problem.dynamic[part], problem.dynamic_power,
-                problem.drag0[part], problem.drag1[part], problem.drag2[part], problem.step,
+                ceiling[part], problem.final, traction, brakes.rows(part), motion.rows(part)
             ),
         ),
-    )[0]  # fmt: skip
+    )[0]
+
+
+def _motion_of(problem: DiscreteProblem) -> Motion:
+    return Motion(problem.gain, problem.drag0, problem.drag1, problem.drag2, problem.step)
 
 
 def _fine_grid(run: TrajectoryProblem) -> FloatArray:

@@ -179,15 +179,21 @@ class Formation:
         return np.asarray(sum(curve(speed) for curve in curves))
 
     @property
+    def effort_knots(self) -> FloatArray:
+        """Speeds [m/s] between which the tractive effort is linear, growing from 0."""
+        curves = [vehicle.effort for vehicle in self.vehicles if vehicle.powered and vehicle.effort]
+        return np.unique(np.concatenate([curve.speeds for curve in curves]))
+
+    @property
     def deceleration(self) -> float:
         """Of service braking [m/s²]: what the vehicles give, else 0.375 or, for freight, 0.225.
 
         The defaults are those of Brünger and Dahlhaus (2014), in *Railway Timetabling &
         Operations*, p. 74.
         """
-        told = [each.deceleration for each in self.vehicles if each.deceleration is not None]
-        if told:
-            return min(told)
+        given = [each.deceleration for each in self.vehicles if each.deceleration is not None]
+        if given:
+            return min(given)
         return 0.375 if self.passenger else 0.225
 
 

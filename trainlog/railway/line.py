@@ -390,9 +390,10 @@ class Line:
         if train_length == 0.0:
             return profile
         edges = np.unique(np.concatenate((profile.positions, profile.positions + train_length)))
-        behind = edges[:, None] - train_length
-        under_train = (profile.positions <= edges[:, None]) & (
-            np.append(profile.positions[1:], np.inf) > behind
+        # In the middle of each piece, where rounding does not decide what lies under the train.
+        front = (edges + 0.5 * np.diff(edges, append=edges[-1] + 2.0))[:, None]
+        under_train = (profile.positions < front) & (
+            np.append(profile.positions[1:], np.inf) > front - train_length
         )
         return StepProfile(edges, np.where(under_train, profile.values, np.inf).min(axis=1))
 

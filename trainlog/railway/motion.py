@@ -1,30 +1,129 @@
-"""The train's motion through a cell of constant effort, compiled.
+"""The motion of a train along a line, compiled: cells of constant effort, braking, fastest runs.
 
-``z = v²/2`` follows ``dz/ds = effort - drag0 - drag1 v - drag2 v²``, all over the configuration's
-inertia. Runge-Kutta of order four in a few sub-steps; ``drag0`` is given at their ends and linear
-between them, as curvature is. The time of a sub-step is that of constant
-acceleration, ``2 ds / (v + v')``, which stays finite from standstill and to standstill, once over
-the whole and once over its halves, extrapolated to order four.
+``z = v²/2`` follows
+
+    dz/ds = gain (f - b) - drag0 - drag1 v - drag2 v²
+
+with tractive effort f and braking effort b over a reference inertia, and ``gain`` that inertia over
+the train's own; Cunillera et al. (2022), eq. (2). Runge-Kutta of order four in a few sub-steps;
+``drag0`` is given at their ends and linear between them, as curvature is. The time of a sub-step is
+that of constant acceleration, ``2 ds / (v + v')``, which stays finite from standstill and to
+standstill, once over the whole and once over its halves, extrapolated to order four.
+
+A fastest run is the lower of two curves: full traction from the start, and full braking towards
+every speed limit and the end.
 """
+
+# The decorator of numba carries no types.
+# mypy: disable-error-code="untyped-decorator, no-any-return"
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.railway.formation import Formation
+from trainlog.railway.line import Line
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Train
 
 FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 4
 """Runge-Kutta sub-steps a cell; the audit takes many more."""
 
+COARSEST = 0.005
+"""Change of the running time by half the step, relative, beyond which a step is too coarse."""
+
+TIMETABLE_STEP = 5.0
+"""Step of the running times that timetables are made of [m]."""
+
+SLOWEST = 0.5
+"""Speed [m/s] that a timetable counts on where full traction does not overcome the line."""
+
 _FEWEST_ROWS = 16
 """Configurations for which a second thread pays."""
+
+
+class Motion(NamedTuple):
+    """What resists q trains in n cells, over one reference inertia.
+
+    Attributes
+    ----------
+    gain : (q,) array
+        Reference inertia over the train's.
+    drag0 : (q, n, SUBSTEPS + 1) array [m/s²]
+        Gradient, curves and constant running resistance at the ends of equal parts of each cell.
+    drag1 : (q,) array [1/s]
+    drag2 : (q, n) array [1/m]
+        With the tunnel's share.
+    step : (n,) array [m]
+    """
+
+    gain: FloatArray
+    drag0: FloatArray
+    drag1: FloatArray
+    drag2: FloatArray
+    step: FloatArray
+
+    def rows(self, part: slice) -> Motion:
+        """The same for some of the trains."""
+        return Motion(
+            self.gain[part], self.drag0[part], self.drag1[part], self.drag2[part], self.step
+        )
+
+
+class Traction(NamedTuple):
+    """Largest tractive effort, over the reference inertia: the least of three limits.
+
+    Attributes
+    ----------
+    limit : (n,) array [m/s²]
+        By machine, comfort and adhesion in each cell.
+    power : (q,) array [W/kg]
+    speeds : (m,) array [m/s]
+        Knots of the curve of effort, growing from 0; beyond the last it is constant.
+    efforts : (m,) array [m/s²]
+        Of the curve at the knots; infinite where there is none.
+    """
+
+    limit: FloatArray
+    power: FloatArray
+    speeds: FloatArray = np.zeros(1)
+    efforts: FloatArray = np.full(1, np.inf)
+
+    def rows(self, part: slice) -> Traction:
+        """The same for some of the trains."""
+        return self._replace(power=self.power[part])
+
+
+class Brakes(NamedTuple):
+    """Largest braking efforts, over the reference inertia.
+
+    Attributes
+    ----------
+    limit, friction, dynamic : (q, n) array [m/s²]
+        Of all brakes together, and of each kind.
+    dynamic_power : float [W/kg]
+    """
+
+    limit: FloatArray
+    friction: FloatArray
+    dynamic: FloatArray
+    dynamic_power: float
+
+    def rows(self, part: slice) -> Brakes:
+        """The same for some of the trains."""
+        return Brakes(self.limit[part], self.friction[part], self.dynamic[part], self.dynamic_power)
 
 
 def in_parts(rows: int, work: Callable[[slice], tuple[FloatArray, ...]]) -> tuple[FloatArray, ...]:
@@ -47,18 +146,18 @@ def in_parts(rows: int, work: Callable[[slice], tuple[FloatArray, ...]]) -> tupl
     return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def speed_of(z: float) -> float:
     """Speed [m/s] of ``z = v²/2``; 0 below 0, where a train has stopped."""
     return float(np.sqrt(2.0 * z)) if z > 0.0 else 0.0
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _slope(z: float, net: float, drag1: float, drag2: float) -> float:
     return float(net - drag1 * speed_of(z) - 2.0 * drag2 * z)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def advance(
     z: float, effort: float, drag0: FloatArray, drag1: float, drag2: float, step: float
 ) -> tuple[float, float]:
@@ -84,7 +183,7 @@ def advance(
     return z, time
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def landing(
     z: float, target: float, drag0: FloatArray, drag1: float, drag2: float, step: float
 ) -> float:
@@ -99,7 +198,7 @@ def landing(
     return float(effort)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def traverse(
     z: FloatArray,
     effort: FloatArray,
@@ -131,17 +230,29 @@ def traverse(
     return end, time
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def brake_backwards(
-    ceiling: FloatArray, final: float, traction: FloatArray, gain: FloatArray,
-    braking: FloatArray, friction: FloatArray, dynamic: FloatArray, dynamic_power: float,
-    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
-) -> FloatArray:  # fmt: skip
+    ceiling: FloatArray, final: float, traction: FloatArray, brakes: Brakes, motion: Motion
+) -> FloatArray:
     """Full braking backwards from the end, below every ceiling: the highest ``z`` at each node.
 
-    The common `traction` is braked against. The brake's power counts at the higher speed, that of
-    the cell's first node.
+    The brake's power counts at the higher speed, that of the cell's first node.
+
+    Parameters
+    ----------
+    ceiling : (q, n + 1) array [m²/s²]
+    final : float [m²/s²]
+        ``z`` at the end.
+    traction : (n,) array [m/s²]
+        Common traction that is braked against.
+    brakes : Brakes
+    motion : Motion
+
+    Returns
+    -------
+    (q, n + 1) array [m²/s²]
     """
+    gain, drag0, drag1, drag2, step = motion
     q, n = drag2.shape
     curve = np.empty((q, n + 1))
     for a in range(q):
@@ -149,8 +260,11 @@ def brake_backwards(
         for k in range(n - 1, -1, -1):
             z, effort = curve[a, k + 1], -1.0
             for _ in range(6):
-                by_power = dynamic_power / max(speed_of(z), 1e-6)
-                limit = min(braking[a, k], friction[a, k] + min(dynamic[a, k], by_power))
+                by_power = brakes.dynamic_power / max(speed_of(z), 1e-6)
+                limit = min(
+                    brakes.limit[a, k],
+                    brakes.friction[a, k] + min(brakes.dynamic[a, k], by_power),
+                )
                 if limit == effort:
                     break
                 # Motion backwards along the line: the same equation with the sign of ds turned.
@@ -161,7 +275,7 @@ def brake_backwards(
     return curve
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _back(
     z: float, effort: float, drag0: FloatArray, drag1: float, drag2: float, step: float
 ) -> float:
@@ -181,41 +295,280 @@ def _back(
     return z
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
+def _curve(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
+    """Effort on the lines between the knots, constant beyond the last."""
+    k = np.searchsorted(speeds, v, side="right") - 1
+    if k + 1 >= speeds.size:
+        return efforts[-1]
+    share = (v - speeds[k]) / (speeds[k + 1] - speeds[k])
+    return efforts[k] + share * (efforts[k + 1] - efforts[k])
+
+
+@njit(cache=True)
 def _pull(
-    z: float, effort: float, power: float, gain: float, drag0: float, drag1: float, drag2: float
-) -> float:
-    """Slope of ``z`` under full traction: the effort limit, then the power limit."""
+    z: float, limit: float, power: float, traction: Traction, gain: float,
+    drag0: float, drag1: float, drag2: float,
+) -> float:  # fmt: skip
+    """Slope of ``z`` under full traction: effort limit, power limit and curve of effort."""
     v = speed_of(z)
-    traction = min(effort, power / v) if v > 0.0 else effort
-    return float(gain * traction - drag0 - drag1 * v - 2.0 * drag2 * z)
+    effort = min(limit, power / v) if v > 0.0 else limit
+    effort = min(effort, _curve(v, traction.speeds, traction.efforts))
+    return float(gain * effort - drag0 - drag1 * v - 2.0 * drag2 * z)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def pull_forwards(
-    curve: FloatArray, initial: float, traction: FloatArray, gain: FloatArray, power: FloatArray,
-    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
+    curve: FloatArray, initial: float, traction: Traction, motion: Motion,
+    order: int = 4, least: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Full traction from the start, each configuration by itself, below its braking `curve`.
+    """Full traction from the start, each train by itself, below its braking `curve`.
 
-    Effort limit, then power limit, at every speed. Returns ``z`` at the nodes, and the cell in
-    which a configuration comes to a stand, or -1.
+    Parameters
+    ----------
+    curve : (q, n + 1) array [m²/s²]
+    initial : float [m²/s²]
+        ``z`` at the start.
+    traction : Traction
+    motion : Motion
+    order : {1, 4}
+        Of the integration: Runge-Kutta of order four on halves of the cells, the mean of `drag0` in
+        both; or the acceleration where a cell begins, for the whole of it.
+    least : float [m²/s²]
+        ``z`` that is kept where traction does not overcome the line; 0: the train stalls there.
+
+    Returns
+    -------
+    z : (q, n + 1) array [m²/s²]
+    stalled : (q,) array
+        The cell in which a train comes to a stand, or -1.
     """
-    q, n = drag0.shape
+    gain, drag0, drag1, drag2, step = motion
+    q, n = drag2.shape
     z = np.empty((q, n + 1))
     stalled = np.full(q, -1)
     for a in range(q):
         z[a, 0] = initial
         for k in range(n):
-            y, h = z[a, k], 0.5 * step[k]
-            arguments = (traction[k], power[a], gain[a], drag0[a, k], drag1[a], drag2[a, k])
-            for _ in range(2):
-                k1 = _pull(y, *arguments)
-                k2 = _pull(y + 0.5 * h * k1, *arguments)
-                k3 = _pull(y + 0.5 * h * k2, *arguments)
-                k4 = _pull(y + h * k3, *arguments)
-                y += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            y, h, d = z[a, k], 0.5 * step[k], drag0[a, k]
+            mean = (0.5 * (d[0] + d[-1]) + d[1:-1].sum()) / SUBSTEPS
+            limit, power = traction.limit[k], traction.power[a]
+            if order == 1:
+                y += step[k] * _pull(
+                    y, limit, power, traction, gain[a], d[0], drag1[a], drag2[a, k]
+                )
+            else:
+                cell = (limit, power, traction, gain[a], mean, drag1[a], drag2[a, k])
+                for _ in range(2):
+                    k1 = _pull(y, *cell)
+                    k2 = _pull(y + 0.5 * h * k1, *cell)
+                    k3 = _pull(y + 0.5 * h * k2, *cell)
+                    k4 = _pull(y + h * k3, *cell)
+                    y += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            y = max(y, least)
             if y <= 0.0 and curve[a, k + 1] > 0.0 and stalled[a] < 0:
                 stalled[a] = k
             z[a, k + 1] = max(min(y, curve[a, k + 1]), 0.0)
     return z, stalled
+
+
+def braking_curve(positions: FloatArray, limits: FloatArray, deceleration: float) -> FloatArray:
+    """Highest speed at each position from which every limit ahead is kept at one deceleration.
+
+    Parameters
+    ----------
+    positions : (n,) array [m]
+    limits : (n,) array [m/s]
+    deceleration : float [m/s²]
+
+    Returns
+    -------
+    (n,) array [m/s]
+
+    Examples
+    --------
+    >>> braking_curve(np.array([0.0, 100.0, 200.0]), np.array([30.0, 30.0, 0.0]), 0.5).round(3)
+    array([14.142, 10.   ,  0.   ])
+    """
+    energy = limits**2 + 2.0 * deceleration * positions
+    reachable = np.minimum.accumulate(energy[::-1])[::-1] - 2.0 * deceleration * positions
+    return np.asarray(np.sqrt(np.maximum(reachable, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class FastestRun:
+    """A run as fast as traction, limits and brakes allow; (n,) arrays.
+
+    Attributes
+    ----------
+    positions, speeds, times : [m], [m/s], [s]
+    """
+
+    positions: FloatArray
+    speeds: FloatArray
+    times: FloatArray
+
+    @property
+    def running_time(self) -> float:
+        """From standing at the start to standing at the end [s]."""
+        return float(self.times[-1])
+
+
+def running_time(
+    line: Line,
+    train: Train,
+    start: float,
+    end: float,
+    *,
+    deceleration: float = 0.6,
+    lever: float = 0.8,
+    load: float = 0.0,
+) -> float:
+    """Shortest time [s] from standing at `start` to standing at `end` [m], for a timetable.
+
+    Steps of `TIMETABLE_STEP` that take the acceleration of their beginning.
+
+    Parameters
+    ----------
+    line : Line
+        As travelled.
+    train : Train
+    start, end : float [m]
+    deceleration : float [m/s²]
+        Of service braking.
+    lever : float
+        Share of the tractive effort used.
+    load : float [kg]
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> round(running_time(line, train, 0.0, line.length))
+    1009
+    """
+    positions = np.linspace(start, end, max(int((end - start) / TIMETABLE_STEP), 2) + 1)
+    limits = np.minimum(line.limits_over(train.length)(positions), train.max_speed)
+    mass = train.mass + load
+    inertia = mass + train.rotating_mass
+    traction = Traction(
+        np.full(positions.size - 1, lever * train.max_tractive_effort / inertia),
+        np.array([lever * train.max_traction_power / inertia]),
+    )
+    motion = _motion_of(line, positions, train.resistance, mass, inertia)
+    run, _ = _run(positions, limits, deceleration, traction, motion, 0.5 * SLOWEST**2)
+    return run.running_time
+
+
+def shortest_run(
+    line: Line, formation: Formation, *, loaded: float = 1.0, step: float = 1.0
+) -> FastestRun:
+    """Run a formation from one end of the line to the other as fast as it can.
+
+    Full effort, permitted speeds kept with the whole length of the train, constant deceleration
+    in braking. In each step the acceleration is that of its beginning, as in TrainRuns.jl, whose
+    own step is 20 m; the result converges with the step.
+
+    Parameters
+    ----------
+    line : Line
+        As travelled.
+    formation : Formation
+    loaded : float
+        Share of the heaviest load that is on board.
+    step : float [m]
+        Longest step.
+
+    Raises
+    ------
+    InputError
+        If the step is not positive, the share is not between 0 and 1, or the step is too coarse:
+        half of it would change the running time by more than `COARSEST`.
+    InfeasibleError
+        If the formation cannot start, or comes to a stand on the line.
+    """
+    if not (step > 0.0 and np.isfinite(step)):
+        raise InputError(f"a step of {step} m is not positive", remedy="give metres above 0")
+    if not 0.0 <= loaded <= 1.0:
+        raise InputError(f"a share of {loaded} of the load is not between 0 and 1")
+    run, finer = (_run_with(line, formation, loaded, each) for each in (step, 0.5 * step))
+    change = abs(finer.running_time / run.running_time - 1.0)
+    if change > COARSEST:
+        raise InputError(
+            f"step of {step:g} m is too coarse for formation '{formation.name}': half of it changes"
+            f" the running time by {100.0 * change:.1f} %",
+            remedy=f"use at most {step * COARSEST / change:.0f} m",
+        )
+    return run
+
+
+def _run_with(line: Line, formation: Formation, loaded: float, step: float) -> FastestRun:
+    """The run of a formation with one step."""
+    positions = _grid(line, formation.length, step)
+    limits = np.minimum(line.limits_over(formation.length)(positions), formation.max_speed)
+    inertia = formation.inertia(loaded)
+    knots = formation.effort_knots
+    traction = Traction(
+        np.full(positions.size - 1, np.inf),
+        np.array([np.inf]),
+        knots,
+        formation.tractive_effort(knots) / inertia,
+    )
+    motion = _motion_of(
+        line, positions, formation.resistance(loaded), formation.mass(loaded), inertia
+    )
+    run, stalled = _run(positions, limits, formation.deceleration, traction, motion)
+    if stalled >= 0:
+        raise InfeasibleError(
+            f"formation '{formation.name}' comes to a stand at km {positions[stalled] / 1e3:.3f}:"
+            " full effort does not overcome the line there",
+            remedy="less load, or another traction unit",
+        )
+    return run
+
+
+def _run(
+    positions: FloatArray,
+    limits: FloatArray,
+    deceleration: float,
+    traction: Traction,
+    motion: Motion,
+    least: float = 0.0,
+) -> tuple[FastestRun, int]:
+    """The fastest run of one train, of first order, and the cell in which it stalls or -1."""
+    limits[-1] = 0.0
+    ceiling = 0.5 * braking_curve(positions, limits, deceleration)[None] ** 2
+    z, stalled = pull_forwards(ceiling, 0.0, traction, motion, 1, least)
+    speeds = np.sqrt(2.0 * z[0])
+    with np.errstate(divide="ignore"):
+        spent = np.cumsum(2.0 * np.diff(positions) / (speeds[1:] + speeds[:-1]))
+    return FastestRun(positions, speeds, np.concatenate(([0.0], spent))), int(stalled[0])
+
+
+def _motion_of(
+    line: Line, positions: FloatArray, resistance: RunningResistance, mass: float, inertia: float
+) -> Motion:
+    """One train on a line, with the track's force where each cell begins, per unit inertia."""
+    drag0 = (resistance.r0 + mass * line.track_acceleration(positions[:-1])) / inertia
+    return Motion(
+        np.ones(1),
+        np.repeat(drag0[None, :, None], SUBSTEPS + 1, axis=2),
+        np.array([resistance.r1 / inertia]),
+        np.full((1, drag0.size), resistance.r2 / inertia),
+        np.diff(positions),
+    )
+
+
+def _grid(line: Line, length: float, step: float) -> FloatArray:
+    """Breakpoints of the line, where the rear passes a change of speed, and steps between them."""
+    changes = np.concatenate(
+        (line.breakpoints, line.speed_limits.positions + length, [line.length])
+    )
+    edges = np.unique(changes[(changes >= 0.0) & (changes <= line.length)])
+    pieces = [
+        low + np.arange(max(int(np.ceil((high - low) / step - 1e-9)), 1)) * step
+        for low, high in pairwise(edges.tolist())
+    ]
+    return np.append(np.concatenate(pieces), line.length)

@@ -14,7 +14,6 @@ from trainlog.simulation.drivers import (
     TimetableDriver,
     check_stops,
     plan,
-    running_time,
 )
 from trainlog.simulation.plant import Drive, Plant, PlantState
 from trainlog.simulation.recording import Run, drive, recorded, simulate
@@ -45,7 +44,6 @@ __all__ = [
     "drive",
     "plan",
     "recorded",
-    "running_time",
     "simulate",
     "trajectory_scenarios",
 ]

@@ -12,11 +12,11 @@ from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from trainlog.errors import InputError
 from trainlog.railway import Line, Station, Train
+from trainlog.railway.motion import braking_curve, running_time
 from trainlog.simulation.plant import HOLDING
 
 FloatArray = NDArray[np.float64]
@@ -79,83 +79,6 @@ def check_stops(line: Line, stops: tuple[Stop, ...]) -> None:
             raise InputError(
                 f"stops '{first.station}' and '{second.station}' are not in the order of travel"
             )
-
-
-def braking_ceiling(grid: FloatArray, limits: FloatArray, deceleration: float) -> FloatArray:
-    """Highest speed [m/s] at each grid point from which every limit ahead can be kept."""
-    energy = limits**2 + 2.0 * deceleration * grid
-    reachable = np.minimum.accumulate(energy[::-1])[::-1] - 2.0 * deceleration * grid
-    return np.asarray(np.sqrt(np.maximum(reachable, 0.0)))
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def fastest_speeds(
-    ceiling: FloatArray,
-    slope: FloatArray,
-    spacing: float,
-    effort: float,
-    power: float,
-    resistance: FloatArray,
-    mass: float,
-    inertia: float,
-) -> FloatArray:
-    """Speeds [m/s] at grid points when a train starts at rest and always runs as fast as it can.
-
-    Parameters
-    ----------
-    ceiling : (n,) array [m/s]
-        Braking for what lies ahead already in it.
-    slope : (n,) array [m/s²]
-        Deceleration by the track.
-    resistance : (3,) array
-        r0, r1, r2.
-    """
-    speeds = np.zeros(ceiling.size)
-    for k in range(ceiling.size - 1):
-        v = speeds[k]
-        pull = min(effort, power / max(v, 0.1))
-        drag = resistance[0] + (resistance[1] + resistance[2] * v) * v
-        gain = (pull - drag - mass * slope[k]) / inertia
-        speeds[k + 1] = min(math.sqrt(max(v * v + 2.0 * gain * spacing, 0.25)), ceiling[k + 1])
-    return speeds
-
-
-def running_time(
-    line: Line,
-    train: Train,
-    start: float,
-    end: float,
-    *,
-    deceleration: float = 0.6,
-    lever: float = 0.8,
-    load: float = 0.0,
-) -> float:
-    """Shortest time [s] from standing at `start` to standing at `end` [m].
-
-    Parameters
-    ----------
-    deceleration : float [m/s²]
-        Of service braking.
-    lever : float
-        Share of the tractive effort used.
-    load : float [kg]
-    """
-    grid = np.linspace(start, end, max(int((end - start) / GRID), 2) + 1)
-    limits = np.minimum(line.limits_over(train.length)(grid), train.max_speed)
-    limits[-1] = 0.0
-    mass = train.mass + load
-    drag = train.resistance
-    speeds = fastest_speeds(
-        braking_ceiling(grid, limits, deceleration),
-        line.track_acceleration(grid),
-        float(grid[1] - grid[0]),
-        lever * train.max_tractive_effort,
-        lever * train.max_traction_power,
-        np.array([drag.r0, drag.r1, drag.r2]),
-        mass,
-        mass + train.rotating_mass,
-    )
-    return float(np.sum(2.0 * np.diff(grid) / (speeds[1:] + speeds[:-1])))
 
 
 def plan(
@@ -358,7 +281,7 @@ class TimetableDriver:
         grid = np.arange(0.0, line.length + 2.0 * GRID, GRID)
         limits = np.minimum(line.limits_over(train.length)(grid), train.max_speed)
         self._limits = limits
-        self._ceiling = braking_ceiling(
+        self._ceiling = braking_curve(
             grid, np.maximum(limits - self.habits.margin, 1.0), self.habits.deceleration
         )
         self._slope = line.track_acceleration(np.minimum(grid, line.length))
