@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from simulated_world import flirt, level_line
-from trajectory_world import observed
+from trajectory_cases import observed
 
 from analysis.adhesion.condition_map import SETTINGS
 from analysis.adhesion.demonstrated import assured_adhesion, borne_adhesion, typical_adhesion
@@ -101,7 +101,7 @@ def test_a_trajectory_counts_on_what_the_map_has_seen_what_was_borne_and_what_it
     track = made({3: 0.07}, {(8, 3): 1.0})
     line = replace(level_line(track.length), name=track.line)
     run = TrajectoryProblem(
-        line, flirt(), tuple(observed(flirt(), 1.0)), 0.0, 1_000.0, condition=track, sigmas=1.0
+        line, flirt(), observed(flirt(), 1.0), end=1_000.0, condition_map=track, sigmas=1.0
     )
     cells = np.linspace(0.0, 1_000.0, BINS + 1)
     assert np.flatnonzero(np.isfinite(run.adhesion(cells))).tolist() == [3]

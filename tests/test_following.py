@@ -27,9 +27,8 @@ from analysis.control.route import (
     route_tables,
     train_limits,
 )
-from analysis.trajectory import optimise
+from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError, LogError
 from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer
@@ -58,16 +57,17 @@ def plan(name: str = "flirt") -> tuple[Train, Trajectory]:
         )
         for load, factor in ((2, 0.9), (10, 1.0), (18, 1.1))
     ]  # fmt: skip
-    return train, optimise(hilly_line(), train, configurations, reserve=0.12, cells=200)
+    return train, optimise(
+        TrajectoryProblem(hilly_line(), train, configurations, reserve=0.12),
+        OptimiserOptions(cells=200),
+    )
 
 
 LIGHT, MIDDLE, HEAVY = "2 t, r0.9", "10 t, r1.0", "18 t, r1.1"
 
 
 def run_of(train: Train, trajectory: Trajectory) -> TrajectoryProblem:
-    return TrajectoryProblem(
-        hilly_line(), train, trajectory.configurations, 0.0, hilly_line().length
-    )
+    return TrajectoryProblem(hilly_line(), train, trajectory.configurations)
 
 
 @cache

@@ -86,7 +86,7 @@ def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_p
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--journey", "j.json", "--km", "1:2"), "--km cannot be taken: --journey tells"),
+        (("--journey", "j.json", "--km", "1:2"), "--km cannot be taken: --journey gives"),
         (("--journey", "j.json", "--initial-speed", "0"), "leave out --initial-speed"),
         (("--journey", "j.json", "--final-speed", "9"), "leave out --final-speed"),
         (("--journey", "j.json", "--pareto"), "leave out --pareto"),

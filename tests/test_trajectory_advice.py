@@ -10,13 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trajectory_world import FLIRT, drawn, hilly_line, observed, slippery
+from trajectory_cases import FLIRT, drawn, hilly_line, observed, optimised, slippery
 
-from analysis.trajectory import Phase, optimise
-from analysis.trajectory.optimiser import energy_against_time
+from analysis.trajectory import OptimiserOptions, Phase, TrajectoryProblem, energy_against_time
 from analysis.trajectory.phases import advice, agreement, phases_of, with_advice, write_advice
 from analysis.trajectory.plot import draw_front
-from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
@@ -29,14 +27,14 @@ from trainlog.replay import write_replay
 
 @pytest.fixture(scope="module")
 def hilly() -> Trajectory:
-    return optimise(hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.0, 1.05), reserve=0.1, cells=200)
+    return optimised(hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.0, 1.05), reserve=0.1, cells=200)
 
 
 @pytest.fixture(scope="module")
 def sampled() -> Trajectory:
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    return optimise(line, train, [Configuration.of(train)], reserve=0.1, cells=100)
+    return optimised(line, train, [Configuration.of(train)], reserve=0.1, cells=100)
 
 
 def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly: Trajectory) -> None:
@@ -145,9 +143,8 @@ def test_a_replay_refuses_the_trajectory_of_another_line(
 
 
 def test_the_slope_of_the_front_is_the_price_of_a_second(tmp_path: Path) -> None:
-    front = energy_against_time(
-        hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), reserves=(0.2, 0.05, 0.1, 0.15), cells=150
-    )
+    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05))
+    front = energy_against_time(problem, (0.2, 0.05, 0.1, 0.15), OptimiserOptions(150))
     assert np.all(np.diff(front.times) > 0.0)
     assert np.all(np.diff(front.energies) < 0.0)
     assert np.all(front.bounds <= front.energies)
@@ -161,11 +158,11 @@ def test_the_slope_of_the_front_is_the_price_of_a_second(tmp_path: Path) -> None
 
 
 def test_a_front_of_nothing_is_refused() -> None:
-    asked = (hilly_line(), FLIRT, observed(FLIRT, 1.0))
+    problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0))
     with pytest.raises(InputError, match="no reserves"):
-        energy_against_time(*asked, reserves=())
+        energy_against_time(problem, ())
     with pytest.raises(InfeasibleError, match="under one common traction"):
-        energy_against_time(*asked, reserves=(1e-7,), cells=100)
+        energy_against_time(problem, (1e-7,), OptimiserOptions(100))
 
 
 def test_against_the_chainage_the_map_is_read_backwards() -> None:
@@ -173,14 +170,14 @@ def test_against_the_chainage_the_map_is_read_backwards() -> None:
     condition = slippery(line, (7_000.0, 8_000.0, 0.08))
     configurations = tuple(observed(FLIRT, 1.0))
     run = TrajectoryProblem(
-        line.reversed(), FLIRT, configurations, 0.0, line.length,
-        condition=condition, direction="reverse",
+        line.reversed(), FLIRT, configurations,
+        condition_map=condition, direction="reverse",
     )  # fmt: skip
-    forward = TrajectoryProblem(line, FLIRT, configurations, 0.0, line.length, condition=condition)
+    forward = TrajectoryProblem(line, FLIRT, configurations, condition_map=condition)
     points = np.linspace(0.0, line.length, 401)
     assert run.adhesion_at(points) == pytest.approx(forward.adhesion_at(line.length - points))
     assert run.adhesion(points) == pytest.approx(forward.adhesion(line.length - points[::-1])[::-1])
-    found = optimise(
+    found = optimised(
         line.reversed(), FLIRT, configurations, reserve=0.15, condition_map=condition,
         direction="reverse", cells=150,
     )  # fmt: skip
@@ -193,7 +190,7 @@ def test_against_the_chainage_the_map_is_read_backwards() -> None:
 
 @pytest.mark.parametrize("count", [1, 5])
 def test_controls_are_those_that_the_maximum_principle_asks_for(count: int) -> None:
-    found = optimise(hilly_line(), FLIRT, drawn(FLIRT, count, seed=1), reserve=0.1, cells=200)
+    found = optimised(hilly_line(), FLIRT, drawn(FLIRT, count, seed=1), reserve=0.1, cells=200)
     assert found.certificate["agreement"]["traction"] >= 0.99
     assert found.certificate["agreement"]["braking"] >= 0.99
 
@@ -248,7 +245,7 @@ def test_a_set_knows_how_many_trips_each_configuration_stands_for() -> None:
 
 def test_coasting_for_a_moment_while_cruising_is_no_advice() -> None:
     """Nor is a little braking at a speed that stays; but full braking for ten seconds is told."""
-    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
+    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
     count = found.positions.size - 1
     times = np.linspace(0.0, 10.0 * count, count + 1)[None]
     speeds = np.full((1, count + 1), 20.0)

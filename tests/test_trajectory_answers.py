@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from trajectory_world import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed
+from trajectory_cases import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory import Phase, optimise, phases_of
+from analysis.trajectory import Phase, phases_of
 from analysis.trajectory.phases import phases_by_switching
 from trainlog.railway import RunningResistance, Train, Trajectory
 
@@ -18,7 +18,7 @@ KWH = 3.6e6
 @pytest.fixture(scope="module")
 def reference() -> Trajectory:
     """The field's reference run: 48.5 km level, VIRM6, 1541 s, from 1 to 10 m/s, no losses."""
-    return optimise(
+    return optimised(
         level_line(),
         VIRM6,
         observed(VIRM6, 1.0),
@@ -56,7 +56,7 @@ def test_published_pseudospectral_solution() -> None:
         efficiency_regeneration=0.73,
     )
     line = level_line(48_531.0, (0.0, 140.0), (25_000.0, 100.0), (35_000.0, 140.0))
-    found = optimise(
+    found = optimised(
         line, train, observed(train, 1.0),
         running_time=1541.0, initial_speed=1.0, final_speed=1.0, objective="line",
     )  # fmt: skip
@@ -116,7 +116,7 @@ def test_energy_balance_of_the_run(reference: Trajectory) -> None:
 def test_steady_running_where_nothing_else_is_possible() -> None:
     """The limit is the mean speed, so the train has to hold it: resistance times distance."""
     speed, length = 25.0, 20_000.0
-    found = optimise(
+    found = optimised(
         level_line(length, (0.0, speed * KMH)), VIRM6, observed(VIRM6, 1.0),
         running_time=(1.0 + 1e-6) * length / speed, initial_speed=speed, final_speed=speed,
         cells=200,
@@ -129,7 +129,7 @@ def test_steady_running_where_nothing_else_is_possible() -> None:
 def test_no_run_costs_less_than_steady_running_at_its_mean_speed() -> None:
     """As ``v R(v)`` is convex, distance and time given: Jensen's inequality."""
     speed, length = 25.0, 20_000.0
-    found = optimise(
+    found = optimised(
         level_line(length), VIRM6, observed(VIRM6, 1.0),
         running_time=length / speed, initial_speed=speed, final_speed=speed, cells=200,
     )  # fmt: skip
@@ -141,7 +141,7 @@ def test_no_run_costs_less_than_steady_running_at_its_mean_speed() -> None:
 
 def test_more_time_never_costs_more() -> None:
     energies = [
-        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=reserve, cells=200)
+        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=reserve, cells=200)
         .certificate["energy"]
         for reserve in (0.03, 0.07, 0.15, 0.3, 0.6)
     ]  # fmt: skip
@@ -151,7 +151,7 @@ def test_more_time_never_costs_more() -> None:
 def test_more_configurations_never_cost_less() -> None:
     configurations = drawn(FLIRT, 6, seed=3)
     certificates = [
-        optimise(
+        optimised(
             hilly_line(), FLIRT, configurations[: count + 1], running_time=460.0, cells=200
         ).certificate
         for count in range(6)
@@ -167,7 +167,7 @@ def test_more_configurations_never_cost_less() -> None:
 
 def test_finer_grids_agree() -> None:
     energies = {
-        cells: optimise(
+        cells: optimised(
             hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=420.0, cells=cells
         ).certificate
         for cells in (150, 600)
@@ -181,16 +181,16 @@ def test_finer_grids_agree() -> None:
 def test_tunnels_and_curves_cost_energy() -> None:
     line = hilly_line()
     time = 420.0
-    full = optimise(line, FLIRT, observed(FLIRT, 1.0), running_time=time, cells=200)
+    full = optimised(line, FLIRT, observed(FLIRT, 1.0), running_time=time, cells=200)
     for bare in (replace(line, tunnels=()), replace(line, curvatures=None)):
-        found = optimise(bare, FLIRT, observed(FLIRT, 1.0), running_time=time, cells=200)
+        found = optimised(bare, FLIRT, observed(FLIRT, 1.0), running_time=time, cells=200)
         assert found.certificate["energy"] < full.certificate["energy"]
 
 
 def test_regeneration_is_worth_something_and_not_too_much() -> None:
     line, configurations = hilly_line(), observed(FLIRT, 1.0)
-    without = optimise(line, FLIRT, configurations, running_time=430.0, cells=200)
-    at_line = optimise(
+    without = optimised(line, FLIRT, configurations, running_time=430.0, cells=200)
+    at_line = optimised(
         line, FLIRT, configurations, running_time=430.0, objective="line", cells=200
     ).certificate["energy"]
     bought = without.certificate["energy"] / FLIRT.efficiency_traction
@@ -208,7 +208,7 @@ def test_lossless_train_gets_its_kinetic_energy_back() -> None:
         efficiency_traction=1.0,
         efficiency_regeneration=1.0,
     )
-    found = optimise(
+    found = optimised(
         level_line(10_000.0, (0.0, 100.0)), train, observed(train, 1.0),
         reserve=0.1, objective="line", cells=150,
     )  # fmt: skip
@@ -219,7 +219,7 @@ def test_lossless_train_gets_its_kinetic_energy_back() -> None:
 def test_traction_is_even_enough_to_be_driven() -> None:
     """No cell pulls alone between two that do not, but where full traction ends within a cell."""
     runs = [
-        optimise(hilly_line(), FLIRT, observed(FLIRT, *spread), reserve=0.10, objective=objective)
+        optimised(hilly_line(), FLIRT, observed(FLIRT, *spread), reserve=0.10, objective=objective)
         for spread in ((1.0,), (0.97, 1.0, 1.05))
         for objective in ("wheel", "line")
     ]

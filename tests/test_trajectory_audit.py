@@ -10,9 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from trajectory_world import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, slippery, steps
+from trajectory_cases import (
+    FLIRT,
+    VIRM6,
+    drawn,
+    hilly_line,
+    level_line,
+    observed,
+    optimised,
+    slippery,
+    steps,
+)
 
-from analysis.trajectory import optimise
 from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import TrainlogError
@@ -22,12 +31,12 @@ from trainlog.units import GRAVITY
 
 @pytest.fixture(scope="module")
 def hilly() -> Trajectory:
-    return optimise(hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), reserve=0.1, cells=200)
+    return optimised(hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), reserve=0.1, cells=200)
 
 
 def run_of(trajectory: Trajectory, **changes: object) -> TrajectoryProblem:
     line = hilly_line()
-    run = TrajectoryProblem(line, FLIRT, trajectory.configurations, 0.0, line.length)
+    run = TrajectoryProblem(line, FLIRT, trajectory.configurations)
     return replace(run, **changes)
 
 
@@ -73,7 +82,7 @@ def test_tampered_efforts_are_caught(
 
 
 def test_slippery_rail_is_caught(hilly: Trajectory) -> None:
-    _, failures = audited(hilly, condition=slippery(hilly_line(), (0.0, 500.0, 0.05)))
+    _, failures = audited(hilly, condition_map=slippery(hilly_line(), (0.0, 500.0, 0.05)))
     assert any("exceeds the adhesion" in failure for failure in failures)
 
 
@@ -134,7 +143,7 @@ def test_no_answer_leaves_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Audit, "failures", failing)
     with pytest.raises(TrainlogError, match="does not pass its audit: configuration 'x1'"):
-        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), cells=60)
+        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), cells=60)
 
 
 @st.composite
@@ -167,7 +176,7 @@ def test_any_run_passes_its_audit_and_respects_its_bound(
     line: Line, train: object, reserve: float, seed: int, objective: str
 ) -> None:
     configurations = drawn(train, 2, seed=seed, spread=0.05)  # type: ignore[arg-type]
-    found = optimise(
+    found = optimised(
         line,
         train,  # type: ignore[arg-type]
         configurations,
@@ -185,7 +194,7 @@ def test_any_run_passes_its_audit_and_respects_its_bound(
 
 
 def test_adhesion_of_the_audit_counts_the_weight(hilly: Trajectory) -> None:
-    found, _ = audited(hilly, condition=slippery(hilly_line()))
+    found, _ = audited(hilly, condition_map=slippery(hilly_line()))
     cautious = 0.30 * np.exp(-2.0 * 0.05)
     for row, configuration in enumerate(hilly.configurations):
         traction = hilly.tractive_effort.max() / FLIRT.adhesive_weight(0.0)

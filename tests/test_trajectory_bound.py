@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from trajectory_world import FLIRT, VIRM6, hilly_line, observed
+from trajectory_cases import FLIRT, VIRM6, hilly_line, observed, optimised
 
-from analysis.trajectory import optimise
 from analysis.trajectory.active_set import first_guess
 from analysis.trajectory.certificate import lower_bound
 from analysis.trajectory.convex import Relaxation
@@ -29,7 +28,7 @@ TIME = 450.0
 def solved(objective: str) -> tuple[DiscreteProblem, Solution, np.ndarray]:
     line = hilly_line()
     run = TrajectoryProblem(
-        line, FLIRT, tuple(observed(FLIRT, 1.0, 1.05)), 0.0, line.length,
+        line, FLIRT, tuple(observed(FLIRT, 1.0, 1.05)),
         objective=objective,  # type: ignore[arg-type]
     )  # fmt: skip
     fastest = fastest_run(run)
@@ -82,12 +81,12 @@ def test_no_multipliers_bound_it_from_above(objective: str, seed: int, size: flo
 def test_resistance_counts_where_time_is_worth_next_to_nothing() -> None:
     """Down to Wil in three times the least time: the bound keeps the speeds' linear resistance."""
     line = read_line(sample("CH_StGallen_Wil.line.json"))
-    slack = optimise(line, VIRM6, observed(VIRM6, 1.0), reserve=2.0, cells=200).certificate
+    slack = optimised(line, VIRM6, observed(VIRM6, 1.0), reserve=2.0, cells=200).certificate
     assert slack["audit"]["passed"]
     assert slack["lower_bound"] <= slack["energy"]
     assert slack["gap"] <= 0.06
     # It gives more back than it takes: the gap is a part of that, too.
-    back = optimise(
+    back = optimised(
         line, VIRM6, observed(VIRM6, 1.0), reserve=2.0, cells=200, objective="line"
     ).certificate
     assert back["energy"] < 0.0

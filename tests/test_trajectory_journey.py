@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trajectory_world import FLIRT, KMH, drawn, hilly_line, observed
+from trajectory_cases import FLIRT, KMH, drawn, hilly_line, observed, optimised, optimised_journey
 
-from analysis.trajectory import optimise, optimise_journey
 from analysis.trajectory.journey import sections_of
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.ttobench import read_journey, read_track
@@ -21,7 +20,7 @@ PLACE = 6_000.0
 
 def run(*windows: TimingPoint, **options: object) -> Trajectory:
     question: dict[str, object] = {**OPTIONS, **options}
-    return optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), windows=windows, **question)  # type: ignore[arg-type]
+    return optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), windows=windows, **question)  # type: ignore[arg-type]
 
 
 def passing(found: Trajectory, place: float = PLACE) -> tuple[float, float]:
@@ -65,7 +64,7 @@ def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free: Trajectory) -> 
 def test_windows_of_several_configurations_are_certified(free: Trajectory) -> None:
     configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
     window = TimingPoint(PLACE, earliest=passing(free)[0] + 8.0)
-    certificate = optimise(
+    certificate = optimised(
         hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=150
     ).certificate
     assert certificate["gap"] <= 1e-3
@@ -96,7 +95,7 @@ def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
     configurations = drawn(FLIRT, 5, seed=3, spread=0.04)
     time = passing(free)[0]
     window = TimingPoint(PLACE, earliest=time, latest=time + 5.0)
-    found = optimise(
+    found = optimised(
         hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=150
     )
     node = int(np.flatnonzero(found.positions == PLACE)[0])
@@ -139,7 +138,7 @@ def stop(place: float, earliest: float | None = None, latest: float | None = Non
 def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> None:
     journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
     options = {"dwell": 30.0, "reserve": 0.12, "cells": 150}
-    plan = optimise_journey(hilly_line(), FLIRT, observed(FLIRT, 1.0), journey, **options)  # type: ignore[arg-type]
+    plan = optimised_journey(hilly_line(), FLIRT, observed(FLIRT, 1.0), journey, **options)  # type: ignore[arg-type]
     assert plan.departures[1] >= plan.arrivals[0] + 30.0 - 1e-6
     least = sum(plan.certificate["least_running_times"])
     assert plan.arrivals[-1] == pytest.approx(30.0 + 1.12 * least)
@@ -149,7 +148,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
     # Any other share costs more.
     for shift in (-6.0, 6.0):
         parts = [
-            optimise(
+            optimised(
                 hilly_line(), FLIRT, observed(FLIRT, 1.0), start=start, end=end,
                 running_time=time, cells=150,
             ).certificate["energy"]
@@ -166,7 +165,7 @@ def test_a_journey_tells_the_configuration_that_takes_most_in_all(objective: str
     journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
     configurations = drawn(FLIRT, 3, seed=3)
     options = {"dwell": 30.0, "reserve": 0.12, "cells": 100, "objective": objective}
-    plan = optimise_journey(hilly_line(), FLIRT, configurations, journey, **options)  # type: ignore[arg-type]
+    plan = optimised_journey(hilly_line(), FLIRT, configurations, journey, **options)  # type: ignore[arg-type]
     certificate = plan.certificate
     totals = sum(np.array(each.certificate[f"{objective}_energy"]) for each in plan.sections)
     assert certificate["dearest_energy"] == pytest.approx(np.max(totals))
@@ -181,10 +180,10 @@ def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_section
     journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
     configurations = drawn(FLIRT, 3, seed=3)
     asked = (hilly_line(), FLIRT, configurations)
-    plan = optimise_journey(*asked, journey, dwell=30.0, reserve=0.12, cells=100, objective="line")
+    plan = optimised_journey(*asked, journey, dwell=30.0, reserve=0.12, cells=100, objective="line")
     certificate, times = plan.certificate, plan.arrivals - plan.departures
     apart = [
-        optimise(*asked, start=start, end=end, running_time=time, cells=60, objective="line")
+        optimised(*asked, start=start, end=end, running_time=time, cells=60, objective="line")
         for (start, end), time in zip(((0.0, 5e3), (5e3, 8e3)), times.tolist(), strict=True)
     ]
     together = sum(np.array(each.certificate["line_energy"]) for each in apart)
@@ -214,7 +213,7 @@ def test_arrivals_keep_their_windows_at_both_ends() -> None:
               stop(8_000.0, None, 470.0))  # fmt: skip
     journey = Journey("timed", "hilly", points)
     configurations = observed(FLIRT, 0.9, 1.1)
-    plan = optimise_journey(hilly_line(), FLIRT, configurations, journey, cells=150)
+    plan = optimised_journey(hilly_line(), FLIRT, configurations, journey, cells=150)
     arrivals = plan.departures[0] + plan.sections[0].times[:, -1]
     assert np.all((arrivals >= 250.0 - 1e-3) & (arrivals <= 260.0 + 1e-3))
     assert 290.0 - 1e-6 <= plan.departures[1] <= 300.0 + 1e-6
@@ -225,11 +224,11 @@ def test_journeys_that_cannot_be_are_explained() -> None:
     train = (hilly_line(), FLIRT, observed(FLIRT, 1.0))
     points = (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0, None, 300.0))
     with pytest.raises(InfeasibleError, match=r"is at km 8\.000 \(C\) after \d+\.\d s at the"):
-        optimise_journey(*train, Journey("late", "hilly", points))
+        optimised_journey(*train, Journey("late", "hilly", points))
     with pytest.raises(InputError, match="is on line 'other', not on 'hilly'"):
-        optimise_journey(*train, Journey("else", "other", points))
+        optimised_journey(*train, Journey("else", "other", points))
     with pytest.raises(InputError, match=r"ends at km 9\.000, the line at km 8\.000"):
-        optimise_journey(*train, Journey("long", "hilly", (*points[:2], stop(9_000.0))))
+        optimised_journey(*train, Journey("long", "hilly", (*points[:2], stop(9_000.0))))
     with pytest.raises(InputError, match="more than an arrival and a departure"):
         sections_of(Journey("thrice", "hilly", (points[0], *[points[1]] * 3, points[2])))
 
@@ -243,5 +242,5 @@ def test_the_library_journey_leaves_too_little_time_and_that_is_told() -> None:
     assert second.departure.earliest == 800.0
     # From km 20.0, passed after 1200 s, to the stop at km 29.6 after 1450 s: 138 km/h on average.
     with pytest.raises(InfeasibleError, match=r"is at km 29\.556 .* 10\d\.\d s after"):
-        optimise_journey(line, FLIRT, observed(FLIRT, 1.0), journey)
+        optimised_journey(line, FLIRT, observed(FLIRT, 1.0), journey)
     assert max(line.speed_limits.values) * KMH < 145.0

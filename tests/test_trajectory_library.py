@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from trajectory_world import drawn
+from trajectory_cases import drawn, optimised
 
-from analysis.trajectory import optimise
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Configuration
 
@@ -20,7 +19,7 @@ pytestmark = pytest.mark.skipif(not LIBRARY.exists(), reason=f"{LIBRARY} is not 
 def test_reference_track_and_train_as_published() -> None:
     track = read_track(LIBRARY / "tracks" / "00_reference.json")
     train = read_train(LIBRARY / "trains" / "NL_Intercity_VIRM6.json")
-    found = optimise(
+    found = optimised(
         track, train, [Configuration.of(train)], running_time=1541.0, initial_speed=1.0,
         final_speed=10.0,
     )  # fmt: skip
@@ -31,7 +30,7 @@ def test_reference_track_and_train_as_published() -> None:
 def test_short_and_steep_tracks_with_three_configurations(track: str) -> None:
     line = read_track(LIBRARY / "tracks" / f"{track}.json")
     train = read_train(LIBRARY / "trains" / "CH_Stadler_FLIRT_TPF.json")
-    found = optimise(line, train, drawn(train, 3, seed=8, spread=0.05), reserve=0.1)
+    found = optimised(line, train, drawn(train, 3, seed=8, spread=0.05), reserve=0.1)
     assert found.certificate["gap"] <= 2e-3
 
 
@@ -43,7 +42,7 @@ def test_whole_library(track: str, objective: str) -> None:
     for path in sorted((LIBRARY / "trains").glob("*.json")):
         train = read_train(path)
         for reserve in (0.02, 0.05, 0.1, 0.3):
-            found = optimise(
+            found = optimised(
                 line, train, [Configuration.of(train)], reserve=reserve,
                 objective=objective,  # type: ignore[arg-type]
             )  # fmt: skip

@@ -7,9 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trajectory_world import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed, slippery
+from trajectory_cases import (
+    FLIRT,
+    KMH,
+    VIRM6,
+    drawn,
+    hilly_line,
+    level_line,
+    observed,
+    optimised,
+    slippery,
+)
 
-from analysis.trajectory import optimise
 from trainlog.errors import InputError
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import Configuration, Line, TrackConditionMap, Trajectory
@@ -17,7 +26,7 @@ from trainlog.railway import Configuration, Line, TrackConditionMap, Trajectory
 
 @pytest.fixture(scope="module")
 def set_of_twelve() -> Trajectory:
-    return optimise(hilly_line(), FLIRT, drawn(FLIRT, 12, seed=1), reserve=0.1, cells=250)
+    return optimised(hilly_line(), FLIRT, drawn(FLIRT, 12, seed=1), reserve=0.1, cells=250)
 
 
 def test_every_configuration_keeps_the_limits(set_of_twelve: Trajectory) -> None:
@@ -39,7 +48,7 @@ def test_power_is_kept_at_both_ends_of_every_cell(set_of_twelve: Trajectory) -> 
 def test_all_the_power_is_used_inside_the_cells() -> None:
     """Traction that is constant in a cell would waste half of what the speed gains there."""
     train = Configuration.of(FLIRT)
-    found = optimise(hilly_line(), FLIRT, [train], reserve=0.05, cells=120)
+    found = optimised(hilly_line(), FLIRT, [train], reserve=0.05, cells=120)
     middle = 0.5 * (found.positions[1:] + found.positions[:-1])
     speed = np.interp(middle, found.positions, found.speeds[0] ** 2) ** 0.5
     used = found.tractive_effort_at(middle) * speed / train.max_power
@@ -69,7 +78,7 @@ def test_few_configurations_decide(set_of_twelve: Trajectory) -> None:
     found = set_of_twelve
     active = found.certificate["active"]
     assert 1 <= len(active) <= 5
-    alone = optimise(
+    alone = optimised(
         hilly_line(),
         FLIRT,
         [c for c in found.configurations if c.name in active],
@@ -82,7 +91,7 @@ def test_few_configurations_decide(set_of_twelve: Trajectory) -> None:
 
 
 def test_thirty_configurations_are_all_audited() -> None:
-    found = optimise(hilly_line(), FLIRT, drawn(FLIRT, 30, seed=7), reserve=0.1, cells=200)
+    found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 30, seed=7), reserve=0.1, cells=200)
     assert len(found.certificate["audit"]["arrival"]) == 30
     assert found.certificate["audit"]["passed"]
     assert found.certificate["gap"] <= 2e-3
@@ -93,7 +102,7 @@ def test_thirty_configurations_are_all_audited() -> None:
 def test_the_map_limits_the_efforts_where_it_was_observed() -> None:
     line = level_line(8_000.0, (0.0, 100.0))
     condition = slippery(line, (0.0, 400.0, 0.10), (7_800.0, 8_000.0, 0.06))
-    found = optimise(
+    found = optimised(
         line, FLIRT, observed(FLIRT, 1.0), running_time=420.0, condition_map=condition, cells=200
     )
     starting = found.positions[:-1] < 350.0
@@ -102,11 +111,11 @@ def test_the_map_limits_the_efforts_where_it_was_observed() -> None:
         cautious * FLIRT.adhesive_weight(), rel=1e-6
     )
     assert found.certificate["audit"]["adhesion"] <= 1.0 + 1e-6
-    free = optimise(line, FLIRT, observed(FLIRT, 1.0), running_time=420.0, cells=200)
+    free = optimised(line, FLIRT, observed(FLIRT, 1.0), running_time=420.0, cells=200)
     assert free.certificate["energy"] < found.certificate["energy"]
     nothing = np.zeros(condition.bins, dtype=bool)
     blind = replace(condition, layers={"wet": replace(condition.layers["wet"], observed=nothing)})
-    unaware = optimise(
+    unaware = optimised(
         line, FLIRT, observed(FLIRT, 1.0), running_time=420.0, condition_map=blind, cells=200
     )
     assert np.array_equal(unaware.tractive_effort, free.tractive_effort)
@@ -116,7 +125,7 @@ def test_the_map_is_not_read_more_boldly_than_asked() -> None:
     line = level_line(6_000.0, (0.0, 100.0))
     condition = slippery(line, (0.0, 400.0, 0.10))
     starts = [
-        optimise(
+        optimised(
             line, FLIRT, observed(FLIRT, 1.0), running_time=360.0, condition_map=condition,
             sigmas=sigmas, cells=120,
         ).tractive_effort[0]
@@ -127,7 +136,7 @@ def test_the_map_is_not_read_more_boldly_than_asked() -> None:
 
 def test_a_section_between_two_stations() -> None:
     line = hilly_line()
-    found = optimise(
+    found = optimised(
         line, FLIRT, observed(FLIRT, 1.0), start=line.stations[0].position,
         end=line.stations[1].position, cells=150,
     )  # fmt: skip
@@ -138,20 +147,20 @@ def test_a_section_between_two_stations() -> None:
 
 def test_the_whole_train_keeps_the_limit_when_it_is_asked_to() -> None:
     line = hilly_line()
-    found = optimise(
+    found = optimised(
         line, FLIRT, observed(FLIRT, 1.0), reserve=0.05, protected_length=FLIRT.length, cells=200
     )
     # Its tail is still in the lower limit for a train's length.
     behind = np.linspace(4_500.0, 4_500.0 + FLIRT.length, 50)
     assert found.speed_at(0, behind).max() <= 80.0 / KMH + 1e-5
-    front = optimise(line, FLIRT, observed(FLIRT, 1.0), reserve=0.05, cells=200)
+    front = optimised(line, FLIRT, observed(FLIRT, 1.0), reserve=0.05, cells=200)
     assert front.certificate["least_time"][0] < found.certificate["least_time"][0]
 
 
 def test_common_and_own_brakes_agree_for_one_configuration() -> None:
     options = {"running_time": 1541.0, "initial_speed": 1.0, "final_speed": 10.0, "cells": 150}
     energies = [
-        optimise(level_line(), VIRM6, observed(VIRM6, 1.0), braking=braking, **options)  # type: ignore[arg-type]
+        optimised(level_line(), VIRM6, observed(VIRM6, 1.0), braking=braking, **options)  # type: ignore[arg-type]
         .certificate["energy"]
         for braking in ("recourse", "common")
     ]  # fmt: skip
@@ -161,8 +170,8 @@ def test_common_and_own_brakes_agree_for_one_configuration() -> None:
 def test_common_brakes_are_common_and_cost_no_less() -> None:
     options = {"running_time": 1541.0, "initial_speed": 1.0, "final_speed": 15.0, "cells": 150}
     configurations = observed(VIRM6, 0.97, 1.0, 1.03)
-    common = optimise(level_line(), VIRM6, configurations, braking="common", **options)  # type: ignore[arg-type]
-    own = optimise(level_line(), VIRM6, configurations, **options)  # type: ignore[arg-type]
+    common = optimised(level_line(), VIRM6, configurations, braking="common", **options)  # type: ignore[arg-type]
+    own = optimised(level_line(), VIRM6, configurations, **options)  # type: ignore[arg-type]
     assert np.array_equal(common.braking_effort[0], common.braking_effort[2])
     assert np.all(common.speeds[:, -1] <= 15.0 + 1e-5)
     assert common.certificate["energy"] >= own.certificate["energy"] * (1.0 - 1e-6)
@@ -170,7 +179,7 @@ def test_common_brakes_are_common_and_cost_no_less() -> None:
 
 def test_same_question_same_answer(tmp_path: Path) -> None:
     for name in ("a.json", "b.json"):
-        found = optimise(hilly_line(), FLIRT, drawn(FLIRT, 3, seed=2), cells=100)
+        found = optimised(hilly_line(), FLIRT, drawn(FLIRT, 3, seed=2), cells=100)
         write_trajectory(found, tmp_path / name)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
     again = read_trajectory(tmp_path / "a.json")
@@ -190,14 +199,14 @@ def senseless(line: Line) -> TrackConditionMap:
 def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs() -> None:
     line = level_line(8_000.0, (0.0, 80.0), (3_000.0, 0.04), (4_000.0, 80.0))
     with pytest.raises(InputError, match=r"0\.04 km/h permitted at km 3\.000 is no speed"):
-        optimise(line, FLIRT, observed(FLIRT, 1.0))
+        optimised(line, FLIRT, observed(FLIRT, 1.0))
 
 
 def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
     options = {"reserve": 0.1, "cells": 120}
     configurations = observed(FLIRT, 0.9, 1.0, 1.1)
     found = {
-        weights: optimise(
+        weights: optimised(
             hilly_line(), FLIRT, configurations, objective="expected", weights=weights, **options
         )  # type: ignore[arg-type]
         for weights in ((), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -210,7 +219,7 @@ def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
         assert all(share @ other >= least * (1.0 - 1e-6) for other in energies.values())
         assert answer.certificate["gap"] <= 2e-3
         assert answer.certificate["audit"]["passed"]
-    worst = optimise(hilly_line(), FLIRT, configurations, objective="line", **options)  # type: ignore[arg-type]
+    worst = optimised(hilly_line(), FLIRT, configurations, objective="line", **options)  # type: ignore[arg-type]
     assert worst.certificate["energy"] <= energies[()].max() * (1.0 + 1e-6)
 
 
@@ -225,30 +234,36 @@ def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
         ({"initial_speed": 30.0}, "above the 90.0 km/h permitted"),
         ({"braking": "none"}, "no such braking 'none'"),
         ({"objective": "time"}, "objective 'time'"),
-        ({"cells": 3}, "3 cells make no sense; give 20 to"),
-        ({"cells": 10**8}, "make no sense; give 20 to"),
-        ({"reserve": -0.1}, "makes no sense; give 0 or more"),
-        ({"reserve": np.nan}, "makes no sense; give 0 or more"),
-        ({"running_time": np.nan}, "a running time of nan s makes no sense"),
-        ({"running_time": np.inf}, "a running time of inf s makes no sense"),
-        ({"running_time": -5.0}, "makes no sense; give the timetable's"),
+        ({"cells": 3}, "must have 20 to 20000 cells, not 3; give"),
+        ({"cells": 10**8}, "must have 20 to 20000 cells"),
+        ({"reserve": -0.1}, "the reserve must be 0 or more, not -10%"),
+        ({"reserve": np.nan}, "the reserve must be 0 or more, not nan%"),
+        ({"running_time": np.nan}, "running time must be above 0 and finite, not nan s"),
+        ({"running_time": np.inf}, "running time must be above 0 and finite, not inf s"),
+        ({"running_time": -5.0}, "not -5.0 s; give the timetable's"),
         ({"condition_map": slippery(level_line(5_000.0))}, "is of line '"),
         (
             {"condition_map": replace(slippery(hilly_line()), length=5_000.0)},
             "belongs to a line of 5.000 km",
         ),
         ({"condition_map": slippery(hilly_line()), "layer": "icy"}, "no layer 'icy'"),
-        ({"condition_map": slippery(hilly_line()), "sigmas": np.nan}, "nan standard deviations"),
-        ({"condition_map": slippery(hilly_line()), "sigmas": -2.0}, "off the map make no sense"),
-        ({"condition_map": senseless(hilly_line())}, r"tells no adhesion at km 0\.\d+, which it"),
-        ({"protected_length": -1.0}, "a protected length of -1.0 m makes no sense"),
+        (
+            {"condition_map": slippery(hilly_line()), "sigmas": np.nan},
+            "map must be 0 or more, not nan",
+        ),
+        (
+            {"condition_map": slippery(hilly_line()), "sigmas": -2.0},
+            "map must be 0 or more, not -2.0",
+        ),
+        ({"condition_map": senseless(hilly_line())}, r"holds no adhesion at km 0\.\d+, which it"),
+        ({"protected_length": -1.0}, "the protected length must be 0 or more, not -1.0 m"),
         ({"running_time": 1e9}, r"is 3\.\d+e\+06 times the least, .*let it wait at a station"),
         ({"objective": "expected", "weights": [1.0, 2.0]}, "2 weights for 1 configurations"),
-        ({"objective": "expected", "weights": [-1.0]}, "none negative"),
+        ({"objective": "expected", "weights": [-1.0]}, "must be 0 or more, not -1"),
         ({"objective": "expected", "weights": [0.0]}, "the weights add up to 0"),
     ],
 )
 def test_senseless_questions_are_refused(changes: dict[str, object], words: str) -> None:
     question: dict[str, object] = {"configurations": observed(FLIRT, 1.0), **changes}
     with pytest.raises(InputError, match=words):
-        optimise(hilly_line(), FLIRT, **question)  # type: ignore[arg-type]
+        optimised(hilly_line(), FLIRT, **question)  # type: ignore[arg-type]

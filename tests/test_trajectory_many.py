@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from trajectory_world import FLIRT, drawn, hilly_line
+from trajectory_cases import FLIRT, drawn, hilly_line, optimised
 
-from analysis.trajectory import active_set, optimise
+from analysis.trajectory import active_set
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.problem import TrajectoryProblem
 
@@ -18,7 +18,7 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     found = {}
     for few in (12, 24):
         monkeypatch.setattr(active_set, "FEW", few)
-        found[few] = optimise(
+        found[few] = optimised(
             hilly_line(), FLIRT, configurations, objective="expected", **OPTIONS
         ).certificate  # type: ignore[arg-type]
     some, everyone = found[12], found[24]
@@ -39,7 +39,7 @@ def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None
     configurations = drawn(FLIRT, 20, seed=2)
     weights = np.zeros(20)
     weights[[3, 8, 15]] = 0.5, 0.3, 0.2
-    found = optimise(
+    found = optimised(
         hilly_line(), FLIRT, configurations, objective="expected", weights=weights.tolist(),
         **OPTIONS,  # type: ignore[arg-type]
     )  # fmt: skip
@@ -51,7 +51,7 @@ def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None
 
 def test_who_brakes_gently_is_no_dearer_than_the_few_that_decide_at_the_line() -> None:
     configurations = drawn(FLIRT, 30, seed=2)
-    many = optimise(hilly_line(), FLIRT, configurations, objective="line", **OPTIONS)  # type: ignore[arg-type]
+    many = optimised(hilly_line(), FLIRT, configurations, objective="line", **OPTIONS)  # type: ignore[arg-type]
     certificate = many.certificate
     # The worst case is that of all, as audited, whoever was optimised for.
     assert len(certificate["line_energy"]) == len(certificate["audit"]["arrival"]) == 30
@@ -64,7 +64,7 @@ def test_who_brakes_gently_is_no_dearer_than_the_few_that_decide_at_the_line() -
     extremes = [pick(configurations, key=lambda each: each.mass) for pick in (min, max)]
     names = {*certificate["active"], *(each.name for each in extremes)}
     deciding = [each for each in configurations if each.name in names]
-    few = optimise(
+    few = optimised(
         hilly_line(), FLIRT, deciding, objective="line", running_time=many.running_time, cells=80
     ).certificate
     assert few["energy"] == pytest.approx(certificate["energy"], rel=2e-4)
@@ -74,7 +74,7 @@ def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
     configurations = tuple(drawn(FLIRT, 20, seed=4))
     line = hilly_line()
     weights = tuple(np.arange(1.0, 21.0).tolist())
-    run = TrajectoryProblem(line, FLIRT, configurations, 0.0, line.length, weights=weights)
+    run = TrajectoryProblem(line, FLIRT, configurations, weights=weights)
     problem = discretise(run, run.breakpoints)
     rows = active_set.kinds(problem, slowest=7)
     assert len(rows) == 1 + active_set.KINDS

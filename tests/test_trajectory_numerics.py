@@ -8,9 +8,9 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-from trajectory_world import FLIRT, drawn, hilly_line, level_line, observed, steps
+from trajectory_cases import FLIRT, drawn, hilly_line, level_line, observed, optimised, steps
 
-from analysis.trajectory import active_set, convex, optimise, optimiser
+from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import NoSolutionError
 from analysis.trajectory.sqp import Solution
@@ -22,7 +22,7 @@ OPTIONS: dict[str, Any] = {"reserve": 0.1, "cells": 120}
 
 @pytest.fixture(scope="module")
 def usual() -> Trajectory:
-    return optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    return optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
 
 
 def same(found: Trajectory, usual: Trajectory) -> bool:
@@ -36,7 +36,7 @@ def test_a_solver_that_stops_early_is_not_believed(
     usual: Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(convex._SETTINGS, cp.PIQP, {"max_iter": 3})
-    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert {word.split()[0] for word in found.certificate["solver"]["statuses"]} == {"CLARABEL"}
     assert same(found, usual)
 
@@ -53,7 +53,7 @@ def test_rounds_that_fail_begin_again_from_the_cone_relaxation(
         return minimise(*arguments, **options)
 
     monkeypatch.setattr(active_set, "minimise", fails_first)
-    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert found.certificate["solver"]["statuses"][0].startswith("CLARABEL")
     assert same(found, usual)
 
@@ -68,7 +68,7 @@ def test_rounds_that_do_not_settle_begin_again_too(
         return replace(minimise(*arguments, **options), settled=len(seen) > 1)
 
     monkeypatch.setattr(active_set, "minimise", restless_first)
-    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
+    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert same(found, usual)
 
 
@@ -87,13 +87,13 @@ def test_an_answer_that_was_tampered_with_does_not_leave(
 
     monkeypatch.setattr(optimiser, "search", tampered)
     with pytest.raises(TrainlogError, match=f"does not pass its audit: .* {words}"):
-        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
+        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
 
 
 def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
     line, train = hilly_line(), observed(FLIRT, 1.0)
-    least = optimise(line, FLIRT, train, reserve=0.0, cells=120).running_time
-    found = optimise(line, FLIRT, train, running_time=least, cells=80)
+    least = optimised(line, FLIRT, train, reserve=0.0, cells=120).running_time
+    found = optimised(line, FLIRT, train, running_time=least, cells=80)
     assert found.positions.size - 1 > 80
     assert found.certificate["audit"]["passed"]
 
@@ -103,7 +103,7 @@ def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str) -> Non
     configurations = drawn(FLIRT, 3, seed=2)
     times = []
     for cells in (120, 240):
-        found = optimise(
+        found = optimised(
             hilly_line(), FLIRT, configurations, reserve=0.0, cells=cells,
             objective=objective,  # type: ignore[arg-type]
         )  # fmt: skip
@@ -114,19 +114,19 @@ def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str) -> Non
 
 
 def test_the_certificate_tells_what_a_coarser_grid_gave() -> None:
-    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=400)
+    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=400)
     told, energy = found.certificate["convergence"], found.certificate["energy"]
     assert told["cells"] < 0.6 * (found.positions.size - 1)
     assert told["energy"] * (1.0 + told["change"]) == pytest.approx(energy)
     assert abs(told["change"]) < 2e-3
-    coarse = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=120)
+    coarse = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=120)
     assert coarse.certificate["convergence"] is None
     assert coarse.certificate["energy"] == pytest.approx(told["energy"], rel=5e-4)
 
 
 def test_a_run_on_next_to_no_energy_is_certified_all_the_same() -> None:
     down = replace(level_line(3_000.0, (0.0, 43.2)), gradients=steps((0.0, -0.0234)))
-    found = optimise(down, FLIRT, drawn(FLIRT, 2, seed=0), reserve=0.5, cells=80)
+    found = optimised(down, FLIRT, drawn(FLIRT, 2, seed=0), reserve=0.5, cells=80)
     certificate = found.certificate
     assert certificate["lower_bound"] <= certificate["energy"] < 1.0
     assert certificate["certified"]

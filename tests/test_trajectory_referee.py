@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trajectory_world import FLIRT, VIRM6, drawn, hilly_line, level_line, observed
+from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory import Phase, optimise
+from analysis.trajectory import Phase
 from analysis.trajectory.discretisation import graded_mesh
 from analysis.trajectory.phases import phases_by_control, phases_by_switching, spelled
 from analysis.trajectory.plot import draw_trajectory
@@ -19,7 +19,7 @@ from trainlog.formats.train import read_train
 
 @pytest.mark.parametrize("objective", ["wheel", "line"])
 def test_referee_agrees(objective: str) -> None:
-    found = optimise(
+    found = optimised(
         level_line(), VIRM6, observed(VIRM6, 1.0), running_time=1541.0, initial_speed=1.0,
         final_speed=10.0, cells=120, objective=objective, referee=True,  # type: ignore[arg-type]
     )  # fmt: skip
@@ -30,7 +30,7 @@ def test_referee_agrees(objective: str) -> None:
 
 
 def test_referee_agrees_on_hills_with_several_configurations() -> None:
-    found = optimise(
+    found = optimised(
         hilly_line(), FLIRT, drawn(FLIRT, 3, seed=4, spread=0.04), reserve=0.15,
         initial_speed=2.0, final_speed=2.0, cells=120, referee=True,
     )  # fmt: skip
@@ -40,7 +40,7 @@ def test_referee_agrees_on_hills_with_several_configurations() -> None:
 def test_embedded_line_and_train_with_twelve_configurations() -> None:
     line = read_line(sample("CH_StGallen_Wil.line.json"))
     train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
-    found = optimise(line, train, drawn(train, 12, seed=5), reserve=0.07)
+    found = optimised(line, train, drawn(train, 12, seed=5), reserve=0.07)
     certificate = found.certificate
     assert certificate["gap"] <= 5e-4
     assert certificate["certified"]
@@ -79,7 +79,7 @@ def test_mesh_keeps_spare_cells_on_a_line_of_many_breakpoints() -> None:
 
 def test_picture(tmp_path: Path) -> None:
     line = hilly_line()
-    found = optimise(line, FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=100)
+    found = optimised(line, FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=100)
     for name in ("a.png", "b.png"):
         draw_trajectory(found, line, tmp_path / name)
     data = (tmp_path / "a.png").read_bytes()

@@ -10,9 +10,8 @@ from typing import Any
 import cvxpy as cp
 import pytest
 from rich.console import Console
-from trajectory_world import FLIRT, hilly_line, observed
+from trajectory_cases import FLIRT, hilly_line, observed, optimised
 
-from analysis.trajectory import optimise
 from analysis.trajectory.plot import _title
 from analysis.trajectory.table import trajectory_table
 from trainlog.errors import InfeasibleError, InputError
@@ -35,7 +34,7 @@ def printed(trajectory: Trajectory) -> str:
 
 @pytest.mark.parametrize("objective", list(ENERGY))
 def test_table_and_picture_say_which_energy_and_where(objective: Any, tmp_path: Path) -> None:
-    found = optimise(
+    found = optimised(
         hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=60,
         objective=objective,
     )  # fmt: skip
@@ -51,7 +50,7 @@ def test_table_and_picture_say_which_energy_and_where(objective: Any, tmp_path: 
 
 
 def test_an_opinion_that_ipopt_does_not_vouch_for_is_none() -> None:
-    found = optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
+    found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
     judge = {"name": "IPOPT", "energy": 1e8, "difference": 1e-5, "iterations": 9}
     for status, sure in (("Solve_Succeeded", True), ("Error_In_Step_Computation", False)):
         certificate = found.certificate | {"referee": judge | {"status": status}}
@@ -68,25 +67,25 @@ def test_a_solver_that_breaks_off_does_not_speak_of_its_settings(
 
     monkeypatch.setattr(cp.Problem, "solve", broken)
     with pytest.raises(InfeasibleError, match="beyond the solver's arithmetic") as refusal:
-        optimise(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
+        optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
     assert "verbose" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0 + 1e-7])
 def test_the_time_that_a_refusal_names_is_accepted(share: float) -> None:
     asked = (hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.1))
-    least = max(optimise(*asked, reserve=0.0, cells=60).certificate["least_time"])
+    least = max(optimised(*asked, reserve=0.0, cells=60).certificate["least_time"])
     with pytest.raises(InfeasibleError) as refusal:
-        optimise(*asked, running_time=share * least, cells=60)
+        optimised(*asked, running_time=share * least, cells=60)
     named = re.fullmatch(r"allow at least (\d+) s", refusal.value.remedy or "")
     assert named
-    found = optimise(*asked, running_time=float(named[1]), cells=60)
+    found = optimised(*asked, running_time=float(named[1]), cells=60)
     assert found.certificate["audit"]["lateness"] <= 1e-4
 
 
 def test_a_set_that_cannot_be_planned_for_comes_with_a_remedy() -> None:
     one = observed(FLIRT, 1.0)
     with pytest.raises(InputError, match="no parameter configuration given; give a set"):
-        optimise(hilly_line(), FLIRT, [])
+        optimised(hilly_line(), FLIRT, [])
     with pytest.raises(InputError, match="are called 'x1'; give each a name"):
-        optimise(hilly_line(), FLIRT, [*one, *one])
+        optimised(hilly_line(), FLIRT, [*one, *one])

@@ -327,8 +327,8 @@ def run_of(
         )
     settings = trajectory.provenance.get("settings", {})
     return TrajectoryProblem(
-        line, train, trajectory.configurations, start, min(end, line.length),
-        condition=condition, layer=layer,
+        line, train, trajectory.configurations, start=start, end=min(end, line.length),
+        condition_map=condition, layer=layer,
         protected_length=float(settings.get("protected_length", 0.0)),
         direction=trajectory.direction,
     )  # fmt: skip

@@ -221,13 +221,13 @@ def _adhesion(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray
     (`TrackConditionMap.likely`), which a plan must not rest on; he sees slip and eases off. Without
     a map he knows what is usual in such weather.
     """
-    if run.condition is None:
+    if run.condition_map is None:
         usual = ASSUMED.get(run.layer, ASSUMED["wet"])
         return np.full(positions.shape, usual[0]), np.full(positions.shape, usual[1])
     own = run.line.length - positions if run.direction == "reverse" else positions
     known = run.adhesion_at(positions)
-    likely = run.condition.likely(run.layer, own, UNSEEN_SIGMAS)
-    pulling = run.condition.likely(run.layer, own, PULLING_SIGMAS)
+    likely = run.condition_map.likely(run.layer, own, UNSEEN_SIGMAS)
+    pulling = run.condition_map.likely(run.layer, own, PULLING_SIGMAS)
     return pulling, np.where(np.isfinite(known), known, likely)
 
 

@@ -101,7 +101,7 @@ class Audit:
         return [
             f"configuration '{run.configurations[row].name}' {what} {excess[row]:.3g}"
             for what, excess, tolerance in checks
-            for row in np.flatnonzero(~(excess <= tolerance))
+            for row in np.flatnonzero(~(excess <= tolerance)).tolist()
         ]
 
 

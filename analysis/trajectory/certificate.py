@@ -24,8 +24,7 @@ from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_tract
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.phases import agreement, phases_by_control, spelled
 from analysis.trajectory.problem import TrajectoryProblem
-from analysis.trajectory.referee import second_opinion
-from analysis.trajectory.rollout import cell_times, paced_run, realise
+from analysis.trajectory.rollout import cell_times, realise
 from analysis.trajectory.sqp import NEXT_TO_NOTHING, Multipliers, Solution, with_costates
 
 FloatArray = NDArray[np.float64]
@@ -228,16 +227,15 @@ def _chain(
     return best
 
 
-def best_bound(
-    problem: DiscreteProblem, answer: Answer, speeds: FloatArray, running_time: float
-) -> tuple[float, str]:
+def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple[float, str]:
     """Lower bound of the worst-case energy [J/kg], and how it was found.
 
     The multipliers of the optimum give it; or those of an optimum for the configurations alone to
     which time is worth something, for the bound cannot hold the power of others; or, if none of
     this comes close, the cone relaxation.
     """
-    part, solution = problem.select(answer.active), answer.solution
+    problem, solution = answer.problem, answer.solution
+    part = problem.select(answer.active)
     expected = problem.run.objective == "expected"
     if expected and not set(np.flatnonzero(problem.weights).tolist()) <= set(answer.active):
         shares = shared(problem, answer.active, answer.alone)
@@ -294,9 +292,7 @@ GAP_TOLERANCE = 2e-3
 
 
 def certificate_of(
-    problem: DiscreteProblem,
     answer: Answer,
-    lower: tuple[float, str],
     fastest: Envelope,
     rollout: Audit,
     running_time: float,
@@ -306,7 +302,8 @@ def certificate_of(
 
     `coarser` are the cells of the grid that was searched before, and the energy there [J/kg].
     """
-    run, solution = problem.run, answer.solution
+    problem, run, solution = answer.problem, answer.problem.run, answer.solution
+    lower = best_bound(answer, fastest.at(problem.positions), running_time)
     energies = rollout.line_energy if run.at_line else rollout.wheel_energy
     energy, bound = float(energies.max()), lower[0] * problem.reference
     if run.objective == "expected":
@@ -423,19 +420,6 @@ def _passings(run: TrajectoryProblem, rollout: Audit) -> dict[str, float]:
         return {}
     worst = {"early": rollout.early, "tardy": rollout.tardy, "slow": rollout.slow}
     return {name: float(values.max()) for name, values in worst.items() if values.max() > -np.inf}
-
-
-def refereed(problem: DiscreteProblem, answer: Answer, running_time: float) -> dict[str, Any]:
-    """What IPOPT makes of the active configurations, beginning from a paced run."""
-    part = problem.select(answer.active)
-    opinion = second_opinion(part, paced_run(part, running_time), running_time)
-    return {
-        "name": "IPOPT",
-        "energy": opinion.energy * problem.reference,
-        "difference": answer.solution.energy / opinion.energy - 1.0,
-        "status": opinion.status,
-        "iterations": opinion.iterations,
-    }
 
 
 def _most(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:

@@ -128,7 +128,7 @@ def held_back(run: TrajectoryProblem, fastest: Envelope, row: int) -> str:
 
 def _without_map(run: TrajectoryProblem, positions: FloatArray) -> FloatArray:
     """The largest tractive effort if the rail were good, (n,) [m/s²]."""
-    return discretise(replace(run, condition=None), positions).traction
+    return discretise(replace(run, condition_map=None), positions).traction
 
 
 def _check_times(run: TrajectoryProblem, fastest: Envelope, running_time: float) -> None:

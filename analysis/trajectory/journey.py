@@ -25,9 +25,9 @@ from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, held_back, place_of, seconds
 from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.railway import Configuration, Line, Train, Trajectory
+from trainlog.railway import Line, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.units import clock
 
@@ -227,7 +227,7 @@ def _rounded(mixture: FloatArray) -> FloatArray:
     return np.asarray(kept / kept.sum())
 
 
-_SCOUTING_CELLS = 120
+_COARSE_CELLS = 120
 
 _MIXTURES = 3
 """How often the mixture of configurations and the times are found in turn."""
@@ -306,29 +306,25 @@ def sections_of(journey: Journey) -> tuple[Section, ...]:
 
 
 def optimise_journey(
-    line: Line,
-    train: Train,
-    configurations: Sequence[Configuration],
+    problem: TrajectoryProblem,
     journey: Journey,
+    options: OptimiserOptions = DEFAULT_OPTIONS,
     *,
     dwell: float = 0.0,
-    reserve: float = 0.07,
-    **options: Any,
 ) -> JourneyPlan:
     """Trajectories of least worst-case energy for all sections of a journey.
 
     Parameters
     ----------
-    line, train, configurations
-        As for `optimise`.
+    problem : TrajectoryProblem
+        Line, train, configurations and what else is the same in every section. Places, speeds,
+        windows and times come from the journey; the reserve counts where the journey does not say
+        when it ends, as part of the least running time.
     journey : Journey
-        On this line, in the direction of travel.
+        On the problem's line, in the direction of travel.
+    options : OptimiserOptions
     dwell : float [s]
         Least time that the train stands at each stop on the way.
-    reserve : float
-        Part of the least running time, where the journey does not say when it ends.
-    **options
-        What else `optimise` takes, the same for every section.
 
     Raises
     ------
@@ -336,21 +332,34 @@ def optimise_journey(
         If the windows cannot be kept; with the place and what is missing.
     InputError
         If the journey is not of this line or leaves it.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.railway import Configuration, TimingPoint
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> stops = [TimingPoint(place, None, None, 0.0, 0.0) for place in (0.0, 9_613.0, 15_000.0)]
+    >>> problem = TrajectoryProblem(line, train, [Configuration.of(train)], reserve=0.1)
+    >>> journey = Journey("one stop", line.name, tuple(stops))
+    >>> plan = optimise_journey(problem, journey, OptimiserOptions(cells=60), dwell=30.0)
+    >>> len(plan.sections), bool(plan.departures[1] - plan.arrivals[0] >= 30.0 - 1e-6)
+    (2, True)
     """
-    _check(line, journey, dwell)
+    _check(problem.line, journey, dwell)
     sections = sections_of(journey)
-    fastest = [_fastest(line, train, configurations, each, options) for each in sections]
+    fastest = [_fastest(problem, each) for each in sections]
     least = np.array([each.times[-1] for each in fastest])
-    low, high = _windows(sections, least, dwell, reserve)
-    _check_times(line, journey, sections, fastest, low, high, dwell)
-    asked = _Asked(line, train, tuple(configurations), sections, options)
-    schedule = Schedule(least, low, high, dwell)
-    cells = int(options.get("cells", 500))
-    times, saving, mixture = _planned(asked, schedule, min(cells, _SCOUTING_CELLS))
-    found = asked.all(times, cells=cells, **_mixed(mixture))
+    low, high = _windows(sections, least, dwell, problem.reserve)
+    _check_times(problem.line, journey, sections, fastest, low, high, dwell)
+    asked, schedule = _Sections(problem, sections), Schedule(least, low, high, dwell)
+    coarse = OptimiserOptions(min(options.cells, _COARSE_CELLS))
+    times, saving, mixture = _planned(asked, schedule, coarse)
+    found = asked.mixed(mixture).solve_all(times, options)
     totals = _totals(found)
     energy = float(totals.max())
-    if options.get("objective") == "expected":
+    if problem.objective == "expected":
         energy = sum(float(each.certificate["energy"]) for each in found)
     bound = sum(float(each.certificate["lower_bound"]) for each in found)
     gap = (energy - bound) / max(abs(bound), 1.0)
@@ -359,11 +368,11 @@ def optimise_journey(
         "lower_bound": bound,
         "gap": gap,
         "bound_holds_for": "these departures and arrivals",
-        "dearest": configurations[int(np.argmax(totals))].name,
+        "dearest": problem.configurations[int(np.argmax(totals))].name,
         "dearest_energy": float(totals.max()),
         "mixture": {
             each.name: float(part)
-            for each, part in zip(configurations, mixture, strict=False)
+            for each, part in zip(problem.configurations, mixture, strict=False)
             if part > 0.0
         },
         "other_times_might_save": saving,
@@ -374,60 +383,74 @@ def optimise_journey(
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """What is asked of every section."""
+class _Sections:
+    """The sections of a journey, and the problem that each is a part of."""
 
-    line: Line
-    train: Train
-    configurations: tuple[Configuration, ...]
+    problem: TrajectoryProblem
     sections: tuple[Section, ...]
-    options: dict[str, Any]
 
-    def section(self, number: int, times: FloatArray, **more: Any) -> Trajectory:
-        """One section between its departure and arrival, (2,) [s]."""
-        return _solved(
-            self.line,
-            self.train,
-            self.configurations,
-            self.sections[number],
-            times,
-            {**self.options, **more},
+    def mixed(self, mixture: FloatArray) -> _Sections:
+        """The same, for the energy expected under a mixture of the configurations, if any."""
+        if not mixture.size:
+            return self
+        weights = tuple(mixture.tolist())
+        return replace(self, problem=replace(self.problem, objective="expected", weights=weights))
+
+    def solve(self, number: int, times: FloatArray, options: OptimiserOptions) -> Trajectory:
+        """A section between its departure and arrival, (2,) [s]; windows count from the former."""
+        section, (departure, arrival) = self.sections[number], times.tolist()
+
+        def since(time: float | None) -> float | None:
+            return None if time is None else time - departure
+
+        windows = [
+            replace(point, earliest=_positive(since(point.earliest)), latest=since(point.latest))
+            for point in section.passing
+        ]
+        part = replace(
+            _section_problem(self.problem, section),
+            running_time=arrival - departure,
+            windows=windows,
         )
+        found = optimise(part, options)
+        soonest = since(section.arrival.earliest) or 0.0
+        if found.times[:, -1].min() < soonest:
+            last = TimingPoint(section.arrival.position, earliest=soonest)
+            found = optimise(replace(part, windows=[*windows, last]), options)
+        return found
 
-    def all(self, times: FloatArray, **more: Any) -> tuple[Trajectory, ...]:
+    def solve_all(self, times: FloatArray, options: OptimiserOptions) -> tuple[Trajectory, ...]:
         """All of them, between times (m, 2) [s]."""
-        return tuple(self.section(number, each, **more) for number, each in enumerate(times))
+        return tuple(self.solve(number, each, options) for number, each in enumerate(times))
 
 
-def _planned(asked: _Asked, schedule: Schedule, cells: int) -> tuple[FloatArray, float, FloatArray]:
+def _planned(
+    asked: _Sections, schedule: Schedule, options: OptimiserOptions
+) -> tuple[FloatArray, float, FloatArray]:
     """Times of least energy, what others might save, and the mixture of configurations it is of.
 
     At the wheel all configurations take the same, and the expected energy adds up; at the line the
     worst of a journey is worst in all its sections together. There is no mixture but there.
     """
-    times, saving = best_times(schedule, partial(asked.section, cells=cells), schedule.even())
-    several = min(len(asked.sections), len(asked.configurations)) > 1
-    if asked.options.get("objective") != "line" or not several:
+    solve = partial(asked.solve, options=options)
+    times, saving = best_times(schedule, solve, schedule.even())
+    several = min(len(asked.sections), len(asked.problem.configurations)) > 1
+    if asked.problem.objective != "line" or not several:
         return times, saving, np.zeros(0)
-    totals = _totals(asked.all(times, cells=cells))
+    totals = _totals(asked.solve_all(times, options))
     mixture = np.eye(totals.size)[int(np.argmax(totals))]
     for _ in range(_MIXTURES):
         at = times
 
         def energies(parts: FloatArray, at: FloatArray = at) -> FloatArray:
-            return _totals(asked.all(at, cells=cells, **_mixed(parts)))
+            return _totals(asked.mixed(parts).solve_all(at, options))
 
         mixture = worst_mixture(energies, mixture)
-        solve = partial(asked.section, cells=cells, **_mixed(mixture))
+        solve = partial(asked.mixed(mixture).solve, options=options)
         times, saving = best_times(schedule.anew(), solve, at)
         if float(np.abs(times - at).max()) <= _SAME_TIMES:
             break
     return times, saving, mixture
-
-
-def _mixed(mixture: FloatArray) -> dict[str, Any]:
-    """How a section is asked for its part in a journey whose worst is that of a mixture."""
-    return {"objective": "expected", "weights": tuple(mixture.tolist())} if mixture.size else {}
 
 
 def _totals(sections: Sequence[Trajectory]) -> FloatArray:
@@ -450,16 +473,7 @@ def _check(line: Line, journey: Journey, dwell: float) -> None:
             remedy="give the line of the journey, in its direction of travel",
         )
     if not (dwell >= 0.0 and np.isfinite(dwell)):
-        raise InputError(f"journey: a dwell time of {dwell} s makes no sense")
-
-
-def _ends(section: Section) -> dict[str, float]:
-    """How fast the run of a section begins and ends at most."""
-    departure, arrival = section.departure, section.arrival
-    return {
-        "initial_speed": departure.lowest_speed or 0.0,
-        "final_speed": 0.0 if arrival.highest_speed is None else arrival.highest_speed,
-    }
+        raise InputError(f"journey: the dwell time must be 0 or more and finite, not {dwell} s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -480,29 +494,29 @@ class _Fastest:
     held: str
 
 
-def _fastest(
-    line: Line,
-    train: Train,
-    configurations: Sequence[Configuration],
-    section: Section,
-    options: dict[str, Any],
-) -> _Fastest:
-    """The fastest run of the slowest configuration; speeds that nobody reaches are refused."""
-    known = {
-        "braking", "layer", "sigmas", "assumed_adhesion", "protected_length", "direction",
-    }  # fmt: skip
-    chosen: dict[str, Any] = {key: value for key, value in options.items() if key in known}
-    chosen |= {**_ends(section), "condition": options.get("condition_map")}
-    first, last = section.departure.position, section.arrival.position
-    run = TrajectoryProblem(
-        line, train, tuple(configurations), first, last, windows=section.passing, **chosen
+def _section_problem(problem: TrajectoryProblem, section: Section) -> TrajectoryProblem:
+    """The problem between the stops of a section; its windows count from the journey's start."""
+    departure, arrival = section.departure, section.arrival
+    return replace(
+        problem,
+        running_time=None,
+        start=departure.position,
+        end=arrival.position,
+        initial_speed=departure.lowest_speed or 0.0,
+        final_speed=0.0 if arrival.highest_speed is None else arrival.highest_speed,
+        windows=section.passing,
     )
+
+
+def _fastest(problem: TrajectoryProblem, section: Section) -> _Fastest:
+    """The fastest run of the slowest configuration; speeds that nobody reaches are refused."""
+    run = _section_problem(problem, section)
     fastest = fastest_run(run)
     check_speeds(run, fastest)
     slowest = int(np.argmax(fastest.times))
-    places = [*(point.position for point in section.passing), last]
+    places = [*(point.position for point in section.passing), run.end]
     return _Fastest(
-        configurations[slowest].name,
+        run.configurations[slowest].name,
         fastest.times_at(places)[slowest],
         held_back(run, fastest, slowest),
     )
@@ -522,7 +536,7 @@ def _windows(
     if not np.isfinite(high[-1, 1]):
         standing = dwell * (len(sections) - 1)
         high[-1, 1] = low[0, 0] + standing + (1.0 + reserve) * float(least.sum())
-    # It departs at once unless told otherwise: waiting at the start would be no timetable.
+    # Without a window it departs at once: waiting at the start would be no timetable.
     high[0, 0] = min(high[0, 0], max(low[0, 0], 0.0)) if high[0, 0] == np.inf else high[0, 0]
     return low, high
 
@@ -557,39 +571,6 @@ def _check_times(
                     remedy="open that window longer, or those before it earlier",
                 )
             time = max(time, float(opening))
-
-
-def _solved(
-    line: Line,
-    train: Train,
-    configurations: Sequence[Configuration],
-    section: Section,
-    times: FloatArray,
-    options: dict[str, Any],
-) -> Trajectory:
-    """A section between two times, its windows counted from the departure."""
-    departure, arrival = times.tolist()
-
-    def since(time: float | None) -> float | None:
-        return None if time is None else time - departure
-
-    windows = [
-        replace(point, earliest=_positive(since(point.earliest)), latest=since(point.latest))
-        for point in section.passing
-    ]
-    question: dict[str, Any] = {
-        "running_time": arrival - departure,
-        "start": section.departure.position,
-        "end": section.arrival.position,
-        **_ends(section),
-        **options,
-    }
-    found = optimise(line, train, configurations, windows=windows, **question)
-    soonest = since(section.arrival.earliest) or 0.0
-    if found.times[:, -1].min() < soonest:
-        last = TimingPoint(section.arrival.position, earliest=soonest)
-        found = optimise(line, train, configurations, windows=[*windows, last], **question)
-    return found
 
 
 def _positive(time: float | None) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from analysis.trajectory.active_set import (
     search,
 )
 from analysis.trajectory.audit import Audit, audit
-from analysis.trajectory.certificate import best_bound, certificate_of, refereed
+from analysis.trajectory.certificate import certificate_of
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
     REGAINING_WEIGHT,
@@ -27,93 +27,33 @@ from analysis.trajectory.discretisation import (
 )
 from analysis.trajectory.envelope import Envelope, fastest_run
 from analysis.trajectory.feasibility import check_time
-from analysis.trajectory.problem import Braking, Direction, Objective, TrajectoryProblem
+from analysis.trajectory.problem import (
+    DEFAULT_OPTIONS,
+    MOST_CELLS,
+    OptimiserOptions,
+    TrajectoryProblem,
+)
 from analysis.trajectory.rollout import BESIDE_LEAST, least_time_together
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
-from trainlog.railway import Configuration, Line, TimingPoint, TrackConditionMap, Train, Trajectory
+from trainlog.railway import Trajectory
 
 FloatArray = NDArray[np.float64]
 
-FEWEST_CELLS, MOST_CELLS = 20, 20_000
-"""Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
-
-SCOUTING_CELLS = 120
+COARSE_CELLS = 120
 """Of the coarse grid on which the active configurations are found."""
 
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
 
 
-def optimise(
-    line: Line,
-    train: Train,
-    configurations: Sequence[Configuration],
-    *,
-    running_time: float | None = None,
-    reserve: float = 0.07,
-    start: float = 0.0,
-    end: float | None = None,
-    initial_speed: float = 0.0,
-    final_speed: float = 0.0,
-    braking: Braking = "recourse",
-    objective: Objective = "wheel",
-    condition_map: TrackConditionMap | None = None,
-    layer: str = "wet",
-    sigmas: float = 2.0,
-    assumed_adhesion: float = np.inf,
-    protected_length: float = 0.0,
-    weights: Sequence[float] = (),
-    windows: Sequence[TimingPoint] = (),
-    direction: Direction = "forward",
-    cells: int = 500,
-    referee: bool = False,
-) -> Trajectory:
-    """Trajectory of least worst-case energy that every configuration can follow; paper 002.
+def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
+    """Trajectory of least worst-case energy that every configuration can follow.
 
     Parameters
     ----------
-    line : Line
-        In the direction of travel.
-    train : Train
-    configurations : sequence of Configuration
-        The observed set.
-    running_time : float, optional [s]
-        What the timetable allows. Without it, the least time of the slowest configuration and
-        `reserve` on top.
-    reserve : float
-        Part of the least time. With 0 the run takes the least time in which all arrive together
-        under one common traction: some 1e-6 of it more than the slowest by itself, or more.
-    start, end : float, optional [m]
-        Section of the line; without them the whole line.
-    initial_speed, final_speed : float [m/s]
-    braking : {"recourse", "common"}
-        Each configuration brakes for itself, or all brake alike as the paper has it.
-    objective : {"wheel", "line", "expected"}
-        Energy at the wheel rims without regeneration, as the paper has it; or energy from the
-        line with the train's efficiencies and its dynamic brake, of the worst configuration or as
-        expected with `weights`; of more than twelve few then stand for the others.
-    weights : sequence of float
-        Of the configurations, for the expected energy; equal without them.
-    condition_map : TrackConditionMap, optional
-        Limits efforts to the adhesion that the map cautiously promises where it was observed.
-    layer : str
-        Rail condition to read from the map.
-    sigmas : float
-        Standard deviations taken off the map's estimate.
-    assumed_adhesion : float
-        What is counted on where the map tells nothing, unless more was borne there without slip;
-        infinite for no limit.
-    protected_length : float [m]
-        Length of train that a speed limit protects: 0 for its front, ``train.length`` for all.
-    windows : sequence of TimingPoint
-        When and how fast it may pass points on the way; times count from the start of the run.
-    direction : {"forward", "reverse"}
-        Of travel against the chainage of the line's file. `line` is given in the direction of
-        travel all the same (`Line.reversed`), and so is every position here.
-    cells : int
-        Cells of the grid, about; a line with many breakpoints gets more.
-    referee : bool
-        Have IPOPT solve the same problem too, and put what it found into the certificate.
+    problem : TrajectoryProblem
+        The run, its configurations, and what is minimised.
+    options : OptimiserOptions
 
     Returns
     -------
@@ -125,80 +65,98 @@ def optimise(
     InfeasibleError
         If no trajectory keeps the timetable or the speeds asked for; with the figures.
     InputError
-        If an argument makes no sense.
+        If so much time is given that the train would stand on the way.
     TrainlogError
         If the result does not pass its own audit.
 
     Notes
     -----
-    The lower bound holds for the problem cut into these cells. With common braking,
-    configurations that differ by a few per cent in resistance cannot all stop at one place; the
-    error tells the lowest end speed they can all reach.
+    Cunillera et al. (2022), eq. (1) to (10). The lower bound holds for the problem cut into these
+    cells. With common braking, configurations that differ by a few per cent in resistance cannot
+    all stop at one place; the error states the lowest end speed they can all reach.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.railway import Configuration
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> loads = [Configuration.of(train, load, f"{load / 1e3:.0f} t") for load in (0.0, 12e3)]
+    >>> problem = TrajectoryProblem(line, train, loads, end=9_613.0, running_time=370.0)
+    >>> trajectory = optimise(problem, OptimiserOptions(cells=100))
+    >>> trajectory.certificate["certified"]
+    True
+    >>> round(trajectory.certificate["energy"] / 3.6e6, 1)  # kWh
+    32.6
     """
-    _check_arguments(running_time, reserve, cells)
-    run = TrajectoryProblem(
-        line, train, tuple(configurations), start, line.length if end is None else end,
-        initial_speed, final_speed, braking, objective,
-        condition_map, layer, sigmas, protected_length, tuple(windows),
-        tuple(weights), direction, assumed_adhesion,
-    )  # fmt: skip
-    fastest = fastest_run(run)
-    slowest = int(np.argmax(fastest.times))
-    least_time = float(fastest.times[slowest])
-    if running_time is None:
-        running_time = (1.0 + reserve) * least_time
-        if reserve == 0.0:
-            together = least_time_together(
-                discretise(run, _mesh(run, run.breakpoints, fastest, cells))
-            )
-            running_time = least_time * (1.0 + BESIDE_LEAST)
-            # Under one braking effort for all there may be no such time; the search tells why.
-            if np.isfinite(together):
-                running_time = max(together, running_time)
+    fastest = fastest_run(problem)
+    running_time = _running_time(problem, fastest, options.cells)
     try:
-        check_time(run, fastest, running_time)
-        problem, answer, rollout, coarser = _audited(run, fastest, running_time, cells)
+        check_time(problem, fastest, running_time)
+        found = _audited(problem, fastest, running_time, options.cells)
     except InfeasibleError as refusal:
-        raise _with_time_to_allow(refusal, run, fastest, running_time, cells) from None
-    bound = best_bound(problem, answer, fastest.at(problem.positions), running_time)
-    traction = answer.plan.traction * problem.reference
-    brakes = answer.plan.braking * problem.reference
-    certificate = certificate_of(problem, answer, bound, fastest, rollout, running_time, coarser)
-    if referee:
-        certificate["referee"] = refereed(problem, answer, running_time)
-    speeds = rollout.speeds
-    if final_speed == 0.0:
+        raise _with_time_to_allow(refusal, problem, fastest, running_time, options.cells) from None
+    discrete, answer = found.problem, found.answer
+    certificate = certificate_of(answer, fastest, found.audit, running_time, found.coarser)
+    if options.referee:
+        # Only here: it brings CasADi.
+        from analysis.trajectory.referee import refereed
+
+        certificate["referee"] = refereed(answer, running_time)
+    speeds = found.audit.speeds
+    if problem.final_speed == 0.0:
         speeds[:, -1] = 0.0  # the audit found them to stand there
     return Trajectory(
-        line=line.name,
-        train=train.name,
-        positions=problem.positions,
-        configurations=run.configurations,
+        line=problem.line.name,
+        train=problem.train.name,
+        positions=discrete.positions,
+        configurations=tuple(problem.configurations),
         speeds=speeds,
-        times=rollout.times,
-        tractive_effort=traction,
-        tractive_effort_fall=2.0 * problem.taper.fall * problem.reference,
-        braking_effort=brakes,
+        times=found.audit.times,
+        tractive_effort=answer.plan.traction * discrete.reference,
+        tractive_effort_fall=2.0 * discrete.taper.fall * discrete.reference,
+        braking_effort=answer.plan.braking * discrete.reference,
         running_time=running_time,
-        direction=direction,
+        direction=problem.direction,
         certificate=certificate,
         provenance={
-            "method": "cone relaxation and sequential quadratic programs, paper 002",
-            "settings": {
-                "start": run.start,
-                "end": run.end,
-                "initial_speed": initial_speed,
-                "final_speed": final_speed,
-                "braking": braking,
-                "objective": objective,
-                "weights": list(run.weights),
-                "adhesion": None if condition_map is None else _reading(run),
-                "protected_length": protected_length,
-                "windows": [asdict(point) for point in run.windows],
-                "cells": cells,
-            },
+            "method": "cone relaxation and sequential quadratic programs, Cunillera et al. (2022)",
+            "settings": _settings(problem, options),
         },
     )
+
+
+def _running_time(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> float:
+    """The running time asked for [s]: as given, or the least time and the reserve."""
+    if problem.running_time is not None:
+        return problem.running_time
+    least_time = float(fastest.times.max())
+    if problem.reserve > 0.0:
+        return (1.0 + problem.reserve) * least_time
+    together = least_time_together(_discretised(problem, fastest, cells))
+    # Under one braking effort for all there may be no such time; the search states why.
+    return max(together if np.isfinite(together) else 0.0, least_time * (1.0 + BESIDE_LEAST))
+
+
+def _settings(problem: TrajectoryProblem, options: OptimiserOptions) -> dict[str, Any]:
+    """What was asked for, for the provenance."""
+    settings: dict[str, Any] = {
+        name: getattr(problem, name)
+        for name in ("start", "end", "initial_speed", "final_speed", "braking", "objective")
+    }
+    adhesion: dict[str, str | float] | None = None
+    if problem.condition_map is not None:
+        adhesion = {"layer": problem.layer, "sigmas": problem.sigmas}
+        if np.isfinite(problem.assumed_adhesion):
+            adhesion["assumed"] = problem.assumed_adhesion
+    return settings | {
+        "weights": list(problem.weights),
+        "adhesion": adhesion,
+        "protected_length": problem.protected_length,
+        "windows": [asdict(point) for point in problem.windows],
+        "cells": options.cells,
+    }
 
 
 def _with_time_to_allow(
@@ -211,7 +169,7 @@ def _with_time_to_allow(
     """The refusal; where time is missing, with a time that all keep under one common traction."""
     if running_time > 1.01 * float(fastest.times.max()) or run.windows:
         return refusal
-    together = least_time_together(discretise(run, _mesh(run, run.breakpoints, fastest, cells)))
+    together = least_time_together(_discretised(run, fastest, cells))
     if not running_time < together < np.inf:
         return refusal
     return InfeasibleError(
@@ -228,29 +186,53 @@ def _mesh(run: TrajectoryProblem, through: FloatArray, fastest: Envelope, cells:
     return graded_mesh(through, fastest.positions, speeds, cells, weight)
 
 
+def _discretised(run: TrajectoryProblem, fastest: Envelope, cells: int) -> DiscreteProblem:
+    return discretise(run, _mesh(run, run.breakpoints, fastest, cells))
+
+
+@dataclass(frozen=True, eq=False)
+class _Audited:
+    """An answer that passed its audit.
+
+    Attributes
+    ----------
+    answer : Answer
+    audit : Audit
+    coarser : (int, float [J/kg]) or None
+        Cells of the coarse grid that was searched before and the energy there, where there was one.
+    """
+
+    answer: Answer
+    audit: Audit
+    coarser: tuple[int, float] | None
+
+    @property
+    def problem(self) -> DiscreteProblem:
+        return self.answer.problem
+
+
 def _audited(
     run: TrajectoryProblem, fastest: Envelope, running_time: float, cells: int
-) -> tuple[DiscreteProblem, Answer, Audit, tuple[int, float] | None]:
-    """The problem on its grid, its answer, the audit that the answer passed, and a coarser grid's.
+) -> _Audited:
+    """The optimum on a grid on which it passes its audit.
 
     A grid too coarse for the line shows in the audit; then it is made finer. It is made finer once
-    where a configuration by itself seems not to keep a time longer than its least. Of the coarser
-    grid told are the number of its cells and the energy [J/kg], where there was one.
+    where a configuration by itself seems not to keep a time longer than its least.
     """
-    # Hundreds of gradients would make as many cells; a sketch blurs them.
-    many = run.breakpoints.size > SCOUTING_CELLS // 2
+    # Hundreds of gradients would make as many cells; the coarse grid blurs them.
+    many = run.breakpoints.size > COARSE_CELLS // 2
     through = run.hard_breakpoints if many else run.breakpoints
-    sketch = _mesh(run, through, fastest, SCOUTING_CELLS)
+    coarse = _mesh(run, through, fastest, COARSE_CELLS)
     found, words = None, ""
     finer = [cells * 2**times for times in range(REFINEMENTS + 1)]
     for count in [each for each in finer if each <= MOST_CELLS]:
         positions = _mesh(run, run.breakpoints, fastest, count)
         problem, envelope = discretise(run, positions), fastest.at(positions)
-        if found is None and sketch.size < 0.6 * positions.size:
-            found = _scouted(run, fastest, sketch, running_time)
+        if found is None and coarse.size < 0.6 * positions.size:
+            found = _coarse_optimum(run, fastest, coarse, running_time)
         guess = first_guess(problem, envelope, running_time)
         if found is not None:
-            guess = finer_guess(found, sketch, problem, range(problem.shape[0]))
+            guess = finer_guess(found, coarse, problem, range(problem.shape[0]))
         try:
             answer = search(problem, guess, envelope, running_time)
         except InfeasibleError:
@@ -262,8 +244,8 @@ def _audited(
         rollout = audit(run, positions, traction, taper, answer.plan.braking * problem.reference)
         failures = rollout.failures(run, running_time)
         if not failures:
-            coarser = None if found is None else (sketch.size - 1, found.solution.energy)
-            return answer.problem, answer, rollout, coarser
+            coarser = None if found is None else (coarse.size - 1, found.solution.energy)
+            return _Audited(answer, rollout, coarser)
         words = failures[0] + (f" and {len(failures) - 1} more" if len(failures) > 1 else "")
     raise TrainlogError(
         f"the trajectory does not pass its audit: {words}",
@@ -271,7 +253,7 @@ def _audited(
     )
 
 
-def _scouted(
+def _coarse_optimum(
     run: TrajectoryProblem, fastest: Envelope, positions: FloatArray, running_time: float
 ) -> Answer | None:
     """The optimum on a coarse grid: first for the configurations that stand out, then for all.
@@ -290,32 +272,6 @@ def _scouted(
         return search(problem, guess, speeds, running_time, coarse=True)
     except InfeasibleError:
         return None
-
-
-def _reading(run: TrajectoryProblem) -> dict[str, str | float]:
-    """How the track-condition map was read."""
-    told: dict[str, str | float] = {"layer": run.layer, "sigmas": run.sigmas}
-    if np.isfinite(run.assumed_adhesion):
-        told["assumed"] = run.assumed_adhesion
-    return told
-
-
-def _check_arguments(running_time: float | None, reserve: float, cells: int) -> None:
-    """Refuse numbers that no timetable and no grid has."""
-    if running_time is not None and not (running_time > 0.0 and np.isfinite(running_time)):
-        raise InputError(
-            f"trajectory: a running time of {running_time} s makes no sense",
-            remedy="give the timetable's running time in seconds",
-        )
-    if not (reserve >= 0.0 and np.isfinite(reserve)):
-        raise InputError(
-            f"trajectory: a reserve of {reserve:.0%} makes no sense", remedy="give 0 or more"
-        )
-    if not FEWEST_CELLS <= cells <= MOST_CELLS:
-        raise InputError(
-            f"trajectory: {cells} cells make no sense",
-            remedy=f"give {FEWEST_CELLS} to {MOST_CELLS}",
-        )
 
 
 RESERVES = (0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.13, 0.17, 0.22, 0.3)
@@ -361,23 +317,19 @@ class Front:
 
 
 def energy_against_time(
-    line: Line,
-    train: Train,
-    configurations: Sequence[Configuration],
-    *,
+    problem: TrajectoryProblem,
     reserves: Sequence[float] = RESERVES,
-    **options: Any,
+    options: OptimiserOptions = DEFAULT_OPTIONS,
 ) -> Front:
     """Least energy for several reserves over the least time.
 
     Parameters
     ----------
-    line, train, configurations
-        As for `optimise`.
+    problem : TrajectoryProblem
+        Its own running time and reserve do not count.
     reserves : sequence of float
         Parts of the least time. Those that cannot be kept together are left out.
-    **options
-        What else `optimise` takes, the same for every point.
+    options : OptimiserOptions
 
     Raises
     ------
@@ -385,14 +337,26 @@ def energy_against_time(
         If there are no reserves.
     InfeasibleError
         If not one of them can be kept.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.railway import Configuration
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> problem = TrajectoryProblem(line, train, [Configuration.of(train)], end=9_613.0)
+    >>> front = energy_against_time(problem, (0.05, 0.1), OptimiserOptions(cells=60))
+    >>> bool(front.energies[0] > front.energies[1])
+    True
     """
     if not len(reserves):
-        raise InputError("front: no reserves are given")
+        raise InputError("front: no reserves are given", remedy="give parts of the least time")
     found: list[Trajectory] = []
     failure: InfeasibleError | None = None
     for reserve in sorted(set(reserves)):
         try:
-            found.append(optimise(line, train, configurations, reserve=reserve, **options))
+            found.append(optimise(replace(problem, running_time=None, reserve=reserve), options))
         except InfeasibleError as error:
             failure = error
     if not found:

@@ -1,8 +1,9 @@
-"""What is asked of the optimiser: one run between two stops, refused where it makes no sense."""
+"""The question: one run between two stops, and how its answer is searched for."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal, get_args
@@ -20,68 +21,124 @@ Braking = Literal["recourse", "common"]
 Direction = Literal["forward", "reverse"]
 Objective = Literal["wheel", "line", "expected"]
 
+FEWEST_CELLS, MOST_CELLS = 20, 20_000
+"""Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
+
+_ENERGY = {"wheel": "at the wheel", "line": "from the line", "expected": "expected from the line"}
+
 _SLOWEST = 1.0 / KMH
 """Least speed that must be permitted everywhere [m/s]."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrajectoryProblem:
-    """One run between two stops: what is asked of the optimiser.
+    """What is asked of the optimiser: one run of a train between two stops of a line.
 
     Attributes
     ----------
     line : Line
+        In the direction of travel.
     train : Train
-    configurations : tuple of q Configuration
+    configurations : sequence of q Configuration
+        The observed set: everyone must be able to follow the trajectory.
+    running_time : float, optional [s]
+        What the timetable allows. Without it, the least time of the slowest configuration and
+        `reserve` on top.
+    reserve : float
+        Part of the least time. With 0 the run takes the least time in which all arrive together
+        under one common traction: some 1e-6 of it more than the slowest by itself, or more.
     start, end : float [m]
-        Where on the line the run begins and ends.
+        Section of the line; without them the whole line.
     initial_speed, final_speed : float [m/s]
         The run ends at the final speed or below it.
-    braking : str
+    braking : {"recourse", "common"}
         ``"recourse"``: each configuration brakes for itself (the driver closes the loop with the
-        brake). ``"common"``: one braking effort for all, as printed in paper 002.
-    objective : str
-        ``"wheel"``: energy at the wheel rims without regeneration, paper 002, eq. (9).
-        ``"line"``: energy taken from the line with efficiencies and regeneration, of the worst
-        configuration, eq. (1). ``"expected"``: the same, as the mean of the configurations by
-        their weights; all of them keep timetable and limits nevertheless.
-    weights : tuple of float
+        brake). ``"common"``: one braking effort for all, as in Cunillera et al. (2022).
+    objective : {"wheel", "line", "expected"}
+        ``"wheel"``: energy at the wheel rims without regeneration, Cunillera et al. (2022),
+        eq. (9). ``"line"``: energy taken from the line with the train's efficiencies and its
+        dynamic brake, of the worst configuration, eq. (1). ``"expected"``: the same, as the mean
+        of the configurations by their weights; all of them keep timetable and limits nevertheless.
+        Of more than twelve a few then represent the others.
+    weights : sequence of q float
         Of the configurations, for the expected energy; equal ones if empty.
-    direction : str
-        ``"reverse"`` if the line is travelled against the chainage in which the map is counted.
-    condition : TrackConditionMap or None
+    condition_map : TrackConditionMap, optional
+        Limits efforts to the adhesion that the map cautiously promises where it was observed.
     layer : str
         Rail condition to read from the map.
     sigmas : float
         How cautiously the map is read: the estimate less this many standard deviations.
     assumed_adhesion : float
-        Where the map tells nothing; infinite for no limit there. See
-        `analysis.adhesion.demonstrated`.
+        Where the map has no estimate, unless more was demonstrated there without slip; infinite for
+        no limit there. See `analysis.adhesion.demonstrated`.
     protected_length : float [m]
-        Length of train to which a speed limit applies; 0 for its front alone.
-    windows : tuple of TimingPoint
-        Where it passes on the way, when and how fast; times count from the start of the run.
+        Length of train to which a speed limit applies: 0 for its front, ``train.length`` for all.
+    windows : sequence of TimingPoint
+        When and how fast it may pass points on the way; times count from the start of the run.
+    direction : {"forward", "reverse"}
+        Of travel against the chainage of the line's file, in which the map is counted. `line` is
+        given in the direction of travel all the same (`Line.reversed`), and so is every position
+        here.
+
+    Raises
+    ------
+    InputError
+        If an attribute has a value that no run has; with the value and the remedy.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.railway import Configuration
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> TrajectoryProblem(line, train, [Configuration.of(train)], end=9_613.0, reserve=0.1)
+    Trajectory problem: CH_Stadler_FLIRT_TPF on CH_StGallen_Wil, km 0.000 to km 9.613
+      1 configuration, 10 % over the least time, braking recourse, energy at the wheel
     """
 
     line: Line
     train: Train
-    configurations: tuple[Configuration, ...]
-    start: float
-    end: float
+    configurations: Sequence[Configuration]
+    _: KW_ONLY
+    running_time: float | None = None
+    reserve: float = 0.07
+    start: float = 0.0
+    end: float = np.inf
     initial_speed: float = 0.0
     final_speed: float = 0.0
     braking: Braking = "recourse"
     objective: Objective = "wheel"
-    condition: TrackConditionMap | None = None
+    weights: Sequence[float] = ()
+    condition_map: TrackConditionMap | None = None
     layer: str = "wet"
     sigmas: float = 2.0
-    protected_length: float = 0.0
-    windows: tuple[TimingPoint, ...] = ()
-    weights: tuple[float, ...] = ()
-    direction: Direction = "forward"
     assumed_adhesion: float = np.inf
+    protected_length: float = 0.0
+    windows: Sequence[TimingPoint] = ()
+    direction: Direction = "forward"
+
+    def __repr__(self) -> str:
+        count, time = len(self.configurations), f"{100.0 * self.reserve:g} % over the least time"
+        if self.running_time is not None:
+            time = f"{self.running_time:.1f} s"
+        lines = [
+            f"Trajectory problem: {self.train.name} on {self.line.name},"
+            f" km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f}",
+            f"  {count} configuration{'s' * (count > 1)}, {time}, braking {self.braking},"
+            f" energy {_ENERGY[self.objective]}",
+        ]
+        if self.condition_map is not None:
+            lines.append(f"  adhesion by the track-condition map, {self.layer}")
+        if self.windows:
+            lines.append(f"  {len(self.windows)} passing points")
+        return "\n".join(lines)
 
     def __post_init__(self) -> None:
+        for name in ("configurations", "weights", "windows"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if self.end == np.inf:
+            object.__setattr__(self, "end", self.line.length)
         line, where = self.line, f"run on line '{self.line.name}'"
         self._check_configurations(where)
         if not 0.0 <= self.start < self.end <= line.length:
@@ -98,9 +155,10 @@ class TrajectoryProblem:
             )
         if not (0.0 <= self.protected_length < np.inf):
             raise InputError(
-                f"{where}: a protected length of {self.protected_length} m makes no sense",
+                f"{where}: the protected length must be 0 or more, not {self.protected_length} m",
                 remedy="give 0 for the train's front, or the train's length",
             )
+        self._check_time(where)
         self._check_windows(where)
         self._check_weights(where)
         if self.direction not in get_args(Direction):
@@ -114,21 +172,35 @@ class TrajectoryProblem:
                 f"{where}: the initial speed {KMH * self.initial_speed:.1f} km/h is above the"
                 f" {KMH * limit:.1f} km/h permitted at km {self.start / 1e3:.3f}"
             )
-        if self.condition is not None and self.condition.line != line.name:
+        if self.condition_map is not None and self.condition_map.line != line.name:
             raise InputError(
-                f"{where}: the track-condition map is of line '{self.condition.line}'",
+                f"{where}: the track-condition map is of line '{self.condition_map.line}'",
                 remedy="give the map of this line",
             )
-        if self.condition is not None and abs(self.condition.length - line.length) > 1.0:
+        if self.condition_map is not None and abs(self.condition_map.length - line.length) > 1.0:
             raise InputError(
                 f"{where}: the track-condition map belongs to a line of"
-                f" {self.condition.length / 1e3:.3f} km",
+                f" {self.condition_map.length / 1e3:.3f} km",
                 remedy="give the map of this line and direction",
             )
         self._check_limits(where)
 
+    def _check_time(self, where: str) -> None:
+        """Refuse numbers that no timetable has."""
+        time, reserve = self.running_time, self.reserve
+        if time is not None and not (time > 0.0 and np.isfinite(time)):
+            raise InputError(
+                f"{where}: the running time must be above 0 and finite, not {time} s",
+                remedy="give the timetable's running time in seconds",
+            )
+        if not (reserve >= 0.0 and np.isfinite(reserve)):
+            raise InputError(
+                f"{where}: the reserve must be 0 or more, not {reserve:.0%}",
+                remedy="give a part of the least time, as 0.07",
+            )
+
     def _check_windows(self, where: str) -> None:
-        """Refuse passing points that are none, or out of order."""
+        """Refuse passing points outside the run, or out of order."""
         places = [self.start, *(point.position for point in self.windows), self.end]
         # The last may be the end itself: no configuration arrives earlier than that.
         if self.windows and self.windows[-1].position == self.end:
@@ -148,7 +220,7 @@ class TrajectoryProblem:
                 )
 
     def _check_weights(self, where: str) -> None:
-        """Refuse weights that are no probabilities of these configurations."""
+        """Refuse weights that are not those of these configurations."""
         weights = np.array(self.weights)
         if not self.weights:
             return
@@ -160,9 +232,9 @@ class TrajectoryProblem:
         wrong = np.flatnonzero(~((weights >= 0.0) & np.isfinite(weights)))
         if wrong.size:
             raise InputError(
-                f"{where}: a weight of {weights[wrong[0]]:g} for configuration"
-                f" '{self.configurations[wrong[0]].name}' makes no sense",
-                remedy="give shares or numbers of trips, none negative",
+                f"{where}: the weight of configuration '{self.configurations[wrong[0]].name}'"
+                f" must be 0 or more, not {weights[wrong[0]]:g}",
+                remedy="give shares or numbers of trips",
             )
         if not weights.sum() > 0.0:
             raise InputError(
@@ -204,19 +276,20 @@ class TrajectoryProblem:
                 f" km {positions[int(np.argmin(limit))] / 1e3:.3f} is no speed to run at",
                 remedy=f"permit at least {KMH * _SLOWEST:.0f} km/h, or end the run there",
             )
-        if self.condition is None:
+        if self.condition_map is None:
             return
         if not (0.0 <= self.sigmas < np.inf):
             raise InputError(
-                f"{where}: {self.sigmas} standard deviations off the map make no sense",
+                f"{where}: the standard deviations taken off the map must be 0 or more, not"
+                f" {self.sigmas}",
                 remedy="give 0 or more",
             )
-        told = self.condition.lower_bound(self.layer, self.condition.centres, self.sigmas)
-        wrong = np.flatnonzero(~((told > 0.0) & (self._assured > 0.0)))
+        lower = self.condition_map.lower_bound(self.layer, self.condition_map.centres, self.sigmas)
+        wrong = np.flatnonzero(~((lower > 0.0) & (self._assured > 0.0)))
         if wrong.size:
             raise InputError(
-                f"{where}: the track-condition map tells no adhesion at"
-                f" km {self.condition.centres[wrong[0]] / 1e3:.3f}, which it says was observed",
+                f"{where}: the track-condition map holds no adhesion at"
+                f" km {self.condition_map.centres[wrong[0]] / 1e3:.3f}, which it marks as observed",
                 remedy="build the map again; places not observed are left out, not guessed",
             )
 
@@ -257,34 +330,71 @@ class TrajectoryProblem:
 
     @cached_property
     def _assured(self) -> FloatArray:
-        """What the map lets count on in each of its bins; infinite where nothing limits."""
-        if self.condition is None:
+        """Adhesion to count on in each bin of the map; infinite where nothing limits."""
+        if self.condition_map is None:
             return np.zeros(0)
         return assured_adhesion(
-            self.condition, self.layer, sigmas=self.sigmas, assumed=self.assumed_adhesion
+            self.condition_map, self.layer, sigmas=self.sigmas, assumed=self.assumed_adhesion
         ).values
 
     def adhesion_at(self, positions: FloatArray) -> FloatArray:
         """Cautious maximum adhesion at each position; infinite where unknown."""
-        if self.condition is None:
+        if self.condition_map is None:
             return np.full(positions.shape, np.inf)
         own = self.line.length - positions if self.direction == "reverse" else positions
-        return np.asarray(self._assured[self.condition.bin_of(own)])
+        return np.asarray(self._assured[self.condition_map.bin_of(own)])
 
     def adhesion(self, positions: FloatArray) -> FloatArray:
         """Cautious maximum adhesion in each cell between `positions`; infinite where unknown."""
         cells = positions.size - 1
-        if self.condition is None:
+        if self.condition_map is None:
             return np.full(cells, np.inf)
         if self.direction == "reverse":
             # The map is counted in the line's own direction.
             turned = replace(self, direction="forward")
             return turned.adhesion(self.line.length - positions[::-1])[::-1]
         bins = self._assured
-        first = self.condition.bin_of(positions[:-1])
-        last = self.condition.bin_of(np.nextafter(positions[1:], -np.inf))
+        first = self.condition_map.bin_of(positions[:-1])
+        last = self.condition_map.bin_of(np.nextafter(positions[1:], -np.inf))
         spans = np.column_stack((first, last + 1)).ravel()
         return np.asarray(np.minimum.reduceat(np.append(bins, np.inf), spans)[::2])
+
+
+@dataclass(frozen=True)
+class OptimiserOptions:
+    """How a trajectory is searched for.
+
+    Attributes
+    ----------
+    cells : int
+        Cells of the grid, about; a line with many breakpoints gets more.
+    referee : bool
+        Have IPOPT solve the same problem too, and put what it found into the certificate.
+
+    Raises
+    ------
+    InputError
+        If there are too few or too many cells.
+
+    Examples
+    --------
+    >>> OptimiserOptions(cells=200)
+    OptimiserOptions(cells=200, referee=False)
+    """
+
+    cells: int = 500
+    referee: bool = False
+
+    def __post_init__(self) -> None:
+        if not FEWEST_CELLS <= self.cells <= MOST_CELLS:
+            raise InputError(
+                f"trajectory: the grid must have {FEWEST_CELLS} to {MOST_CELLS} cells, not"
+                f" {self.cells}",
+                remedy="give about one for 60 m of line",
+            )
+
+
+DEFAULT_OPTIONS = OptimiserOptions()
 
 
 def _inflections(line: Line) -> FloatArray:

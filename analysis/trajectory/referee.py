@@ -13,8 +13,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import power_cells, tells_dynamic
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
+from analysis.trajectory.rollout import paced_run
 from trainlog.railway.motion import SUBSTEPS
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +52,20 @@ class Opinion:
     def solved(self) -> bool:
         """Whether IPOPT vouches for it."""
         return self.status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+
+def refereed(answer: Answer, running_time: float) -> dict[str, Any]:
+    """What IPOPT makes of the active configurations, beginning from a paced run."""
+    problem = answer.problem
+    part = problem.select(answer.active)
+    opinion = second_opinion(part, paced_run(part, running_time), running_time)
+    return {
+        "name": "IPOPT",
+        "energy": opinion.energy * problem.reference,
+        "difference": answer.solution.energy / opinion.energy - 1.0,
+        "status": opinion.status,
+        "iterations": opinion.iterations,
+    }
 
 
 def second_opinion(problem: DiscreteProblem, start: Plan, running_time: float) -> Opinion:

@@ -24,7 +24,7 @@ from rich.table import Table
 from analysis.control.follow import Follower, Margin, run_of
 from analysis.control.odometry import MARGIN, Odometry
 from analysis.control.qp import QPSubproblem
-from analysis.trajectory import optimise
+from analysis.trajectory import TrajectoryProblem, optimise
 from analysis.trajectory.envelope import fastest_run
 from trainlog.formats.condition import read_map
 from trainlog.formats.line import read_line
@@ -261,7 +261,9 @@ def decisions(watched: list[Watched]) -> Table:
 def main() -> None:
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     track, console = read_map(sample(MAP)), Console(width=140)
-    trajectory = optimise(line, train, configurations(train), reserve=0.08, condition_map=track)
+    trajectory = optimise(
+        TrajectoryProblem(line, train, configurations(train), reserve=0.08, condition_map=track)
+    )
     titles = ("arrival", "stop", "energy over planned", "speed over the limit", "slips")
     table = Table(
         "train", "rail", *titles,

@@ -55,13 +55,12 @@ def judge(line: Line, train: Train, found: ParameterSet, true: list[Configuratio
     """One row: what the set promises, and what becomes of the others."""
     began = process_time()
     chosen = found.configurations
-    trajectory = optimise(line, train, chosen, reserve=RESERVE)
+    trajectory = optimise(TrajectoryProblem(line, train, chosen, reserve=RESERVE))
     took = process_time() - began
     ours, others = (
-        fastest_run(TrajectoryProblem(line, train, tuple(each), 0.0, line.length)).times
-        for each in (chosen, true)
+        fastest_run(TrajectoryProblem(line, train, each)).times for each in (chosen, true)
     )
-    run = TrajectoryProblem(line, train, tuple(true), 0.0, line.length)
+    run = TrajectoryProblem(line, train, true)
     problem = tapered_as(discretise(run, trajectory.positions), trajectory)
     plan = ride_along(problem, trajectory.tractive_effort / problem.reference, None)
     arrival = cell_times(problem, plan).sum(axis=1)

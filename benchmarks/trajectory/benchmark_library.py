@@ -17,7 +17,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from analysis.trajectory import optimise
+from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import atomic_write
 from trainlog.formats.ttobench import read_track, read_train
@@ -57,10 +57,14 @@ def measured(
         "gap": float("nan"), "programs": 0, "cells": 0, "bound": "",
     }  # fmt: skip
     try:
-        found = optimise(
-            line, train, [Configuration.of(train)], reserve=reserve, objective=objective,  # type: ignore[arg-type]
-            cells=cells,
-        ).certificate  # fmt: skip
+        problem = TrajectoryProblem(
+            line,
+            train,
+            [Configuration.of(train)],
+            reserve=reserve,
+            objective=objective,  # type: ignore[arg-type]
+        )
+        found = optimise(problem, OptimiserOptions(cells)).certificate
         run |= {
             "gap": found["gap"],
             "programs": found["solver"]["iterations"],

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from analysis.studies.cunillera_2022.run import TRAIN as VIRM6
-from analysis.trajectory import optimise
+from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.trajectory.discretisation import discretise, tapered_as
-from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.referee import Opinion, second_opinion
 from analysis.trajectory.rollout import paced_run
 from trainlog.formats.line import read_line
@@ -58,7 +57,11 @@ class Case:
     train: Train
     configurations: int
     cells: int
-    options: dict[str, Any]
+    question: dict[str, Any]
+
+    def problem(self) -> TrajectoryProblem:
+        """What is asked of the optimiser."""
+        return TrajectoryProblem(self.line, self.train, self.observed(), **self.question)
 
     def observed(self) -> tuple[Configuration, ...]:
         """The nominal train alone, or as many as asked, drawn with a fixed seed."""
@@ -79,10 +82,10 @@ class Case:
 
 def ours(case: Case, repeats: int) -> tuple[Trajectory, float, float]:
     """The trajectory, and the median times it took by the clock and of the processor [s]."""
-    configurations, seconds, spent = case.observed(), [], []
+    problem, options, seconds, spent = case.problem(), OptimiserOptions(case.cells), [], []
     for _ in range(repeats):
         begin, busy = time.perf_counter(), time.process_time()
-        found = optimise(case.line, case.train, configurations, cells=case.cells, **case.options)
+        found = optimise(problem, options)
         seconds.append(time.perf_counter() - begin)
         spent.append(time.process_time() - busy)
     return found, statistics.median(seconds), statistics.median(spent)
@@ -91,11 +94,7 @@ def ours(case: Case, repeats: int) -> tuple[Trajectory, float, float]:
 def referee(case: Case, found: Trajectory, repeats: int) -> tuple[Opinion, float, float]:
     """IPOPT's answer, the median processor time [s], and the reference inertia [kg]."""
     active = found.certificate["active"]
-    known = {"initial_speed", "final_speed", "objective"}
-    run = TrajectoryProblem(
-        case.line, case.train, case.observed(), 0.0, case.line.length,
-        **{key: value for key, value in case.options.items() if key in known},
-    )  # fmt: skip
+    run = case.problem()
     names = [configuration.name for configuration in run.configurations]
     problem = tapered_as(discretise(run, found.positions), found).select(
         [names.index(name) for name in active]
@@ -116,7 +115,7 @@ def row(case: Case, repeats: int) -> str:
     audit, solver = certificate["audit"], certificate["solver"]
     cells, active = certificate["grid"]["cells"], len(certificate["active"])
     words = [
-        f"{case.line.name[:15]:15s} {case.options.get('objective', 'wheel'):6s}",
+        f"{case.line.name[:15]:15s} {case.question.get('objective', 'wheel'):6s}",
         f"{case.configurations:4d} {cells:6d} {active:6d} {solver['iterations']:4d}",
         f"{seconds:8.2f} {spent:8.2f}",
     ]
@@ -180,7 +179,7 @@ def main() -> None:
     arguments = parser.parse_args()
     measured = cases(arguments.long)
     # Compiled code and caches are warm before anything is timed.
-    optimise(measured[0].line, VIRM6, measured[0].observed(), cells=60, referee=True)
+    optimise(replace(measured[0].problem(), running_time=None), OptimiserOptions(60, referee=True))
     print(
         f"{'line':15s} {'energy':6s} {'q':>4s} {'cells':>6s} {'active':>6s} {'QPs':>4s}"
         f" {'clock s':>8s} {'CPU s':>8s} {'IPOPT s':>8s} {'ratio':>6s} {'E/IPOPT':>9s}"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import inf
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -23,7 +22,8 @@ from trainlog.errors import InputError
 from trainlog.units import KMH
 
 if TYPE_CHECKING:
-    from trainlog.railway import Configuration, Line, Train, Trajectory
+    from analysis.trajectory import OptimiserOptions, TrajectoryProblem
+    from trainlog.railway import Line, Trajectory
 
 app = typer.Typer()
 
@@ -38,22 +38,24 @@ def optimise(
         float | None, typer.Option(help="Timetable's running time in seconds.")
     ] = None,
     reserve: Annotated[
-        float, typer.Option(help="Without --running-time: reserve over the least time (%).")
-    ] = 10.0,
+        float | None,
+        typer.Option(
+            help="Without --running-time: reserve over the least time in per cent; default: 7."
+        ),
+    ] = None,
     as_fast_as: Annotated[
         Path | None,
         typer.Option(help="Running time of the fastest non-stop trip of this log or folder."),
     ] = None,
     braking: Annotated[
         Literal["recourse", "common"],
-        typer.Option(help="Each configuration brakes for itself, or all alike as in the paper."),
+        typer.Option(help="Each configuration brakes for itself, or all alike."),
     ] = "recourse",
     objective: Annotated[
         Literal["wheel", "line", "expected"],
         typer.Option(
-            help="Traction at the wheel rims as in the paper; or energy from the line, with"
-            " efficiencies and what the dynamic brake feeds back, at worst or as expected of the"
-            " trips that the configurations stand for."
+            help="Traction at the wheel rims; or energy from the line, with efficiencies and what"
+            " the dynamic brake feeds back, at worst or as expected of the observed trips."
         ),
     ] = "wheel",
     condition: Annotated[
@@ -65,7 +67,7 @@ def optimise(
     assumed_adhesion: Annotated[
         float | None,
         typer.Option(
-            help="With --map: adhesion counted on where it tells nothing; default: no limit there."
+            help="With --map: adhesion counted on where it has none; default: no limit there."
         ),
     ] = None,
     cells: Annotated[
@@ -118,6 +120,7 @@ def optimise(
     Example: trainlog optimise results/parameters.json -o results/trajectory.json
     """
     from analysis.comparison.cost import fastest_nonstop
+    from analysis.trajectory import OptimiserOptions, TrajectoryProblem
     from analysis.trajectory import optimise as solve
     from trainlog.formats.condition import read_map
     from trainlog.formats.parameters import read_parameters
@@ -127,9 +130,9 @@ def optimise(
     times = {"--running-time": running_time, "--as-fast-as": as_fast_as}
     if journey is not None:
         rivals = {**times, "--pareto": pareto or None, **ends}
-        _refuse("--journey tells times, places and speeds itself", rivals)
+        _refuse("--journey gives times, places and speeds itself", rivals)
     if running_time is not None:
-        _refuse("--running-time tells the time", {"--as-fast-as": as_fast_as})
+        _refuse("--running-time gives the time", {"--as-fast-as": as_fast_as})
     if as_fast_as is not None:
         _refuse("--as-fast-as is the time from end to end of the line", ends)
     if condition is None:
@@ -148,30 +151,39 @@ def optimise(
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     if reverse:
         the_line = the_line.reversed()
-    options: dict[str, Any] = {
-        "reserve": reserve / 100.0,
-        "braking": braking,
-        "objective": objective,
-        "weights": observed.weights if objective == "expected" else (),
+    start, end = stretch(km) or (None, None)
+    given: dict[str, Any] = {
+        "running_time": running_time,
+        "reserve": None if reserve is None else reserve / 100.0,
+        "start": start,
+        "end": end,
+        "initial_speed": None if initial_speed is None else initial_speed / KMH,
+        "final_speed": None if final_speed is None else final_speed / KMH,
+        "weights": observed.weights if objective == "expected" else None,
         "condition_map": None if condition is None else read_map(condition),
-        "layer": layer,
-        "sigmas": 2.0 if sigmas is None else sigmas,
-        "assumed_adhesion": inf if assumed_adhesion is None else assumed_adhesion,
-        "protected_length": the_train.length if protect == "train" else 0.0,
-        "cells": cells,
-        "direction": "reverse" if reverse else "forward",
-        "referee": referee,
+        "sigmas": sigmas,
+        "assumed_adhesion": assumed_adhesion,
+        "protected_length": the_train.length if protect == "train" else None,
+        "direction": "reverse" if reverse else None,
     }
-    asked = (the_line, the_train, observed.configurations)
+    problem = TrajectoryProblem(
+        the_line,
+        the_train,
+        observed.configurations,
+        braking=braking,
+        objective=objective,
+        layer=layer,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    options = OptimiserOptions(cells, referee)
     if journey is not None:
-        _journey(asked, journey, dwell, options, output)
+        _journey(problem, options, journey, dwell, output)
         return
-    options |= _ends(km, initial_speed, final_speed)
     with working(f"optimising over {len(observed.configurations)} configurations"):
-        trajectory = solve(*asked, running_time=running_time, **options)
-    _told(trajectory, the_line, output)
+        trajectory = solve(problem, options)
+    _write(trajectory, the_line, output)
     if pareto:
-        _front(asked, options, output)
+        _front(problem, options, output)
 
 
 def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
@@ -184,20 +196,7 @@ def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
         )
 
 
-def _ends(
-    km: str | None, initial_speed: float | None, final_speed: float | None
-) -> dict[str, float | None]:
-    """Where one run begins and ends [m], and how fast [m/s]."""
-    start, end = stretch(km) or (None, None)
-    return {
-        "start": start or 0.0,
-        "end": end,
-        "initial_speed": (initial_speed or 0.0) / KMH,
-        "final_speed": (final_speed or 0.0) / KMH,
-    }
-
-
-def _told(trajectory: Trajectory, line: Line, output: Path) -> None:
+def _write(trajectory: Trajectory, line: Line, output: Path) -> None:
     """Write a trajectory, its picture and its advice, and print what it is."""
     from analysis.trajectory.phases import advice, write_advice
     from analysis.trajectory.plot import draw_trajectory
@@ -213,10 +212,10 @@ def _told(trajectory: Trajectory, line: Line, output: Path) -> None:
 
 
 def _journey(
-    asked: tuple[Line, Train, Sequence[Configuration]],
+    problem: TrajectoryProblem,
+    options: OptimiserOptions,
     journey: Path,
     dwell: float,
-    options: dict[str, Any],
     output: Path,
 ) -> None:
     """Optimise a journey; a file a section, numbered."""
@@ -225,23 +224,20 @@ def _journey(
     from trainlog.formats.line import read_journey
 
     with working("optimising the sections"):
-        plan = optimise_journey(*asked, read_journey(journey), dwell=dwell, **options)
+        plan = optimise_journey(problem, read_journey(journey), options, dwell=dwell)
     for number, section in enumerate(plan.sections, start=1):
-        _told(section, asked[0], output.with_name(f"{output.stem}-{number}.json"))
+        _write(section, problem.line, output.with_name(f"{output.stem}-{number}.json"))
     console.print(journey_table(plan))
 
 
-def _front(
-    asked: tuple[Line, Train, Sequence[Configuration]], options: dict[str, Any], output: Path
-) -> None:
+def _front(problem: TrajectoryProblem, options: OptimiserOptions, output: Path) -> None:
     """Energy against running time, printed and drawn."""
-    from analysis.trajectory.optimiser import energy_against_time
+    from analysis.trajectory import energy_against_time
     from analysis.trajectory.plot import draw_front
     from analysis.trajectory.table import front_table
 
-    known = {key: value for key, value in options.items() if key != "reserve"}
     with working("optimising for other running times"):
-        front = energy_against_time(*asked, **known)
+        front = energy_against_time(problem, options=options)
     picture = output.with_name(f"{output.stem}-pareto.png")
     draw_front(front, picture)
     console.print(front_table(front))

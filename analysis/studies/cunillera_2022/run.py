@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.trajectory import optimise
+from analysis.trajectory import OptimiserOptions, optimise
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import braking_curves, fastest_run
 from analysis.trajectory.feasibility import lowest_end_speed
@@ -95,8 +95,8 @@ class Instance:
     def run(self, configurations: Sequence[Configuration], braking: Braking) -> TrajectoryProblem:
         """What is asked of the optimiser for these configurations."""
         return TrajectoryProblem(
-            self.line, TRAIN, tuple(configurations), 0.0, self.line.length,
-            self.initial_speed, self.final_speed, braking,
+            self.line, TRAIN, configurations, running_time=self.running_time,
+            initial_speed=self.initial_speed, final_speed=self.final_speed, braking=braking,
         )  # fmt: skip
 
 
@@ -184,11 +184,7 @@ def solved(
     instance: Instance, chosen: Sequence[Configuration], braking: Braking, *, cells: int = 500
 ) -> Trajectory:
     """The trajectory of least worst-case energy at the wheel rims, eq. (9)."""
-    return optimise(
-        instance.line, TRAIN, chosen, running_time=instance.running_time,
-        initial_speed=instance.initial_speed, final_speed=instance.final_speed, braking=braking,
-        cells=cells,
-    )  # fmt: skip
+    return optimise(instance.run(chosen, braking), OptimiserOptions(cells))
 
 
 def questions(

@@ -5,20 +5,31 @@ The VIRM6, the FLIRT and the level line restate facts of TTOBench v1.5 (BSD-2-Cl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from analysis.studies.cunillera_2022.run import TRAIN
+from analysis.trajectory import (
+    JourneyPlan,
+    OptimiserOptions,
+    TrajectoryProblem,
+    optimise,
+    optimise_journey,
+)
 from trainlog.railway import (
     Configuration,
     CurvatureProfile,
+    Journey,
     Line,
     RunningResistance,
     Station,
     StepProfile,
     TrackConditionMap,
     Train,
+    Trajectory,
     Tunnel,
 )
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer
@@ -62,6 +73,35 @@ _BENDS = np.array(
     ]
 )
 """Position, curvature at the start and at the end of each element [m], [1/m]."""
+
+
+def optimised(
+    line: Line,
+    train: Train,
+    configurations: Sequence[Configuration],
+    *,
+    cells: int = 500,
+    referee: bool = False,
+    **question: Any,
+) -> Trajectory:
+    """The optimum of a problem that is given by its attributes."""
+    problem = TrajectoryProblem(line, train, configurations, **question)
+    return optimise(problem, OptimiserOptions(cells, referee))
+
+
+def optimised_journey(
+    line: Line,
+    train: Train,
+    configurations: Sequence[Configuration],
+    journey: Journey,
+    *,
+    dwell: float = 0.0,
+    cells: int = 500,
+    **question: Any,
+) -> JourneyPlan:
+    """The optimum of a journey on a line."""
+    problem = TrajectoryProblem(line, train, configurations, **question)
+    return optimise_journey(problem, journey, OptimiserOptions(cells), dwell=dwell)
 
 
 def steps(*pairs: tuple[float, float]) -> StepProfile:
