@@ -32,9 +32,7 @@ from mcap_trips import trip_of
 
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import frames_of, write_log
-from trainlog.mcap.flatbuffer_wire import SchemaError
-from trainlog.mcap.flatbuffer_wire import decoder as flatbuffer_decoder
-from trainlog.mcap.foreign_rows import MOST_ELEMENTS, BrokenMessage, leaves
+from trainlog.mcap.foreign_decoders import MOST_ELEMENTS
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 KEPT = Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap"
@@ -142,58 +140,13 @@ def test_protobuf_messages_become_columns(tmp_path):
     assert found.skipped == ()
 
 
-def test_flatbuffers_messages_become_columns():
-    """Written by the FlatBuffers package with Foxglove's schemas; kept, since it needs both."""
+def test_flatbuffers_messages_are_listed_with_the_reason():
     found = frames_of(KEPT)
-    fixes = found.frames["/fix"]
-    assert fixes.attrs == {"schema": "foxglove.LocationFix", "encoding": "flatbuffer"}
-    assert fixes["latitude"].tolist() == [47.1, 48.1, 49.1]
-    assert fixes["longitude"].tolist() == [-8.25] * 3
-    assert fixes["altitude"].tolist() == [0.0, 411.0, 411.0]
-    assert fixes["timestamp.sec"].tolist() == [1_700_000_000, 1_700_000_001, 1_700_000_002]
-    assert fixes["timestamp.nsec"].tolist() == [5] * 3
-    assert fixes["frame_id"].tolist() == ["gnss"] * 3
-    assert fixes["position_covariance[8]"].tolist() == [9.0] * 3
-    assert fixes["position_covariance[1]"].tolist() == [0.5] * 3
-    assert fixes["position_covariance_type"].tolist() == [2] * 3
-    log = found.frames["/log"]
-    assert log["message"].tolist() == ["größer"] * 3
-    assert log["level"].tolist() == [3] * 3
-    assert log["line"].tolist() == [2**32 - 1] * 3
-    scan = found.frames["/scan"]
-    assert [scan[f"ranges[{at}]"].iloc[0] for at in range(3)] == [1.0, 2.0, 3.0]
-    assert scan["pose.position.x"].tolist() == [1.5] * 3
-    assert scan["pose.position.y"].tolist() == [0.0] * 3
-    assert scan["start_angle"].tolist() == [-0.5] * 3
-    cloud = found.frames["/cloud"]
-    assert cloud["fields[1].name"].tolist() == ["y"] * 3
-    assert cloud["fields[1].offset"].tolist() == [8] * 3
-    assert cloud["point_stride"].tolist() == [16] * 3
-    assert [(item.topic, item.field) for item in found.skipped] == [("/cloud", "data")]
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.data())
-def test_damaged_flatbuffers_are_read_or_broken(data):
-    schema, message = kept_flatbuffer(data.draw(st.sampled_from(["/fix", "/scan", "/cloud"])))
-    damaged_schema = data.draw(st.booleans())
-    content = bytearray(schema.data if damaged_schema else message)
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    content = bytes(content[: data.draw(st.integers(0, len(content)))])
-    try:
-        decode = flatbuffer_decoder(schema.name, content if damaged_schema else schema.data)
-        dict(leaves(decode(message if damaged_schema else content)))
-    except (SchemaError, BrokenMessage) as error:
-        assert str(error)  # noqa: PT017
-
-
-def kept_flatbuffer(topic):
-    """Schema and first message of a topic."""
-    with KEPT.open("rb") as stream:
-        for schema, _, message in make_reader(stream).iter_messages([topic]):
-            return schema, message.data
-    raise AssertionError
+    assert found.frames == {}
+    assert {str(item) for item in found.skipped} == {
+        f"/{name}: encoding 'flatbuffer' is not decoded (3 messages)"
+        for name in ("fix", "log", "scan", "cloud")
+    }
 
 
 def test_json_messages_become_columns_of_their_kinds(tmp_path):

@@ -21,6 +21,7 @@ EXTRAS = {
     "pynmeagps": "recorders",
     "pyubx2": "recorders",
     "rerun": "replay",
+    "rosbags": "recorders",
 }
 """Which extra of trainlog installs a module."""
 

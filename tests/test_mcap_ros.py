@@ -1,17 +1,28 @@
 """ROS messages as bytes: as the official writer makes them, broken, forged."""
 
 import struct
+import sys
 
 import pytest
-from foreign_logs import FIX_1, FIX_2, cdr, schema_text
+from foreign_logs import FIX_1, FIX_2, ForeignLog, cdr, cdr_numbers, schema_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trainlog.mcap.foreign_rows import BYTES, LONG_ARRAY, MOST_ELEMENTS, BrokenMessage
-from trainlog.mcap.ros_definitions import NUMBERS, DefinitionError
-from trainlog.mcap.ros_wire import decoder
+from trainlog.errors import MissingExtraError
+from trainlog.mcap import frames_of
+from trainlog.mcap.foreign_decoders import (
+    BYTES,
+    LONG_ARRAY,
+    MOST_ELEMENTS,
+    BrokenMessage,
+    UndecodableError,
+    ros_decoder,
+)
 
 NAMES = [f"f{number}" for number in range(6)]
+NUMBERS = ["bool", "float32", "float64"] + [
+    f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)
+]
 
 
 @st.composite
@@ -60,25 +71,13 @@ def written(lines, values):
     return serialize_dynamic("p/msg/Thing", text)["p/msg/Thing"](given_values)
 
 
-def expanded(found):
-    """A decoded message with its fixed arrays as lists again."""
-    joined = {}
-    for path, value in found.items():
-        name, _, index = path.partition("[")
-        if index:
-            joined.setdefault(name, []).append(value)
-        else:
-            joined[name] = value
-    return joined
-
-
 @settings(max_examples=100, deadline=None)
 @given(ros_fields(), st.integers(0, 3))
 def test_ros2_messages_come_back_as_the_official_writer_got_them(drawn, padding):
     lines, values = drawn
     data = written(lines, values)
-    decode = decoder("p/msg/Thing", "\n".join(lines).encode(), "ros2")
-    assert expanded(decode(data + bytes(padding))) == values
+    decode = ros_decoder("p/msg/Thing", "\n".join(lines).encode(), "ros2")
+    assert decode(data + bytes(padding)) == values
     for end in range(len(data)):
         with pytest.raises(BrokenMessage):
             decode(data[:end])
@@ -88,7 +87,7 @@ def test_ros2_messages_come_back_as_the_official_writer_got_them(drawn, padding)
 @given(st.binary(max_size=200))
 def test_no_bytes_raise_anything_but_a_broken_message(data):
     for schema, dialect in ((FIX_1, "ros1"), (FIX_2, "ros2")):
-        decode = decoder("sensor_msgs/NavSatFix", schema.encode(), dialect)
+        decode = ros_decoder("sensor_msgs/NavSatFix", schema.encode(), dialect)
         for payload in (data, cdr(data)):
             try:
                 decode(payload)
@@ -102,7 +101,7 @@ def test_nested_messages_and_arrays_of_them():
         geo__Point="float64 x\nint8 y -3\nint8 Y=5\n",
         wide__Name="string<=5 text\n",
     )
-    decode = decoder("geo/msg/Path", text.encode(), "ros2")
+    decode = ros_decoder("geo/msg/Path", text.encode(), "ros2")
     body = struct.pack("<db7xdb7x", 1.0, 2, 3.0, 4)[:-7]
     body += b"\0" * (-len(body) % 4) + struct.pack("<I", 1)
     body += b"\0" * (-len(body) % 8) + struct.pack("<db", 5.0, 6)
@@ -110,21 +109,18 @@ def test_nested_messages_and_arrays_of_them():
     body += b"\0" * (-len(body) % 4) + struct.pack("<I", 0)
     body += struct.pack("<I3s", 3, b"ab\0")
     assert decode(cdr(body)) == {
-        "ends[0].x": 1.0,
-        "ends[0].y": 2,
-        "ends[1].x": 3.0,
-        "ends[1].y": 4,
+        "ends": [{"x": 1.0, "y": 2}, {"x": 3.0, "y": 4}],
         "way": [{"x": 5.0, "y": 6}],
         "names": ["n"],
         "few": [],
-        "one.text": "ab",
+        "one": {"text": "ab"},
     }
 
 
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("Thing again", "nested more than 32"),
+        ("Thing again", "contains itself"),
         ("Other x", "does not define 'Other'"),
         ("float64", "is no field"),
         ("int32 a\nint32 a", "two fields of the same name"),
@@ -138,16 +134,76 @@ def test_nested_messages_and_arrays_of_them():
         ("int32 x\n" + "=" * 80 + "\nint32 y", "which message"),
     ],
 )
-def test_definitions_that_make_no_sense_are_refused(text, problem):
-    with pytest.raises(DefinitionError, match=problem):
-        decoder("p/Thing", text.encode(), "ros1")
+def test_definitions_that_cannot_be_read_are_refused(text, problem):
+    with pytest.raises(UndecodableError, match=problem):
+        ros_decoder("p/Thing", text.encode(), "ros1")
 
 
 def test_forged_lengths_take_neither_memory_nor_time():
-    empty = schema_text("Nothing[] x", p__Nothing="")
     for dialect, head in (("ros1", b""), ("ros2", b"\0\1\0\0")):
-        for kind in ("string", "float64", "uint8", "p/Nothing"):
-            text = empty if kind == "p/Nothing" else f"{kind}[] x"
-            decode = decoder("p/Thing", text.encode(), dialect)
+        for kind in ("string", "float64", "uint8", "p/Flag"):
+            text = schema_text(f"{kind}[] x", p__Flag="bool on")
+            decode = ros_decoder("p/Thing", text.encode(), dialect)
             with pytest.raises(BrokenMessage):
                 decode(head + struct.pack("<I", 2**32 - 1) + bytes(100))
+
+
+def test_messages_that_would_fill_the_memory_as_objects_are_not_decoded():
+    empty = schema_text("Nothing[] x", p__Nothing="").encode()
+    with pytest.raises(UndecodableError, match="array of messages without content"):
+        ros_decoder("p/Thing", empty, "ros1")
+    # In ROS 2 such a message is one byte long.
+    assert ros_decoder("p/Thing", empty, "ros2")(cdr(struct.pack("<I2s", 2, b"ab"))) == {
+        "x": [{}, {}]
+    }
+    decode = ros_decoder("p/Thing", schema_text("Flag[] x", p__Flag="bool on").encode(), "ros1")
+    count = 2**23
+    with pytest.raises(BrokenMessage, match="can hold more than"):
+        decode(struct.pack("<I", count) + bytes(count))
+    blob = ros_decoder("p/Thing", b"uint8[] x\nuint8 y", "ros1")
+    assert blob(struct.pack("<I", count) + bytes(count) + b"\7") == {"x": BYTES, "y": 7}
+
+
+def test_definitions_as_they_are_found_in_files():
+    text = (
+        "# a comment\r\nHeader header\r\nstring MODE=fast # not\r\nint8 last=7\r\n"
+        "float64 from 2.5\r\nbyte class\r\nchar letter\r\nduration[1] lasts\r\n"
+        "=====\r\nMSG: std_msgs/Header\r\nuint32 seq\r\ntime stamp\r\nstring frame_id\r\n"
+    )
+    decode = ros_decoder("p/Thing", text.encode(), "ros1")
+    body = struct.pack("<IIII3sdbBii", 1, 2, 3, 3, b"abc", 4.0, -5, 250, 6, 7)
+    stamp = {"secs": 2, "nsecs": 3}
+    assert decode(body) == {
+        "header": {"seq": 1, "stamp": stamp, "frame_id": "abc"},
+        "from": 4.0,
+        "class": -5,
+        "letter": 250,
+        "lasts": [{"secs": 6, "nsecs": 7}],
+    }
+
+
+@pytest.mark.parametrize("name", ["p/Thing\nimport os", "1/2", "p.Thing", "", "a/b/c/d"])
+def test_only_names_reach_the_code_that_is_made_of_a_definition(name):
+    with pytest.raises(UndecodableError):
+        ros_decoder(name, b"int8 x", "ros1")
+
+
+def test_text_that_is_not_utf8_makes_a_message_broken():
+    decode = ros_decoder("p/Thing", b"string x", "ros1")
+    assert decode(struct.pack("<I3s", 3, b"Z\xc3\xbc")) == {
+        "x": "Z\N{LATIN SMALL LETTER U WITH DIAERESIS}"
+    }
+    with pytest.raises(BrokenMessage):
+        decode(struct.pack("<I2s", 2, b"Z\xfc"))
+
+
+def test_without_the_extra_the_command_that_installs_it_is_named(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    log = ForeignLog(tmp_path / "ros.mcap")
+    log.add(log.channel("/x", "cdr", ("p/msg/A", "ros2msg", b"float64 x")), [cdr_numbers(1.0)])
+    log.add(log.channel("/y", "json"), [b'{"y": 1}'])
+    path = log.close()
+    with pytest.raises(MissingExtraError, match="rosbags") as caught:
+        frames_of(path)
+    assert caught.value.remedy == "pip install 'trainlog[recorders]'"
+    assert frames_of(path, topics=["/y"]).frames["/y"]["y"].tolist() == [1]
