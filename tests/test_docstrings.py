@@ -1,0 +1,40 @@
+"""Examples in docstrings run as they stand, from a folder with the samples."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+from pathlib import Path
+
+import pytest
+
+from trainlog.formats.samples import copy_samples
+
+CHECKOUT = Path(__file__).parents[1]
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def modules() -> list[str]:
+    """Modules of the three packages with an example in a docstring."""
+    paths = (path for package in PACKAGES for path in sorted((CHECKOUT / package).rglob("*.py")))
+    with_examples = [path for path in paths if ">>> " in path.read_text("utf-8")]
+    parts = [path.relative_to(CHECKOUT).with_suffix("").parts for path in with_examples]
+    return [".".join(each[:-1] if each[-1] == "__init__" else each) for each in parts]
+
+
+PACKAGES = ("trainlog", "analysis", "estimators")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("examples")
+    copy_samples(made / "sample_logs")
+    return made
+
+
+@pytest.mark.parametrize("name", modules())
+def test_examples_run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    failed, tried = doctest.testmod(importlib.import_module(name), optionflags=FLAGS)
+    assert failed == 0
+    assert tried > 0, f"{name} has examples that doctest does not find"
