@@ -1,23 +1,29 @@
 """Lines, trains, resistance and creep curves as data and pure functions."""
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trainlog.display import picture
 from trainlog.errors import InputError
 from trainlog.railway import (
     Configuration,
     CreepCurve,
     CurvatureProfile,
     Line,
+    ParameterSet,
     RunningResistance,
     Station,
     StepProfile,
+    TrackConditionMap,
     Train,
     Tunnel,
 )
 from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway.consist import Consist, Coupler, Vehicle
 
 LINE = Line(
     name="test",
@@ -41,6 +47,9 @@ TRAIN = Train(
     max_traction_power=2e6,
     tunnel_resistance=((24.0, 15.0), (40.0, 7.0)),
 )
+
+
+WAGON = Vehicle("wagon", 40e3, 20.0, RunningResistance(300.0, 0.0, 1.0))
 
 
 def test_steps_hold_from_their_position_to_the_next() -> None:
@@ -162,3 +171,38 @@ def test_nonsensical_trains_are_refused() -> None:
 def test_a_configuration_with_negative_resistance_is_refused() -> None:
     with pytest.raises(InputError, match="running resistance is negative at"):
         Configuration("c", 1e5, 1e4, RunningResistance(1000.0, -200.0, 0.1), 1e6)
+
+
+SHOWN = [
+    LINE,
+    TRAIN,
+    Consist("two", (WAGON, WAGON), (Coupler(1e6),)),
+    ParameterSet("test", (Configuration.of(TRAIN), Configuration.of(TRAIN, 10e3, "loaded"))),
+    TrackConditionMap("test", 1000.0, 25.0, np.array([0.1]), {}),
+]
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: type(shown).__name__)
+def test_objects_sum_themselves_up(shown: object) -> None:
+    assert 2 <= len(repr(shown).splitlines()) <= 10
+    assert max(map(len, repr(shown).splitlines())) < 120
+    page = ElementTree.fromstring(shown._repr_html_())  # type: ignore[attr-defined]
+    assert page.find("table") is not None
+    assert (page.find("{*}svg") is not None) == isinstance(shown, Line | TrackConditionMap)
+
+
+def test_a_summary_has_the_figures_of_its_object() -> None:
+    assert "Line 'test', 1.000 km" in repr(LINE)
+    assert "72 to 108 km/h in 2 pieces" in repr(LINE)
+    assert "1, 200 m" in repr(LINE)
+    assert "100.0 t empty" in repr(TRAIN)
+    assert "100.0 to 110.0 t" in repr(SHOWN[3])
+    assert "2 x wagon" in repr(SHOWN[2])
+
+
+def test_a_picture_has_a_gap_where_nothing_is_known() -> None:
+    drawn = picture(
+        [0.0, 1.0, 2.0, 3.0, 4.0], {"a": [1.0, 2.0, np.nan, 3.0, 4.0], "b": [np.nan] * 5}
+    )
+    assert drawn.count("<polyline") == 2
+    assert "a: 1 to 4" in drawn

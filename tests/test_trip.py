@@ -89,3 +89,45 @@ def test_seconds_since_a_common_origin() -> None:
 def test_steps_of_provenance_are_appended() -> None:
     trip = Trip({}).with_step("ingest", file="a.csv").with_step("fit")
     assert [step["step"] for step in trip.provenance] == ["ingest", "fit"]
+
+
+def test_a_trip_is_summed_up_in_a_few_lines() -> None:
+    trip = Trip({"/train/state": state([0, 1, 2], [3.0, 4.0, 5.0])}, {"trip": "one", "train": "T"})
+    lines = repr(trip).splitlines()
+    assert lines[0] == "Trip 'one', T"
+    assert lines[1].split() == ["when", "1970-01-01", "00:00:00", "UTC,", "0:02", "min"]
+    assert "3 rows at 1 Hz" in lines[2]
+    assert "<table>" in trip._repr_html_()
+    assert repr(Trip({})).splitlines() == ["Trip 'unnamed'", "  topics  none"]
+
+
+def test_a_trip_of_many_topics_still_fits_ten_lines() -> None:
+    frames = {}
+    for topic in TOPICS.values():
+        frames[topic.name] = frame_of(topic, [0, SECOND], {})
+    trip = Trip(frames, {"train": "<T>"})
+    assert len(repr(trip).splitlines()) <= 10
+    assert all(name in repr(trip) for name in TOPICS)
+    assert "&lt;T&gt;" in trip._repr_html_()
+
+
+def test_a_trip_is_a_mapping_of_its_topics() -> None:
+    trip = Trip({"/train/state": state([0], [3.0])})
+    assert list(trip) == ["/train/state"]
+    assert len(trip) == 1
+    assert "/train/state" in trip
+    assert "/truth" not in trip
+
+
+def test_trips_are_equal_by_metadata_and_samples() -> None:
+    one = Trip({"/train/state": state([0, 1], [3.0, np.nan])}, {"train": "T"})
+    same = Trip({"/train/state": state([0, 1], [3.0, np.nan])}, {"train": "T"}).with_step("read")
+    assert one == same
+    assert one != Trip(one.topics, {"train": "U"})
+    assert one != Trip({"/train/state": state([0, 1], [3.0, 4.0])}, {"train": "T"})
+    assert one != Trip({"/train/state": state([0, 2], [3.0, np.nan])}, {"train": "T"})
+    assert one != Trip({}, {"train": "T"})
+    scaled = one["/train/state"].copy()
+    scaled.attrs = {"topic": "/train/state", "units": {**scaled.attrs["units"], "speed": "km/h"}}
+    assert one != Trip({"/train/state": scaled}, {"train": "T"})
+    assert one != "one"

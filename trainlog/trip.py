@@ -1,12 +1,13 @@
 """A trip: frames by topic, metadata, provenance and the files it was made from.
 
-A `Trip` is what the rooms of trainlog hand to each other. It is plain data: one pandas DataFrame
+A `Trip` is what the packages of trainlog hand to each other. It is plain data: one pandas DataFrame
 a topic, indexed by UTC time in nanoseconds, in SI units, with the units in ``frame.attrs``.
 Bringing topics onto one clock is in `trainlog.resampling`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,9 +15,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from trainlog.display import as_html, as_text
 from trainlog.errors import LogError
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
 from trainlog.topics import Topic, column_field
+from trainlog.units import clock
 from trainlog.version import __version__
 
 POSITION_TOPICS = ("/estimates/state", "/train/state")
@@ -35,9 +38,18 @@ NO_POSITION = f"it needs a position in {' or '.join(POSITION_TOPICS)}; slice it 
 """What to do about a trip that cannot be sliced by position."""
 
 
-@dataclass(frozen=True)
+MOST_SHOWN = 6
+"""Topics in the summary of a trip, the rest of them in one line."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Trip:
     """One train trip.
+
+    It is a mapping of topics: ``trip["/train/state"]`` is a frame, ``in`` asks for a topic, a loop
+    goes over the topics' names, ``len`` counts them. Two trips are equal if their metadata and
+    their frames are (times, columns, values and units; NaN equals NaN), whatever they were made
+    from.
 
     Attributes
     ----------
@@ -51,6 +63,19 @@ class Trip:
         SHA-256 of every input.
     attachments : dict of str to bytes
         Files carried along, such as the line and the train.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/stopping.mcap")
+    >>> "/train/state" in trip
+    True
+    >>> list(trip)[:2]
+    ['/train/state', '/train/controls']
+    >>> trip["/train/state"].attrs["units"]["speed"]
+    'm/s'
+    >>> trip == trip.between(trip.start, trip.end)
+    True
     """
 
     topics: dict[str, pd.DataFrame]
@@ -75,8 +100,61 @@ class Trip:
                 remedy=f"topics present: {present}",
             ) from None
 
-    def __contains__(self, topic: str) -> bool:
+    def __contains__(self, topic: object) -> bool:
         return topic in self.topics
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.topics)
+
+    def __len__(self) -> int:
+        return len(self.topics)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Trip):
+            return NotImplemented
+        return (
+            self.metadata == other.metadata
+            and self.topics.keys() == other.topics.keys()
+            and all(_same(frame, other.topics[name]) for name, frame in self.topics.items())
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title, self._summary(most=len(self)))
+
+    @property
+    def _title(self) -> str:
+        known = self.metadata
+        words = [known.get("train", ""), f"on {known['line']}" if known.get("line") else ""]
+        words += [known.get("direction", "")]
+        return ", ".join([f"Trip '{self.name}'", *filter(None, words)])
+
+    def _summary(self, most: int = MOST_SHOWN) -> dict[str, str]:
+        """When it was and how far it went, and the rows and rate of each topic."""
+        rows = {}
+        if any(len(frame) for frame in self.topics.values()):
+            words = [self.start.strftime("%Y-%m-%d %H:%M:%S UTC"), clock(self.duration)]
+            if (distance := self._distance()) is not None:
+                words.append(f"{distance / 1e3:.1f} km")
+            rows["when"] = ", ".join(words)
+        frames = sorted(self.topics.items(), key=lambda item: -len(item[1]))
+        for name, frame in frames[:most] if len(frames) > most + 1 else frames:
+            rows[name] = f"{len(frame)} rows{_rate(frame)}, {len(frame.columns)} columns"
+        if len(frames) > most + 1:
+            rows[f"{len(frames) - most} more"] = ", ".join(name for name, _ in frames[most:])
+        return rows or {"topics": "none"}
+
+    def _distance(self) -> float | None:
+        """How far the train went [m]; None where that is not known."""
+        try:
+            position = self._located()["position"].dropna()
+        except LogError:
+            return None
+        return float(abs(position.iloc[-1] - position.iloc[0]))
 
     @property
     def name(self) -> str:
@@ -171,8 +249,8 @@ class Trip:
         """The trip with the provenance that `between` or `within` these limits adds."""
         trip = self
         if time is not None:
-            told = [None if each is None else utc(each).isoformat() for each in time]
-            trip = trip.with_step("slice", software=_SOFTWARE, time=told)
+            limits = [None if each is None else utc(each).isoformat() for each in time]
+            trip = trip.with_step("slice", software=_SOFTWARE, time=limits)
         if position is not None:
             # An end at infinity is open, too; JSON has no word for it.
             ends = [None if each is None or np.isinf(each) else float(each) for each in position]
@@ -198,6 +276,19 @@ class Trip:
 
 
 _SOFTWARE = f"trainlog {__version__}"
+
+
+def _same(frame: pd.DataFrame, other: pd.DataFrame) -> bool:
+    """Whether two frames hold the same; NaN equals NaN."""
+    return frame.equals(other) and frame.attrs.get("units") == other.attrs.get("units")
+
+
+def _rate(frame: pd.DataFrame) -> str:
+    """The usual rate of a topic, in words; nothing where there is none."""
+    step = np.diff(pd.DatetimeIndex(frame.index).as_unit("ns").asi8)
+    usual = float(np.median(step)) if step.size > 1 else 0.0
+    regular = usual > 0.0 and np.mean(np.abs(step - usual) < 0.1 * usual) > 0.5
+    return f" at {1e9 / usual:.3g} Hz" if regular else ""
 
 
 def frame_of(

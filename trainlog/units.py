@@ -1,4 +1,4 @@
-"""Conversion to SI, done once, at the door.
+"""Conversion to SI, done once, where data enter or leave.
 
 Files declare the unit of every quantity. `to_si` converts numbers with such a declared unit and
 refuses units of the wrong dimension. Inside trainlog everything is SI; `KMH` and `PER_MILLE` are
@@ -25,7 +25,7 @@ PER_MILLE = 1e3
 """Per mille in one (rise over run)."""
 
 GRAVITY = 9.81
-"""Acceleration of gravity [m/s²], the value that the four papers and TTOBench use."""
+"""Acceleration of gravity [m/s²], as in TTOBench and in all the studies but one."""
 
 
 def clock(seconds: float) -> str:

@@ -137,7 +137,7 @@ class ParquetWriter:
         LogError
             If a frame has no time, or not the columns of the pieces before.
         """
-        first = self._trip or replace(piece, topics={})
+        first = replace(piece, topics={}) if self._trip is None else self._trip
         self._trip = replace(first, provenance=piece.provenance)
         for topic, frame in piece.topics.items():
             if topic not in self._topics:
@@ -152,7 +152,7 @@ class ParquetWriter:
 
     def describe(self) -> None:
         """Write the attachments and ``trip.json``; LogError if the provenance is not JSON."""
-        trip = self._trip or Trip({})
+        trip = Trip({}) if self._trip is None else self._trip
         (self._folder / ATTACHMENTS).mkdir()
         attached = []
         for number, (name, content) in enumerate(sorted(trip.attachments.items()), start=1):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +57,7 @@ class ConditionLayer:
         return np.asarray(np.where(self.observed, estimate, np.nan), dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TrackConditionMap:
     """Maximum adhesion along a line.
 
@@ -80,6 +81,29 @@ class TrackConditionMap:
     layers: dict[str, ConditionLayer]
     trips: tuple[dict[str, Any], ...] = ()
     settings: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        layers = {name: each.maximum_adhesion.round(3) for name, each in self.layers.items()}
+        return as_html(self._title, self._summary(), picture(self.centres, layers))
+
+    @property
+    def _title(self) -> str:
+        return (
+            f"Track-condition map of line '{self.line}', {self.bins} bins of {self.bin_length:g} m,"
+            f" from {len(self.trips)} trips"
+        )
+
+    def _summary(self) -> dict[str, str]:
+        rows = {}
+        for name, layer in self.layers.items():
+            known = layer.maximum_adhesion[layer.observed]
+            rows[name] = f"{known.size} bins observed, {int(layer.events.sum())} slip events" + (
+                f", maximum adhesion {span(known, 1.0, 3)}" if known.size else ""
+            )
+        return rows or {"layers": "none"}
 
     @property
     def bins(self) -> int:

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
+from trainlog.units import KMH
 
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """One observed parameter configuration alpha of a train; paper 002.
+    """One observed parameter configuration alpha of a train; Cunillera et al. (2022).
 
     Attributes
     ----------
@@ -64,7 +66,7 @@ class Configuration:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ParameterSet:
     """The observed set of configurations of a train, and the fit of all its trips together.
 
@@ -117,3 +119,24 @@ class ParameterSet:
                 f"the parameter set was observed on train '{self.train}', not on '{train}'",
                 remedy="give that train, or fit its own logs",
             )
+
+    def __repr__(self) -> str:
+        return as_text(f"Parameter set of train '{self.train}'", self._summary())
+
+    def _repr_html_(self) -> str:
+        return as_html(f"Parameter set of train '{self.train}'", self._summary())
+
+    def _summary(self) -> dict[str, str]:
+        every = self.configurations
+        rows = {"configurations": str(len(every))}
+        if every:
+            rows["mass"] = f"{span([c.mass for c in every], 1e-3, 1)} t"
+            rows["power"] = f"{span([c.max_power for c in every], 1e-3)} kW"
+            speeds = self.speed_range if self.speed_range[1] > 0.0 else (20.0, 20.0)
+            at = 0.5 * (speeds[0] + speeds[1])
+            drag = [float(c.resistance(at)) for c in every]
+            rows["resistance"] = f"{span(drag, 1e-3, 2)} kN at {KMH * at:.0f} km/h"
+        if self.common is not None:
+            r = self.common
+            rows["together"] = f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²"
+        return rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, fields, replace
 from functools import reduce
 from operator import add
@@ -9,6 +10,7 @@ from operator import add
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Brake
@@ -149,7 +151,7 @@ class Vehicle:
         return self.mass + self.rotating_mass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Consist:
     """Vehicles from the front to the rear, and the couplers between them.
 
@@ -197,6 +199,21 @@ class Consist:
                 f"consist '{self.name}': brake_propagation {self.brake_propagation} m/s is not"
                 " positive"
             )
+
+    def __repr__(self) -> str:
+        return as_text(f"Consist '{self.name}'", self._summary())
+
+    def _repr_html_(self) -> str:
+        return as_html(f"Consist '{self.name}'", self._summary())
+
+    def _summary(self) -> dict[str, str]:
+        counted = Counter(vehicle.name for vehicle in self.vehicles)
+        return {
+            "vehicles": ", ".join(f"{count} x {name}" for name, count in counted.items()),
+            "mass": f"{self.mass / 1e3:.1f} t on {self.length:.1f} m",
+            "efforts": f"{self.max_tractive_effort / 1e3:.0f} kN tractive,"
+            f" {self.max_braking_effort / 1e3:.0f} kN braking",
+        }
 
     @property
     def mass(self) -> float:

@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.resistance import curve_force_per_weight
+from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
 
@@ -224,7 +226,7 @@ class Pieces(NamedTuple):
     bend: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Line:
     """A railway line between two ends.
 
@@ -310,6 +312,41 @@ class Line:
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
                 )
 
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        s = np.linspace(0.0, self.length, 500)
+        drawn = {
+            "limit [km/h]": KMH * self.speed_limit(s),
+            "altitude [m]": self.altitudes(s).round(1),
+        }
+        return as_html(self._title, self._summary(), picture(s, drawn, steps=("limit [km/h]",)))
+
+    @property
+    def _title(self) -> str:
+        return f"Line '{self.name}', {self.length / 1e3:.3f} km"
+
+    def _summary(self) -> dict[str, str]:
+        limits, slopes = self.speed_limits, self.gradients
+        rows = {
+            "stations": ", ".join(station.name for station in self.stations[:4])
+            + (f" ... {self.stations[-1].name} ({len(self.stations)})" * (len(self.stations) > 4)),
+            "limits": f"{span(limits.values, KMH)} km/h in {limits.values.size} pieces",
+            "gradients": f"{span(slopes.values, 1e3, 1)} per mille in {slopes.values.size} pieces",
+        }
+        if self.curvatures is not None:
+            sharpest = float(np.max(np.abs([self.curvatures.start, self.curvatures.end])))
+            rows["curves"] = (
+                f"{self.curvatures.positions.size} elements"
+                + f", radius {1.0 / sharpest:.0f} m at least" * (sharpest > 0.0)
+            )
+        if self.tunnels:
+            rows["tunnels"] = f"{len(self.tunnels)}, {sum(t.length for t in self.tunnels):.0f} m"
+        if self.geometry is not None:
+            rows["geometry"] = f"{self.geometry.positions.size} points"
+        return rows
+
     def speed_limit(self, position: ArrayLike) -> FloatArray:
         """Permitted speed [m/s] at each position [m]."""
         return self.speed_limits(position)
@@ -329,8 +366,6 @@ class Line:
 
         ``g (sin(alpha) + k_C |curvature|)``; paper 004, eq. (6) and (7).
         """
-        from trainlog.units import GRAVITY
-
         slope = self.gradient(position)
         sine = slope / np.sqrt(1.0 + slope**2)
         return np.asarray(GRAVITY * (sine + curve_force_per_weight(self.curvature(position))))

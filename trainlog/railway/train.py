@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
-from trainlog.units import GRAVITY
+from trainlog.units import GRAVITY, KMH
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ _POSITIVE = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Train:
     """A train.
 
@@ -161,6 +162,25 @@ class Train:
                 place="running_resistance",
                 remedy="check the signs and units of r0, r1 and r2",
             )
+
+    def __repr__(self) -> str:
+        return as_text(f"Train '{self.name}'", self._summary())
+
+    def _repr_html_(self) -> str:
+        return as_html(f"Train '{self.name}'", self._summary())
+
+    def _summary(self) -> dict[str, str]:
+        r = self.resistance
+        return {
+            "mass": f"{self.mass / 1e3:.1f} t empty, {self.max_load / 1e3:.1f} t load at most",
+            "traction": f"{self.max_tractive_effort / 1e3:.0f} kN,"
+            f" {self.max_traction_power / 1e3:.0f} kW",
+            "brakes": f"{self.max_dynamic_braking_effort / 1e3:.0f} kN dynamic,"
+            f" {self.max_pneumatic_braking_effort / 1e3:.0f} kN pneumatic",
+            "resistance": f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²",
+            "speed": f"{KMH * self.max_speed:.0f} km/h at most",
+            "length": f"{self.length:.1f} m, {self.axles.count} powered axles",
+        } | ({"assumed": ", ".join(self.assumed)} if self.assumed else {})
 
     @property
     def rotating_mass(self) -> float:

@@ -1,0 +1,112 @@
+"""Summaries of objects: a few lines of text for a prompt, a table and a picture for a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+WIDTH, HEIGHT = 480, 110
+"""Of a picture [px]."""
+
+COLOURS = ("#1f6f8b", "#c8553d", "#6a8d3f", "#8a6fb0")
+"""Of the curves of a picture, in order."""
+
+_MOST_POINTS = 600
+"""Of a curve: more than there are pixels show nothing more."""
+
+
+def as_text(title: str, rows: Mapping[str, str]) -> str:
+    """A title, and a line a row under it.
+
+    Examples
+    --------
+    >>> print(as_text("Line 'A - B'", {"length": "3.0 km", "stations": "2"}))
+    Line 'A - B'
+      length    3.0 km
+      stations  2
+    """
+    width = max(map(len, rows), default=0)
+    return "\n".join(
+        [title, *(f"  {name:<{width}}  {said}".rstrip() for name, said in rows.items())]
+    )
+
+
+def as_html(title: str, rows: Mapping[str, str], picture: str = "") -> str:
+    """The same as a table, with a picture above it."""
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th>"
+        f"<td style='text-align:left'>{escape(said)}</td></tr>"
+        for name, said in rows.items()
+    )
+    return f"<div><b>{escape(title)}</b>{picture}<table>{cells}</table></div>"
+
+
+def picture(
+    position: ArrayLike, curves: Mapping[str, ArrayLike], *, steps: Sequence[str] = ()
+) -> str:
+    """Curves over position as a small SVG, each on a scale of its own.
+
+    Parameters
+    ----------
+    position : (n,) array [m]
+    curves : dict of str to (n,) array
+        By label; not finite where there is none.
+    steps : sequence of str
+        Labels of the curves that hold each value up to the next position.
+    """
+    s = np.asarray(position, dtype=np.float64)
+    drawn, labels = [], []
+    for number, (label, values) in enumerate(curves.items()):
+        y, colour = np.asarray(values, dtype=np.float64), COLOURS[number % len(COLOURS)]
+        known = np.isfinite(y)
+        if not known.any():
+            continue
+        low, high = float(y[known].min()), float(y[known].max())
+        labels.append(
+            f"<text x='4' y='{12 + 13 * number}' fill='{colour}' font-size='11'>"
+            f"{escape(label)}: {low:g} to {high:g}</text>"
+        )
+        drawn += [
+            f"<polyline points='{points}' fill='none' stroke='{colour}' stroke-width='1.2'/>"
+            for points in _points(s, y, known, label in steps)
+        ]
+    return (
+        f"<svg width='{WIDTH}' height='{HEIGHT}' xmlns='http://www.w3.org/2000/svg'"
+        f" style='display:block'>{''.join(drawn)}{''.join(labels)}</svg>"
+    )
+
+
+def _points(
+    s: NDArray[np.float64], y: NDArray[np.float64], known: NDArray[np.bool_], steps: bool
+) -> list[str]:
+    """Points of each part of a curve that is known without a gap."""
+    low, high = y[known].min(), y[known].max()
+    x = WIDTH * (s - s[0]) / max(s[-1] - s[0], 1e-9)
+    down = HEIGHT - 6 - (HEIGHT - 54) * (y - low) / max(high - low, 1e-12)
+    edges = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0))
+    found = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        across, depth = x[first:last], down[first:last]
+        if steps:
+            across = np.repeat(np.append(across, x[min(last, x.size - 1)]), 2)[1:-1]
+            depth = np.repeat(depth, 2)
+        every = max(across.size // _MOST_POINTS, 1)
+        pairs = zip(across[::every], depth[::every], strict=True)
+        found.append(" ".join(f"{each:.1f},{other:.1f}" for each, other in pairs))
+    return found
+
+
+def span(values: ArrayLike, factor: float = 1.0, digits: int = 0) -> str:
+    """Least and greatest of some values, as ``60 to 125``, or the one value that they all have.
+
+    Examples
+    --------
+    >>> span([20.0, 30.0], 3.6)
+    '72 to 108'
+    """
+    known = np.asarray(values, dtype=np.float64)
+    low, high = (f"{factor * each + 0.0:.{digits}f}" for each in (known.min(), known.max()))
+    return low if low == high else f"{low} to {high}"
