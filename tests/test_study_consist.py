@@ -10,10 +10,10 @@ import pytest
 from simulated_world import level_line, steps
 
 from analysis.consist_table import consist_tables
-from analysis.studies.amirhosseini_2024.trips import consist_trip
-from analysis.studies.in_train_forces import run as study
+from analysis.studies.in_train_forces import simulation as study
 from analysis.studies.in_train_forces.plot import draw_in_train_forces
-from analysis.studies.in_train_forces.table import forces_table
+from analysis.studies.in_train_forces.run import consist_trip
+from analysis.studies.in_train_forces.table import forces_tables
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError
@@ -106,7 +106,7 @@ def test_the_report_and_the_picture_are_made(run: study.ConsistRun, tmp_path: Pa
     draw_in_train_forces(run, tmp_path / "run.png")
     assert (tmp_path / "run.png").stat().st_size > 20_000
     with console.capture() as captured:
-        console.print(forces_table(run), consist_tables(run.consist))
+        console.print(*forces_tables(run), consist_tables(run.consist))
     assert "largest draft" in captured.get()
     assert "2 to 3" in captured.get()
 
@@ -125,7 +125,7 @@ def test_the_command_runs_a_file(tmp_path: Path) -> None:
     ("consist", "speed", "words"),
     [
         (passenger(0), 15.0, "is a single particle: there are no forces in it"),
-        (passenger(), 0.0, "0 km/h makes no sense"),
+        (passenger(), 0.0, "must be positive, not 0 km/h"),
         (
             read_consist(sample("freight_24_wagons.consist.json")),
             9.0,

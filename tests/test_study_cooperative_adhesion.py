@@ -1,4 +1,4 @@
-"""The study of paper 003 reaches what the paper published and a faithful reproduction measured."""
+"""The study of Zhao et al. (2025) reaches what was published, and what its case gives."""
 
 from __future__ import annotations
 
@@ -11,32 +11,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.estimates import with_estimates
-from analysis.studies.zhao_2025 import kernels as kernels
-from analysis.studies.zhao_2025 import run as study
+from analysis.studies.zhao_2025 import model as model
+from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.controller import (
     CooperativeController,
+    NonlinearReferee,
     Tuning,
     coefficients,
     peak_slips,
     within,
 )
-from analysis.studies.zhao_2025.knowledge import STEEP, driven
 from analysis.studies.zhao_2025.plot import draw_rail, draw_study
-from analysis.studies.zhao_2025.rail import RailEstimator, rail_ahead
-from analysis.studies.zhao_2025.referee import Referee
+from analysis.studies.zhao_2025.rail import STEEP, RailEstimator, driven, rail_ahead
+from analysis.studies.zhao_2025.run import trip_of
 from analysis.studies.zhao_2025.table import (
     gain_table,
     knowledge_table,
     published_table,
     torque_table,
 )
-from analysis.studies.zhao_2025.trips import trip_of
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
 from trainlog.railway.adhesion import DRY, WET, creep_coefficients
 
-LOCOMOTIVE = study.PAPER_003
+LOCOMOTIVE = study.PUBLISHED_LOCOMOTIVE
 STILL_DRY, WET_AT_REST = (5.0, 10.0), (15.0, 20.0)
 
 
@@ -147,7 +146,7 @@ def test_a_real_time_iteration_gives_the_torques_of_the_nonlinear_problem() -> N
     """Where the rail has not just changed; right after that one linearisation lags behind."""
     case, preset = study.CASES[1], study.PAPER
     controller = CooperativeController(LOCOMOTIVE, preset.tuning)
-    referee = Referee(LOCOMOTIVE, preset.tuning)
+    referee = NonlinearReferee(LOCOMOTIVE, preset.tuning)
     state = np.zeros(5)
     differences = []
     for k in range(220):
@@ -160,7 +159,7 @@ def test_a_real_time_iteration_gives_the_torques_of_the_nonlinear_problem() -> N
         if k % 10 == 3 and not settling:
             best = referee.plan(float(state[0]), state[1:], guess, demand)
             differences.append(np.abs(best[0] - torques).max())
-        kernels.euler(state, torques, rail, LOCOMOTIVE.loads, LOCOMOTIVE.constants, 0.1, 1)
+        model.euler(state, torques, rail, LOCOMOTIVE.loads, LOCOMOTIVE.constants, 0.1, 1)
     assert len(differences) >= 18
     assert max(differences) < 6.4
     assert np.median(differences) < 0.01
@@ -176,11 +175,11 @@ def test_sensitivities_are_those_of_finite_differences() -> None:
 
         def slip(plan: np.ndarray, *, known=(state, rail, locomotive, tuning)) -> np.ndarray:
             state, rail, locomotive, tuning = known
-            return kernels.predicted(
+            return model.predicted(
                 state, plan, rail, locomotive.loads, locomotive.constants, 0.1, tuning.substeps
             )[0]
 
-        change = kernels.predicted(
+        change = model.predicted(
             state, plan, rail, locomotive.loads, locomotive.constants, 0.1, tuning.substeps
         )[1]
         for column in (0, 6, 13, 19):
@@ -268,7 +267,7 @@ def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:
         rail = coefficients([curve] * 4)
         wanted = curve.peak_slip - (state[1:] - state[0])
         torques = np.clip(7_200.0 * curve.peak / DRY.peak + 2_000.0 * wanted, 0.0, 8_500.0)
-        kernels.runge_kutta(state, torques, rail, locomotive.loads, locomotive.constants, 0.002, 50)
+        model.runge_kutta(state, torques, rail, locomotive.loads, locomotive.constants, 0.002, 50)
         seen = state + np.array([0.05, 0.02, 0.02, 0.02, 0.02]) * rng.standard_normal(5)
         found[k] = estimator.update(float(seen[0]), seen[1:], torques)
     dry, wet = found[49], found[99]

@@ -1,4 +1,4 @@
-"""The study of paper 004 reaches what the paper published."""
+"""The study of Amirhosseini et al. (2024) reaches what the paper published."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.studies.amirhosseini_2024 import run as study
-from analysis.studies.amirhosseini_2024.controller import SlidingModeController, Target
-from analysis.studies.amirhosseini_2024.trips import trip_of
+from analysis.studies.amirhosseini_2024 import simulation as study
+from analysis.studies.amirhosseini_2024.run import trip_of
+from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 

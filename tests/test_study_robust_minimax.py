@@ -1,4 +1,4 @@
-"""The study of paper 002: its equations, its five phases, and what robustness is good for."""
+"""The study of Cunillera et al. (2022): its equations, its five phases, the use of robustness."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.studies.cunillera_2022 import run as study
+from analysis.studies.cunillera_2022 import model as study
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
 from trainlog.cli.main import run as command
@@ -57,11 +57,11 @@ def test_all_five_phases_occur_and_the_sum_of_the_costates_tells_them(
 ) -> None:
     seen = set()
     for name in ("level-common", "downhill-common", "level-recourse", "downhill-recourse"):
-        seen |= study.phases_told(answers[name]).keys()
+        seen |= study.phase_durations(answers[name]).keys()
         assert min(answers[name].certificate["agreement"].values()) >= 0.99
         assert study.phases_agree(answers[name]) >= 0.95
     assert seen == set(Phase)
-    assert Phase.PARTIAL_BRAKING not in study.phases_told(answers["level-common"])
+    assert Phase.PARTIAL_BRAKING not in study.phase_durations(answers["level-common"])
 
 
 def test_the_costates_add_up_to_the_switching_function(answers: dict[str, Trajectory]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.studies.cunillera_2022.run import TRAIN
+from analysis.studies.cunillera_2022.model import TRAIN
 from analysis.trajectory import (
     JourneyPlan,
     OptimiserOptions,

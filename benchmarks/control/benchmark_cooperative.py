@@ -1,11 +1,11 @@
-"""One step of the cooperative MPC of paper 003: a real-time iteration beside IPOPT.
+"""One step of the cooperative MPC of Zhao et al. (2025): a real-time iteration beside IPOPT.
 
     python benchmarks/control/benchmark_cooperative.py
 
 Both get the same states along the paper's cases, the same plan of the last sample to begin from,
 and the same limits; IPOPT has its structure built before the clock starts. Times are the
 processor's; the answers are compared by the first torques. A change of the rail is met by one
-linearisation about a plan made for another rail, so the second after it is told apart.
+linearisation about a plan made for another rail, so the second after it is listed apart.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from benchmark_tracking import timed
 from rich.console import Console
 from rich.table import Table
 
-from analysis.studies.zhao_2025 import kernels as kernels
-from analysis.studies.zhao_2025.controller import CooperativeController, Demand, solve
-from analysis.studies.zhao_2025.referee import Referee
-from analysis.studies.zhao_2025.run import (
+from analysis.control.qp import solve
+from analysis.studies.zhao_2025 import model as model
+from analysis.studies.zhao_2025.controller import CooperativeController, Demand, NonlinearReferee
+from analysis.studies.zhao_2025.simulation import (
     CASES,
     DURATION,
     PRESETS,
@@ -49,16 +49,14 @@ def states(case: Case, preset: Preset) -> list[tuple[float, np.ndarray, np.ndarr
             found.append((now, state.copy(), controller.guess(demand), demand))
         torques = controller.torques(float(state[0]), state[1:], demand)
         steps = round(period / STEP)
-        kernels.runge_kutta(
-            state, torques, rail, locomotive.loads, locomotive.constants, STEP, steps
-        )
+        model.runge_kutta(state, torques, rail, locomotive.loads, locomotive.constants, STEP, steps)
     return found
 
 
 def compared(preset: Preset, table: Table) -> None:
     """Add a preset's rows to the table."""
     controller = CooperativeController(preset.locomotive, preset.tuning)
-    referee = Referee(preset.locomotive, preset.tuning)
+    referee = NonlinearReferee(preset.locomotive, preset.tuning)
     scale = preset.locomotive.torque_limit
     own: list[float] = []
     peer: list[float] = []

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.studies.cunillera_2022.run import TRAIN as VIRM6
+from analysis.studies.cunillera_2022.model import TRAIN as VIRM6
 from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.trajectory.discretisation import discretise, tapered_as
 from analysis.trajectory.referee import Opinion, second_opinion

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trainlog.cli.options import Seed
 from trainlog.cli.terminal import console, progress_bar, working, wrote
 from trainlog.formats.files import made_folder
+
+if TYPE_CHECKING:
+    from analysis.studies.report import StudyReport
 
 app = typer.Typer()
 study_app = typer.Typer(
@@ -19,8 +24,15 @@ study_app = typer.Typer(
 app.add_typer(study_app, name="study", rich_help_panel="Reproduce")
 
 
-DEFAULT_CONSIST = "freight_24_wagons.consist.json"
-"""The sample that is run where none is named."""
+@contextmanager
+def _reported(output: Path) -> Iterator[StudyReport]:
+    """A report of a study; at the end the files that it wrote are listed."""
+    from analysis.studies.report import StudyReport
+
+    with progress_bar() as progress:
+        report = StudyReport(output, progress)
+        yield report
+    wrote(*report.files)
 
 
 @study_app.command("rls-sliding-mode")
@@ -28,50 +40,19 @@ def rls_sliding_mode(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
     seed: Seed = 1,
 ) -> None:
-    """Learn resistance by recursive least squares under sliding-mode control (paper 004).
+    """Learn resistance by recursive least squares under sliding-mode control.
 
-    Runs the paper's three estimators and one that resets in part, with exact and with measured
-    speed, with the slopes shifted within a sample, and with eight coupled wagons. Writes the runs
-    as logs, draws the paper's figures and prints them beside the published ones.
+    After Amirhosseini et al. (2024). Runs the paper's three estimators and one that resets in
+    part, with exact and with measured speed, with the slopes shifted within a sample, and with
+    eight coupled wagons. Writes the runs as logs, draws the paper's figures and prints them
+    beside the published ones.
 
     Example: trainlog study rls-sliding-mode -o results/rls-sliding-mode
     """
-    from analysis.studies.amirhosseini_2024 import run as study
-    from analysis.studies.amirhosseini_2024.plot import draw_study
-    from analysis.studies.amirhosseini_2024.table import eight_wagons_table, rls_sliding_mode_table
-    from analysis.studies.amirhosseini_2024.trips import name_of, trip_of
-    from trainlog.mcap import write_log
+    from analysis.studies.amirhosseini_2024.run import main
 
-    shifts = study.edge_shifts(5)[1:]
-    spatial = next(each for each in study.VARIANTS if each.reset == "space")
-    plans = [
-        *((variant, 0.0, 0.0) for variant in study.VARIANTS),
-        *((variant, study.SPEED_NOISE, 0.0) for variant in study.VARIANTS),
-        *((spatial, 0.0, float(shift)) for shift in shifts),
-    ]
-    made_folder(output)
-    with progress_bar() as progress:
-        runs = [
-            study.run(variant, noise=noise, shift=shift, seed=seed)
-            for variant, noise, shift in progress.track(plans, description="driving")
-        ]
-    count = len(study.VARIANTS)
-    exact = {run.variant.name: run for run in runs[:count]}
-    measured = {run.variant.name: run for run in runs[count : 2 * count]}
-    coupled = [
-        study.run(variant, train=study.eight_wagons(first_pulls=alone), seed=seed)
-        for variant in (study.VARIANTS[0], spatial)
-        for alone in (False, True)
-    ]
-    kept = [*runs[: 2 * count], *coupled]
-    logs = [output / f"{name_of(run)}.mcap" for run in kept]
-    for run, log in zip(kept, logs, strict=True):
-        write_log(trip_of(run, seed), log)
-    pictures = draw_study(exact, measured, coupled, output)
-    shifted = [exact[spatial.name], *runs[2 * count :]]
-    console.print(rls_sliding_mode_table(exact, measured, {spatial.name: shifted}))
-    console.print(eight_wagons_table(exact, coupled))
-    wrote(*logs, *pictures)
+    with _reported(output) as report:
+        main(report, seed)
 
 
 @study_app.command("consist")
@@ -92,28 +73,11 @@ def consist(
 
     Example: trainlog study consist freight_24_wagons.consist.json -o results/consist
     """
-    from analysis.studies.amirhosseini_2024.trips import consist_trip
-    from analysis.studies.in_train_forces import run as study
-    from analysis.studies.in_train_forces.plot import draw_in_train_forces
-    from analysis.studies.in_train_forces.table import forces_table
-    from trainlog.formats.line import read_line
-    from trainlog.formats.samples import sample
-    from trainlog.formats.train import read_consist
-    from trainlog.mcap import write_log
+    from analysis.studies.in_train_forces.run import ConsistOptions, main
     from trainlog.units import KMH
 
-    source = sample(DEFAULT_CONSIST) if file is None else file
-    train = read_consist(source)
-    track = study.crest_and_sag() if line is None else read_line(line)
-    made_folder(output)
-    with working(f"driving {train.name}"):
-        run = study.run(train, track, speed=speed / KMH)
-    name = source.name.removesuffix(".json").removesuffix(".consist")
-    log, picture = output / f"{name}.mcap", output / f"{name}.png"
-    write_log(consist_trip(run), log)
-    draw_in_train_forces(run, picture)
-    console.print(forces_table(run))
-    wrote(log, picture)
+    with _reported(output) as report:
+        main(report, ConsistOptions(file, line, speed / KMH))
 
 
 @study_app.command("map-mpc")
@@ -125,7 +89,7 @@ def map_mpc(
     days: Annotated[int, typer.Option(min=2, help="How many days the loop is driven.")] = 2,
     seed: Seed = 1,
 ) -> None:
-    """Follow a timetable with a map of the rail, and without one (paper 000).
+    """Follow a timetable with a map of the rail, and without one (Hauck et al., 2023).
 
     Runs the paper's three scenarios on a reconstruction of the line Chemnitz-Cranzahl, with a mass
     drawn from its range and with both ends of it, by a controller that knows the map and by one
@@ -196,56 +160,19 @@ def robust_minimax(
     ],
     cells: Annotated[int, typer.Option(min=60, max=5_000, help="Cells of the grid.")] = 500,
 ) -> None:
-    """Optimise for several configurations at once (paper 002).
+    """Optimise for several configurations at once (Cunillera et al., 2022).
 
     States the paper's minimax problem as printed (common traction, common braking, speeds above 0)
     and with a brake for each configuration, on level track and on a downhill; integrates its
-    equations, tells its five phases by the switching function, and what robustness costs and
-    saves. Writes every answer as a trajectory and draws it.
+    equations, finds its five phases by the switching function, and states what robustness costs
+    and saves. Writes every answer as a trajectory and draws it.
 
     Example: trainlog study robust-minimax -o results/robust-minimax
     """
-    from analysis.studies.cunillera_2022 import run as study
-    from analysis.studies.cunillera_2022 import table as report
-    from analysis.studies.cunillera_2022.plot import draw_others
-    from analysis.trajectory.plot import draw_trajectory
-    from trainlog.formats.trajectory import write_trajectory
+    from analysis.studies.cunillera_2022.run import main
 
-    made_folder(output)
-    level, slope, chosen = study.level(), study.downhill(), study.configurations()
-    with progress_bar() as progress:
-        answers = {
-            name: study.solved(instance, some, braking, cells=cells)
-            for name, (instance, some, braking) in progress.track(
-                list(study.questions(level, slope, chosen).items()), description="optimising"
-            )
-        }
-        ends = [
-            study.end_of(level, share, cells=cells)
-            for share in progress.track(study.SHARES, description="lowest common end speeds")
-        ]
-    files = []
-    for name, found in answers.items():
-        files += [output / f"{name}.json", output / f"{name}.png"]
-        write_trajectory(found, files[-2])
-        line = slope.line if found.line == slope.line.name else level.line
-        draw_trajectory(found, line, files[-1])
-    alone = {each.name: answers[f"level-{each.name}"] for each in chosen}
-    common, recourse = answers["level-common"], answers["level-recourse"]
-    files.append(output / "nominal-driven-by-others.png")
-    draw_others(level, alone[study.NOMINAL], common, chosen, files[-1])
-    on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
-    for table in (
-        report.configurations_table(level),
-        report.price_table(alone, common, recourse),
-        report.printed_table(level, common),
-        report.phases_table(list(answers.items())),
-        report.cruise_table(on_level),
-        report.others_table(level, alone[study.NOMINAL], common, chosen),
-        report.ends_table(ends),
-    ):
-        console.print(table)
-    wrote(*files)
+    with _reported(output) as report:
+        main(report, cells)
 
 
 @study_app.command("cooperative-adhesion")
@@ -253,7 +180,7 @@ def cooperative_adhesion(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
     seed: Seed = 1,
 ) -> None:
-    """Share torque among four motors while the rail under them changes (paper 003).
+    """Share torque among four motors while the rail under them changes (Zhao et al., 2025).
 
     Runs the paper's four cases with its parameters, stepped as in the paper and integrated
     properly, and with those of a locomotive of 85 t; then the same without cooperation, and
@@ -262,36 +189,7 @@ def cooperative_adhesion(
 
     Example: trainlog study cooperative-adhesion -o results/cooperative-adhesion
     """
-    from analysis.studies.zhao_2025 import run as study
-    from analysis.studies.zhao_2025.knowledge import by_knowledge
-    from analysis.studies.zhao_2025.plot import draw_rail, draw_study
-    from analysis.studies.zhao_2025.table import (
-        gain_table,
-        knowledge_table,
-        published_table,
-        torque_table,
-    )
-    from analysis.studies.zhao_2025.trips import name_of, trip_of
-    from trainlog.mcap import write_log
+    from analysis.studies.zhao_2025.run import main
 
-    made_folder(output)
-    with progress_bar() as progress:
-        runs = [
-            study.run(case, preset, integration=integration)
-            for case, preset, integration in progress.track(study.PLANS, description="driving")
-        ]
-        compared = {
-            strategy: [study.run(*plan, strategy=strategy) for plan in study.COMPARED]
-            for strategy in progress.track(list(study.STRATEGIES), description="comparing")
-        }
-    with working("driving on rails that are not known"):
-        known = by_knowledge(seed)
-    logs = [output / f"{name_of(run)}.mcap" for run in runs]
-    for run, log in zip(runs, logs, strict=True):
-        write_log(trip_of(run), log)
-    pictures = [*draw_study(runs, compared, output), output / "rail-learnt.png"]
-    draw_rail([run for run in known["learnt"] if run is not None][:4], pictures[-1])
-    for table in (published_table(), torque_table(runs), gain_table(compared)):
-        console.print(table)
-    console.print(knowledge_table(known))
-    wrote(*logs, *pictures)
+    with _reported(output) as report:
+        main(report, seed)

@@ -1,4 +1,4 @@
-"""The figures of paper 004, drawn from runs of `analysis.studies.amirhosseini_2024.run`."""
+"""The figures of Amirhosseini et al. (2024), drawn from runs of `simulation`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
-from analysis.studies.amirhosseini_2024.run import VARIANTS, Run
+from analysis.studies.amirhosseini_2024.simulation import VARIANTS, Run
 from trainlog.units import KMH
 
 COLOURS = dict(zip((v.name for v in VARIANTS), (GREEN, BLUE, RED, ORANGE), strict=True))

@@ -1,346 +1,147 @@
-"""Paper 004, section 5: a train learns its resistance while it follows a profile.
-
-The plant is the single-particle train of eq. (10), integrated continuously between the samples;
-the estimators are those of eqs. (22)-(25), the controller is that of eq. (34). The same system also
-drives the multi-particle train of eqs. (7)-(9), which the paper derives and does not run. The
-paper's profile is lost: its speed, distance and time fix a trapezoid, with 300 s each of gaining
-and losing speed chosen here.
-"""
+"""The study of Amirhosseini et al. (2024): its runs, as logs, pictures and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Literal
-
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
-from analysis.studies.amirhosseini_2024.controller import SlidingModeController, Target
-from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed
-from trainlog.formats.samples import sample
-from trainlog.formats.train import read_consist
-from trainlog.railway import Line, RunningResistance, Station, StepProfile
-from trainlog.railway.consist import Consist
-from trainlog.simulation.consist import ConsistPlant, Variation
-from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
-
-PERIOD = 0.1
-"""Of sampling and control, tau [s]."""
-
-STEP = 0.01
-"""Of the integration [s]."""
-
-MASS = 350e3
-"""Of the train [kg]."""
-
-EFFORT_LIMIT = 250e3
-"""Saturation of the control signal [N]."""
-
-TOP_SPEED, DISTANCE, DURATION, RAMP = 83.0, 74_700.0, 1_200.0, 300.0
-"""Of the desired profile [m/s], [m], [s], and how long it gains and loses speed [s]."""
-
-EDGES = np.array([0.0, 5e3, 10e3, 25e3, 42e3, 50e3, 62e3, 70e3])
-SLOPES = np.array([-10.0, 9.0, -8.0, -7.0, 20.0, -14.0, 2.0, 15.0]) / 1e3
-"""Table 1, in per mille as corrected: where each slope begins [m], and its rise over run."""
-
-RESISTANCE = RunningResistance(2_090.0, 39.0, 0.675)
-VARIATION = Variation((0.2 / 2.09, 0.004 / 0.039, 0.0000067 / 0.000675), 0.0052)
-"""Eq. (35): means, and the swings as printed (the last one is 1 per cent)."""
-
-PRIOR_STD = 1e3 * np.sqrt([100.0, 0.01, 0.001])
-"""Eq. (36): square roots of the diagonal of p_0, with forces in N instead of kN."""
-
-SAMPLE_VARIANCE = 1e6
-"""One, with forces in N² instead of kN²."""
-
-TIME_RESET = 30.0
-"""Between two resets by time [s]."""
-
-SPEED_NOISE = 0.03
-"""Standard deviation of the measured speed [m/s] where it is not exact."""
-
-Reset = Literal["never", "time", "space", "space, constant term"]
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One way to learn.
-
-    Attributes
-    ----------
-    name : str
-    parameters : {1, 3}
-        The sum of all resistances, eq. (25); or a0 + f2, a1 and a2, eq. (24).
-    forgetting : float
-    reset : str
-        When the covariance returns to p_0: never, every 30 s, where the slope changes, or there
-        for the constant term alone, so that what was learnt about a1 and a2 stays.
-    published : tuple of float or None
-        Largest errors of position [m] and speed [m/s], and the error at the stop [m], where the
-        paper tells them.
-    """
-
-    name: str
-    parameters: int
-    forgetting: float
-    reset: Reset
-    published: tuple[float | None, float | None, float | None] = (None, None, None)
-
-
-VARIANTS = (
-    Variant("scalar", 1, 0.95, "never", (0.82, 0.22, 0.002)),
-    Variant("spatial reset", 3, 1.0, "space", (0.12, 0.04, None)),
-    Variant("time reset", 3, 1.0, "time", (1.0, None, None)),
-    Variant("partial reset", 3, 1.0, "space, constant term"),
+from analysis.studies.amirhosseini_2024 import simulation as study
+from analysis.studies.amirhosseini_2024.plot import draw_study
+from analysis.studies.amirhosseini_2024.simulation import SPEED_NOISE, VARIANTS, Run
+from analysis.studies.amirhosseini_2024.table import (
+    coefficients_table,
+    eight_wagons_table,
+    errors_table,
 )
-"""The paper's three, the last of which misses by more than 1 m, and a better one."""
+from analysis.studies.report import START, StudyReport, study_trip
+from trainlog.formats.train import consist_to_bytes
+from trainlog.topics import (
+    ENVIRONMENT,
+    ESTIMATED_RESISTANCE,
+    REFERENCE,
+    TRAIN_CONTROLS,
+    TRAIN_COUPLERS,
+    TRAIN_STATE,
+    TRUTH,
+)
+from trainlog.trip import Trip, frame_of
+
+SHIFTS = 5
+"""Positions of the slopes within one sample."""
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """One simulated trip; (n,) arrays with one value a sample unless said otherwise.
-
-    Attributes
-    ----------
-    variant : Variant
-    train : Consist
-    noise : float [m/s]
-        Standard deviation of the measured speed.
-    shift : float [m]
-        By which the slopes lie further ahead than in Table 1.
-    time, position, speed : [s], [m], [m/s]
-        True motion, of a consist's front.
-    measured_speed : [m/s]
-    target_position, target_speed : [m], [m/s]
-    effort : [N]
-        At work until the next sample.
-    theta : (n, 1) or (n, 3) array
-        Estimated parameters in N, N/(m/s) and N/(m/s)².
-    theta_std : array of the same shape
-    estimate : [N]
-        All resistances together, as estimated.
-    coupler_forces : (n, couplers) array [N]
-        Positive when pulled apart.
-    """
-
-    variant: Variant
-    train: Consist
-    noise: float
-    shift: float
-    time: FloatArray
-    position: FloatArray
-    speed: FloatArray
-    measured_speed: FloatArray
-    target_position: FloatArray
-    target_speed: FloatArray
-    effort: FloatArray
-    theta: FloatArray
-    theta_std: FloatArray
-    estimate: FloatArray
-    coupler_forces: FloatArray
-
-    @property
-    def position_error(self) -> FloatArray:
-        """Position less the desired one [m], eq. (26)."""
-        return self.position - self.target_position
-
-    @property
-    def speed_error(self) -> FloatArray:
-        """Speed less the desired one [m/s]."""
-        return self.speed - self.target_speed
-
-    @property
-    def stop_error(self) -> float:
-        """Distance from the stop at the end [m]."""
-        return float(abs(self.position_error[-1]))
-
-    @property
-    def figures(self) -> tuple[float, float, float]:
-        """Largest errors of position [m] and speed [m/s], and the error at the stop [m]."""
-        return (
-            float(np.abs(self.position_error).max()),
-            float(np.abs(self.speed_error).max()),
-            self.stop_error,
+def main(report: StudyReport, seed: int) -> None:
+    """Run every estimator with exact and with measured speed, shifted slopes, and eight wagons."""
+    spatial = next(each for each in VARIANTS if each.reset == "space")
+    plans = [
+        *((variant, 0.0, 0.0) for variant in VARIANTS),
+        *((variant, SPEED_NOISE, 0.0) for variant in VARIANTS),
+        *((spatial, 0.0, float(shift)) for shift in study.edge_shifts(SHIFTS)[1:]),
+    ]
+    runs = [
+        study.run(variant, noise=noise, shift=shift, seed=seed)
+        for variant, noise, shift in report.track(plans, "driving")
+    ]
+    count = len(VARIANTS)
+    exact = {run.variant.name: run for run in runs[:count]}
+    measured = {run.variant.name: run for run in runs[count : 2 * count]}
+    coupled = [
+        study.run(variant, train=study.eight_wagons(first_pulls=alone), seed=seed)
+        for variant, alone in report.track(
+            [(variant, alone) for variant in (VARIANTS[0], spatial) for alone in (False, True)],
+            "driving eight wagons",
         )
-
-    @cached_property
-    def coefficients(self) -> FloatArray:
-        """True a0, a1, a2 at each sample, eq. (35); (n, 3) array."""
-        swing = np.sin(VARIATION.angular_frequency * self.time)
-        mean = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
-        return np.asarray(mean * (1.0 + np.outer(swing, VARIATION.amplitudes)))
-
-    @cached_property
-    def slope_force(self) -> FloatArray:
-        """True f2 [N]: the slope under the train, eq. (6), from its front to its rear."""
-        slopes = line(self.shift).gradients
-        sine = slopes.values / np.hypot(1.0, slopes.values)
-        if len(self.train.vehicles) == 1:
-            row = np.searchsorted(slopes.positions, self.position, side="right") - 1
-            return np.asarray(MASS * GRAVITY * sine[row])
-        # Before its first and beyond its last edge the line goes on as there.
-        edges = np.concatenate(([-self.train.length], slopes.positions[1:], [2.0 * DISTANCE]))
-        height = np.concatenate(([0.0], np.cumsum(sine * np.diff(edges))))
-        ends = (self.position, self.position - self.train.length)
-        front, rear = (np.interp(end, edges, height) for end in ends)
-        return np.asarray(MASS * GRAVITY * (front - rear) / self.train.length)
-
-    @property
-    def resistance(self) -> FloatArray:
-        """True sum of all resistances [N]."""
-        a0, a1, a2 = self.coefficients.T
-        return np.asarray(a0 + (a1 + a2 * self.speed) * self.speed + self.slope_force)
-
-
-def target(time: float) -> Target:
-    """The desired motion at `time` [s]."""
-    rate = TOP_SPEED / RAMP
-    if time < RAMP:
-        return Target(0.5 * rate * time**2, rate * time, rate)
-    if time < DURATION - RAMP:
-        return Target(0.5 * rate * RAMP**2 + TOP_SPEED * (time - RAMP), TOP_SPEED, 0.0)
-    left = max(DURATION - time, 0.0)
-    return Target(DISTANCE - 0.5 * rate * left**2, rate * left, -rate if left > 0.0 else 0.0)
-
-
-def line(shift: float = 0.0) -> Line:
-    """The line of Table 1, all slopes but the first beginning `shift` [m] later."""
-    return Line(
-        name="Table 1 of paper 004",
-        length=75_000.0,
-        stations=(Station("start", 0.0), Station("stop", DISTANCE)),
-        speed_limits=StepProfile(np.zeros(1), np.array([TOP_SPEED + 1.0])),
-        gradients=StepProfile(np.where(EDGES > 0.0, EDGES + shift, 0.0), SLOPES),
-        source="paper 004 (Amirhosseini et al., 2024), Table 1, read in per mille",
+    ]
+    for run in (*runs[: 2 * count], *coupled):
+        report.log(trip_of(run, seed))
+    report.keep(*draw_study(exact, measured, coupled, report.folder))
+    shifted = [exact[spatial.name], *runs[2 * count :]]
+    report.show(
+        errors_table(exact, measured, {spatial.name: shifted}),
+        coefficients_table(exact, measured),
+        eight_wagons_table(exact, coupled),
     )
 
 
-def consist() -> Consist:
-    """The paper's train as a single particle: a point, so that slopes begin at once."""
-    return read_consist(sample("paper_004.consist.json"))
+def trip_of(run: Run, seed: int) -> Trip:
+    """The log of one run.
 
-
-def eight_wagons(*, first_pulls: bool = False) -> Consist:
-    """The paper's train in eight wagons of 43.75 t, eqs. (2)-(9).
-
-    Parameters
-    ----------
-    first_pulls : bool
-        Whether the first wagon gives all the traction, as a locomotive does; else each an eighth.
+    In ``/estimates/running_resistance`` ``r0`` is the estimate of a0 + f2, the slope included, as
+    eq. (24) has it; the scalar variant knows only the sum, which stands in ``resistance``.
     """
-    train = read_consist(sample("paper_004_8_wagons.consist.json"))
-    if not first_pulls:
-        return train
-    locomotive, wagon = (
-        replace(train.vehicles[0], max_tractive_effort=effort) for effort in (EFFORT_LIMIT, 0.0)
+    time = START + np.round(run.time * 1e9).astype(np.int64)
+    slopes = study.line(run.shift)
+    estimates = {"resistance": run.estimate}
+    if run.variant.parameters == 3:
+        estimates |= dict(zip(("r0", "r1", "r2"), run.theta.T, strict=True))
+    else:
+        estimates["resistance_std"] = run.theta_std[:, 0]
+    traction, braking = np.maximum(run.effort, 0.0), np.maximum(-run.effort, 0.0)
+    running = run.resistance - run.slope_force
+    targets = [study.target(now) for now in run.time]
+    needed = study.MASS * np.array([each.acceleration for each in targets]) + run.resistance
+    frames: tuple[pd.DataFrame, ...] = (
+        frame_of(TRAIN_STATE, time, {"position": run.position, "speed": run.measured_speed}),
+        frame_of(
+            TRAIN_CONTROLS,
+            time,
+            {
+                "tractive_effort_demand": traction,
+                "braking_effort_demand": braking,
+                "tractive_effort": traction,
+                "dynamic_braking_effort": braking,
+                "pneumatic_braking_effort": np.zeros_like(braking),
+            },
+        ),
+        frame_of(
+            ENVIRONMENT,
+            time,
+            {
+                "gradient": slopes.gradient(run.position),
+                "speed_limit": slopes.speed_limit(run.position),
+            },
+        ),
+        frame_of(ESTIMATED_RESISTANCE, time, estimates | {"mass": np.full(time.size, study.MASS)}),
+        frame_of(
+            REFERENCE,
+            time,
+            {
+                "speed": run.target_speed,
+                "tractive_effort": np.maximum(needed, 0.0),
+                "braking_effort": np.maximum(-needed, 0.0),
+            },
+        ),
+        frame_of(
+            TRUTH,
+            time,
+            {"position": run.position, "speed": run.speed, "running_resistance": running},
+        ),
     )
-    return replace(
-        train, name=f"{train.name}, the first pulls", vehicles=(locomotive, *(wagon,) * 7)
-    )
-
-
-def run(
-    variant: Variant,
-    *,
-    noise: float = 0.0,
-    shift: float = 0.0,
-    seed: int = 1,
-    train: Consist | None = None,
-) -> Run:
-    """Drive the profile once.
-
-    Parameters
-    ----------
-    variant : Variant
-    noise : float [m/s]
-        Standard deviation of the measured speed that estimator and controller see.
-    shift : float [m]
-        Of the slopes; moves the instant of their change between two samples.
-    seed : int
-        Of the noise.
-    train : Consist, optional
-        Default: the single particle. Of a consist, position and speed of the front are controlled.
-    """
-    random = np.random.default_rng(seed)
-    slopes = line(shift)
-    plant = ConsistPlant(train or consist(), slopes, variation=VARIATION, step=STEP)
-    # A point is where its middle is, a consist where its front is.
-    lead = float(plant.consist.middles[0])
-    point = len(plant.consist.vehicles) == 1
-    state = plant.at(lead if point else 0.0)
-    learner = RecursiveLeastSquares(PRIOR_STD[: variant.parameters], forgetting=variant.forgetting)
-    controller = SlidingModeController(MASS, effort_limit=EFFORT_LIMIT)
-    count = round(DURATION / PERIOD) + 1
-    errors = noise * random.standard_normal(count)
-    rows = np.empty((count, 7))
-    theta = np.empty((count, variant.parameters))
-    spread = np.empty_like(theta)
-    forces = np.empty((count, len(plant.consist.couplers)))
-    theta[0], spread[0] = 0.0, PRIOR_STD[: variant.parameters]
-    effort, before = 0.0, 0.0
-    for k in range(count):
-        now = k * PERIOD
-        position, speed = float(state.positions[0]), float(state.speeds[0])
-        position += 0.0 if point else lead
-        forces[k] = plant.coupler_forces(state)
-        measured = speed + errors[k]
-        if k:
-            # While an edge passes under a train, its slope keeps changing.
-            since = rows[k - 1, 0] if point else max(position - plant.consist.length, 0.0)
-            crossed = edges_crossed(slopes.gradients.positions, position, since)
-            _reset(learner, variant, now, moved_on=bool(crossed[0]))
-            # (22): the rate of change of speed less the effort that was at work.
-            output = MASS / PERIOD * (measured - before) - effort
-            found, covariance = learner.record(_regressor(variant, before), output, SAMPLE_VARIANCE)
-            theta[k], spread[k] = found[0], np.sqrt(np.diag(covariance[0]))
-        estimate = -float(theta[k] @ _regressor(variant, measured))
-        wanted = target(now)
-        effort = controller.effort(position, measured, wanted, estimate)
-        rows[k] = position, speed, measured, wanted.position, wanted.speed, effort, estimate
-        before = measured
-        plant.advance(state, max(effort, 0.0), max(-effort, 0.0), round(PERIOD / STEP))
-    return Run(
-        variant=variant,
-        train=plant.consist,
-        noise=noise,
-        shift=shift,
-        time=PERIOD * np.arange(count, dtype=np.float64),
-        position=rows[:, 0],
-        speed=rows[:, 1],
-        measured_speed=rows[:, 2],
-        target_position=rows[:, 3],
-        target_speed=rows[:, 4],
-        effort=rows[:, 5],
-        theta=theta,
-        theta_std=spread,
-        estimate=rows[:, 6],
-        coupler_forces=forces,
+    if run.train.couplers:
+        frames += (frame_of(TRAIN_COUPLERS, time, {"force": run.coupler_forces}),)
+    return study_trip(
+        name_of(run),
+        run.train.name,
+        slopes,
+        frames,
+        (
+            "study rls-sliding-mode",
+            {
+                "seed": seed,
+                "variant": run.variant.name,
+                "speed_noise": run.noise,
+                "slope_shift": run.shift,
+            },
+        ),
+        attachments={"consist.json": consist_to_bytes(run.train)},
+        metadata={"seed": str(seed), "study": "Amirhosseini et al. (2024), section 5"},
     )
 
 
-def edge_shifts(count: int) -> FloatArray:
-    """Shifts of the slopes [m] that vary the instant of their change over one sample."""
-    return np.arange(count) / count * TOP_SPEED * PERIOD
-
-
-def worst(runs: Sequence[Run]) -> tuple[float, float, float]:
-    """The largest of each figure over several runs."""
-    figures = np.array([each.figures for each in runs]).max(axis=0)
-    return float(figures[0]), float(figures[1]), float(figures[2])
-
-
-def _regressor(variant: Variant, speed: float) -> FloatArray:
-    """(23), or -1 alone for (25)."""
-    return -np.array([1.0, speed, speed**2])[: variant.parameters]
-
-
-def _reset(learner: RecursiveLeastSquares, variant: Variant, now: float, *, moved_on: bool) -> None:
-    elapsed = bool(periods_elapsed(TIME_RESET, now, now - PERIOD)[0])
-    if (variant.reset == "time" and elapsed) or (variant.reset == "space" and moved_on):
-        learner.reset()
-    elif variant.reset == "space, constant term" and moved_on:
-        learner.reset([0])
+def name_of(run: Run) -> str:
+    """Name of a run: its variant, whether its train has couplers, and whether speed is measured."""
+    name = run.variant.name.replace(" ", "-")
+    if run.train.couplers:
+        alone = any(each.max_tractive_effort == 0.0 for each in run.train.vehicles)
+        name += "-8-wagons-first-pulls" if alone else "-8-wagons"
+    return f"{name}-measured" if run.noise else name

@@ -4,30 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
-from analysis.studies.amirhosseini_2024.run import Run, worst
+from analysis.studies.amirhosseini_2024.simulation import Run, worst
 from analysis.tables import new_table
 
+FloatArray = NDArray[np.float64]
 Figures = tuple[float | None, float | None, float | None]
 
+SETTLED = 200.0
+"""After which the coefficients are judged [s]."""
 
-def rls_sliding_mode_table(
+
+def errors_table(
     exact: Mapping[str, Run],
     measured: Mapping[str, Run],
     shifted: Mapping[str, Sequence[Run]],
 ) -> Table:
-    """Largest errors of paper 004: published, reached, and with measured speed.
+    """Largest errors of Amirhosseini et al. (2024): published, reached, and with measured speed.
 
     Parameters
     ----------
     exact, measured : mapping of str to Run
         By name of the variant.
     shifted : mapping of str to sequence of Run
-        Runs with the slopes shifted within one sample: their worst is told too.
+        Runs with the slopes shifted within one sample, of which the worst is stated.
     """
     table = new_table(
-        "Paper 004: largest errors of position (m) and speed (m/s), error at the stop (m)",
+        "Largest errors of position (m) and speed (m/s), error at the stop (m)",
         "estimator",
         "published",
         "reached",
@@ -46,6 +52,44 @@ def rls_sliding_mode_table(
     return table
 
 
+def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) -> Table:
+    """How far the single coefficients are from the true ones, beside figure 6 of the paper.
+
+    The error of an estimate is its root mean square over the run after the first `SETTLED`
+    seconds, as a share of the mean true value.
+
+    Parameters
+    ----------
+    exact, measured : mapping of str to Run
+        By name of the variant; those that estimate three coefficients are listed.
+    """
+    table = new_table(
+        f"Estimated coefficients after {SETTLED:g} s: RMS error over the mean true value (%)",
+        "estimator",
+        "speed",
+        "a0 + f2",
+        "a1",
+        "a2",
+        "their sum",
+    )
+    for speed, runs in (("exact", exact), ("measured", measured)):
+        for name, run in runs.items():
+            if run.variant.parameters == 3:
+                errors = coefficient_errors(run)
+                table.add_row(name, speed, *(f"{100.0 * error:.1f}" for error in errors))
+    return table
+
+
+def coefficient_errors(run: Run) -> FloatArray:
+    """Relative RMS errors of a0 + f2, a1, a2 and of the sum of all resistances; (4,) array."""
+    true = np.column_stack([run.coefficients, run.resistance])
+    true[:, 0] += run.slope_force
+    late = run.time > SETTLED
+    error = np.column_stack([run.theta, run.estimate])[late] - true[late]
+    mean = np.abs(true[late]).mean(axis=0)
+    return np.asarray(np.sqrt(np.mean(error**2, axis=0)) / mean)
+
+
 def eight_wagons_table(exact: Mapping[str, Run], coupled: Sequence[Run]) -> Table:
     """The multi-particle train under the paper's control, beside the single particle.
 
@@ -57,7 +101,7 @@ def eight_wagons_table(exact: Mapping[str, Run], coupled: Sequence[Run]) -> Tabl
         Of the eight wagons.
     """
     table = new_table(
-        "Paper 004, eqs. (2)-(9): eight wagons; the same errors, and the couplers' forces (kN)",
+        "Eight wagons, eqs. (2)-(9): the same errors, and the couplers' forces (kN)",
         "estimator",
         "traction",
         "one particle",

@@ -1,4 +1,4 @@
-"""Picture of the study of paper 002: one configuration's optimum, driven by the others."""
+"""Picture of one configuration's optimum, driven by the others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from analysis.plotting import BLUE, GREEN, GREY, RED, dress, new_figure, write_figure
-from analysis.studies.cunillera_2022.run import Driven, Instance, driven
+from analysis.studies.cunillera_2022.model import Driven, Instance, driven
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH
 

@@ -1,393 +1,49 @@
-"""Paper 002: robust minimax trajectories over an observed set, as printed and with own brakes.
-
-Cunillera et al. (2022), *Train trajectory optimization under parametric uncertainty and robust
-maximum principle analysis*, state the problem and its control phases and publish no figures. The
-instances here are this study's own: the level reference line and the VIRM6 of TTOBench v1.5, three
-configurations, and a downhill for the phase that level track does not have.
-
-The paper's train has unit mass. So do the arrays of `analysis.trajectory.discretisation`, where all
-is divided by the inertia: efforts are accelerations, powers W/kg, energies J/kg.
-"""
+"""The study of Cunillera et al. (2022): its answers as trajectories, pictures and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import get_args
-
-import numpy as np
-from numba import njit
-from numpy.typing import NDArray
-
-from analysis.trajectory import OptimiserOptions, optimise
-from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
-from analysis.trajectory.envelope import braking_curves, fastest_run
-from analysis.trajectory.feasibility import lowest_end_speed
-from analysis.trajectory.phases import Phase, phases_by_switching, phases_of
-from analysis.trajectory.problem import Braking, TrajectoryProblem
-from trainlog.railway import (
-    Configuration,
-    Line,
-    RunningResistance,
-    Station,
-    StepProfile,
-    Train,
-    Trajectory,
-)
-from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
-
-NOMINAL = "nominal"
-"""The configuration a robust trajectory is compared with."""
-
-TRAIN = Train(
-    name="NL_Intercity_VIRM6",
-    mass=391_000.0,
-    rotating_mass_factor=0.06,
-    resistance=RunningResistance(5_854.0, 74.16, 12.96),
-    max_tractive_effort=213_900.0,
-    max_traction_power=2_157_000.0,
-    max_dynamic_braking_effort=142_500.0,
-    max_dynamic_braking_power=3_616_000.0,
-    max_pneumatic_braking_effort=273_500.0,
-    max_speed=140.0 / KMH,
-    max_deceleration=0.66,
-    source="TTOBench v1.5, NL_Intercity_VIRM6 (BSD-2-Clause)",
-)
-
-SPREAD = {
-    "easy": ((0.97, 1.0, 0.985), 1.01),
-    NOMINAL: ((1.0, 1.0, 1.0), 1.0),
-    "hard": ((1.03, 1.0, 1.015), 0.98),
-}
-"""Factors on (r0, r1, r2) and on p_max: alpha of the paper, chosen here."""
-
-SHARES = (0.01, 0.03, 0.05, 0.1)
-"""Of the running resistance, by which even sets differ."""
-
-SUBSTEPS = 20
-"""Runge-Kutta sub-steps a cell of `driven`."""
-
-SHORTEST = 3.0
-"""Phases that last no longer are the cell in which one phase gives way to the next [s]."""
+from analysis.studies.cunillera_2022 import model as study
+from analysis.studies.cunillera_2022 import table
+from analysis.studies.cunillera_2022.plot import draw_others
+from analysis.studies.report import StudyReport
+from analysis.trajectory.plot import draw_trajectory
+from trainlog.formats.trajectory import write_trajectory
+from trainlog.railway import Trajectory
 
 
-@dataclass(frozen=True, eq=False)
-class Instance:
-    """One problem: where, in what time, from and to which speed.
-
-    Attributes
-    ----------
-    name : str
-    line : Line
-    running_time : float [s]
-    initial_speed, final_speed : float [m/s]
-        v_o and v_e of eq. (8), both above 0.
-    """
-
-    name: str
-    line: Line
-    running_time: float
-    initial_speed: float = 1.0
-    final_speed: float = 10.0
-
-    def run(self, configurations: Sequence[Configuration], braking: Braking) -> TrajectoryProblem:
-        """What is asked of the optimiser for these configurations."""
-        return TrajectoryProblem(
-            self.line, TRAIN, configurations, running_time=self.running_time,
-            initial_speed=self.initial_speed, final_speed=self.final_speed, braking=braking,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Driven:
-    """Where given efforts take each configuration; (q,) arrays unless said otherwise.
-
-    Attributes
-    ----------
-    speeds, times : (q, n + 1) array [m/s], [s]
-        At the nodes; speed 0 where it did not get to.
-    energy : [J/kg]
-        Eq. (4).
-    power : [W/kg]
-        Largest ``u_f v``.
-    stands : [m]
-        Where it came to a stand, infinite if it did not.
-    """
-
-    speeds: FloatArray
-    times: FloatArray
-    energy: FloatArray
-    power: FloatArray
-    stands: FloatArray
-
-
-def configurations(spread: Mapping[str, tuple[tuple[float, float, float], float]] = SPREAD) -> (
-    tuple[Configuration, ...]
-):  # fmt: skip
-    """The train with other running resistance and power.
+def main(report: StudyReport, cells: int) -> None:
+    """Optimise for each configuration alone and for all, and judge every answer.
 
     Parameters
     ----------
-    spread : mapping of str to ((float, float, float), float)
-        By name: factors on r0, r1 and r2, and on the largest power.
+    report : StudyReport
+    cells : int
+        Of the grid.
     """
-    own = TRAIN.resistance
-    return tuple(
-        Configuration(
-            name, TRAIN.mass, TRAIN.rotating_mass,
-            RunningResistance(own.r0 * f0, own.r1 * f1, own.r2 * f2),
-            TRAIN.max_traction_power * power,
-        )
-        for name, ((f0, f1, f2), power) in spread.items()
-    )  # fmt: skip
-
-
-def evenly_spread(share: float) -> tuple[Configuration, ...]:
-    """Three configurations whose running resistance differs by `share` from the train's own."""
-    factors = {"easy": 1.0 - share, NOMINAL: 1.0, "hard": 1.0 + share}
-    return configurations({name: ((f, f, f), 1.0) for name, f in factors.items()})
-
-
-def level() -> Instance:
-    """The level reference: 48.531 km, 140 km/h, 1541 s, from 1 to 10 m/s."""
-    line = Line(
-        name="level reference",
-        length=48_531.0,
-        stations=(Station("A", 0.0), Station("B", 48_531.0)),
-        speed_limits=StepProfile(np.array([0.0]), np.array([140.0 / KMH])),
-        gradients=StepProfile(np.array([0.0]), np.array([0.0])),
-        source="TTOBench v1.5, 00_reference (BSD-2-Clause)",
+    level, slope, chosen = study.level(), study.downhill(), study.configurations()
+    asked = study.questions(level, slope, chosen)
+    answers: dict[str, Trajectory] = {}
+    for name, (instance, some, braking) in report.track(asked.items(), "optimising"):
+        answers[name] = found = study.solved(instance, some, braking, cells=cells)
+        path = report.folder / f"{name}.json"
+        write_trajectory(found, path)
+        report.keep(path)
+        draw_trajectory(found, instance.line, report.picture(f"{name}.png"))
+    ends = [
+        study.end_of(level, share, cells=cells)
+        for share in report.track(study.SHARES, "lowest common end speeds")
+    ]
+    alone = {each.name: answers[f"level-{each.name}"] for each in chosen}
+    common, recourse = answers["level-common"], answers["level-recourse"]
+    nominal = alone[study.NOMINAL]
+    draw_others(level, nominal, common, chosen, report.picture("nominal-driven-by-others.png"))
+    on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
+    report.show(
+        table.configurations_table(level),
+        table.price_table(alone, common, recourse),
+        table.printed_table(level, common),
+        table.phases_table(list(answers.items())),
+        table.cruise_table(on_level),
+        table.others_table(level, nominal, common, chosen),
+        table.ends_table(ends),
     )
-    return Instance("level", line, 1_541.0)
-
-
-def downhill() -> Instance:
-    """20 km with 6 km of 12 per mille down under a limit of 100 km/h: made up for this study.
-
-    Gravity there exceeds the running resistance at the limit, so that the limit is held by the
-    brake: cruising by partial braking.
-    """
-    line = Line(
-        name="downhill",
-        length=20_000.0,
-        stations=(Station("A", 0.0), Station("B", 20_000.0)),
-        speed_limits=StepProfile(np.array([0.0]), np.array([100.0 / KMH])),
-        gradients=StepProfile(np.array([0.0, 8_000.0, 14_000.0]), np.array([0.0, -0.012, 0.0])),
-        source="made up for the study of paper 002",
-    )
-    return Instance("downhill", line, 800.0)
-
-
-def solved(
-    instance: Instance, chosen: Sequence[Configuration], braking: Braking, *, cells: int = 500
-) -> Trajectory:
-    """The trajectory of least worst-case energy at the wheel rims, eq. (9)."""
-    return optimise(instance.run(chosen, braking), OptimiserOptions(cells))
-
-
-def questions(
-    first: Instance, second: Instance, chosen: Sequence[Configuration]
-) -> dict[str, tuple[Instance, Sequence[Configuration], Braking]]:
-    """What the study asks, by name: each configuration alone, and all, on either instance."""
-    alone: dict[str, tuple[Instance, Sequence[Configuration], Braking]] = {
-        f"{first.name}-{each.name}": (first, [each], "common") for each in chosen
-    }
-    return alone | {
-        f"{instance.name}-{braking}": (instance, chosen, braking)
-        for instance in (first, second)
-        for braking in get_args(Braking)
-    }
-
-
-def end_of(
-    instance: Instance, share: float, *, cells: int = 500
-) -> tuple[float, float | None, Trajectory]:
-    """An even set: its spread, its lowest common end speed [m/s], its trajectory by recourse."""
-    chosen = evenly_spread(share)
-    lowest = lowest_common_end_speed(instance, chosen)
-    return share, lowest, solved(instance, chosen, "recourse", cells=cells)
-
-
-def driven(
-    instance: Instance,
-    trajectory: Trajectory,
-    chosen: Sequence[Configuration],
-    *,
-    braking: Braking = "common",
-) -> Driven:
-    """Eqs. (2) to (4) as printed, for any configurations under a trajectory's efforts.
-
-    Traction is that of the trajectory, and no more than the configuration's power allows.
-
-    Parameters
-    ----------
-    instance : Instance
-    trajectory : Trajectory
-    chosen : sequence of Configuration
-        Also such as it was not made for.
-    braking : str
-        ``"common"``: the brake as planned. ``"recourse"``: each brakes as late as it may.
-    """
-    problem = discretise(instance.run(chosen, braking), trajectory.positions)
-    curves = np.full((len(chosen), trajectory.positions.size), np.inf)
-    brake = trajectory.braking_effort[0] / problem.reference
-    if braking == "recourse":
-        curves, brake = braking_curves(problem), np.zeros(brake.size)
-    return Driven(
-        *_driven(
-            instance.initial_speed, trajectory.positions, problem.step,
-            trajectory.tractive_effort / problem.reference,
-            trajectory.tractive_effort_fall / problem.reference, brake, problem.mean_drag0,
-            problem.drag1, problem.drag2, problem.power, curves,
-        )
-    )  # fmt: skip
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _driven(
-    initial_speed: float, positions: FloatArray, step: FloatArray, traction: FloatArray,
-    fall: FloatArray, braking: FloatArray, drag0: FloatArray, drag1: FloatArray, drag2: FloatArray,
-    power: FloatArray, curves: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Runge-Kutta of order four on ``dv/ds = (u_f - u_b - r(v)) / v`` and ``dt/ds = 1 / v``."""
-    q, n = drag0.shape
-    speeds, times = np.zeros((q, n + 1)), np.full((q, n + 1), np.inf)
-    energy, most, stands = np.zeros(q), np.zeros(q), np.full(q, np.inf)
-    slopes, shares = np.zeros(4), np.array([0.0, 0.5, 0.5, 1.0])
-    for a in range(q):
-        v, t = initial_speed, 0.0
-        speeds[a, 0], times[a, 0] = v, t
-        for k in range(n):
-            h = step[k] / SUBSTEPS
-            for j in range(SUBSTEPS):
-                wanted = traction[k] + fall[k] * (0.5 - (j + 0.5) / SUBSTEPS)
-                pull = min(wanted, power[a] / v)
-                pace = 0.0
-                for stage in range(4):
-                    at = v if stage == 0 else v + shares[stage] * h * slopes[stage - 1]
-                    at = max(at, 1e-3)
-                    net = pull - braking[k] - drag0[a, k] - (drag1[a] + drag2[a, k] * at) * at
-                    slopes[stage] = net / at
-                    pace += (1.0 if stage in (0, 3) else 2.0) / at
-                v += h / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
-                if v <= 0.02:
-                    stands[a] = positions[k] + j * h
-                    break
-                t += h / 6.0 * pace
-                share = (j + 1.0) / SUBSTEPS
-                curve = curves[a, k] + share * (curves[a, k + 1] - curves[a, k])
-                v = min(v, np.sqrt(2.0 * curve))
-                energy[a] += h * pull
-                wanted = traction[k] + fall[k] * (0.5 - share)
-                most[a] = max(most[a], min(wanted, pull) * v)
-            if stands[a] < np.inf:
-                break
-            speeds[a, k + 1], times[a, k + 1] = v, t
-    return speeds, times, energy, most, stands
-
-
-def lowest_common_end_speed(
-    instance: Instance, chosen: Sequence[Configuration], *, cells: int = 120
-) -> float | None:
-    """The lowest v_e [m/s] that one braking effort for all allows; None if the time is too short.
-
-    See `analysis.trajectory.feasibility.lowest_end_speed`.
-    """
-    run = replace(instance, final_speed=1e-3).run(chosen, "common")
-    fastest = fastest_run(run)
-    speeds = fastest.speeds[int(np.argmax(fastest.times))]
-    positions = graded_mesh(run.breakpoints, fastest.positions, speeds, cells)
-    problem = discretise(run, positions)
-    return lowest_end_speed(problem, fastest.at(positions), instance.running_time)
-
-
-def phases_told(trajectory: Trajectory, row: int = 0) -> dict[Phase, float]:
-    """Seconds that a configuration spends in each phase that lasts, in their order."""
-    phases, times = phases_of(trajectory, row), trajectory.times[row]
-    starts = np.flatnonzero(np.diff(phases, prepend=-1))
-    spent: dict[Phase, float] = {}
-    for first, last in zip(starts, [*starts[1:], phases.size], strict=True):
-        seconds = float(times[last] - times[first])
-        if seconds > SHORTEST:
-            phase = Phase(phases[first])
-            spent[phase] = spent.get(phase, 0.0) + seconds
-    return spent
-
-
-def phases_agree(trajectory: Trajectory, band: float = 1e-3) -> float:
-    """Share of the cells whose phase by the switching function is that of the controls."""
-    by_switching = phases_by_switching(np.asarray(trajectory.certificate["switching"]), band)
-    return float(np.mean(by_switching == phases_of(trajectory, 0)))
-
-
-@dataclass(frozen=True)
-class Cruise:
-    """Cruising by partial traction: the sum of all ``lambda_v / v`` stays 1.
-
-    On level track ``d(lambda_v / v)/ds = (lambda_v / v) r'(v) / v - lambda_t / v³``. Where the sum
-    over the configurations does not change, that tells one ``lambda_t`` from the others; of a
-    configuration alone it is ``V² r'(V)``.
-
-    Attributes
-    ----------
-    speed : float [m/s]
-        Of the configuration that decides.
-    price : float [J/(kg s)]
-        Its ``lambda_t``: the multiplier of the running time.
-    analytic : float [J/(kg s)]
-    """
-
-    speed: float
-    price: float
-    analytic: float
-
-
-def cruise(trajectory: Trajectory) -> Cruise:
-    """The multiplier of the time of the configuration that decides, while all cruise."""
-    certificate = trajectory.certificate
-    prices, costates = certificate["time_price"], certificate["costates"]
-    decides = max(prices, key=prices.get)
-    row = trajectory.index_of(decides)
-    cells = np.flatnonzero(phases_of(trajectory, row) == Phase.CRUISING)[3:-3]
-    lengths = np.diff(trajectory.positions)[cells]
-    changes = np.zeros(cells.size)
-    for name, costate in costates.items():
-        other = trajectory.index_of(name)
-        v = 0.5 * (trajectory.speeds[other, cells] + trajectory.speeds[other, cells + 1])
-        configuration = trajectory.configurations[other]
-        resistance, inertia = configuration.resistance, configuration.inertia
-        slope = (resistance.r1 + 2.0 * resistance.r2 * v) / inertia
-        changes += np.asarray(costate)[cells] * slope / v
-        if name != decides:
-            changes -= prices[name] / inertia / v**3
-    v = 0.5 * (trajectory.speeds[row, cells] + trajectory.speeds[row, cells + 1])
-    return Cruise(
-        speed=float(v @ lengths / lengths.sum()),
-        price=prices[decides] / trajectory.configurations[row].inertia,
-        analytic=float(np.median(changes * v**3)),
-    )
-
-
-def as_printed(problem: DiscreteProblem, trajectory: Trajectory, found: Driven) -> dict[str, float]:
-    """Largest excess over each constraint of the paper, eqs. (5) to (8); not positive if kept.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-        Of the configurations that were driven.
-    trajectory : Trajectory
-    found : Driven
-        Under its efforts as planned.
-    """
-    traction = trajectory.tractive_effort + 0.5 * np.abs(trajectory.tractive_effort_fall)
-    traction /= problem.reference
-    braking = trajectory.braking_effort[0] / problem.reference
-    return {
-        "(5) power [W/kg]": float((found.power - problem.power).max()),
-        "(6) traction [m/s²]": float((traction - problem.traction).max()),
-        "(7) braking [m/s²]": float((braking - problem.braking.min(axis=0)).max()),
-        "(8) v(s_e) [m/s]": float(found.speeds[:, -1].max()) - problem.run.final_speed,
-        "(8) t(s_e) [s]": float(found.times[:, -1].max()) - trajectory.running_time,
-    }

@@ -1,4 +1,4 @@
-"""Tables of the study of paper 002: what robust trajectories cost, and what they are good for."""
+"""Tables: what robust trajectories cost, and what they are good for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
-from analysis.studies.cunillera_2022 import run as study
+from analysis.studies.cunillera_2022 import model as study
 from analysis.tables import new_table
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
@@ -22,7 +22,7 @@ def configurations_table(instance: study.Instance) -> Table:
     instance : Instance
     """
     table = new_table(
-        f"Paper 002, unit mass: configurations ({instance.line.source}; spread chosen here)",
+        f"Configurations, unit mass ({instance.line.source}; spread chosen here)",
         "alpha",
         "r0 [mm/s²]",
         "r1 [1e-4/s]",
@@ -116,7 +116,7 @@ def phases_table(answers: Sequence[tuple[str, Trajectory]]) -> Table:
         "phase by both the same",
     )
     for name, found in answers:
-        spent = study.phases_told(found)
+        spent = study.phase_durations(found)
         agreed = found.certificate["agreement"]
         table.add_row(
             name,
@@ -144,13 +144,13 @@ def cruise_table(answers: Sequence[tuple[str, Trajectory]]) -> Table:
         "apart",
     )
     for name, found in answers:
-        told = study.cruise(found)
+        cruise = study.cruise(found)
         table.add_row(
             name,
-            f"{KMH * told.speed:.2f}",
-            f"{told.price:.6f}",
-            f"{told.analytic:.6f}",
-            f"{abs(told.price / told.analytic - 1.0):.1e}",
+            f"{KMH * cruise.speed:.2f}",
+            f"{cruise.price:.6f}",
+            f"{cruise.analytic:.6f}",
+            f"{abs(cruise.price / cruise.analytic - 1.0):.1e}",
         )
     return table
 

@@ -19,7 +19,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
-from analysis.studies.in_train_forces.run import ConsistRun
+from analysis.studies.in_train_forces.simulation import ConsistRun
 from trainlog.units import KMH, PER_MILLE
 
 COLUMNS = 1_200

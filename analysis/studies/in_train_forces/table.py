@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Group
 from rich.table import Table
 
-from analysis.studies.in_train_forces.run import ConsistRun
+from analysis.studies.in_train_forces.simulation import ConsistRun
 from analysis.tables import new_table
 from trainlog.units import KMH
 
 
-def forces_table(run: ConsistRun) -> Group:
+def forces_tables(run: ConsistRun) -> tuple[Table, Table]:
     """The largest forces of each coupler, phase by phase, and what they mean for the trip."""
     names = [name for _, name in run.phases if name not in ("halt", "end")]
     table = new_table(
@@ -21,21 +20,19 @@ def forces_table(run: ConsistRun) -> Group:
     for coupler, forces in enumerate(run.forces.T / 1e3, start=1):
         parts = (forces, *(forces[run.phase(name)] for name in names))
         table.add_row(str(coupler), *(_extremes(part) for part in parts))
-    told = Table.grid(padding=(0, 2))
-    told.add_column(style="dim")
-    told.add_column(overflow="fold")
+    summary = new_table("In-train forces: where, and beside a single particle", "", "")
     draft = np.unravel_index(np.argmax(run.forces), run.forces.shape)
     buff = np.unravel_index(np.argmin(run.forces), run.forces.shape)
     for what, (row, which) in (("largest draft", draft), ("largest buff", buff)):
-        told.add_row(
+        summary.add_row(
             what,
             f"{abs(run.forces[row, which]) / 1e3:.0f} kN in coupler {which + 1} at"
             f" km {run.front[row] / 1e3:.3f}, {run.time[row]:.1f} s,"
             f" {run.speeds[row, 0] * KMH:.0f} km/h",
         )
-    told.add_row("energy unaccounted for", f"{run.residual:.1e} of all work done")
-    told.add_row("beside one particle", _beside(run))
-    return Group(table, told)
+    summary.add_row("energy unaccounted for", f"{run.residual:.1e} of all work done")
+    summary.add_row("beside one particle", _beside(run))
+    return table, summary
 
 
 def _beside(run: ConsistRun) -> str:

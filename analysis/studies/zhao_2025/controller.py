@@ -1,9 +1,13 @@
-"""Cooperative maximum-adhesion MPC of paper 003: the torques of all motors from one program.
+"""Cooperative maximum-adhesion MPC of Zhao et al. (2025): all torques from one program.
 
 Each axle is to run at the slip speed at which its rail gives most (eq. 16), within the torque of
 each motor and of all of them together (eq. 17). At every sample the motion is linearised along the
 prediction from the measured state, and the dense quadratic program is solved by DAQP: a real-time
-iteration. `analysis.studies.zhao_2025.referee` solves the nonlinear problem itself.
+iteration. `NonlinearReferee` solves the nonlinear problem itself, by CasADi and IPOPT.
+
+Beside it stand slip controllers that know nothing of each other. They are proportional and
+integral: a wheel under torque is an integrator of slip speed near the peak of the creep curve, and
+their gains put both poles at `BANDWIDTH`.
 """
 
 from __future__ import annotations
@@ -15,87 +19,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.studies.zhao_2025 import kernels as kernels
+from analysis.control.qp import QPSubproblem, solve
+from analysis.studies.zhao_2025 import model
+from analysis.studies.zhao_2025.model import MultiMotorLocomotive
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import CreepCurve
-from trainlog.railway.resistance import RunningResistance
 
 FloatArray = NDArray[np.float64]
 
+BANDWIDTH = 6.0
+"""Of a slip controller [rad/s]: of those from 1 to 8 the one that takes a locomotive farthest."""
+
 UNBOUNDED = 1e30
 """What the solver takes for no bound."""
-
-
-@dataclass(frozen=True)
-class Locomotive:
-    """A locomotive with a motor for each axle, and what it pulls.
-
-    Attributes
-    ----------
-    name : str
-    mass : float [kg]
-        Of locomotive and train, without the rotating part; M of eq. (1).
-    axle_loads : tuple of float [N]
-        Weight on each driven axle, W g of eq. (2).
-    inertia : float [kg m²]
-        Of one axle with its motor, at the motor; J_eq of eq. (9).
-    gear_ratio : float
-        Motor speed over axle speed, R_g.
-    wheel_radius : float [m]
-    resistance : RunningResistance
-        F_d, eq. (3).
-    torque_limit, total_torque : float [N m]
-        The most that a motor, and that all of them together may give.
-    """
-
-    name: str
-    mass: float
-    axle_loads: tuple[float, ...]
-    inertia: float
-    gear_ratio: float
-    wheel_radius: float
-    resistance: RunningResistance
-    torque_limit: float
-    total_torque: float
-
-    def __post_init__(self) -> None:
-        for name in (
-            "mass", "inertia", "gear_ratio", "wheel_radius", "torque_limit", "total_torque",
-        ):  # fmt: skip
-            if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(
-                    f"locomotive '{self.name}': {name} {getattr(self, name)} is not positive"
-                )
-        if not self.axle_loads or not all(load > 0.0 for load in self.axle_loads):
-            raise InputError(
-                f"locomotive '{self.name}': needs driven axles, each with a positive load"
-            )
-
-    @property
-    def axles(self) -> int:
-        """Number of driven axles."""
-        return len(self.axle_loads)
-
-    @property
-    def effort_per_torque(self) -> float:
-        """Effort at the wheel rims for each newton metre at the motor [1/m]."""
-        return self.gear_ratio / self.wheel_radius
-
-    @property
-    def rotating_mass(self) -> float:
-        """Inertia of one axle with its motor, as a mass at the wheel rims [kg]."""
-        return self.inertia * self.effort_per_torque**2
-
-    @property
-    def loads(self) -> FloatArray:
-        """`axle_loads` as an array, (n,) [N]."""
-        return np.array(self.axle_loads, dtype=np.float64)
-
-    @property
-    def constants(self) -> tuple[float, float, float, float, float, float]:
-        """What the compiled code needs: masses [kg], effort per torque [1/m], r0, r1, r2."""
-        r = self.resistance
-        return (self.mass, self.rotating_mass, self.effort_per_torque, r.r0, r.r1, r.r2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,27 +104,6 @@ class Demand:
     total: float
 
 
-@dataclass(frozen=True, eq=False)
-class Program:
-    """``min 1/2 x'Hx + f'x``: changes of the plan's torques over the torque limit, then slacks.
-
-    Attributes
-    ----------
-    hessian, gradient : (m, m), (m,) arrays
-        m is control horizon * n torques and horizon * n slacks [m/s].
-    rows : (control horizon + horizon * n, m) array
-        Sums of the torques; slip speeds and their slacks.
-    upper, lower : arrays
-        Of x, then of the rows.
-    """
-
-    hessian: FloatArray
-    gradient: FloatArray
-    rows: FloatArray
-    upper: FloatArray
-    lower: FloatArray
-
-
 def coefficients(curves: Sequence[CreepCurve]) -> FloatArray:
     """a, b and c of the creep curves under the axles, (n, 3)."""
     return np.array([(each.a, each.b, each.c) for each in curves], dtype=np.float64)
@@ -206,13 +121,13 @@ class CooperativeController:
 
     Attributes
     ----------
-    locomotive : Locomotive
+    locomotive : MultiMotorLocomotive
     tuning : Tuning
     unsolved : int
         Samples at which the program was not solved, and the shifted plan was taken instead.
     """
 
-    locomotive: Locomotive
+    locomotive: MultiMotorLocomotive
     tuning: Tuning = field(default_factory=Tuning)
     unsolved: int = 0
 
@@ -310,11 +225,15 @@ class CooperativeController:
         """The plan of the last sample, shifted, and made to keep the limits."""
         return within(np.concatenate([self._plan[1:], self._plan[-1:]]), demand)
 
-    def program(self, state: FloatArray, plan: FloatArray, demand: Demand) -> Program:
-        """The program (18), linearised about a plan from a state; see `Program`."""
+    def program(self, state: FloatArray, plan: FloatArray, demand: Demand) -> QPSubproblem:
+        """The program (18), linearised about a plan from a state.
+
+        In changes of the plan's torques over the torque limit, then slacks [m/s]; its rows are the
+        sums of the torques, then slip speeds and their slacks.
+        """
         tuning, locomotive = self.tuning, self.locomotive
         scale = locomotive.torque_limit
-        slip, change = kernels.predicted(
+        slip, change = model.predicted(
             state, plan, demand.rail, locomotive.loads, locomotive.constants,
             tuning.period, tuning.substeps,
         )  # fmt: skip
@@ -343,7 +262,7 @@ class CooperativeController:
         lower = np.concatenate([
             -levels, np.full(soft + moves, -UNBOUNDED), -tuning.margin - error
         ])  # fmt: skip
-        return Program(hessian, gradient, rows, upper, lower)
+        return QPSubproblem(hessian, gradient, rows, upper, lower, plan, soft=False)
 
     def _state(self, speed: float, wheel_speeds: ArrayLike) -> FloatArray:
         wheels = np.asarray(wheel_speeds, dtype=np.float64)
@@ -365,18 +284,183 @@ def within(plan: FloatArray, demand: Demand) -> FloatArray:
     return np.asarray(capped * np.minimum(demand.total / sums, 1.0))
 
 
-def solve(program: Program) -> tuple[FloatArray, int]:
-    """Solve a program by DAQP.
+# ---- without cooperation -----------------------------------------------------------------------
 
-    Returns
-    -------
-    change : (m,) array
-    status : int
-        Positive where the optimum was found.
+
+@dataclass
+class NoSlipControl:
+    """Every motor has its share of the total and gives it, whatever its wheels do."""
+
+    locomotive: MultiMotorLocomotive
+
+    def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
+        """Torques until the next sample, (n,) [N m]; see `CooperativeController.torques`."""
+        del speed, wheel_speeds
+        return _share(demand)
+
+
+@dataclass
+class AxleByAxle:
+    """Every motor has its share of the total and a slip controller of its own."""
+
+    locomotive: MultiMotorLocomotive
+    period: float
+
+    def __post_init__(self) -> None:
+        self._memory = np.zeros(self.locomotive.axles)
+
+    def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
+        """Torques until the next sample, (n,) [N m]; see `CooperativeController.torques`."""
+        error = demand.reference[0] - (wheel_speeds - speed)
+        torque, self._memory = _controlled(
+            self.locomotive, self.period, error, self._memory, _share(demand)
+        )
+        return torque
+
+
+@dataclass
+class EqualTorque:
+    """All motors get one torque, as from one inverter; the axle that slips most decides on it."""
+
+    locomotive: MultiMotorLocomotive
+    period: float
+
+    def __post_init__(self) -> None:
+        self._memory = np.zeros(1)
+
+    def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
+        """Torques until the next sample, (n,) [N m]; see `CooperativeController.torques`."""
+        error = demand.reference[0] - (wheel_speeds - speed)
+        worst, most = error.min(keepdims=True), _share(demand).min(keepdims=True)
+        torque, self._memory = _controlled(self.locomotive, self.period, worst, self._memory, most)
+        return np.full(self.locomotive.axles, torque[0])
+
+
+def _share(demand: Demand) -> FloatArray:
+    return np.minimum(demand.total / demand.limits.size, demand.limits)
+
+
+def _controlled(
+    locomotive: MultiMotorLocomotive,
+    period: float,
+    error: FloatArray,
+    memory: FloatArray,
+    most: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Proportional and integral control of slip errors [m/s]: torques and memory [N m]."""
+    gain = locomotive.effort_per_torque / locomotive.rotating_mass
+    proportional = 2.0 * BANDWIDTH / gain * error
+    grown = memory + period * BANDWIDTH**2 / gain * error
+    torque = np.clip(proportional + grown, 0.0, most)
+    # Beyond a limit the memory may only move back.
+    outward = (proportional + grown - torque) * error > 0.0
+    return np.asarray(torque), np.where(outward, memory, grown)
+
+
+# ---- the nonlinear problem itself --------------------------------------------------------------
+
+
+@dataclass
+class NonlinearReferee:
+    """Solves the problem that `CooperativeController` linearises: same model, same bounds.
+
+    Attributes
+    ----------
+    locomotive : MultiMotorLocomotive
+    tuning : Tuning
     """
-    import daqp
 
-    answer: tuple[Any, ...] = daqp.solve(
-        program.hessian, program.gradient, program.rows, program.upper, program.lower
-    )
-    return np.asarray(answer[0]), int(answer[2])
+    locomotive: MultiMotorLocomotive
+    tuning: Tuning = field(default_factory=Tuning)
+
+    def __post_init__(self) -> None:
+        self._solver = _built(self.locomotive, self.tuning)
+
+    def plan(
+        self, speed: float, wheel_speeds: ArrayLike, guess: FloatArray, demand: Demand
+    ) -> FloatArray:
+        """The best torques from a state on, (control horizon, n) [N m].
+
+        Parameters
+        ----------
+        speed, wheel_speeds : [m/s]
+        guess : (control horizon, n) array [N m]
+            Where the search begins.
+        demand : Demand
+
+        Raises
+        ------
+        InputError
+            If IPOPT finds no optimum.
+        """
+        tuning, n = self.tuning, self.locomotive.axles
+        scale = self.locomotive.torque_limit
+        slacks = np.zeros(tuning.horizon * n)
+        caps = np.tile(demand.limits / scale, tuning.control_horizon)
+        bounds = np.full(tuning.control_horizon, demand.total / scale)
+        free, margin = np.full(slacks.size, np.inf), np.full(slacks.size, tuning.margin)
+        given: list[FloatArray] = [
+            np.array([speed]), np.asarray(wheel_speeds, dtype=np.float64),
+            demand.rail.ravel(), demand.reference.ravel(),
+        ]  # fmt: skip
+        answer = self._solver(
+            x0=np.concatenate([guess.ravel() / scale, slacks]),
+            p=np.concatenate(given),
+            lbx=np.concatenate([np.zeros(caps.size), -free]),
+            ubx=np.concatenate([caps, free]),
+            lbg=np.concatenate([np.full(bounds.size, -np.inf), -margin]),
+            ubg=np.concatenate([bounds, margin]),
+        )
+        if not self._solver.stats()["success"]:
+            raise InputError(
+                f"cooperative control: IPOPT found no optimum"
+                f" ({self._solver.stats()['return_status']})",
+                remedy="begin from another guess",
+            )
+        levels = np.asarray(answer["x"]).ravel()[: caps.size]
+        return np.asarray(scale * levels.reshape(guess.shape))
+
+
+def _built(locomotive: MultiMotorLocomotive, tuning: Tuning) -> Any:
+    import casadi as ca
+
+    n, horizon, moves = locomotive.axles, tuning.horizon, tuning.control_horizon
+    mass, rotating, ratio, r0, r1, r2 = locomotive.constants
+    step = tuning.period / tuning.substeps
+    levels, slacks = ca.SX.sym("u", moves * n), ca.SX.sym("s", horizon * n)
+    state = ca.SX.sym("x", 1 + n)
+    rail, reference = ca.SX.sym("rail", horizon * n * 3), ca.SX.sym("r", horizon * n)
+    v, wheels = state[0], [state[1 + i] for i in range(n)]
+    errors = []
+    for k in range(horizon):
+        torques = [locomotive.torque_limit * levels[min(k, moves - 1) * n + i] for i in range(n)]
+        curves = [[rail[(k * n + i) * 3 + j] for j in range(3)] for i in range(n)]
+        for _ in range(tuning.substeps):
+            forces = []
+            for w, (a, b, c), load in zip(wheels, curves, locomotive.axle_loads, strict=True):
+                size = ca.fabs(w - v)
+                adhesion = c * (ca.exp(-a * size) - ca.exp(-b * size))
+                forces.append(load * ca.sign(w - v) * adhesion)
+            gain = (sum(forces) - r0 - (r1 + r2 * v) * v) / mass
+            gain = ca.if_else(v <= 0.0, ca.fmax(gain, 0.0), gain)
+            wheels = [
+                w + step * (ratio * torque - force) / rotating
+                for w, torque, force in zip(wheels, torques, forces, strict=True)
+            ]
+            v = ca.fmax(v + step * gain, 0.0)
+        errors += [w - v - reference[k * n + i] for i, w in enumerate(wheels)]
+    error = ca.vertcat(*errors)
+    sums = [ca.sum1(levels[j * n : (j + 1) * n]) for j in range(moves)]
+    problem = {
+        "x": ca.vertcat(levels, slacks),
+        "p": ca.vertcat(state, rail, reference),
+        "f": tuning.slip * ca.sumsqr(error)
+        + tuning.torque * ca.sumsqr(levels)
+        + tuning.slack * ca.sumsqr(slacks),
+        "g": ca.vertcat(*sums, error + slacks),
+    }
+    options: dict[str, Any] = {
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9},
+    }
+    return ca.nlpsol("cooperative", "ipopt", problem, options)

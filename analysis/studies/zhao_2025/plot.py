@@ -1,4 +1,4 @@
-"""The figures of paper 003, drawn from runs of `analysis.studies.zhao_2025.run`."""
+"""The figures of Zhao et al. (2025), drawn from runs of `simulation`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
-from analysis.studies.zhao_2025.run import SCARCE, WET_SPAN, Run
+from analysis.studies.zhao_2025.simulation import SCARCE, WET_SPAN, Run
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.units import KMH
 
@@ -152,13 +152,13 @@ def draw_rail(runs: Sequence[Run], path: Path) -> None:
     rows = figure.subplots(len(runs), 2, sharex=True, squeeze=False)
     for run, (maxima, slips) in zip(runs, rows, strict=True):
         maxima.plot(run.time, run.maximum_adhesion[:, 3], color=GREY, linewidth=3.0, label="true")
-        maxima.plot(run.time, run.believed[:, 3], color=BLUE, linewidth=1.2, label="learnt")
+        maxima.plot(run.time, run.assumed[:, 3], color=BLUE, linewidth=1.2, label="learnt")
         maxima.plot(run.time, run.adhesion[:, 3], color=ORANGE, linewidth=1.0, label="in use")
         slips.plot(run.time, run.reference[:, 3], color=GREY, linewidth=3.0, label="sought")
         slips.plot(run.time, run.slip[:, 3], color=BLUE, linewidth=1.2, label="reached")
         maxima.set_ylim(0.0, 0.36)
-        told = f"Case {run.case.number}, {run.total:.0f} N m asked, axle 4"
-        dress(maxima, x="", y="", title=f"{told}: maximum adhesion")
+        title = f"Case {run.case.number}, {run.total:.0f} N m asked, axle 4"
+        dress(maxima, x="", y="", title=f"{title}: maximum adhesion")
         dress(slips, x="", y="m/s", title="slip speed")
     for axes in rows[0]:
         axes.legend(frameon=False, fontsize=8, ncols=3)
@@ -183,11 +183,11 @@ def _draw_compared(compared: Mapping[str, Sequence[Run]], path: Path) -> None:
             forces.plot(run.time, run.force / 1e3, color=colour, linewidth=1.3, label=strategy)
             speeds.plot(run.time, run.speed * KMH, color=colour, linewidth=1.3)
         run = next(iter(compared.values()))[number]
-        told = f"Case {run.case.number}, {run.preset.key}, {run.total:.0f} N m asked"
+        title = f"Case {run.case.number}, {run.preset.key}, {run.total:.0f} N m asked"
         for axes in (forces, speeds):
             _shade(axes)
             axes.set_ylim(bottom=0.0)
-        dress(forces, x="", y="kN", title=f"{told}: force on the rail")
+        dress(forces, x="", y="kN", title=f"{title}: force on the rail")
         dress(speeds, x="", y="km/h", title="speed of the train")
     rows[0][0].legend(frameon=False, fontsize=8, ncols=2, loc="lower left")
     for axes in rows[-1]:

@@ -1,4 +1,4 @@
-"""Tables of `analysis.studies.zhao_2025.run`: what was reached beside paper 003."""
+"""Tables of `simulation`: what was reached beside Zhao et al. (2025)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from rich.table import Table
 
-from analysis.studies.zhao_2025.run import CASES, Run
+from analysis.studies.zhao_2025.simulation import CASES, Run
 from analysis.tables import new_table
 
 SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
@@ -15,8 +15,8 @@ SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
 
 
 def published_table() -> Table:
-    """What paper 003 tells of its cases."""
-    table = new_table("Paper 003: published; torques in N m", "case", "", "reached there")
+    """What Zhao et al. (2025) states of its cases."""
+    table = new_table("Published; torques in N m", "case", "", "reached there")
     for case in CASES:
         table.add_row(str(case.number), case.name, case.published)
     return table
@@ -30,7 +30,7 @@ def torque_table(runs: Sequence[Run]) -> Table:
     runs : sequence of Run
     """
     table = new_table(
-        "Paper 003: reached; means over each span",
+        "Reached; means over each span",
         "case",
         "preset",
         "plant",
@@ -113,7 +113,7 @@ def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> Table:
 
 
 def _axles(values: np.ndarray, form: str) -> str:
-    """Values of the axles; those that are alike are told once: ``3 x 3934, 3349``."""
+    """Values of the axles; those that are alike are listed once: ``3 x 3934, 3349``."""
     texts = [f"{value:{form}}" for value in values]
     groups: list[list[str]] = []
     for text in texts:

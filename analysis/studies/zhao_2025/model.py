@@ -1,19 +1,99 @@
-"""Compiled parts of the cooperative controller: prediction, its sensitivities, the program.
+"""A locomotive with a motor for each axle, its motion and its prediction, after Zhao et al. (2025).
 
 State of a locomotive with n driven axles: its speed and the circumferential speeds of its wheels,
 ``x = [v, w_1 … w_n]`` [m/s]. ``rail[k, i]`` holds a, b and c of the creep curve under axle i in
-step k; ``constants`` are those of `Locomotive.constants`.
+step k; ``constants`` are those of `MultiMotorLocomotive.constants`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError
+from trainlog.railway.resistance import RunningResistance
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MultiMotorLocomotive:
+    """A locomotive with a motor for each axle, and what it pulls.
+
+    Attributes
+    ----------
+    name : str
+    mass : float [kg]
+        Of locomotive and train, without the rotating part; M of eq. (1).
+    axle_loads : tuple of float [N]
+        Weight on each driven axle, W g of eq. (2).
+    inertia : float [kg m²]
+        Of one axle with its motor, at the motor; J_eq of eq. (9).
+    gear_ratio : float
+        Motor speed over axle speed, R_g.
+    wheel_radius : float [m]
+    resistance : RunningResistance
+        F_d, eq. (3).
+    torque_limit, total_torque : float [N m]
+        The most that a motor, and that all of them together may give.
+    """
+
+    name: str
+    mass: float
+    axle_loads: tuple[float, ...]
+    inertia: float
+    gear_ratio: float
+    wheel_radius: float
+    resistance: RunningResistance
+    torque_limit: float
+    total_torque: float
+
+    def __post_init__(self) -> None:
+        for name in (
+            "mass", "inertia", "gear_ratio", "wheel_radius", "torque_limit", "total_torque",
+        ):  # fmt: skip
+            if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
+                raise InputError(
+                    f"locomotive '{self.name}': {name} {getattr(self, name)} is not positive"
+                )
+        if not self.axle_loads or not all(load > 0.0 for load in self.axle_loads):
+            raise InputError(
+                f"locomotive '{self.name}': needs driven axles, each with a positive load"
+            )
+
+    @property
+    def axles(self) -> int:
+        """Number of driven axles."""
+        return len(self.axle_loads)
+
+    @property
+    def effort_per_torque(self) -> float:
+        """Effort at the wheel rims for each newton metre at the motor [1/m]."""
+        return self.gear_ratio / self.wheel_radius
+
+    @property
+    def rotating_mass(self) -> float:
+        """Inertia of one axle with its motor, as a mass at the wheel rims [kg]."""
+        return self.inertia * self.effort_per_torque**2
+
+    @property
+    def loads(self) -> FloatArray:
+        """`axle_loads` as an array, (n,) [N]."""
+        return np.array(self.axle_loads, dtype=np.float64)
+
+    @property
+    def constants(self) -> tuple[float, float, float, float, float, float]:
+        """What the compiled code needs: masses [kg], effort per torque [1/m], r0, r1, r2."""
+        r = self.resistance
+        return (self.mass, self.rotating_mass, self.effort_per_torque, r.r0, r.r1, r.r2)
 
 
 @njit(cache=True)
 def creep(slip, curve):  # type: ignore[no-untyped-def]
-    """Adhesion coefficient and its slope over slip speed; paper 003, eq. (10), made odd."""
+    """Adhesion coefficient and its slope over slip speed; eq. (10), made odd."""
     a, b, c = curve
     size = abs(slip)
     one, other = np.exp(-a * size), np.exp(-b * size)

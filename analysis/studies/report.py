@@ -1,0 +1,152 @@
+"""What the studies share: a run as a trip, and tables that are printed and written as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import pandas as pd
+from rich.table import Table
+
+from trainlog import __version__
+from trainlog.formats.files import atomic_write, made_folder, sha256
+from trainlog.formats.line import line_to_bytes
+from trainlog.mcap import write_log
+from trainlog.railway import Line
+from trainlog.trip import LINE_ATTACHMENT, Trip
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+Item = TypeVar("Item")
+
+START = 1_735_689_600 * 10**9
+"""When the runs begin [ns]: 2025-01-01, so that the same run gives the same bytes."""
+
+TABLES = "tables.md"
+"""All tables of a study, in its folder."""
+
+
+@dataclass
+class StudyReport:
+    """Shows how far a study is and what it found, and keeps what it wrote.
+
+    Attributes
+    ----------
+    folder : Path
+        Where logs, pictures and tables go; made if need be.
+    progress : rich.progress.Progress
+        Shows loops, and prints on its console.
+    files : list of Path
+        That were written.
+    """
+
+    folder: Path
+    progress: Progress
+    files: list[Path] = field(default_factory=list)
+    _parts: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        made_folder(self.folder)
+
+    def track(self, items: Iterable[Item], description: str) -> Iterator[Item]:
+        """The items one by one, with a bar that shows how many are done."""
+        yield from self.progress.track(list(items), description=description)
+
+    def show(self, *parts: Table | str) -> None:
+        """Print tables and sentences, and write all so far to `TABLES`."""
+        for part in parts:
+            self.progress.console.print(part, highlight=False)
+            self._parts.append(as_markdown(part) if isinstance(part, Table) else f"{part}\n")
+        path = self.folder / TABLES
+        with atomic_write(path) as temporary:
+            temporary.write_text("\n".join(self._parts), encoding="utf-8")
+        self.keep(path)
+
+    def log(self, trip: Trip) -> Path:
+        """Write a trip under its name."""
+        path = self.folder / f"{trip.metadata['trip']}.mcap"
+        write_log(trip, path)
+        self.keep(path)
+        return path
+
+    def picture(self, name: str) -> Path:
+        """Where a picture goes that is about to be drawn."""
+        path = self.folder / name
+        self.keep(path)
+        return path
+
+    def keep(self, *paths: Path) -> None:
+        """Count files as written by the study."""
+        self.files += [path for path in paths if path not in self.files]
+
+
+def as_markdown(table: Table) -> str:
+    """A table in Markdown, its title in bold above it.
+
+    Examples
+    --------
+    >>> from analysis.tables import new_table
+    >>> table = new_table("Speeds", "train", "km/h")
+    >>> table.add_row("A", "80.0")
+    >>> print(as_markdown(table))
+    **Speeds**
+    <BLANKLINE>
+    | train | km/h |
+    |---|---|
+    | A | 80.0 |
+    <BLANKLINE>
+    """
+    rows: list[Sequence[object]] = [[column.header for column in table.columns]]
+    rows += zip(*(column.cells for column in table.columns), strict=True)
+    lines = [f"| {' | '.join(' '.join(str(cell).split()) for cell in row)} |" for row in rows]
+    lines.insert(1, "|" + "---|" * len(table.columns))
+    return "\n".join([f"**{' '.join(str(table.title).split())}**", "", *lines, ""])
+
+
+def study_trip(
+    name: str,
+    train: str,
+    line: Line,
+    frames: Sequence[pd.DataFrame],
+    step: tuple[str, Mapping[str, Any]],
+    *,
+    attachments: Mapping[str, bytes],
+    metadata: Mapping[str, str] | None = None,
+) -> Trip:
+    """The trip of a simulated run.
+
+    Parameters
+    ----------
+    name, train : str
+    line : Line
+    frames : sequence of DataFrame
+        Topics.
+    step : (str, mapping)
+        The command that made it and its settings, for the provenance.
+    attachments : mapping of str to bytes
+        Besides the line.
+    metadata : mapping of str to str, optional
+        Beyond what every run has.
+    """
+    everything = {LINE_ATTACHMENT: line_to_bytes(line), **attachments}
+    facts = {
+        "trip": name,
+        "train": train,
+        "line": line.name,
+        "direction": "forward",
+        "clock": "UTC, simulated",
+        "start": "2025-01-01T00:00:00+00:00",
+        "software": f"trainlog {__version__}",
+    }
+    topics = {frame.attrs["topic"]: frame for frame in frames}
+    trip = Trip(topics, facts | dict(metadata or {}), (), everything)
+    command, settings = step
+    return trip.with_step(
+        command,
+        software=f"trainlog {__version__}",
+        **settings,
+        inputs={key: sha256(data) for key, data in everything.items()},
+    )

@@ -1,0 +1,460 @@
+"""Zhao et al. (2025), section 4: four motors share the torque while the rail under them changes.
+
+Two presets: the paper's table 2, read literally (which is physically odd: its axles have three
+times the inertia of what rests on them), and a locomotive of 85 t with a train of 400 t. Two
+plants: one explicit Euler step of 0.1 s, as eq. (15) has it, and Runge-Kutta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.studies.zhao_2025 import model
+from analysis.studies.zhao_2025.controller import (
+    AxleByAxle,
+    CooperativeController,
+    Demand,
+    EqualTorque,
+    NoSlipControl,
+    Tuning,
+    coefficients,
+)
+from analysis.studies.zhao_2025.model import MultiMotorLocomotive
+from trainlog.errors import InputError
+from trainlog.railway import RunningResistance, StepProfile
+from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
+
+FloatArray = NDArray[np.float64]
+Integration = Literal["euler", "runge-kutta"]
+
+DURATION = 30.0
+"""Of a run [s]."""
+
+STEP = 0.002
+"""Of the Runge-Kutta integration [s]."""
+
+SAMPLE = 0.02
+"""Between two recorded samples of it [s]."""
+
+WET_SPAN, RESTORED = (10.0, 20.0), 25.0
+"""When the rail is wet, and when the failed motor of case 4 is back [s]."""
+
+AXLES = np.array([2.9, 5.5, 12.8, 15.4])
+"""How far the axles are behind the train's front [m]."""
+
+GRAVITY = 9.8
+"""As the paper's table 2 has it [m/s²]."""
+
+PUBLISHED_LOCOMOTIVE = MultiMotorLocomotive(
+    name="Zhao et al. (2025), table 2 read literally",
+    mass=14_167.0,
+    axle_loads=(14_167.0 / 4.0 * GRAVITY,) * 4,
+    inertia=146.7,
+    gear_ratio=4.13,
+    wheel_radius=0.5,
+    resistance=RunningResistance(1_800.0, 12.0, 0.4),
+    torque_limit=5_000.0,
+    total_torque=16_500.0,
+)
+"""Resistance is chosen here, the paper does not state it."""
+
+LOCOMOTIVE_85_T = MultiMotorLocomotive(
+    name="locomotive of 85 t with a train of 400 t",
+    mass=485_000.0,
+    axle_loads=(21_250.0 * GRAVITY,) * 4,
+    inertia=44.0,
+    gear_ratio=4.13,
+    wheel_radius=0.5,
+    resistance=RunningResistance(6_000.0, 50.0, 9.0),
+    torque_limit=8_500.0,
+    total_torque=28_000.0,
+)
+"""Gear and wheels of the paper; 3 t of rotating mass an axle; torques in the paper's proportions to
+what a dry rail bears."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A locomotive, how it is controlled, and what a failed motor of it still gives [N m]."""
+
+    key: str
+    locomotive: MultiMotorLocomotive
+    tuning: Tuning
+    failed: float
+
+
+PAPER = Preset("paper", PUBLISHED_LOCOMOTIVE, Tuning(), 2_000.0)
+SENSIBLE = Preset("85-t", LOCOMOTIVE_85_T, Tuning(substeps=20), 3_400.0)
+PRESETS = (PAPER, SENSIBLE)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One of the paper's cases.
+
+    Attributes
+    ----------
+    number : int
+    name : str
+    wet : tuple of int
+        Axles (from 1) that run on a wet rail from 10 s to 20 s.
+    fails : bool
+        Whether the motor of axle 4 fails at 10 s and is back at 25 s.
+    published : str
+        What the paper states.
+    wet_curve : CreepCurve
+        Of the wet rail.
+    places : StepProfile, optional
+        Maximum adhesion by chainage, of a rail that changes with the place instead of with time.
+    """
+
+    number: int
+    name: str
+    wet: tuple[int, ...]
+    fails: bool
+    published: str
+    wet_curve: CreepCurve = WET
+    places: StepProfile | None = None
+
+    def rail(self, time: float, position: float = 0.0) -> FloatArray:
+        """Creep curves under the four axles, (4, 3).
+
+        Parameters
+        ----------
+        time : float [s]
+        position : float [m]
+            Of the train's front.
+        """
+        if self.places is not None:
+            return creep_coefficients(self.places(np.maximum(position - AXLES, 0.0)))
+        wet = self.wet if WET_SPAN[0] <= time < WET_SPAN[1] else ()
+        return coefficients([self.wet_curve if axle in wet else DRY for axle in range(1, 5)])
+
+    def limits(self, time: float, preset: Preset) -> FloatArray:
+        """The most that each motor gives, (4,) [N m]."""
+        limits = np.full(4, preset.locomotive.torque_limit)
+        if self.fails and WET_SPAN[0] <= time < RESTORED:
+            limits[3] = preset.failed
+        return limits
+
+
+CASES = (
+    Case(
+        1, "all axles dry, wet, dry", (1, 2, 3, 4), fails=False,
+        published="T from 1500 to about 4200, mu about 0.27; wet T 2200, mu about 0.14",
+    ),
+    Case(
+        2, "axle 4 dry, wet, dry", (4,), fails=False,
+        published="T of axle 4 falls, T of axles 1 to 3 rises",
+    ),
+    Case(
+        3, "axles 3 and 4 dry, wet, dry", (3, 4), fails=False,
+        published="T of axles 3 and 4 falls, the speed grows visibly less",
+    ),
+    Case(
+        4, "all axles dry, wet, dry; motor 4 fails", (1, 2, 3, 4), fails=True,
+        published="wet: hardly a difference between the axles; dry: 1 to 3 more, 4 less; then even",
+    ),
+)  # fmt: skip
+
+
+SCARCE = 20_000.0
+"""Total torque [N m] at which sharing it matters: less than its share is what a wet axle bears."""
+
+
+class Controller(Protocol):
+    """What decides on the torques."""
+
+    def torques(self, speed: float, wheel_speeds: FloatArray, demand: Demand) -> FloatArray:
+        """Torques until the next sample, (n,) [N m]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Of what the controller sees: standard deviations of train and wheel speeds [m/s]."""
+
+    speed: float = 0.0
+    wheel_speed: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What a controller sees at a sample.
+
+    Attributes
+    ----------
+    time, position, speed : float [s], [m], [m/s]
+    wheel_speeds : (4,) array [m/s]
+    torques : (4,) array [N m]
+        At work since the last sample.
+    """
+
+    time: float
+    position: float
+    speed: float
+    wheel_speeds: FloatArray
+    torques: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class AssumedRail:
+    """What a controller takes the rail for.
+
+    Attributes
+    ----------
+    rail : (4, 3) or (horizon, 4, 3) array
+        Creep curves under the axles.
+    maximum : (4,) array
+        Maximum adhesion now.
+    reference : (4,) array [m/s], optional
+        Slip speeds to be sought; default: those of the curves' maxima.
+    """
+
+    rail: FloatArray
+    maximum: FloatArray
+    reference: FloatArray | None = None
+
+
+class RailSource(Protocol):
+    """From where a controller knows the rail."""
+
+    def rail(self, measured: Measurement) -> AssumedRail:
+        """What the rail is taken to be at a sample."""
+        ...
+
+
+@dataclass(frozen=True)
+class KnownRail:
+    """The rail under each axle is known, as in the paper."""
+
+    case: Case
+
+    def rail(self, measured: Measurement) -> AssumedRail:
+        """The rail as it is."""
+        rail = self.case.rail(measured.time, measured.position)
+        return AssumedRail(rail, creep_maximum(*rail.T))
+
+
+STRATEGIES: dict[str, Callable[[Preset], Controller]] = {
+    "cooperative": lambda each: CooperativeController(each.locomotive, each.tuning),
+    "each axle for itself": lambda each: AxleByAxle(each.locomotive, each.tuning.period),
+    "one torque for all": lambda each: EqualTorque(each.locomotive, each.tuning.period),
+    "no slip control": lambda each: NoSlipControl(each.locomotive),
+}
+"""The paper's controller, and what there is without it."""
+
+
+PLANS: tuple[tuple[Case, Preset, Integration], ...] = (
+    *((case, PAPER, "euler") for case in CASES),
+    *((case, PAPER, "runge-kutta") for case in CASES),
+    *((case, SENSIBLE, "runge-kutta") for case in CASES),
+)
+"""The paper's cases, as they are run."""
+
+COMPARED: tuple[tuple[Case, Preset, float], ...] = (
+    *((case, PAPER, PUBLISHED_LOCOMOTIVE.total_torque) for case in CASES),
+    *((case, SENSIBLE, LOCOMOTIVE_85_T.total_torque) for case in CASES),
+    *((case, SENSIBLE, SCARCE) for case in CASES),
+)
+"""What is run by every strategy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run; arrays with one row a sample, and one column an axle.
+
+    Attributes
+    ----------
+    case : Case
+    preset : Preset
+    strategy : str
+    integration : str
+    total : float [N m]
+        Asked of all motors together.
+    time, position, speed : (m,) arrays [s], [m], [m/s]
+    wheel_speed : (m, 4) array [m/s]
+    torque : (m, 4) array [N m]
+        At work from the sample on.
+    reference : (m, 4) array [m/s]
+        Slip speeds that the controller sought.
+    assumed : (m, 4) array
+        What the controller took the maximum adhesion to be.
+    adhesion, maximum_adhesion : (m, 4) arrays
+        In use, and the most that the rail under the axle gives.
+    """
+
+    case: Case
+    preset: Preset
+    strategy: str
+    integration: Integration
+    total: float
+    time: FloatArray
+    position: FloatArray
+    speed: FloatArray
+    wheel_speed: FloatArray
+    torque: FloatArray
+    reference: FloatArray
+    assumed: FloatArray
+    adhesion: FloatArray
+    maximum_adhesion: FloatArray
+
+    @property
+    def slip(self) -> FloatArray:
+        """Slip speeds, eq. (11), (m, 4) [m/s]."""
+        return np.asarray(self.wheel_speed - self.speed[:, None])
+
+    @property
+    def slip_error(self) -> FloatArray:
+        """Reference less slip speed, (m, 4) [m/s]."""
+        return np.asarray(self.reference - self.slip)
+
+    @cached_property
+    def force(self) -> FloatArray:
+        """Force between the wheels and the rail, of all axles together, (m,) [N]."""
+        return np.asarray(self.adhesion @ self.preset.locomotive.loads)
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """Of the train, (m,) [m/s²]."""
+        resistance = self.preset.locomotive.resistance(self.speed)
+        gained = (self.force - resistance) / self.preset.locomotive.mass
+        return np.where(self.speed > 0.0, gained, np.maximum(gained, 0.0))
+
+    @property
+    def slip_work(self) -> float:
+        """Work of creep: what the wheels lose in the contact [J]."""
+        power = (self.adhesion * self.preset.locomotive.loads * self.slip).sum(axis=1)
+        return float(np.sum(power[:-1] * np.diff(self.time)))
+
+    def mean(self, values: FloatArray, start: float, end: float) -> FloatArray:
+        """Mean of (m,) or (m, 4) values from one time to another [s]."""
+        within = (self.time >= start - 1e-9) & (self.time < end - 1e-9)
+        return np.asarray(values[within].mean(axis=0))
+
+
+def run(
+    case: Case,
+    preset: Preset = PAPER,
+    total: float | None = None,
+    *,
+    strategy: str = "cooperative",
+    integration: Integration = "runge-kutta",
+    knowledge: RailSource | None = None,
+    noise: Noise | None = None,
+    seed: int = 1,
+) -> Run:
+    """Drive one case from a stand.
+
+    Parameters
+    ----------
+    case : Case
+    preset : Preset
+    total : float [N m], optional
+        Asked of all motors together; default: the most that they give together.
+    strategy : str
+        One of `STRATEGIES`.
+    integration : {"euler", "runge-kutta"}
+        One explicit step a period, as in the paper, or steps of 2 ms.
+    knowledge : RailSource, optional
+        Of the rail; default: all of it.
+    noise : Noise, optional
+        Of the speeds that are seen; default: none.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    InputError
+        If the strategy is unknown.
+    """
+    if strategy not in STRATEGIES:
+        raise InputError(f"strategy '{strategy}' is unknown", remedy=f"one of {list(STRATEGIES)}")
+    locomotive, period = preset.locomotive, preset.tuning.period
+    asked = locomotive.total_torque if total is None else total
+    known, errors = knowledge or KnownRail(case), noise or Noise()
+    random = np.random.default_rng(seed)
+    controller = STRATEGIES[strategy](preset)
+    asking = CooperativeController(locomotive, preset.tuning)
+    plant = _Plant(case, preset, integration)
+    torques = np.zeros(locomotive.axles)
+    for k in range(round(DURATION / period)):
+        measured = plant.measured(k * period, torques, errors, random)
+        assumed = known.rail(measured)
+        limits = case.limits(measured.time, preset)
+        demand = asking.demand(assumed.rail, limits, asked, assumed.reference)
+        torques = controller.torques(measured.speed, measured.wheel_speeds, demand)
+        plant.advance(measured.time, torques, demand.reference[0], assumed.maximum)
+    return Run(case, preset, strategy, integration, asked, **_columns(np.array(plant.rows)))
+
+
+class _Plant:
+    """The train, and what is recorded of it."""
+
+    def __init__(self, case: Case, preset: Preset, integration: Integration) -> None:
+        self._case, self._locomotive, self._period = case, preset.locomotive, preset.tuning.period
+        literal = integration == "euler"
+        self._step, self._each = (self._period, 1) if literal else (STEP, round(SAMPLE / STEP))
+        self._integrate = model.euler if literal else model.runge_kutta
+        self._state = np.zeros(1 + self._locomotive.axles)
+        self._position = 0.0
+        self.rows: list[FloatArray] = []
+
+    def measured(
+        self, time: float, torques: FloatArray, noise: Noise, random: np.random.Generator
+    ) -> Measurement:
+        """What the controller sees now; what stands is seen to stand."""
+        std = np.array([noise.speed] + [noise.wheel_speed] * self._locomotive.axles)
+        errors = std * random.standard_normal(std.size)
+        speeds = np.where(self._state > 0.0, np.maximum(self._state + errors, 0.0), 0.0)
+        return Measurement(time, self._position, float(speeds[0]), speeds[1:], torques)
+
+    def advance(
+        self, time: float, torques: FloatArray, reference: FloatArray, assumed: FloatArray
+    ) -> None:
+        """Record, and let a period pass."""
+        locomotive = self._locomotive
+        span = self._step * self._each
+        for part in range(round(self._period / span)):
+            rail, before = self._case.rail(time, self._position), float(self._state[0])
+            parts = (self._state, torques, reference, assumed, *rail.T)
+            self.rows.append(np.concatenate([[time + part * span, self._position], *parts]))
+            self._integrate(
+                self._state, torques, rail, locomotive.loads, locomotive.constants,
+                self._step, self._each,
+            )  # fmt: skip
+            self._position += 0.5 * span * (before + float(self._state[0]))
+
+
+def _columns(rows: FloatArray) -> dict[str, FloatArray]:
+    """The arrays of `Run` from its recorded rows."""
+    time, position, speed = rows[:, :3].T
+    wheels, torque, reference, assumed, a, b, c = np.split(rows[:, 3:], 7, axis=1)
+    return {
+        "time": time,
+        "position": position,
+        "speed": speed,
+        "wheel_speed": wheels,
+        "torque": torque,
+        "reference": reference,
+        "assumed": assumed,
+        "adhesion": creep(wheels - speed[:, None], a, b, c),
+        "maximum_adhesion": creep_maximum(a, b, c),
+    }
+
+
+def creep_maximum(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """Maxima of many creep curves."""
+    return creep(np.log(b / a) / (b - a), a, b, c)
+
+
+def creep(slip: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """Adhesion coefficients on many creep curves, eq. (10), signed like the slip speeds [m/s]."""
+    size = np.abs(slip)
+    return np.asarray(np.sign(slip) * c * (np.exp(-a * size) - np.exp(-b * size)))
