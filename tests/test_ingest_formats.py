@@ -225,7 +225,129 @@ def test_a_format_that_cannot_be_loaded_is_named(installed: Path) -> None:
         formats()
 
 
-# ------------------------------------------------------------------ the page tells the truth
+# ------------------------------------------------------------------ profiles of one's own
+
+
+MINE = """
+format = "trainlog/recorder-profile"
+version = 1
+name = "mine"
+
+[detect]
+columns = ["t", "speed"]
+
+[file.aliases]
+speed = ["v", "velocity"]
+
+[time]
+column = "t"
+
+[columns]
+"/train/state.speed" = { column = "speed", unit = "m/s", integer_scale = 0.01 }
+"""
+
+
+@pytest.mark.parametrize("name", ["v", "Velocity"])
+def test_a_profile_of_the_users_folder_is_used_as_if_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    folder = tmp_path / "recorders"
+    folder.mkdir()
+    (folder / "mine.toml").write_text(MINE, "utf-8")
+    run = clean_run(50, 0.1)
+    path = write(tmp_path / "run.csv", run.rows(), f"t,{name},s")
+    with pytest.raises(InputError, match="give a profile"):
+        ingest(path)
+    monkeypatch.setenv("TRAINLOG_PROFILES", str(folder))
+    trip = ingest(path)
+    given = ingest(path, profile=folder / "mine.toml")
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+    assert trip.provenance == given.provenance
+    assert trip.attachments == given.attachments
+    assert trip.provenance[0]["profile"] == "mine"
+    cm = []
+    for row in run.rows():
+        stamp, speed, _ = row.split(",")
+        cm.append(f"{stamp},{round(100 * float(speed))}")
+    whole = ingest(write(tmp_path / "whole.csv", cm, f"t,{name}"))
+    np.testing.assert_allclose(whole["/train/state"]["speed"], run.speed, atol=0.0051)
+    with pytest.raises(InputError, match="no column of the speed; expected one called v or velo"):
+        ingest(write(tmp_path / "x.csv", run.rows(), "t,w,s"), profile=folder / "mine.toml")
+
+
+def test_a_damaged_profile_of_the_users_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.toml").write_text(MINE + "[fiel]\n", "utf-8")
+    monkeypatch.setenv("TRAINLOG_PROFILES", str(tmp_path))
+    with pytest.raises(InputError, match=r"mine\.toml, fiel: unknown key 'fiel'; did you mean"):
+        ingest(write(tmp_path / "run.csv", clean_run(50, 0.1).rows(), "t,v,s"))
+
+
+def test_an_entry_point_may_name_a_profile(installed: Path) -> None:
+    (installed / "wayside_log.py").write_text(
+        "from trainlog.ingest.profile import parse_profile\n"
+        f"WAYSIDE = parse_profile({MINE.encode()!r}, file='mine.toml')\n",
+        "utf-8",
+    )
+    import sys
+
+    sys.modules.pop("wayside_log", None)
+    run = clean_run(50, 0.1)
+    trip = ingest(write(installed / "run.csv", run.rows(), "t,v,s"))
+    sys.modules.pop("wayside_log", None)
+    assert trip.provenance[0]["format"] == "wayside"
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+
+
+TAGGED = """
+format = "trainlog/recorder-profile"
+version = 1
+name = "three words"
+
+[file]
+format = "tagged"
+header = 0
+
+[time]
+column = "1"
+format = "elapsed"
+unit = "ms"
+start = 2024-05-01T06:00:00Z
+
+[lines]
+kind = "2"
+payload = "3"
+kinds = { S = { type = ">u2", count = 2 }, X = { type = "nmea" } }
+
+[columns]
+"/train/state.speed" = { column = "S.2", unit = "km/h", scale = 0.1 }
+"""
+
+
+def test_lines_of_a_recorder_of_ones_own(tmp_path: Path) -> None:
+    from trainlog.ingest.profile import parse_profile
+
+    profile = parse_profile(TAGGED.encode(), file="mine.toml")
+    lines = [f"{100 * i},S,{7:04x}{360 + i:04x}" for i in range(50)]
+    lines[9] = "900,S,0007"
+    lines[20] = "2000,Q,00070168"
+    path = tmp_path / "run.txt"
+    path.write_text("\n".join(lines), "utf-8")
+    trip = ingest(path, profile=profile)
+    speed = trip["/train/state"]["speed"]
+    assert speed.index[1] == pd.Timestamp("2024-05-01T06:00:00.1Z")
+    kept = [i for i in range(50) if i not in (9, 20)]
+    np.testing.assert_allclose(speed, [(360 + i) / 36.0 for i in kept])
+    assert report_of(trip).counts == {"damaged_messages": 2}
+    assert report_of(trip).rows_read == 50
+    with pytest.raises(InputError, match=r"state.speed\": no 'S.3'; did you mean 'S.2'"):
+        parse_profile(TAGGED.replace("S.2", "S.3").encode(), file="mine.toml")
+    with pytest.raises(InputError, match=r"kinds\.S: type '>x2' must be 'ubx', 'nmea' or numbers"):
+        parse_profile(TAGGED.replace(">u2", ">x2").encode(), file="mine.toml")
+
+
+# ------------------------------------------------------------------ the page holds
 
 
 def test_every_rule_has_its_row_in_the_page() -> None:

@@ -230,11 +230,11 @@ def test_hex_lines_with_nmea_alone(tmp_path: Path) -> None:
 
 def test_hex_lines_without_a_time_are_refused(tmp_path: Path) -> None:
     lines = [line for line in hexlines(1).text.splitlines() if ",I," in line]
-    with pytest.raises(InputError, match=r"no message tells the time.*NAV-PVT"):
+    with pytest.raises(InputError, match=r"no message gives the time.*NAV-PVT"):
         read(tmp_path, lines)
     run = drive(9, 1.0)
     void = [f"{since_start(10**9 * i)},U,{nav_pvt(run, i, valid=False).hex()}" for i in range(9)]
-    with pytest.raises(InputError, match="no message tells the time"):
+    with pytest.raises(InputError, match="no message gives the time"):
         read(tmp_path, lines + void)
 
 

@@ -144,10 +144,14 @@ def _field(
     empty = np.zeros(0, dtype=np.int64)
     unreadable = empty
     for axle, source in enumerate(column.names, start=1):
-        raw, absent, garbled = numbers(cells.table[source], profile.file.decimal)
+        cell = cells.table[source]
+        raw, absent, garbled = numbers(cell, profile.file.decimal)
         _refuse_garbled(source, cells, raw, garbled, profile, file)
         target = f"{name}_{axle}" if column.columns else name
-        values[target] = in_si(name, column, raw)
+        scaled = column
+        if column.integer_scale is not None and _whole(cell, profile.file.decimal):
+            scaled = column.model_copy(update={"scale": column.integer_scale})
+        values[target] = in_si(name, scaled, raw)
         empty = np.append(empty, cells.rows[absent])
         unreadable = np.append(unreadable, cells.rows[garbled])
         if garbled.any():
@@ -188,6 +192,13 @@ def _refuse_garbled(
 
 def _short(text: str) -> str:
     return text if len(text) <= 30 else text[:27] + "..."
+
+
+def _whole(column: pa.ChunkedArray, decimal: str) -> bool:
+    """Whether a column holds whole numbers only."""
+    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+        return not pc.any(pc.match_substring(column, decimal)).as_py()
+    return bool(pa.types.is_integer(column.type))
 
 
 def numbers(column: pa.ChunkedArray, decimal: str) -> tuple[FloatArray, BoolArray, BoolArray]:
@@ -281,7 +292,7 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
     """
     columns = [table[name] for name in options.names]
     if options.format == "parts":
-        time = from_parts([_number(column, decimal) for column in columns])
+        time = from_parts([numbers(column, decimal)[0] for column in columns])
         time = _localised(time, options.timezone, file)
     elif options.format in ("epoch", "elapsed"):
         time = _from_count(columns[0], options, decimal, file)
@@ -299,12 +310,6 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
             remedy="check format, unit and start under [time] of the profile",
         )
     return np.where(plausible, time, NO_TIME)
-
-
-def _number(column: pa.ChunkedArray, decimal: str) -> FloatArray:
-    from trainlog.ingest.mapping import numbers
-
-    return numbers(column, decimal)[0]
 
 
 def from_parts(parts: list[FloatArray]) -> IntArray:
@@ -327,25 +332,46 @@ def _from_count(
     column: pa.ChunkedArray, options: TimeOptions, decimal: str, file: Path
 ) -> IntArray:
     """Time from a count of seconds or their fractions."""
-    if options.start is not None:
+    start = 0
+    if isinstance(options.start, datetime.datetime):
         origin = pd.Timestamp(options.start)
+        start = origin.value
         if origin.tzinfo is None:
-            start = int(_localised(np.array([origin.value]), options.timezone, file)[0])
-        else:
-            start = origin.value
-    else:
-        start = 0
+            start = int(_localised(np.array([start]), options.timezone, file)[0])
+    elapsed = elapsed_time(column, options, decimal)
+    return np.where(elapsed != NO_TIME, start + elapsed, NO_TIME)
+
+
+def elapsed_time(column: pa.ChunkedArray, options: TimeOptions, decimal: str) -> IntArray:
+    """Time that a column counts [ns]: a number of units, or hours, minutes and seconds as text."""
+    if _is_text(column) and pc.any(pc.match_substring(column, ":")).as_py():
+        return _hours_minutes_seconds(column, decimal)
     factor = NANOSECONDS_PER[options.unit]
     whole = _whole_numbers(column)
     if whole is not None:
         values, present = whole
         sane = present & (np.abs(values) < LATEST // factor)
-        return np.where(sane, start + np.where(sane, values, 0) * factor, NO_TIME)
-    numbers = _number(column, decimal)
-    sane = np.abs(numbers) < LATEST / factor  # False for NaN
+        return np.where(sane, np.where(sane, values, 0) * factor, NO_TIME)
+    count = numbers(column, decimal)[0]
+    sane = np.abs(count) < LATEST / factor  # False for NaN
     # A double holds today's seconds to a quarter of a microsecond: finer digits are noise.
-    microseconds = np.round(np.where(sane, numbers, 0.0) * (factor / 1e3)).astype(np.int64)
-    return np.where(sane, start + microseconds * 1_000, NO_TIME)
+    microseconds = np.round(np.where(sane, count, 0.0) * (factor / 1e3)).astype(np.int64)
+    return np.where(sane, microseconds * 1_000, NO_TIME)
+
+
+def _hours_minutes_seconds(text: pa.ChunkedArray, decimal: str) -> IntArray:
+    """Time [ns] of ``H:MM:SS`` with up to nine decimals; `NO_TIME` where it is something else."""
+    pattern = rf"^\s*(?P<h>\d{{1,5}}):(?P<m>\d\d):(?P<s>\d\d)(?:[{decimal}](?P<f>\d{{1,9}}))?\s*$"
+    parts = pc.extract_regex(text, pattern)
+    known = pc.is_valid(parts).to_numpy()
+    hours, minutes, seconds, fraction = (pc.struct_field(parts, name) for name in "hmsf")
+    fraction = pc.utf8_rpad(fraction, 9, "0")
+    counts = [
+        pc.fill_null(pc.cast(part, pa.int64()), 0).to_numpy()
+        for part in (hours, minutes, seconds, fraction)
+    ]
+    whole = (counts[0] * 60 + counts[1]) * 60 + counts[2]
+    return np.where(known, whole * NANOSECONDS_PER["s"] + counts[3], NO_TIME)
 
 
 def _whole_numbers(column: pa.ChunkedArray) -> tuple[IntArray, Any] | None:

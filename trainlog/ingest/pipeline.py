@@ -19,7 +19,7 @@ from trainlog.formats.train import train_to_bytes
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Limits, Profile, TripOptions, parse_profile
 from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
-from trainlog.ingest.registry import Format, format_of
+from trainlog.ingest.registry import Format, format_of, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, read_as_text
 from trainlog.ingest.rules import LIMITS, refuse_switched_off, repaired
 from trainlog.railway.line import Line
@@ -220,6 +220,8 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
         If it cannot be read as its format, or holds no recording.
     """
     source = Path(path)
+    if profile is None and format is None:
+        profile = own_profile(source)
     rules, carried = _profile(profile)
     chosen = format_of(source, format or (rules.file.format if rules else None))
     with _naming(source):

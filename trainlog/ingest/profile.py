@@ -1,14 +1,20 @@
-"""The profile: a TOML file that tells how a recorder writes, and how its columns become topics."""
+"""The profile: a TOML file that says how a recorder writes, and how its columns become topics.
+
+The profiles in the folder ``profiles`` beside this module are formats of their own: their files are
+recognised and need no profile; see `trainlog.ingest.registry`.
+"""
 
 from __future__ import annotations
 
 import datetime
 import difflib
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal, Self
 
+import numpy as np
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -39,6 +45,31 @@ class Quantity(_Strict):
         return float(to_si(self.value, self.unit, unit))
 
 
+class Detection(_Strict):
+    """By what a file of this layout is recognised ([detect]); all that is given must hold.
+
+    Attributes
+    ----------
+    columns : list of str
+        Names that the header holds, in any order; those of `FileOptions.aliases` in any spelling.
+    line : str, optional
+        Regular expression that the first line matches.
+    """
+
+    columns: tuple[str, ...] = ()
+    line: str | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.columns and self.line is None:
+            raise ValueError("needs columns or line")
+        try:
+            re.compile(self.line or "")
+        except re.error as error:
+            raise ValueError(f"line is no regular expression: {error}") from None
+        return self
+
+
 class FileOptions(_Strict):
     """How the file is written ([file]).
 
@@ -56,6 +87,8 @@ class FileOptions(_Strict):
         First character of lines to be passed over; none if empty.
     missing : list of str
         Cells that mean "no value".
+    aliases : dict of str to list of str
+        What recorders call a column, in lower case, by the name that the profile uses for it.
     """
 
     format: str | None = None
@@ -66,6 +99,7 @@ class FileOptions(_Strict):
     skip_after_header: int = Field(default=0, ge=0)
     comment: str = Field(default="#", max_length=1)
     missing: tuple[str, ...] = MISSING
+    aliases: dict[str, tuple[str, ...]] = Field(default_factory=dict)
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> Self:
@@ -79,6 +113,17 @@ class FileOptions(_Strict):
             ) from None
         return self
 
+    def named(self, names: Iterable[str]) -> tuple[str, ...]:
+        """The names of a header's columns, those with aliases as the profile calls them."""
+        found: list[str] = []
+        for name in names:
+            plain = name.lower()
+            meant = (ours for ours, spellings in self.aliases.items() if plain in spellings)
+            ours = next(meant, name)
+            # Of two columns that mean the same the first counts.
+            found.append(ours if ours not in self.aliases or ours not in found else f"{name} again")
+        return tuple(found)
+
 
 class TimeOptions(_Strict):
     """Where the time of a row stands ([time]).
@@ -90,14 +135,15 @@ class TimeOptions(_Strict):
         Either one column, or several: joined by a blank and read with `format`, or, with
         ``format = "parts"``, year, month, day, hour, minute, second as numbers.
     format : str
-        ``"iso"``, ``"epoch"`` (since 1970 UTC), ``"elapsed"`` (since `start`), ``"parts"``, or a
-        pattern such as ``"%d.%m.%Y %H:%M:%S.%f"``.
+        ``"iso"``, ``"epoch"`` (since 1970 UTC), ``"elapsed"`` (since `start`: a number, or text
+        such as ``1:02:03.456``), ``"parts"``, or a pattern such as ``"%d.%m.%Y %H:%M:%S.%f"``.
     unit : {"s", "ms", "us", "ns"}
         Of ``"epoch"`` and ``"elapsed"``.
     timezone : str
         Of times that name no offset: ``"UTC"``, ``"Europe/Zurich"``, ``"+02:00"``.
-    start : datetime
-        Instant of elapsed time 0.
+    start : datetime or "messages"
+        Instant of elapsed time 0; ``"messages"``: as the receiver's messages of the same file give
+        it (format ``"tagged"``).
     date : date
         For patterns that hold the time of day only: the day of the first row. Midnight is noticed.
     """
@@ -107,7 +153,7 @@ class TimeOptions(_Strict):
     format: str = "iso"
     unit: Literal["s", "ms", "us", "ns"] = "s"
     timezone: str = "UTC"
-    start: datetime.datetime | None = None
+    start: datetime.datetime | Literal["messages"] | None = None
     date: datetime.date | None = None
 
     @property
@@ -150,6 +196,8 @@ class Column(_Strict):
     unit : str
         Unit of the number after `scale` and `offset`.
     scale, offset : float
+    integer_scale : float, optional
+        In place of `scale` where the file's column holds whole numbers only.
     part : {"all", "positive", "negative"}
         Of a signed column, only the positive values, or the size of the negative ones; 0 otherwise.
     sign : {1, -1}
@@ -163,6 +211,7 @@ class Column(_Strict):
     unit: str | None = None
     scale: float = Field(default=1.0, allow_inf_nan=False)
     offset: float = Field(default=0.0, allow_inf_nan=False)
+    integer_scale: float | None = Field(default=None, allow_inf_nan=False)
     part: Literal["all", "positive", "negative"] = "all"
     sign: Literal[1, -1] = 1
     optional: bool = False
@@ -171,6 +220,105 @@ class Column(_Strict):
     def names(self) -> tuple[str, ...]:
         """The columns of the file, one an axle where the field has one value an axle."""
         return self.columns if self.column is None else (self.column,)
+
+
+class Payload(_Strict):
+    """What the lines of a kind hold.
+
+    Attributes
+    ----------
+    type : str
+        ``"ubx"``: a message of a u-blox receiver; ``"nmea"``: an NMEA sentence; or a numpy type of
+        numbers, such as ``"<i2"``.
+    count : int
+        How many numbers there are in a line.
+    """
+
+    type: str
+    count: int = Field(default=1, gt=0)
+
+    @property
+    def dtype(self) -> np.dtype[Any] | None:
+        """The type of the numbers; None if there are none."""
+        return None if self.type in ("ubx", "nmea") else np.dtype(self.type)
+
+    @pydantic.model_validator(mode="after")
+    def _known(self) -> Self:
+        try:
+            known = self.dtype is None or self.dtype.kind in "iuf"
+        except TypeError:
+            known = False
+        if not known:
+            raise ValueError(
+                f"type '{self.type}' must be 'ubx', 'nmea' or numbers of numpy; for example '<i2'"
+            )
+        return self
+
+
+class LineOptions(_Strict):
+    """Lines of several kinds ([lines], format ``"tagged"``).
+
+    Attributes
+    ----------
+    kind : str
+        Column that says of which kind a line is.
+    payload : str
+        Column that holds what the line says, in hexadecimal digits.
+    kinds : dict of str to Payload
+        What the payload of each kind is; numbers are the columns ``"KIND.1"``, ``"KIND.2"`` ... of
+        [columns].
+    """
+
+    kind: str
+    payload: str
+    kinds: dict[str, Payload]
+
+
+class RideOptions(_Strict):
+    """A table of rides that cuts the fixes of several devices into trips ([rides]).
+
+    Attributes
+    ----------
+    fixes, table : str
+        Names of the two files, which stand in one folder.
+    device : str
+        Column of both that says whose row it is.
+    begin, end : str
+        Columns of a ride's begin and end, times in the zone of [time].
+    name : list of str
+        Columns that name the ride.
+    only : dict of str to list of str
+        Rides that are used: those with one of these words in that column.
+    selection : str
+        What `only` selects, in words, for the report.
+    least_movement : Quantity, optional
+        Distance between the furthest fixes below which the device did not move.
+    metadata : dict of str to str
+        Columns that become metadata of the trip; those under `only` in lower case.
+    """
+
+    fixes: str
+    table: str
+    device: str
+    begin: str
+    end: str
+    name: tuple[str, ...] = ()
+    only: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    selection: str = ""
+    least_movement: Quantity | None = None
+    metadata: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of the table of rides that are used."""
+        used = (self.device, *self.only, *self.name, self.begin, self.end, *self.metadata.values())
+        return tuple(dict.fromkeys(used))
+
+    @pydantic.model_validator(mode="after")
+    def _units(self) -> Self:
+        if self.least_movement is not None:
+            _check_unit("least_movement", self.least_movement.unit, "m")
+        return self
 
 
 class TripOptions(_Strict):
@@ -283,9 +431,12 @@ class Profile(_Strict):
     format: Literal["trainlog/recorder-profile"]
     version: Literal[1]
     name: str
+    detect: Detection | None = None
     file: FileOptions = FileOptions()
     time: TimeOptions | None = None
     columns: dict[str, Column] = Field(default_factory=dict)
+    lines: LineOptions | None = None
+    rides: RideOptions | None = None
     trip: TripOptions = TripOptions()
     metadata: dict[str, str] = Field(default_factory=dict)
     limits: Limits = Limits()
@@ -295,7 +446,24 @@ class Profile(_Strict):
     def _columns_fit(self) -> Self:
         for name, column in self.columns.items():
             _check_column(name, column, needs_unit=self.file.format not in WITH_UNITS)
+        if self.lines is not None:
+            _check_lines(self.lines, self.columns)
         return self
+
+    def recognises(self, head: bytes) -> bool:
+        """Whether a file that begins with `head` is of this layout, by its [detect]."""
+        if self.detect is None:
+            return False
+        text = head.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+        lines = text.splitlines()[: max(1, self.file.header or 1)]
+        if self.detect.line is not None and not (lines and re.match(self.detect.line, lines[0])):
+            return False
+        wanted = [set(self.detect.columns)]
+        if self.rides is not None:
+            wanted.append(set(self.rides.columns))
+        cells = lines[-1].split(self.file.delimiter) if lines else []
+        names = set(self.file.named(cell.strip().strip('"').strip() for cell in cells))
+        return any(columns <= names for columns in wanted)
 
 
 def read_profile(path: str | Path) -> Profile:
@@ -326,10 +494,10 @@ def parse_profile(data: bytes, *, file: str | Path) -> Profile:
 
 def profile_of(content: dict[str, Any], *, file: str | Path | None = None) -> Profile:
     """The profile that a dict of the same layout describes; errors as `read_profile`."""
-    told = content.get("format")
-    if told != PROFILE_FORMAT:
+    stated = content.get("format")
+    if stated != PROFILE_FORMAT:
         raise InputError(
-            f"is not a recorder profile: format is {told!r}",
+            f"is not a recorder profile: format is {stated!r}",
             file=file,
             remedy=f"begin the file with format = '{PROFILE_FORMAT}' and version = 1",
         )
@@ -351,8 +519,8 @@ def _in_one_line(error: pydantic.ValidationError, file: str | Path | None) -> In
     elif first["type"] == "missing":
         problem = f"key '{key}' is missing"
     else:
-        problem, _, told = problem.partition("; ")
-        remedy = told or None
+        problem, _, advice = problem.partition("; ")
+        remedy = advice or None
     if others:
         problem += f" (and {len(others)} more)"
     return InputError(problem, file=file, place=place.lstrip(".") or None, remedy=remedy)
@@ -361,8 +529,11 @@ def _in_one_line(error: pydantic.ValidationError, file: str | Path | None) -> In
 def _keys_beside(place: tuple[int | str, ...]) -> Iterable[str]:
     """The keys that a profile knows at the same level as the key at `place`."""
     sections: dict[str, type[BaseModel]] = {
+        "detect": Detection,
         "file": FileOptions,
         "time": TimeOptions,
+        "lines": LineOptions,
+        "rides": RideOptions,
         "columns": Column,
         "trip": TripOptions,
         "limits": Limits,
@@ -425,8 +596,22 @@ def _check_column(name: str, column: Column, *, needs_unit: bool) -> None:
         raise ValueError(f'columns."{name}" has no unit')
 
 
+def _check_lines(lines: LineOptions, columns: dict[str, Column]) -> None:
+    """Refuse columns that no kind of line has, and topics whose columns are of two kinds."""
+    counts = {kind: payload.count for kind, payload in lines.kinds.items() if payload.dtype}
+    known = {f"{kind}.{n}": kind for kind, count in counts.items() for n in range(1, count + 1)}
+    owners: dict[str, str] = {}
+    for name, column in columns.items():
+        for source in column.names:
+            if source not in known:
+                raise ValueError(f"columns.\"{name}\": no '{source}'; {suggestion(source, known)}")
+            topic = name.rpartition(".")[0]
+            if owners.setdefault(topic, known[source]) != known[source]:
+                raise ValueError(f'columns."{name}": the fields of a topic must be of one kind')
+
+
 WITH_UNITS = ("mdf",)
-"""Formats whose files tell the units of their columns."""
+"""Formats whose files give the units of their columns."""
 
 WORDS = ("/events.message", "/events.name")
 """Fields that hold text."""

@@ -1,34 +1,40 @@
-"""Which formats can be ingested: the built-in ones and those that other packages register.
+"""Which formats can be ingested: general readers, profiles of recorders, and registered ones.
+
+A general reader is a `Format`. A layout of one recorder is a profile with a section [detect] on one
+of them: those in the folder ``profiles`` are formats of their own. A user's profiles stand in the
+folder that the environment variable `FOLDER` names; they are recognised as if given.
 
 A package registers a format by an entry point of the group ``trainlog.ingest``, which names a
-function ``read(path, profile)`` that gives a `Recording` or a sequence of them, or a `Format` that
-can also recognise its files.
+function ``read(path, profile)`` that gives a `Recording` or a sequence of them, a `Format` that can
+also recognise its files, or a `Profile`.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Literal
 
 from trainlog.errors import InputError
-from trainlog.ingest.aalto import is_aalto, read_aalto
 from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
-from trainlog.ingest.hexlines import is_hexlines, read_hexlines
 from trainlog.ingest.mdf import is_mdf, read_mdf
-from trainlog.ingest.mtk import is_mtk, read_mtk
 from trainlog.ingest.nmea import is_nmea, read_nmea
-from trainlog.ingest.profile import Profile, suggestion
+from trainlog.ingest.profile import Profile, read_profile, suggestion
 from trainlog.ingest.recording import Recording
+from trainlog.ingest.rides import read_rides
 from trainlog.ingest.tabular import is_delimited, is_parquet, read_delimited, read_parquet
-from trainlog.ingest.ublox import is_ublox, read_ublox
+from trainlog.ingest.tagged import read_tagged
 
 GROUP = "trainlog.ingest"
 """Group of entry points."""
+
+FOLDER = "TRAINLOG_PROFILES"
+"""Environment variable with the path of a folder of profiles."""
 
 HEAD = 65_536
 """Bytes of a file that a format may look at to recognise it."""
@@ -53,8 +59,8 @@ class Format:
     recognises : callable
         ``recognises(head) -> bool``, given the first 64 KiB of a file.
     layout : {"profile", "own"}
-        Where it is told what the columns mean: in [time] and [columns] of a profile, or by the
-        format itself, which then has no use for those sections; the report tells if they are given.
+        What says which column is what: [time] and [columns] of a profile, or the format itself,
+        which then has no use for those sections; the report states if they are given.
     """
 
     name: str
@@ -63,19 +69,54 @@ class Format:
     layout: Literal["profile", "own"] = "profile"
 
 
-BUILT_IN = (
-    Format("aalto", read_aalto, is_aalto, "own"),
-    Format("mtk", read_mtk, is_mtk, "own"),
-    Format("ublox", read_ublox, is_ublox, "own"),
+GENERAL = (
     Format("gpx", read_gpx, is_gpx, "own"),
     Format("mcap", read_foreign, is_mcap),
     Format("nmea", read_nmea, is_nmea, "own"),
-    Format("hexlines", read_hexlines, is_hexlines, "own"),
     Format("parquet", read_parquet, is_parquet),
     Format("mdf", read_mdf, is_mdf),
+    Format("tagged", read_tagged),
+    Format("rides", read_rides),
     # Last: any text may be a CSV.
     Format("csv", read_delimited, is_delimited),
 )
+"""The general readers, in the order in which they are asked."""
+
+
+def format_by_profile(name: str, profile: Profile) -> Format:
+    """The format of a profile's recorder, on the general reader that it names.
+
+    Of a profile that the user gives beside it [trip], [metadata], [limits] and [repair] are used,
+    in place of its own.
+    """
+    general = {item.name: item for item in GENERAL}
+    reader = general[profile.file.format or "csv"]
+    known = dict(profile.metadata)
+    if profile.trip.clock is not None:
+        known["clock"] = profile.trip.clock
+
+    def read(path: Path, _: Profile | None) -> Sequence[Recording]:
+        found = reader.read(path, profile)
+        recordings = (found,) if isinstance(found, Recording) else found
+        return [replace(item, metadata=known | item.metadata) for item in recordings]
+
+    return Format(name, read, profile.recognises, "own")
+
+
+def own_profile(path: Path) -> Path | None:
+    """The first profile of the user's folder that recognises a file; None if there is none.
+
+    Raises
+    ------
+    InputError
+        If a profile in the folder does not fit.
+    """
+    folder = os.environ.get(FOLDER)
+    if not folder:
+        return None
+    head = _head(path)
+    candidates = sorted(Path(folder).glob("*.toml"))
+    return next((each for each in candidates if read_profile(each).recognises(head)), None)
 
 
 @cache
@@ -96,8 +137,14 @@ def formats() -> dict[str, Format]:
                 f"format '{entry.name}' cannot be loaded from {entry.value}: {error}",
                 remedy="repair or remove the package that registers it",
             ) from error
+        if isinstance(loaded, Profile):
+            loaded = format_by_profile(entry.name, loaded)
         found[entry.name] = loaded if isinstance(loaded, Format) else Format(entry.name, loaded)
-    return found | {item.name: item for item in BUILT_IN if item.name not in found}
+    built_in = [
+        format_by_profile(path.stem, read_profile(path))
+        for path in sorted(Path(__file__).with_name("profiles").glob("*.toml"))
+    ]
+    return found | {item.name: item for item in (*built_in, *GENERAL) if item.name not in found}
 
 
 def format_of(path: Path, name: str | None) -> Format:
@@ -113,6 +160,19 @@ def format_of(path: Path, name: str | None) -> Format:
         if name not in known:
             raise InputError(f"no format '{name}'", remedy=suggestion(name, known, "formats"))
         return known[name]
+    head = _head(path)
+    for candidate in known.values():
+        if candidate.recognises(head):
+            return candidate
+    raise InputError(
+        f"is of no format that trainlog knows; it begins with {head[:8].hex(' ')}",
+        file=path,
+        remedy=f"formats: {', '.join(known)}; name one if you know better",
+    )
+
+
+def _head(path: Path) -> bytes:
+    """What a file begins with."""
     try:
         with path.open("rb") as stream:
             head = stream.read(HEAD)
@@ -123,11 +183,4 @@ def format_of(path: Path, name: str | None) -> Format:
         ) from error
     if not head:
         raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
-    for candidate in known.values():
-        if candidate.recognises(head):
-            return candidate
-    raise InputError(
-        f"is of no format that trainlog knows; it begins with {head[:8].hex(' ')}",
-        file=path,
-        remedy=f"formats: {', '.join(known)}; name one if you know better",
-    )
+    return head

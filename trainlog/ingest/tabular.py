@@ -144,6 +144,14 @@ class TextFile:
                 place=place,
                 remedy="rename all but one of them in the file",
             )
+        if name in self.options.aliases:
+            spellings = self.options.aliases[name]
+            raise InputError(
+                f"no column of the {name}",
+                file=self.path,
+                place=place,
+                remedy=f"expected one called {' or '.join(spellings)}",
+            )
         alone = len(self.names) == 1
         raise InputError(
             f"no column '{name}'",
@@ -202,7 +210,7 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
         names = names[:-1]
     elif len(first) == len(names) + 1 and not first[-1]:
         names = (*names, "")
-    return TextFile(path, options, names, header, body, rows)
+    return TextFile(path, options, options.named(names), header, body, rows)
 
 
 def _utf8(path: Path, data: bytes, encoding: str) -> bytes:

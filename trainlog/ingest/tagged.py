@@ -1,0 +1,349 @@
+"""Format ``tagged``: lines of several kinds, each with its time and hexadecimal digits.
+
+A profile says which kinds there are: samples of numbers, messages of a u-blox receiver (UBX), or
+NMEA sentences. Lines of different kinds may be out of order. Where their time counts since the
+logger was started, UTC comes from the receiver's UBX-NAV-PVT (or RMC), and is carried back to
+before the first of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError
+from trainlog.extras import load
+from trainlog.ingest.mapping import elapsed_time, from_parts, read_time, recording_of
+from trainlog.ingest.nmea import epochs_of
+from trainlog.ingest.profile import LineOptions, Payload, Profile, TimeOptions
+from trainlog.ingest.recording import (
+    NO_TIME,
+    SHOWN_ROWS,
+    BoolArray,
+    Cells,
+    Finding,
+    FloatArray,
+    IntArray,
+    Messages,
+    Raw,
+    Recording,
+    Table,
+)
+from trainlog.ingest.tabular import open_text
+
+WINDOW = 60 * 1_000_000_000
+"""Time [ns] over which the offset of the logger's clock is taken as constant."""
+
+MAX_OFFSET_CHANGE = 1_000_000_000
+"""Change of the offset [ns] from one window to the next beyond which the clock was restarted."""
+
+FIX = (2, 3, 4)
+"""Fix types of UBX-NAV-PVT that are a position: 2D, 3D, and 3D with dead reckoning."""
+
+FIX_OK, DATE_AND_TIME = 0x01, 0x03
+"""Bits of `flags` (fix within limits) and of `valid` (date and time are known)."""
+
+NAV_PVT_HEAD = b"\xb5\x62\x01\x07\x5c\x00"
+"""Mark, class, kind and length of UBX-NAV-PVT."""
+
+NAV_PVT_FIELDS = {
+    "year": ("<u2", 4),
+    "month": ("u1", 6),
+    "day": ("u1", 7),
+    "hour": ("u1", 8),
+    "minute": ("u1", 9),
+    "second": ("u1", 10),
+    "valid": ("u1", 11),
+    "nano": ("<i4", 16),
+    "fix_type": ("u1", 20),
+    "flags": ("u1", 21),
+    "satellites": ("u1", 23),
+    "longitude": ("<i4", 24),
+    "latitude": ("<i4", 28),
+    "altitude": ("<i4", 36),
+    "horizontal_accuracy": ("<u4", 40),
+    "vertical_accuracy": ("<u4", 44),
+    "speed": ("<i4", 60),
+    "speed_accuracy": ("<u4", 68),
+    "pdop": ("<u2", 76),
+}
+"""Fields of UBX-NAV-PVT that are used, and where they stand in it."""
+
+NAV_PVT = np.dtype(
+    {
+        "names": list(NAV_PVT_FIELDS),
+        "formats": [kind for kind, _ in NAV_PVT_FIELDS.values()],
+        "offsets": [len(NAV_PVT_HEAD) + offset for _, offset in NAV_PVT_FIELDS.values()],
+        "itemsize": 100,
+    }
+)
+"""The whole message, with mark and checksum."""
+
+Anchors = tuple[IntArray, IntArray]
+"""Times of the logger [ns], and the UTC [ns] that messages give for them."""
+
+
+def read_tagged(path: Path, profile: Profile | None) -> Recording:
+    """Read the lines; what is no whole line, sample or message is counted.
+
+    Raises
+    ------
+    InputError
+        If the profile does not describe the lines, no message gives the time, the clock was
+        restarted, or most lines are damaged.
+    """
+    if profile is None or profile.lines is None or profile.time is None:
+        raise InputError(
+            "holds lines of several kinds, which no profile describes",
+            file=path,
+            remedy="give a profile with [time] and [lines]; docs/ingest.md has an example",
+        )
+    lines = _lines(path, profile, profile.time, profile.lines)
+    kinds = profile.lines.kinds
+    numbers = [
+        _samples(lines, kind, payload, profile, path)
+        for kind, payload in kinds.items()
+        if payload.dtype is not None
+    ]
+    messages = Messages()
+    gnss, anchors = _receiver(lines, kinds, messages)
+    tables = [table for item, _ in numbers if item is not None for table in item.tables]
+    metadata: dict[str, str] = {}
+    if profile.time.start == "messages":
+        offset = _Offset(*anchors)
+        tables = [table.at(offset.utc(table.time)) for table in tables]
+        metadata["clock.anchors"] = str(offset.count)
+    damaged = lines.of_other_kinds(kinds)
+    for _, cut in numbers:
+        damaged |= cut
+    constants: dict[str, float | str] = {}
+    for item, _ in numbers:
+        constants |= item.constants if item is not None else {}
+    return Recording(
+        tuple(([] if gnss is None else [gnss]) + tables),
+        sum(map(len, tables)) + (0 if gnss is None else len(gnss)) + int(damaged.sum()) + lines.cut,
+        (*lines.cells.findings, *messages.findings(), *_finding(lines, damaged)),
+        constants,
+        metadata,
+        {name: count for name, count in sorted(messages.others.items()) if count},
+        raw=(*lines.cells.raw, *messages.raw(), *_raw(lines, damaged)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """The lines of a file."""
+
+    cells: Cells
+    time: IntArray
+    """As the lines give it [ns]; `NO_TIME` where it cannot be read."""
+    kind: NDArray[np.object_]
+    payload: pa.ChunkedArray
+
+    @property
+    def rows(self) -> IntArray:
+        return self.cells.rows
+
+    @property
+    def cut(self) -> int:
+        """Lines that could not be split into cells."""
+        return self.cells.rows_read - self.rows.size
+
+    def of_other_kinds(self, kinds: dict[str, Payload]) -> BoolArray:
+        """Lines of kinds that the profile does not name."""
+        return ~np.isin(self.kind, list(kinds))
+
+    def octets(self, mine: BoolArray, size: int) -> tuple[IntArray, NDArray[np.uint8]]:
+        """Which of the lines hold `size` octets and no others, and these (n, size)."""
+        digits = pc.match_substring_regex(self.payload, r"^[0-9A-Fa-f]*$").to_numpy()
+        whole = mine & digits & (pc.binary_length(self.payload).to_numpy() == 2 * size)
+        text = "".join(self.payload.filter(pa.array(whole)).to_pylist())
+        octets = np.frombuffer(bytes.fromhex(text), dtype=np.uint8).reshape(-1, size)
+        return np.flatnonzero(whole), octets
+
+    def bytes(self, place: Any) -> bytes:
+        """What a line holds; nothing if its digits are no octets."""
+        try:
+            return bytes.fromhex(self.payload[int(place)].as_py())
+        except ValueError:
+            return b""
+
+
+def _lines(path: Path, profile: Profile, time: TimeOptions, options: LineOptions) -> _Lines:
+    cells = open_text(path, profile.file).cells([*time.names, options.kind, options.payload])
+    table = cells.table
+    if time.start == "messages":
+        stamps = elapsed_time(table[time.names[0]], time, profile.file.decimal)
+    else:
+        stamps = read_time(table, time, profile.file.decimal, path)
+    kind = pc.fill_null(table[options.kind], "").to_numpy()
+    return _Lines(cells, stamps, kind, pc.fill_null(table[options.payload], ""))
+
+
+def _samples(
+    lines: _Lines, kind: str, payload: Payload, profile: Profile, path: Path
+) -> tuple[Recording | None, BoolArray]:
+    """The numbers in the lines of a kind, and which of these lines hold no whole sample."""
+    mine = lines.kind == kind
+    dtype = np.dtype(payload.type)
+    place, octets = lines.octets(mine, payload.count * dtype.itemsize)
+    cut = mine.copy()
+    cut[place] = False
+    names = [f"{kind}.{number}" for number in range(1, payload.count + 1)]
+    columns = {
+        name: column
+        for name, column in profile.columns.items()
+        if column.value is not None or (column.names and set(column.names) <= set(names))
+    }
+    if not place.size or not columns:
+        return None, cut
+    values = np.ascontiguousarray(octets).view(dtype)
+    table = pa.table({name: values[:, i].astype(np.float64) for i, name in enumerate(names)})
+    cells = Cells(table, lines.rows[place], place.size)
+    mapped = profile.model_copy(update={"columns": columns, "time": None})
+    return recording_of(cells, mapped, path, lines.time[place]), cut
+
+
+def _finding(lines: _Lines, damaged: BoolArray) -> tuple[Finding, ...]:
+    if not damaged.any():
+        return ()
+    rows = np.sort(lines.rows[damaged])
+    first = tuple(int(row) for row in rows[:SHOWN_ROWS])
+    return (Finding("damaged_messages", rows.size, first),)
+
+
+def _raw(lines: _Lines, damaged: BoolArray) -> tuple[Raw, ...]:
+    if not damaged.any():
+        return ()
+    text = np.asarray(lines.payload.filter(pa.array(damaged)).to_pylist(), dtype=np.object_)
+    return (Raw("damaged_messages", "", lines.rows[damaged], text),)
+
+
+def _receiver(
+    lines: _Lines, kinds: dict[str, Payload], messages: Messages
+) -> tuple[Table | None, Anchors]:
+    """The fixes of UBX-NAV-PVT or, without any, of NMEA sentences; and the UTC they give."""
+    ubx, sentences = (
+        np.isin(lines.kind, [kind for kind, payload in kinds.items() if payload.type == what])
+        for what in ("ubx", "nmea")
+    )
+    nmea = np.flatnonzero(sentences)
+    gnss, anchors = _ubx(lines, ubx, messages)
+    if gnss is not None:
+        messages.others["NMEA sentences, repeating UBX-NAV-PVT"] += nmea.size
+    elif nmea.size:
+        texts = (lines.bytes(i).decode("ascii", "replace").strip() for i in nmea)
+        gnss = epochs_of(zip(map(int, lines.rows[nmea]), texts, strict=True), messages)
+        at = np.searchsorted(lines.rows, gnss.rows)
+        known = (gnss.time != NO_TIME) & (lines.time[at] != NO_TIME)
+        anchors = lines.time[at][known], gnss.time[known]
+    return gnss, anchors
+
+
+def _ubx(lines: _Lines, mine: BoolArray, messages: Messages) -> tuple[Table | None, Anchors]:
+    """The fixes of UBX-NAV-PVT, and times of the logger with the UTC that they give."""
+    messages.read += int(np.count_nonzero(mine))
+    place, pvt = _nav_pvt(lines, mine)
+    others = mine.copy()
+    others[place] = False
+    _count_others(lines, others, messages)
+    if not place.size:
+        none = np.zeros(0, dtype=np.int64)
+        return None, (none, none)
+    time = _pvt_time(pvt)
+    known = (time != NO_TIME) & (lines.time[place] != NO_TIME)
+    anchors = lines.time[place][known], time[known]
+    return Table(time, lines.rows[place], _pvt_signals(pvt)), anchors
+
+
+def _nav_pvt(lines: _Lines, mine: BoolArray) -> tuple[IntArray, Any]:
+    """Which lines are whole UBX-NAV-PVT messages, and these as records."""
+    place, octets = lines.octets(mine, NAV_PVT.itemsize)
+    # The checksum is Fletcher's, over all but the mark and itself.
+    first = np.cumsum(octets[:, 2:-2], axis=1, dtype=np.int64)
+    second = first.sum(axis=1)
+    good = np.all(octets[:, : len(NAV_PVT_HEAD)] == np.frombuffer(NAV_PVT_HEAD, np.uint8), axis=1)
+    good &= (first[:, -1] % 256 == octets[:, -2]) & (second % 256 == octets[:, -1])
+    return place[good], np.ascontiguousarray(octets[good]).view(NAV_PVT).reshape(-1)
+
+
+def _count_others(lines: _Lines, others: BoolArray, messages: Messages) -> None:
+    """Count the messages that are not used by their names, and those that are damaged."""
+    places = np.flatnonzero(others)
+    if not places.size:
+        return
+    parse = load("pyubx2").UBXReader.parse
+    for i in places:
+        try:
+            message = parse(lines.bytes(i))
+        except Exception:  # noqa: BLE001 - the parser raises whatever a byte leads it to
+            message = None
+        if message is None:
+            messages.damaged(int(lines.rows[i]), lines.payload[int(i)].as_py())
+        else:
+            messages.others[f"UBX {message.identity}"] += 1
+
+
+def _pvt_time(pvt: Any) -> IntArray:
+    """UTC of UBX-NAV-PVT [ns]; `NO_TIME` if the receiver does not vouch for it."""
+    parts = [pvt[name].astype(np.float64) for name in ("year", "month", "day", "hour", "minute")]
+    minute = from_parts([*parts, np.zeros(len(pvt))])
+    vouched = (pvt["valid"] & DATE_AND_TIME == DATE_AND_TIME) & (minute != NO_TIME)
+    # The second may be 60, the nanoseconds are negative where it was rounded up.
+    second = pvt["second"].astype(np.int64) * 1_000_000_000 + pvt["nano"]
+    return np.where(vouched, minute + second, NO_TIME)
+
+
+def _pvt_signals(pvt: Any) -> dict[str, FloatArray]:
+    fixed = np.isin(pvt["fix_type"], FIX) & (pvt["flags"] & FIX_OK != 0)
+    return {
+        "/gnss/fix.latitude": np.where(fixed, pvt["latitude"] / 1e7, np.nan),
+        "/gnss/fix.longitude": np.where(fixed, pvt["longitude"] / 1e7, np.nan),
+        "/gnss/fix.altitude": pvt["altitude"] / 1e3,
+        "/gnss/fix.horizontal_accuracy": pvt["horizontal_accuracy"] / 1e3,
+        "/gnss/fix.vertical_accuracy": pvt["vertical_accuracy"] / 1e3,
+        "/gnss/motion.speed": pvt["speed"] / 1e3,
+        "/gnss/motion.speed_accuracy": pvt["speed_accuracy"] / 1e3,
+        "/gnss/motion.satellites": pvt["satellites"].astype(np.float64),
+        "/gnss/motion.pdop": pvt["pdop"] / 1e2,
+    }
+
+
+class _Offset:
+    """UTC less the logger's time, as the receiver's messages give it."""
+
+    def __init__(self, logger: IntArray, utc: IntArray) -> None:
+        if not logger.size:
+            raise InputError(
+                "no message gives the time: the lines' own clock only counts since the start",
+                remedy="have the receiver send UBX-NAV-PVT, or RMC, and record until it has a fix",
+            )
+        order = np.argsort(utc, kind="stable")
+        clock, known = logger[order], utc[order]
+        offset = known - clock
+        window = (known - known[0]) // WINDOW
+        edges = np.flatnonzero(np.diff(window, prepend=-1))
+        pairs = list(zip(edges, np.append(edges[1:], clock.size), strict=True))
+        self.base = int(np.median(offset))
+        self.clock = np.array([np.median(clock[a:b]) for a, b in pairs])
+        self.offset = np.array([np.median(offset[a:b] - self.base) for a, b in pairs])
+        self.count = logger.size
+        leaps = np.abs(np.diff(self.offset))
+        if np.any(leaps > MAX_OFFSET_CHANGE):
+            raise InputError(
+                f"the logger's clock was restarted: it leaps by {leaps.max() / 1e9:.0f} s against"
+                " the receiver's",
+                remedy="split the file where the logger was started again",
+            )
+
+    def utc(self, time: IntArray) -> IntArray:
+        """UTC [ns] of times of the logger, carried on beyond the first and the last message."""
+        known = time != NO_TIME
+        drift = np.interp(np.where(known, time, 0), self.clock, self.offset)
+        return np.where(known, time + self.base + np.round(drift).astype(np.int64), NO_TIME)
