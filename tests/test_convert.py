@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 import pytest
 from mcap.reader import make_reader
 
+from tests.foreign_logs import json_log
 from tests.mcap_trips import START, assert_same, trip_of
 from trainlog.cli.main import run
 from trainlog.cli.selection import stretch, times
@@ -66,7 +68,7 @@ def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> N
         assert_same(wanted, read_parquet(tmp_path / f"{number}.parquet"))
 
 
-def test_chosen_topics_are_told_in_the_provenance(log: Path, tmp_path: Path) -> None:
+def test_chosen_topics_are_named_in_the_provenance(log: Path, tmp_path: Path) -> None:
     convert(log, tmp_path / "some.mcap", topics=[TRAIN_STATE.name, EVENTS.name])
     back = read_log(tmp_path / "some.mcap")
     assert list(back.topics) == [TRAIN_STATE.name, EVENTS.name]
@@ -79,6 +81,38 @@ def test_a_trip_without_rows_is_converted_too(tmp_path: Path) -> None:
     convert(tmp_path / "empty.parquet", tmp_path / "again.mcap")
     assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "empty.mcap").read_bytes()
     assert span_of(tmp_path / "empty.parquet") is span_of(tmp_path / "empty.mcap") is None
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
+@pytest.mark.parametrize("foreign", [False, True])
+def test_a_log_without_one_readable_message_is_refused(
+    suffix: str, foreign: bool, tmp_path: Path
+) -> None:
+    source = tmp_path / "log.mcap"
+    if foreign:
+        json_log(source, "/things", [{"x": 1}])
+    else:
+        write_log(trip_of(rows=20), source)
+    data = bytearray(source.read_bytes())
+    with source.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    for index in summary.chunk_indexes:
+        data[index.chunk_start_offset + index.chunk_length - 5] ^= 0xFF
+    source.write_bytes(data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DamageWarning)
+        with pytest.raises((LogError, InputError)) as caught:
+            convert(source, tmp_path / f"made{suffix}")
+    assert caught.value.file == source
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_a_log_of_which_nothing_is_decoded_is_refused(tmp_path: Path) -> None:
+    source = Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap"
+    with pytest.raises(LogError, match=r"no message that can be read: .*'flatbuffer' is not"):
+        convert(source, tmp_path / "made.parquet")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_log_and_parquet_span_the_same_time(log: Path, tmp_path: Path) -> None:

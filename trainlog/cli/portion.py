@@ -60,7 +60,7 @@ def convert(
             topics=topic or None,
             time=time,
             position=stretch(km),
-            told=lambda rows: progress.update(task, completed=rows),
+            progress=lambda rows: progress.update(task, completed=rows),
         )
     console.print(f"  {done.rows.total():,} rows in {len(done.rows)} topics", highlight=False)
     for words in done.left_out:

@@ -57,7 +57,7 @@ def convert(
     topics: Sequence[str] | None = None,
     time: tuple[Any, Any] | None = None,
     position: tuple[float | None, float | None] | None = None,
-    told: Callable[[int], object] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Converted:
     """Write a log, or a part of it, as a log or as Parquet.
 
@@ -74,15 +74,25 @@ def convert(
         Default: all.
     time, position : (start, end), optional
         As in `Trip.between` and `Trip.within`.
-    told : callable, optional
+    progress : callable, optional
         Called with the number of rows after each piece.
 
     Raises
     ------
     LogError
-        If the source cannot be read, or nothing of it is in the part asked for.
+        If the source cannot be read, not one of its messages can, or nothing of it is in the part
+        asked for.
     InputError
         If a file is missing or cannot be written, or the target's kind is unknown.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     target = f"{folder}/trip.parquet"
+    ...     done = convert("sample_logs/nonstop.mcap", target, topics=["/gnss/fix"])
+    >>> done.rows
+    Counter({'/gnss/fix': 5379})
     """
     source, target = Path(source), Path(target)
     _check_target(source, target)
@@ -92,10 +102,17 @@ def convert(
         for piece in pieces:
             writer.add(piece if topics is None else piece.with_step("slice", topics=[*topics]))
             done.rows.update({name: len(frame) for name, frame in piece.topics.items()})
-            if told is not None:
-                told(done.rows.total())
-        if not done.rows.total() and (topics, time, position) != (None, None, None):
-            raise nothing_of(source)
+            if progress is not None:
+                progress(done.rows.total())
+        if not done.rows.total():
+            if (topics, time, position) != (None, None, None):
+                raise nothing_of(source)
+            if done.left_out:
+                raise LogError(
+                    f"holds no message that can be read: {done.left_out[0]}",
+                    file=source,
+                    remedy=f"see 'trainlog info {source}' for what it holds",
+                )
     return done
 
 
@@ -178,7 +195,9 @@ def _foreign(
             remedy="'trainlog ingest' makes a trip of it; or choose by time",
         )
     found = frames_of(source, topics)
-    left_out += map(str, found.skipped)
+    left_out += [str(each) for each in found.skipped if each.messages]
+    if not found.account.whole:
+        left_out.append("; ".join(found.account.lines()))
     left_out += [f"attachment {each.name}: not carried over" for each in description.attachments]
     frames = {}
     for name, frame in found.frames.items():
