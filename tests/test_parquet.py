@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from tests.mcap_trips import START, assert_same, trip_of, trips
 from trainlog.errors import InputError, LogError
-from trainlog.formats import parquet_topics
+from trainlog.formats import parquet
 from trainlog.formats.parquet import parquet_writer, read_parquet, stream_parquet, write_parquet
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
@@ -117,7 +117,7 @@ def test_frames_of_other_programs_come_back(tmp_path: Path) -> None:
 def test_same_trip_same_bytes_whatever_the_pieces(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parquet_topics, "ROWS", 16)
+    monkeypatch.setattr(parquet, "ROWS", 16)
     trip = trip_of(rows=100)
     write_parquet(trip, tmp_path / "whole.parquet")
     parts = (
