@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numba import njit
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dptsv, dpttrf
 from scipy.special import log_ndtr
 
 from analysis.adhesion.slip import SlipAnalysis, slip
@@ -171,30 +171,16 @@ def _log_posterior(
     return value, gradient, evidence.weight + bend / std**2
 
 
-@njit(cache=True)
-def _solve(diagonal, off, right):  # type: ignore[no-untyped-def]
-    """Solution of a symmetric positive definite tridiagonal system, by elimination."""
-    n = diagonal.size
-    pivot, found = diagonal.copy(), right.copy()
-    for i in range(1, n):
-        share = off / pivot[i - 1]
-        pivot[i] -= share * off
-        found[i] -= share * found[i - 1]
-    found[n - 1] /= pivot[n - 1]
-    for i in range(n - 2, -1, -1):
-        found[i] = (found[i] - off * found[i + 1]) / pivot[i]
-    return found
+def _solve(diagonal: FloatArray, off: float, right: FloatArray) -> FloatArray:
+    """Solution of a symmetric positive definite system with a constant off-diagonal."""
+    return np.asarray(dptsv(diagonal, np.full(max(diagonal.size - 1, 1), off), right)[2])
 
 
-@njit(cache=True)
-def _inverse_diagonal(diagonal, off):  # type: ignore[no-untyped-def]
+def _inverse_diagonal(diagonal: FloatArray, off: float) -> FloatArray:
     """Diagonal of the inverse of a symmetric tridiagonal matrix, from the pivots of both ends."""
-    n = diagonal.size
-    forward, backward = diagonal.copy(), diagonal.copy()
-    for i in range(1, n):
-        forward[i] -= off * off / forward[i - 1]
-        backward[n - 1 - i] -= off * off / backward[n - i]
-    return 1.0 / (forward + backward - diagonal)
+    beside = np.full(max(diagonal.size - 1, 1), off)
+    forward, backward = dpttrf(diagonal, beside)[0], dpttrf(diagonal[::-1], beside)[0][::-1]
+    return np.asarray(1.0 / (forward + backward - diagonal))
 
 
 FIXED_POINT = 2.0**-20

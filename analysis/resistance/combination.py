@@ -7,7 +7,7 @@ normal distribution around the mean, seen with that trip's own covariance (`rand
     single_i ~ N(mean, between),    value_i ~ N(single_i, variance_i).
 
 `between` is found by restricted maximum likelihood with a weak prior, by expectation maximisation
-in compiled sums over the trips; its steps, which shrink geometrically, are extrapolated.
+in sums over the trips; its steps, which shrink geometrically, are extrapolated.
 
 A line is surveyed once (`shared_variance`). Trips over the same line in the same direction meet the
 same errors of its gradients, and their mean keeps them, however many trips there are. How alike
@@ -30,7 +30,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
@@ -149,6 +148,9 @@ ROUNDS = 200
 TOLERANCE = 1e-9
 """Relative change of the variance between trips in a step that ends the search."""
 
+_BLOCK = 8192
+"""Trips whose sums are made at once."""
+
 
 @dataclass(frozen=True, eq=False)
 class Effects:
@@ -187,10 +189,13 @@ def random_effects(
     trust : float
         This expectation counts as much as so many trips.
     """
+    # Sums about the middle of the values: what trips have in common would cancel digits.
+    middle = values.mean(axis=0)
+    trips = _Trips((values - middle).T, variances[:, *_TRIANGLE].T, expected, trust)
     between = expected.copy()
     for _ in range(ROUNDS):
-        first = _step(values, variances, between, expected, trust)
-        second = _step(values, variances, first, expected, trust)
+        first = trips.step(between)
+        second = trips.step(first)
         if np.max(np.abs(second - first)) <= TOLERANCE * np.max(np.abs(first)):
             between = second
             break
@@ -199,141 +204,88 @@ def random_effects(
         leap = between - 2.0 * length * change + length**2 * bend
         # A leap that leaves the covariances is not made.
         sound = np.all(np.linalg.eigvalsh(leap) > 1e-6 * np.linalg.eigvalsh(second)[0])
-        between = _step(values, variances, leap, expected, trust) if sound else second
-    mean, variance = _mean(values, variances, between)
-    single, single_variance = _single(values, variances, between, mean, variance)
-    return Effects(mean, variance, between, single, single_variance)
+        between = trips.step(leap) if sound else second
+    mean, variance, _, _ = trips.mean(between)
+    single, single_variance = trips.single(between, mean, variance)
+    return Effects(mean + middle, variance, between, single + middle, single_variance)
 
 
-def _step(
-    values: FloatArray,
-    variances: FloatArray,
-    between: FloatArray,
-    expected: FloatArray,
-    trust: float,
-) -> FloatArray:
-    """One step of the expectation maximisation; Laird and Ware (1982), eq. (3.4)."""
-    mean, variance = _mean(values, variances, between)
-    total = _spread(values, variances, between, mean, variance)
-    total = 0.5 * (total + total.T)
-    return np.asarray((total + trust * expected) / (len(values) + trust))
+_TRIANGLE = np.triu_indices(3)
+_FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Where the entries of a symmetric matrix stand in its upper triangle, row by row."""
 
 
-def _mean(
-    values: FloatArray, variances: FloatArray, between: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    information, pulled = _information(values, variances, between)
-    variance = np.linalg.inv(information)
-    variance = 0.5 * (variance + variance.T)
-    return variance @ pulled, variance
+@dataclass(frozen=True, eq=False, slots=True)
+class _Trips:
+    """Values (3, k) of the trips, upper triangles (6, k) of their variances, and the prior.
 
-
-@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
-def _weight(variance: FloatArray, between: FloatArray) -> tuple[float, ...]:
-    """Upper triangle of the inverse of ``variance + between``, by its cofactors."""
-    a, b = variance[0, 0] + between[0, 0], variance[0, 1] + between[0, 1]
-    c = variance[0, 2] + between[0, 2]
-    d, e = variance[1, 1] + between[1, 1], variance[1, 2] + between[1, 2]
-    f = variance[2, 2] + between[2, 2]
-    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
-    scale = 1.0 / (a * first + b * second + c * third)
-    return (
-        first * scale,
-        second * scale,
-        third * scale,
-        (a * f - c * c) * scale,
-        (b * c - a * e) * scale,
-        (a * d - b * b) * scale,
-    )
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _information(
-    values: FloatArray, variances: FloatArray, between: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Sums over the trips of their weights and of their weighted values."""
-    total, pulled = np.zeros(6), np.zeros(3)
-    for k in range(len(values)):
-        a, b, c, d, e, f = _weight(variances[k], between)
-        x, y, z = values[k, 0], values[k, 1], values[k, 2]
-        total[0] += a
-        total[1] += b
-        total[2] += c
-        total[3] += d
-        total[4] += e
-        total[5] += f
-        pulled[0] += a * x + b * y + c * z
-        pulled[1] += b * x + d * y + e * z
-        pulled[2] += c * x + e * y + f * z
-    return _full(total), pulled
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _spread(
-    values: FloatArray,
-    variances: FloatArray,
-    between: FloatArray,
-    mean: FloatArray,
-    variance: FloatArray,
-) -> FloatArray:
-    """Sum over the trips of the expected square of their distance from the mean.
-
-    With w the weight of a trip, it is ``between + between s between`` where
-    ``s = w d d' w - w + w variance w`` and d is the value less the mean.
+    The weight of a trip is the inverse of its variance and that between trips. All that a step of
+    the expectation maximisation needs are the sums over the trips of the weights and of the
+    weighted values, and of the products of these nine.
     """
-    total = np.zeros(6)
-    p, q, r = variance[0, 0], variance[0, 1], variance[0, 2]
-    s, t, u = variance[1, 1], variance[1, 2], variance[2, 2]
-    for k in range(len(values)):
-        a, b, c, d, e, f = _weight(variances[k], between)
-        x, y, z = values[k, 0] - mean[0], values[k, 1] - mean[1], values[k, 2] - mean[2]
-        g, h, i = a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
-        # Rows of w variance.
-        a0, a1, a2 = a * p + b * q + c * r, a * q + b * s + c * t, a * r + b * t + c * u
-        b0, b1, b2 = b * p + d * q + e * r, b * q + d * s + e * t, b * r + d * t + e * u
-        c0, c1, c2 = c * p + e * q + f * r, c * q + e * s + f * t, c * r + e * t + f * u
-        total[0] += g * g - a + a0 * a + a1 * b + a2 * c
-        total[1] += g * h - b + a0 * b + a1 * d + a2 * e
-        total[2] += g * i - c + a0 * c + a1 * e + a2 * f
-        total[3] += h * h - d + b0 * b + b1 * d + b2 * e
-        total[4] += h * i - e + b0 * c + b1 * e + b2 * f
-        total[5] += i * i - f + c0 * c + c1 * e + c2 * f
-    out: FloatArray = len(values) * between + between @ _full(total) @ between
-    return out
 
+    values: FloatArray
+    variances: FloatArray
+    expected: FloatArray
+    trust: float
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _full(triangle: FloatArray) -> FloatArray:
-    """The symmetric matrix of which this is the upper triangle, row by row."""
-    out = np.empty((3, 3))
-    out[0, 0], out[1, 1], out[2, 2] = triangle[0], triangle[3], triangle[5]
-    out[0, 1] = out[1, 0] = triangle[1]
-    out[0, 2] = out[2, 0] = triangle[2]
-    out[1, 2] = out[2, 1] = triangle[4]
-    return out
+    def weights(self, between: FloatArray, part: slice = slice(None)) -> FloatArray:
+        """Upper triangles (6, n) of the weights, by cofactors."""
+        a, b, c, d, e, f = self.variances[:, part] + between[_TRIANGLE][:, None]
+        found = np.stack(
+            [
+                d * f - e * e,
+                c * e - b * f,
+                b * e - c * d,
+                a * f - c * c,
+                b * c - a * e,
+                a * d - b * b,
+            ]
+        )
+        found /= a * found[0] + b * found[1] + c * found[2]
+        return found
 
+    def mean(self, between: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Mean (3,) of the trips, its variance (3, 3), sums (9,) and products (9, 9)."""
+        sums, products = np.zeros(9), np.zeros((9, 9))
+        # In blocks that stay in the processor's cache.
+        for first in range(0, self.values.shape[1], _BLOCK):
+            part = slice(first, first + _BLOCK)
+            weights = self.weights(between, part)
+            weighted = np.einsum("ijk,jk->ik", weights[_FULL], self.values[:, part])
+            rows = np.concatenate([weights, weighted])
+            sums += rows.sum(axis=1)
+            products += rows @ rows.T
+        variance = np.linalg.inv(sums[:6][_FULL])
+        variance = 0.5 * (variance + variance.T)
+        return variance @ sums[6:], variance, sums, products
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _single(
-    values: FloatArray,
-    variances: FloatArray,
-    between: FloatArray,
-    mean: FloatArray,
-    variance: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Each trip drawn towards the mean, and its variance; Laird and Ware (1982), eq. (3.2)."""
-    count, triangle = len(values), np.empty(6)
-    single, single_variance = np.empty((count, 3)), np.empty((count, 3, 3))
-    one = np.eye(3)
-    for k in range(count):
-        for n, entry in enumerate(_weight(variances[k], between)):
-            triangle[n] = entry
-        gain = between @ _full(triangle)
-        rest = one - gain
-        single[k] = mean + gain @ (values[k] - mean)
-        found = between - gain @ between + rest @ variance @ rest.T
-        single_variance[k] = 0.5 * (found + found.T)
-    return single, single_variance
+    def step(self, between: FloatArray) -> FloatArray:
+        """One step of the expectation maximisation; Laird and Ware (1982), eq. (3.4).
+
+        With w the weight of a trip and d its value less the mean, the expected square of its
+        distance from the mean is ``between + between s between`` where
+        ``s = w d d' w - w + w variance w``.
+        """
+        mean, variance, sums, products = self.mean(between)
+        weights = products[:6, :6][_FULL[:, :, None, None], _FULL]
+        crossed = products[6:, :6][:, _FULL] @ mean
+        s = products[6:, 6:] - crossed - crossed.T - sums[:6][_FULL]
+        s += np.einsum("ijlm,jl->im", weights, variance + np.outer(mean, mean))
+        count = self.values.shape[1]
+        total = count * between + between @ s @ between
+        total = 0.5 * (total + total.T) + self.trust * self.expected
+        return np.asarray(total / (count + self.trust))
+
+    def single(
+        self, between: FloatArray, mean: FloatArray, variance: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Each trip drawn towards the mean, and its variance; Laird and Ware (1982), eq. (3.2)."""
+        gain = between @ self.weights(between)[_FULL].transpose(2, 0, 1)
+        rest = np.eye(3) - gain
+        single = mean + (gain @ (self.values.T - mean)[:, :, None])[:, :, 0]
+        found = between - gain @ between + rest @ variance @ rest.transpose(0, 2, 1)
+        return single, 0.5 * (found + found.transpose(0, 2, 1))
 
 
 def shared_variance(weights: FloatArray, survey: FloatArray, line: NDArray[np.int64]) -> FloatArray:
