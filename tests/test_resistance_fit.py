@@ -139,6 +139,27 @@ def test_windows_scatter_around_the_curve_as_they_say(fitted: list[TripFit]) -> 
         assert np.median(np.abs(z)) < 1.5
 
 
+def test_a_wrong_wheel_diameter_moves_the_curve_as_the_covariance_states() -> None:
+    """Speeds times s: r1 over s, r2 over s², mass over s, where no satellites calibrate."""
+    train = replace(TRAIN, rotating_mass_factor=0.0, axles=replace(TRAIN.axles, rotating_mass=0.0))
+    made = trip(noise=1e-4, train=train)
+    fit = fit_trip(made)
+    assert fit.scale.source == "nothing"
+    speed = made["/train/state"]["speed"]
+    known = []
+    for wrong in (1.0 + fit.scale.std, 1.0 / (1.0 + fit.scale.std)):
+        moved = fit_trip(changed(made, "/train/state", speed=speed * wrong))
+        known.append(np.append(moved.beta, moved.mass))
+    effect = 0.5 * (known[1] - known[0])
+    relative = effect / np.append(fit.beta, fit.mass) / fit.scale.std
+    np.testing.assert_allclose(relative, [0.0, 1.0, 2.0, 1.0], atol=0.02)
+    # Nothing else is uncertain of r2 and mass on this trip.
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance))[2:], np.abs(effect)[2:], rtol=0.05)
+    rest = fit.covariance - np.outer(effect, effect)
+    scale = np.sqrt(np.diag(fit.covariance))
+    assert np.all(np.linalg.eigvalsh(rest / np.outer(scale, scale)) > -0.02)
+
+
 def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[TripFit]) -> None:
     blind = replace(
         simulated[0],

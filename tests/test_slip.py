@@ -7,18 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from simulated_world import flirt, hilly_line
+from numpy.typing import NDArray
+from simulated_world import flirt, hilly_line, level_line
 from slip_truth import Score, Seen, onset_errors, seen
 
 from analysis.adhesion.slip import adhesion_noise, slip, wheel_noise
 from trainlog.errors import LogError
+from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
-from trainlog.railway import Axles
+from trainlog.railway import Axles, RunningResistance
 from trainlog.resampling import interpolated
 from trainlog.simulation import draw_scenarios
 from trainlog.simulation.sensors import Sensors
-from trainlog.topics import TOPICS
-from trainlog.trip import TRAIN_ATTACHMENT, Trip, column_field
+from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, column_field, frame_of
+
+FloatArray = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -203,6 +207,68 @@ def test_satellites_that_do_not_belong_to_a_sample_are_left_out(trips: list[Seen
     both.attrs = each.trip["/gnss/motion"].attrs
     found = slip(each.trip.with_topic(both))
     np.testing.assert_allclose(found.speed, each.found.speed, atol=1e-9)
+
+
+def one_slip(cut: float, force_before: float = 30e3) -> tuple[Trip, FloatArray]:
+    """A trip on which all axles slip from 20 s on, and its true speed.
+
+    From then on there are 30 kN an axle between wheel and rail, whatever the slip. The wheels speed
+    up by 1.5 m/s² for two seconds; then the effort falls to the share `cut` until the slip is over.
+    """
+    train = flirt(resistance=RunningResistance(1.0, 0.0, 0.0))
+    axle, count, every = train.axles.rotating_mass, train.axles.count, 50
+    inertia = train.mass + train.rotating_mass - count * axle
+    time = np.arange(0.0, 60.0, 1e-3)
+    force = np.interp(time, [20.0, 20.3], [force_before, 30e3])
+    gained = (count * force - 1.0) / inertia
+    falls = (1.0 - cut) * (30e3 / axle + gained[-1])
+    rises = 0.15 * 1.5 + 1.7 * 1.5 + 0.15 * (1.5 - falls) - 0.15 * falls
+    end = 22.3 + rises / falls
+    grows = np.interp(
+        time, [20.0, 20.3, 22.0, 22.3, end, end + 0.3], [0.0, 1.5, 1.5, -falls, -falls, 0.0]
+    )
+    effort = (force + axle * (gained + grows))[::every]
+    speed = 8.0 + np.cumsum(gained) * 1e-3
+    wheel = (speed + np.cumsum(grows) * 1e-3)[::every]
+    position, speed, time = np.cumsum(speed)[::every] * 1e-3, speed[::every], time[::every]
+    stamps = np.int64(1_700_000_000_000_000_000) + np.round(time * 1e9).astype(np.int64)
+    columns = {f"wheel_speed_{i + 1}": wheel for i in range(count)}
+    columns |= {f"wheel_effort_{i + 1}": effort for i in range(count)}
+    brake = {"pneumatic_braking_effort": np.zeros(time.size)}
+    made = Trip(
+        topics={
+            "/train/axles": frame_of(TRAIN_AXLES, stamps, columns),
+            "/train/state": frame_of(TRAIN_STATE, stamps, {"position": position}),
+            "/train/controls": frame_of(TRAIN_CONTROLS, stamps, brake),
+        },
+        metadata={"trip": "one slip", "direction": "forward"},
+        attachments={
+            LINE_ATTACHMENT: line_to_bytes(level_line()),
+            TRAIN_ATTACHMENT: train_to_bytes(train),
+        },
+    )
+    return made, speed
+
+
+@pytest.mark.parametrize(("cut", "measured"), [(0.6, True), (0.85, False)])
+def test_an_effort_that_is_cut_shows_that_the_maximum_was_passed(
+    cut: float, measured: bool
+) -> None:
+    """On a rail whose adhesion does not fall with slip, only the slip protection shows it."""
+    found = slip(one_slip(cut)[0])
+    assert len(found.events) == found.slipping.shape[1]
+    assert (found.events["measured"] == measured).all()
+    used = 30e3 / (flirt().adhesive_weight(0.0) / found.slipping.shape[1])
+    np.testing.assert_allclose(found.events["adhesion"], used, rtol=0.03)
+
+
+def test_the_inertia_of_the_axles_is_counted_once() -> None:
+    """No wheel holds and nothing else measures: the speed is what the rail gave over the mass."""
+    made, speed = one_slip(0.85, force_before=2e3)
+    found = slip(made)
+    during = found.slipping.all(axis=1)
+    assert np.count_nonzero(during) > 20
+    assert np.max(np.abs(found.speed[during] - speed[during])) < 0.02
 
 
 class TestRefusals:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -29,7 +30,7 @@ from analysis.adhesion.condition_map import (
 )
 from analysis.adhesion.evidence import Prior, solve_field
 from analysis.adhesion.plot import draw_map
-from analysis.adhesion.slip import slip
+from analysis.adhesion.slip import SlipAnalysis, slip
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.mcap import write_log
@@ -144,6 +145,51 @@ class TestField:
         )
         share = 100.0 / (100.0 + 1.0 / 0.09)
         assert found.mean[0] == pytest.approx(share * np.log(0.2) + (1 - share) * np.log(0.28))
+
+
+class TestBounds:
+    def made(self, position: FloatArray, adhesion: FloatArray, std: float) -> SlipAnalysis:
+        """A trip without slip: where one axle was, and the adhesion that it used."""
+        count = position.size
+        clock = pd.date_range("2024-01-01", periods=count, freq="100ms", tz="UTC")
+        nothing = np.zeros(count)
+        names = ("axle", "start", "end", "kind", "position", "speed", "peak_slip", "adhesion")
+        events = pd.DataFrame({name: [] for name in (*names, "adhesion_std", "measured")})
+        return SlipAnalysis(
+            trip="made", time=clock, position=position, speed=nothing, speed_std=nothing,
+            slip_speed=nothing[:, None], adhesion=adhesion[:, None],
+            adhesion_std=np.full((count, 1), std), slipping=np.zeros((count, 1), dtype=bool),
+            wheel_factor=np.ones(1), events=events.astype({"measured": bool}),
+        )  # fmt: skip
+
+    def level(self, found: Evidence, place: int) -> float | None:
+        levels = np.flatnonzero(found.censored[place])
+        return float(LEVELS[levels[0]]) if levels.size else None
+
+    @given(st.floats(0.05, 0.4), st.floats(0.001, 0.03), st.sampled_from([1.0, -1.0]))
+    def test_a_bin_bears_at_least_what_was_used_less_one_standard_deviation(
+        self, used: float, std: float, sign: float
+    ) -> None:
+        place = np.array([4.5 * BIN, 7.5 * BIN])
+        found = evidence_of(
+            self.made(place, sign * np.array([used, 0.6 * used]), std), empty_map(LINE), "dry"
+        )
+        assert found.censored.sum() == np.sum(np.array([used, 0.6 * used]) - std >= LEVELS[0])
+        for number, adhesion in ((4, used), (7, 0.6 * used)):
+            known = self.level(found, number)
+            if known is not None:
+                assert known <= adhesion - std < known + 0.0101
+
+    def test_what_was_used_near_the_edge_of_a_bin_bounds_neither(self) -> None:
+        """The chainage is some metres off: the sample may belong to the next bin."""
+        near = 3.0 * BIN + np.array([-4.9, -0.1, 0.1, 4.9])
+        inside = np.array([3.0 * BIN - 5.1, 3.0 * BIN + 5.1])
+        high, low = np.full(4, 0.3), np.full(2, 0.155)
+        found = evidence_of(
+            self.made(np.append(near, inside), np.append(high, low), 0.002), empty_map(LINE), "dry"
+        )
+        assert [self.level(found, place) for place in (2, 3)] == [0.15, 0.15]
+        assert found.censored.sum() == 2.0
 
 
 class TestMerging:
