@@ -160,6 +160,18 @@ def test_a_wrong_wheel_diameter_moves_the_curve_as_the_covariance_states() -> No
     assert np.all(np.linalg.eigvalsh(rest / np.outer(scale, scale)) > -0.02)
 
 
+def test_wheels_that_roll_have_the_rotating_momentum_of_the_train() -> None:
+    """Recorded axles or not: what turns is counted once."""
+    made = trip(noise=0.0, duration=300.0)
+    speed = made["/train/state"]["speed"]
+    columns = {f"wheel_speed_{axle}": speed.to_numpy() for axle in range(1, 5)}
+    columns |= {f"wheel_effort_{axle}": np.zeros(speed.size) for axle in range(1, 5)}
+    axles = made.with_topic(frame_of(TRAIN_AXLES, speed.index, columns))
+    for one in (made, axles):
+        momentum = prepare(one, LINE, TRAIN).recording.rotating_momentum
+        np.testing.assert_allclose(momentum, TRAIN.rotating_mass * speed, rtol=1e-9)
+
+
 def test_fitting_does_not_read_the_truth(simulated: list[Trip], fitted: list[TripFit]) -> None:
     blind = replace(
         simulated[0],
