@@ -298,9 +298,11 @@ def _back(
 @njit(cache=True)
 def _curve(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
     """Effort on the lines between the knots, constant beyond the last."""
-    k = np.searchsorted(speeds, v, side="right") - 1
-    if k + 1 >= speeds.size:
-        return efforts[-1]
+    k = speeds.size - 1
+    while k > 0 and v < speeds[k]:
+        k -= 1
+    if k + 1 == speeds.size:
+        return efforts[k]
     share = (v - speeds[k]) / (speeds[k + 1] - speeds[k])
     return efforts[k] + share * (efforts[k + 1] - efforts[k])
 
@@ -321,7 +323,7 @@ def _pull(
 def pull_forwards(
     curve: FloatArray, initial: float, traction: Traction, motion: Motion,
     order: int = 4, least: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, NDArray[np.int64]]:  # fmt: skip
     """Full traction from the start, each train by itself, below its braking `curve`.
 
     Parameters
@@ -346,12 +348,15 @@ def pull_forwards(
     gain, drag0, drag1, drag2, step = motion
     q, n = drag2.shape
     z = np.empty((q, n + 1))
-    stalled = np.full(q, -1)
+    stalled = np.empty(q, dtype=np.int64)
     for a in range(q):
-        z[a, 0] = initial
+        z[a, 0], stalled[a] = initial, -1
         for k in range(n):
             y, h, d = z[a, k], 0.5 * step[k], drag0[a, k]
-            mean = (0.5 * (d[0] + d[-1]) + d[1:-1].sum()) / SUBSTEPS
+            mean = 0.5 * (d[0] + d[SUBSTEPS])
+            for j in range(1, SUBSTEPS):
+                mean += d[j]
+            mean /= SUBSTEPS
             limit, power = traction.limit[k], traction.power[a]
             if order == 1:
                 y += step[k] * _pull(

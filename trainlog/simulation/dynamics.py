@@ -312,12 +312,15 @@ def move(
     runge_kutta(y, p.step, command, friction_demand, track, rail, moving, weights, p, end, at)
     if moving and end[1] <= 0.0:
         if y[1] <= 0.0:
+            # Not the literal False: numba would compile the step once more for it.
+            still = not moving
             runge_kutta(
-                y, p.step, command, friction_demand, track, rail, False, weights, p, end, at
+                y, p.step, command, friction_demand, track, rail, still, weights, p, end, at
             )
         else:
             stop(y, command, friction_demand, track, rail, weights, p, end, at)
-    y[:] = end
+    for j in range(y.size):
+        y[j] = end[j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -336,22 +339,24 @@ def stop(
 
     `end` holds the end of the whole step with the train moving, and is overwritten.
     """
+    moving = y[1] > 0.0
     before, after = 0.0, p.step
     v_before, v_after = y[1], end[1]
     instant = after
     for _ in range(40):
         instant = before + (after - before) * v_before / (v_before - v_after)
-        runge_kutta(y, instant, command, friction_demand, track, rail, True, weights, p, end, at)
+        runge_kutta(y, instant, command, friction_demand, track, rail, moving, weights, p, end, at)
         if abs(end[1]) < 1e-13:
             break
         if end[1] > 0.0:
             before, v_before = instant, end[1]
         else:
             after, v_after = instant, end[1]
-    y[:] = end
+    for j in range(y.size):
+        y[j] = end[j]
     y[1] = 0.0
-    rest = p.step - instant
-    runge_kutta(y, rest, command, friction_demand, track, rail, False, weights, p, end, at)
+    rest, still = p.step - instant, not moving
+    runge_kutta(y, rest, command, friction_demand, track, rail, still, weights, p, end, at)
 
 
 @njit(cache=True, error_model="numpy")
@@ -371,7 +376,7 @@ def sample(
     out[0] = y[0]
     out[1] = y[1]
     out[2] = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
-    out[3:6] = 0.0
+    out[3] = out[4] = 0.0
     for i in range(n):
         effort = motor_effort(y[3 + n + i], y[3 + i], p)
         if effort > 0.0:
@@ -384,7 +389,10 @@ def sample(
     out[6] = p.r0 + (p.r1 + p.r2 * y[1]) * y[1] if y[1] > 0.0 else 0.0
     out[7] = rail[1]
     out[8] = y[3 + 2 * n]
-    out[9] = np.sum(modes == CUT)
+    out[9] = 0.0
+    for mode in modes:
+        if mode == CUT:
+            out[9] += 1.0
 
 
 @njit(cache=True, error_model="numpy")
