@@ -25,7 +25,15 @@ from trajectory_cases import (
 from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import TrainlogError
-from trainlog.railway import Line, Trajectory
+from trainlog.railway import (
+    Configuration,
+    Line,
+    RunningResistance,
+    TimingPoint,
+    TrackConditionMap,
+    Train,
+    Trajectory,
+)
 from trainlog.units import GRAVITY
 
 
@@ -200,3 +208,179 @@ def test_adhesion_of_the_audit_counts_the_weight(hilly: Trajectory) -> None:
         traction = hilly.tractive_effort.max() / FLIRT.adhesive_weight(0.0)
         braking = hilly.braking_effort[row].max() / (GRAVITY * configuration.mass)
         assert found.adhesion[row] == pytest.approx(max(traction, braking) / cautious)
+
+
+TRACTION, BRAKING = 50_000.0, 25_000.0
+"""Of a run without resistance: 500 m of traction, 500 m of coasting, 1000 m of braking."""
+
+ARRIVAL_TOLERANCE, SPEED_TOLERANCE, EFFORT_TOLERANCE = 1e-4, 1e-5, 1e-6
+END_TOLERANCE, STOPPING_TOLERANCE = 1e-3, 1e-3
+"""By which a limit may be exceeded [s], [m/s], relative; at the stop [m/s], [m]."""
+
+SMOOTH = replace(FLIRT, resistance=RunningResistance(0.0, 0.0, 0.0))
+LEVEL = level_line(2_000.0)
+ONE = Configuration.of(SMOOTH)
+FASTEST = float(np.sqrt(2.0 * TRACTION * 500.0 / ONE.inertia))
+TIME = (2.0 * 500.0 + 500.0 + 2.0 * 1_000.0) / FASTEST
+
+
+def known_run(
+    train: Train = SMOOTH,
+    configuration: Configuration = ONE,
+    *,
+    traction: float = TRACTION,
+    braking: float = BRAKING,
+    running_time: float = TIME,
+    **question: object,
+) -> tuple[Audit, list[str]]:
+    """The audit of a run whose motion is known, and what it does not pass."""
+    problem = TrajectoryProblem(LEVEL, train, [configuration], sigmas=0.0, **question)  # type: ignore[arg-type]
+    positions = np.linspace(0.0, 2_000.0, 81)
+    pulls, brakes = positions[:-1] < 500.0, positions[:-1] >= 1_000.0
+    found = audit(problem, positions, traction * pulls, np.zeros(80), braking * brakes[None])
+    return found, found.failures(problem, running_time)
+
+
+def test_audit_of_a_run_of_constant_efforts_is_known_in_closed_form() -> None:
+    found, failures = known_run(condition_map=slippery(LEVEL))
+    assert failures == []
+    assert found.arrival[0] == pytest.approx(TIME, rel=1e-12)
+    assert found.end_speed[0] == pytest.approx(0.0, abs=1e-6)
+    assert found.shortfall[0] == pytest.approx(0.0, abs=1e-6)
+    assert found.overspeed[0] == pytest.approx(FASTEST - 140.0 / 3.6)
+    assert found.power[0] == pytest.approx(TRACTION * FASTEST / ONE.max_power)
+    assert found.effort[0] == pytest.approx(TRACTION / (SMOOTH.max_acceleration * ONE.inertia))
+    assert found.braking[0] == pytest.approx(BRAKING / (SMOOTH.max_deceleration * ONE.inertia))
+    shares = (TRACTION / SMOOTH.adhesive_weight(0.0), BRAKING / (GRAVITY * ONE.mass))
+    assert found.adhesion[0] == pytest.approx(max(shares) / 0.30)
+    assert found.wheel_energy[0] == pytest.approx(TRACTION * 500.0)
+    regained = SMOOTH.efficiency_regeneration * BRAKING * 1_000.0
+    bought = TRACTION * 500.0 / SMOOTH.efficiency_traction
+    assert found.line_energy[0] == pytest.approx(bought - regained)
+
+
+def test_energy_that_the_dynamic_brake_cannot_take_is_not_fed_back() -> None:
+    """By its power; by its effort; by the adhesion of the powered axles."""
+    bought = TRACTION * 500.0 / SMOOTH.efficiency_traction
+    weak = replace(SMOOTH, max_dynamic_braking_effort=0.4 * BRAKING)
+    found, _ = known_run(weak)
+    assert (bought - found.line_energy[0]) == pytest.approx(
+        0.4 * SMOOTH.efficiency_regeneration * BRAKING * 1_000.0
+    )
+    # All of the rail but half of what the powered axles would need.
+    half = 0.5 * BRAKING / SMOOTH.adhesive_weight(0.0)
+    found, _ = known_run(condition_map=slippery(LEVEL, (1_000.0, 2_000.0, half)))
+    assert (bought - found.line_energy[0]) == pytest.approx(
+        0.5 * SMOOTH.efficiency_regeneration * BRAKING * 1_000.0
+    )
+    # Power is short from the fastest to half of it, in three quarters of the way.
+    power = BRAKING * 0.5 * FASTEST
+    found, _ = known_run(replace(SMOOTH, max_dynamic_braking_power=power))
+    square = np.linspace(FASTEST**2, 0.0, 200_001)
+    taken = np.minimum(BRAKING, power / np.sqrt(np.maximum(square, 1e-9))).mean()
+    assert (bought - found.line_energy[0]) == pytest.approx(
+        SMOOTH.efficiency_regeneration * taken * 1_000.0, rel=2e-3
+    )
+
+
+def limited(excess: float) -> list[tuple[str, list[str]]]:
+    """Every limit, set so that the known run is beyond it by `excess` times its tolerance."""
+    over = 1.0 + excess * EFFORT_TOLERANCE
+    passing = 2.0 * 500.0 / FASTEST + 250.0 / FASTEST  # at 750 m, coasting
+    speed = FASTEST - excess * SPEED_TOLERANCE
+    late, square = excess * ARRIVAL_TOLERANCE, excess * END_TOLERANCE
+
+    def at(**bound: float) -> list[TimingPoint]:
+        return [TimingPoint(750.0, **bound)]
+
+    def slips(first: float, last: float, used: float) -> TrackConditionMap:
+        return slippery(LEVEL, (first, last, used / over))
+
+    no_friction = replace(SMOOTH, max_pneumatic_braking_effort=0.0)
+    grip = TRACTION / SMOOTH.adhesive_weight(0.0), BRAKING / (GRAVITY * ONE.mass)
+    gentler = BRAKING - 0.5 * ONE.inertia * square**2 / 1_000.0
+    short = BRAKING * 1_000.0 / (1_000.0 - excess * STOPPING_TOLERANCE)
+    cases = [
+        ("arrives late", known_run(running_time=TIME - late)),
+        ("passes too early", known_run(windows=at(earliest=passing + late))),
+        ("passes too late", known_run(windows=at(latest=passing - late))),
+        ("too slowly or too fast", known_run(windows=at(highest_speed=speed))),
+        ("too slowly or too fast", known_run(windows=at(lowest_speed=2.0 * FASTEST - speed))),
+        ("stops short", known_run(braking=short)),
+        ("too fast at the end", known_run(braking=gentler)),
+        ("exceeds the permitted speed", known_run(replace(SMOOTH, max_speed=speed))),
+        (
+            "exceeds the power",
+            known_run(configuration=replace(ONE, max_power=TRACTION * FASTEST / over)),
+        ),
+        ("exceeds the traction", known_run(replace(SMOOTH, max_tractive_effort=TRACTION / over))),
+        (
+            "exceeds the traction",
+            known_run(replace(SMOOTH, max_acceleration=TRACTION / ONE.inertia / over)),
+        ),
+        (
+            "exceeds the brake",
+            known_run(replace(SMOOTH, max_deceleration=BRAKING / ONE.inertia / over)),
+        ),
+        (
+            "exceeds the brake",
+            known_run(replace(no_friction, max_dynamic_braking_effort=BRAKING / over)),
+        ),
+        (
+            "exceeds the brake",
+            known_run(replace(no_friction, max_dynamic_braking_power=BRAKING * FASTEST / over)),
+        ),
+        ("exceeds the adhesion", known_run(condition_map=slips(0.0, 500.0, grip[0]))),
+        ("exceeds the adhesion", known_run(condition_map=slips(1_000.0, 2_000.0, grip[1]))),
+    ]
+    return [(words, failures) for words, (_, failures) in cases]
+
+
+def test_what_is_beyond_a_limit_by_more_than_its_tolerance_is_reported() -> None:
+    """One line of the report for each check, and no other."""
+    for words, failures in limited(3.0):
+        assert len(failures) == 1, (words, failures)
+        assert words in failures[0]
+
+
+def test_what_is_beyond_a_limit_by_less_than_its_tolerance_passes() -> None:
+    for words, failures in limited(0.3):
+        assert failures == [], words
+
+
+def test_an_overspeed_of_a_few_centimetres_a_second_is_reported() -> None:
+    _, failures = known_run(replace(SMOOTH, max_speed=FASTEST - 0.03))
+    assert failures == [f"configuration '{ONE.name}' exceeds the permitted speed by [m/s] 0.03"]
+
+
+def test_braking_beyond_the_adhesion_is_reported() -> None:
+    """The rail carries nine tenths of the brake, and all of the traction elsewhere."""
+    least = 0.9 * BRAKING / (GRAVITY * ONE.mass)
+    found, failures = known_run(condition_map=slippery(LEVEL, (1_000.0, 2_000.0, least)))
+    assert found.adhesion[0] == pytest.approx(1.0 / 0.9)
+    assert len(failures) == 1
+    assert "exceeds the adhesion by a part of 0.111" in failures[0]
+
+
+def test_tapered_traction_is_audited_where_it_is_highest() -> None:
+    """Traction that falls or rises by a tenth about its mean in each cell, from 1 m/s."""
+    positions, taper = np.linspace(0.0, 2_000.0, 81), np.zeros(80)
+    taper[:20] = 0.1 * TRACTION
+    pulls, brakes = TRACTION * (positions[:-1] < 500.0), BRAKING * (positions[:-1] >= 1_000.0)
+    problem = TrajectoryProblem(
+        LEVEL, SMOOTH, [ONE], sigmas=0.0, condition_map=slippery(LEVEL, (0.0, 500.0, 0.2))
+    )
+    for sign in (1.0, -1.0):
+        found = audit(problem, positions, pulls, sign * taper, brakes[None])
+        most = SMOOTH.max_acceleration * ONE.inertia
+        assert found.effort[0] == pytest.approx(1.1 * TRACTION / most)
+        weight = 0.2 * SMOOTH.adhesive_weight(0.0)
+        assert found.adhesion[0] == pytest.approx(1.1 * TRACTION / weight)
+        # At the end of the last cell at the highest speed, or where that cell begins.
+        before = FASTEST * np.sqrt(475.0 / 500.0)
+        used = 0.9 * FASTEST if sign > 0.0 else 1.1 * FASTEST
+        assert found.power[0] * ONE.max_power == pytest.approx(
+            TRACTION * max(used, 1.1 * before if sign > 0.0 else 0.0)
+        )
+        # The mean of each cell's effort decides how fast it ends.
+        assert found.speeds[0, 20] == pytest.approx(FASTEST)
