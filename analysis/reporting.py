@@ -111,7 +111,7 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
     certificate = trajectory.certificate
     audit = certificate["audit"]
     energy = (
-        f"{trajectory.energy_told} {kwh(certificate['energy'])} over"
+        f"{trajectory.energy_label} {kwh(certificate['energy'])} over"
         f" {len(trajectory.configurations)} configurations in {trajectory.running_time:.0f} s"
     )
     proof = (

@@ -59,7 +59,7 @@ def test_advice_tells_every_phase_where_none_is_too_short(hilly: Trajectory) -> 
     assert len(points) == 1 + np.count_nonzero(np.diff(phases))
 
 
-def _spelled(letters: str, speeds: Sequence[float]) -> Trajectory:
+def _with_phases(letters: str, speeds: Sequence[float]) -> Trajectory:
     """A trajectory of given phases, 20 s a cell; speeds in km/h at the nodes."""
     n, speed = len(letters), np.array(speeds) / 3.6
     return Trajectory(
@@ -71,30 +71,30 @@ def _spelled(letters: str, speeds: Sequence[float]) -> Trajectory:
 
 def test_at_one_speed_a_driver_is_told_to_hold_it() -> None:
     speeds = [0, 100, 100.5, 101, 100.2, 101.1, 100.5, 60, 0]
-    points = advice(_spelled("TPHPCPCB", speeds))
+    points = advice(_with_phases("TPHPCPCB", speeds))
     assert [point.words for point in points] == [
         "maximum traction", "hold 100 km/h", "coasting", "maximum braking",
     ]  # fmt: skip
     assert points[1].until == points[2].speed == pytest.approx(100.5 / 3.6)
     # A dip between two equal speeds is coasting all the same.
-    dip = advice(_spelled("TPCCPB", [0, 100, 100, 80, 100, 100, 0]))
+    dip = advice(_with_phases("TPCCPB", [0, 100, 100, 80, 100, 100, 0]))
     assert [point.phase.letter for point in dip] == list("TPCPB")
 
 
 def test_a_speed_held_within_a_longer_phase_is_told_until_the_brake() -> None:
     """Braking downhill at one speed, then to a lower one: two speeds to hold, and a brake."""
     speeds = [0, 99, 100, 100, 100, 100, 85, 80, 80.5, 80, 60, 0]
-    assert [point.words for point in advice(_spelled("TPPPPHHPPCB", speeds))] == [
+    assert [point.words for point in advice(_with_phases("TPPPPHHPPCB", speeds))] == [
         "maximum traction", "hold 99 km/h", "partial braking", "hold 80 km/h", "coasting",
         "maximum braking",
     ]  # fmt: skip
     # Partial traction at a falling speed is no speed to hold, nor is what lasts for a moment.
-    falling = advice(_spelled("TPPCB", [0, 100, 100, 80, 60, 0]))
+    falling = advice(_with_phases("TPPCB", [0, 100, 100, 80, 60, 0]))
     assert [point.words for point in falling][1:3] == ["hold 100 km/h", "partial traction"]
 
 
 def test_a_short_full_brake_to_a_lower_speed_is_told() -> None:
-    given = _spelled("TPBPB", [0, 115, 115, 105, 105, 0])
+    given = _with_phases("TPBPB", [0, 115, 115, 105, 105, 0])
     times = np.array([0.0, 60.0, 120.0, 122.5, 200.0, 240.0])[None]
     points = advice(replace(given, times=times))
     assert [point.words for point in points] == [

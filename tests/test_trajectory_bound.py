@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trajectory_cases import FLIRT, VIRM6, hilly_line, observed, optimised
 
-from analysis.trajectory.active_set import first_guess
+from analysis.trajectory.active_set import initial_guess
 from analysis.trajectory.certificate import lower_bound
 from analysis.trajectory.convex import Relaxation
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
@@ -34,7 +34,7 @@ def solved(objective: str) -> tuple[DiscreteProblem, Solution, np.ndarray]:
     fastest = fastest_run(run)
     mesh = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[1], 120)
     problem = discretise(run, mesh)
-    guess = first_guess(problem, fastest.at(mesh), TIME)
+    guess = initial_guess(problem, fastest.at(mesh), TIME)
     part = problem.select(guess.rows)
     return part, minimise(part, guess.plan, guess.price, TIME), fastest.at(mesh)[list(guess.rows)]
 

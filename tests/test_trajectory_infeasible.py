@@ -135,7 +135,7 @@ def test_two_windows_that_cannot_both_be_kept_are_told_together() -> None:
 
 def test_a_speed_above_the_limit_at_a_passing_point_names_the_limit() -> None:
     windows = [TimingPoint(4_000.0, lowest_speed=30.0)]
-    with pytest.raises(InfeasibleError, match=r"held by the 80 km/h permitted there"):
+    with pytest.raises(InfeasibleError, match=r"the limit is the 80 km/h permitted there"):
         optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, windows=windows)
 
 

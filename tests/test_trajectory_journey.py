@@ -108,7 +108,7 @@ def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
     [
         (TimingPoint(PLACE, latest=150.0), r"after \d+\.\d s at the earliest, .* window closes"),
         (TimingPoint(PLACE, earliest=440.0), r"needs at least \d+\.\d s from km 6\.000"),
-        (TimingPoint(PLACE, lowest_speed=40.0), r"km/h at most, 144\.0 km/h are asked for"),
+        (TimingPoint(PLACE, lowest_speed=40.0), r"km/h at most, 144\.0 km/h are required"),
     ],
 )
 def test_windows_that_cannot_be_kept_are_explained(window: TimingPoint, words: str) -> None:
@@ -168,9 +168,9 @@ def test_a_journey_tells_the_configuration_that_takes_most_in_all(objective: str
     plan = optimised_journey(hilly_line(), FLIRT, configurations, journey, **options)  # type: ignore[arg-type]
     certificate = plan.certificate
     totals = sum(np.array(each.certificate[f"{objective}_energy"]) for each in plan.sections)
-    assert certificate["dearest_energy"] == pytest.approx(np.max(totals))
-    assert certificate["dearest"] == configurations[int(np.argmax(totals))].name
-    assert certificate["dearest_energy"] == pytest.approx(certificate["energy"])
+    assert certificate["costliest_energy"] == pytest.approx(np.max(totals))
+    assert certificate["costliest"] == configurations[int(np.argmax(totals))].name
+    assert certificate["costliest_energy"] == pytest.approx(certificate["energy"])
     assert certificate["lower_bound"] <= certificate["energy"]
     assert certificate["certified"]
 

@@ -17,7 +17,7 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     configurations = drawn(FLIRT, 24, seed=2)
     found = {}
     for few in (12, 24):
-        monkeypatch.setattr(active_set, "FEW", few)
+        monkeypatch.setattr(active_set, "MOST_EXPLICIT", few)
         found[few] = optimised(
             hilly_line(), FLIRT, configurations, objective="expected", **OPTIONS
         ).certificate  # type: ignore[arg-type]
@@ -76,10 +76,10 @@ def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
     weights = tuple(np.arange(1.0, 21.0).tolist())
     run = TrajectoryProblem(line, FLIRT, configurations, weights=weights)
     problem = discretise(run, run.breakpoints)
-    rows = active_set.kinds(problem, slowest=7)
-    assert len(rows) == 1 + active_set.KINDS
+    rows = active_set.representatives(problem, slowest=7)
+    assert len(rows) == 1 + active_set.REPRESENTATIVES
     assert len(set(rows)) == len(rows)
-    shares = active_set.shared(problem, rows, {7})
+    shares = active_set.shares_of(problem, rows, {7})
     assert shares.parts.sum(axis=1) == pytest.approx(1.0)
     assert shares.parts.min() >= 0.0
     assert shares.weights.sum() == pytest.approx(1.0)

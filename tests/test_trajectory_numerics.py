@@ -65,7 +65,7 @@ def test_rounds_that_do_not_settle_begin_again_too(
 
     def restless_first(*arguments: Any, **options: Any) -> Solution:
         seen.append(True)
-        return replace(minimise(*arguments, **options), settled=len(seen) > 1)
+        return replace(minimise(*arguments, **options), converged=len(seen) > 1)
 
     monkeypatch.setattr(active_set, "minimise", restless_first)
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)

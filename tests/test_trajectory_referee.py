@@ -10,7 +10,7 @@ from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observ
 
 from analysis.trajectory import Phase
 from analysis.trajectory.discretisation import graded_mesh
-from analysis.trajectory.phases import phases_by_control, phases_by_switching, spelled
+from analysis.trajectory.phases import phase_letters, phases_by_control, phases_by_switching
 from analysis.trajectory.plot import draw_trajectory
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
@@ -53,9 +53,9 @@ def test_phases_by_control() -> None:
     traction = np.array([100.0, 60.0, 0.0, 0.0, 0.0, 40.0])
     braking = np.array([0.0, 0.0, 0.0, 30.0, 50.0, 25.0])
     phases = phases_by_control(traction, braking, np.full(6, 100.0), np.full(6, 50.0))
-    assert spelled(phases) == "TPCHBP"
+    assert phase_letters(phases) == "TPCHBP"
     switching = np.array([1.5, 1.0, 0.5, 0.0, -0.5, 1.0])
-    assert spelled(phases_by_switching(switching)) == "TPCHBP"
+    assert phase_letters(phases_by_switching(switching)) == "TPCHBP"
     assert Phase.MAXIMUM_TRACTION.label == "maximum traction"
 
 

@@ -30,23 +30,30 @@ from analysis.trajectory.feasibility import (
     unsettled,
 )
 from analysis.trajectory.rollout import (
-    amended,
     capped_run,
+    correct_lateness,
     delays,
     energy_of,
     realise,
-    ride_along,
-    ride_behind,
+    rollout,
+    rollout_behind,
 )
-from analysis.trajectory.sqp import EVENNESS, Multipliers, Solution, minimise, with_costates
+from analysis.trajectory.sqp import (
+    EXACT,
+    Multipliers,
+    Solution,
+    Tolerances,
+    minimise,
+    with_costates,
+)
 
 FloatArray = NDArray[np.float64]
 
-FEW = 12
+MOST_EXPLICIT = 12
 """Configurations up to which each is in the program itself."""
 
-KINDS = 10
-"""Configurations that stand for others, where there are more."""
+REPRESENTATIVES = 10
+"""Configurations that represent the others, where there are more."""
 
 _SHORT = 1.1
 """Worth of traction over the usual, from which a configuration is short of time."""
@@ -57,7 +64,7 @@ _SUM = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """Who stands for whom.
+    """Which configurations represent which.
 
     Attributes
     ----------
@@ -66,7 +73,7 @@ class Shares:
     parts : (q, r) array
         How each configuration is mixed of them; each row adds up to 1.
     weights : (r,) array
-        Probability that each of them stands for.
+        Probability that each of them represents.
     """
 
     rows: tuple[int, ...]
@@ -74,27 +81,27 @@ class Shares:
     weights: FloatArray
 
 
-def kinds(problem: DiscreteProblem, slowest: int) -> list[int]:
+def representatives(problem: DiscreteProblem, slowest: int) -> list[int]:
     """Rows of few configurations that differ most, the slowest among them (farthest first).
 
-    Those without weight have no say in what is expected.
+    Those without weight do not count in what is expected.
     """
     counted = np.flatnonzero(problem.weights > 0.0)
-    if counted.size <= FEW:
+    if counted.size <= MOST_EXPLICIT:
         return counted.tolist()
     unit, found = _properties(problem)[counted], [slowest]
     others = _properties(problem)[found]
-    while len(found) <= KINDS:
+    while len(found) <= REPRESENTATIVES:
         away = np.linalg.norm(unit[:, None] - others, axis=2).min(axis=1)
         found.append(int(counted[np.argmax(away)]))
         others = np.vstack((others, unit[np.argmax(away)]))
     return found
 
 
-def shared(problem: DiscreteProblem, rows: Sequence[int], alone: Collection[int]) -> Shares:
+def shares_of(problem: DiscreteProblem, rows: Sequence[int], alone: Collection[int]) -> Shares:
     """Mix every configuration of `rows`, by its properties.
 
-    Those `alone` stand for themselves only: they are short of time, which the others are not.
+    Those `alone` represent only themselves: they are short of time, which the others are not.
     """
     unit, chosen = _properties(problem), list(rows)
     others = [number for number, row in enumerate(chosen) if row not in alone] or [0]
@@ -111,12 +118,12 @@ def short_of_time(problem: DiscreteProblem, rows: Sequence[int], found: Multipli
     """Those of `rows` to which traction is worth more than to the others, being short of time.
 
     Where the common traction is more than a configuration needs it brakes a little, and to all
-    that do traction is worth what braking regains. Who never does cannot stand for them.
+    that do traction is worth what braking regains. One that never does cannot represent them.
 
     Parameters
     ----------
     problem : DiscreteProblem
-        Of `rows`, each with the weight of all that it stands for.
+        Of `rows`, each with the weight of all that it represents.
     found : Multipliers
         Of its optimum.
     """
@@ -130,7 +137,7 @@ def short_of_time(problem: DiscreteProblem, rows: Sequence[int], found: Multipli
 def multipliers_for_all(
     problem: DiscreteProblem, shares: Shares, found: Multipliers
 ) -> Multipliers:
-    """Each configuration's share of the multipliers of those that stand for it.
+    """Each configuration's share of the multipliers of its representatives.
 
     Parameters
     ----------
@@ -141,7 +148,7 @@ def multipliers_for_all(
         Of the program for few.
     """
     part = problem.weights[:, None] * shares.parts / np.maximum(shares.weights, 1e-300)
-    # Who stands for nothing, active for its limits alone, keeps what it has.
+    # One that represents nothing, active for its limits alone, keeps what it has.
     for number in np.flatnonzero(shares.weights == 0.0):
         part[shares.rows[number], number] = 1.0
     return Multipliers(
@@ -169,30 +176,20 @@ def _properties(problem: DiscreteProblem) -> FloatArray:
     return np.asarray((values - values.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0))
 
 
-_OVER = 5e-7
-"""Excess over power, brake, speed or energy that makes a configuration active, relative."""
+_BEFORE_CORRECTION = Tolerances(energy=3e-5, lateness=0.05)
+"""Where the lateness that programs leave is corrected afterwards."""
 
-_WIDER = 50.0
-"""Times the tolerances for others, in a search that only prepares another."""
+_COARSE = Tolerances(energy=1e-4, lateness=0.05, violation=2.5e-5, smoothing=0.0)
+"""On the coarse grid, where a search only prepares another."""
 
-_EXACT = (2e-6, 3e-5, EVENNESS)
-"""Relative change of energy and lateness [s] that programs leave where nothing is amended, and the
-price of evenness."""
+_CORRECTION_LOSS = 1e-5
+"""Relative loss of energy beyond which lateness is not corrected without another program."""
 
-_NEARLY = (3e-5, 0.05, EVENNESS)
-"""The same where what they leave is amended."""
-
-_ROUGHLY = (1e-4, 0.05, 0.0)
-"""The same in a search that only prepares another."""
-
-_DEARER = 1e-5
-"""Relative loss for which nothing is amended."""
-
-_IDLE = 1e-3
-"""Switching function below which a configuration has no say, and leaves a prepared set."""
+_INACTIVE = 1e-3
+"""Switching function below which a configuration is inactive, and leaves a prepared set."""
 
 _MANY = 40
-"""Configurations above which only those that stand out are scouted with."""
+"""Configurations above which the coarse grid begins with the extreme ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,9 +203,9 @@ class Guess:
         Of these configurations, as the price.
     price : (rows,) array [J/(kg s)]
     statuses : tuple of str
-        The solver's words on the way here.
+        The solver's status of every program so far.
     alone : frozenset of int
-        Rows that stand for themselves only in the expected energy.
+        Rows that represent only themselves in the expected energy.
     """
 
     rows: tuple[int, ...]
@@ -234,9 +231,9 @@ class Answer:
     turns : int
         How often configurations were added, and once more.
     statuses : tuple of str
-        The solver's word on every program.
+        The solver's status of every program.
     alone : frozenset of int
-        Rows that stand for themselves only in the expected energy.
+        Rows that represent only themselves in the expected energy.
     """
 
     problem: DiscreteProblem
@@ -248,10 +245,10 @@ class Answer:
     alone: frozenset[int] = frozenset()
 
 
-def outstanding(problem: DiscreteProblem, least_times: FloatArray) -> list[int]:
-    """Rows of the configurations that may decide: the extreme ones by any mix of properties.
+def extreme_configurations(problem: DiscreteProblem, least_times: FloatArray) -> list[int]:
+    """Rows of the configurations that may be active: the extreme ones by any mix of properties.
 
-    Whoever decides all the same shows when everybody rides along; here few are looked at.
+    Others that are active all the same show when all are rolled out; here few are looked at.
     """
     q = problem.shape[0]
     speed = float(problem.step.sum()) / float(np.median(least_times))
@@ -272,10 +269,10 @@ def outstanding(problem: DiscreteProblem, least_times: FloatArray) -> list[int]:
     return sorted(found) if some else list(range(q))
 
 
-def first_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: float) -> Guess:
-    """The slowest and the dearest configuration, and their fastest run cut off.
+def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: float) -> Guess:
+    """The slowest configuration and that of the highest resistance, their fastest run cut off.
 
-    Where a window of time opens on the way, the fastest too; all, where all have a say.
+    Where a window of time opens on the way, the fastest too; all, where all count.
 
     Parameters
     ----------
@@ -283,22 +280,22 @@ def first_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: floa
         Of the fastest run of each configuration.
     """
     times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
-    rows = {int(np.argmax(times)), _dearest(problem, times)}
+    rows = {int(np.argmax(times)), _highest_resistance(problem, times)}
     if problem.common:
         rows |= {int(np.argmin(times)), int(np.argmin(problem.power))}
     if np.isfinite(problem.earliest).any():
         rows |= {int(np.argmin(times))}
     chosen = tuple(sorted(rows))
     if problem.run.objective == "expected":
-        chosen = tuple(sorted(rows | set(kinds(problem, int(np.argmax(times))))))
+        chosen = tuple(sorted(rows | set(representatives(problem, int(np.argmax(times))))))
     part = problem.select(chosen)
     return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
 
 
-def finer_guess(
+def interpolated_guess(
     answer: Answer, coarse: FloatArray, problem: DiscreteProblem, rows: Sequence[int]
 ) -> Guess:
-    """What was found on one grid, on another one.
+    """What was found on one grid, interpolated to another one.
 
     Parameters
     ----------
@@ -310,7 +307,7 @@ def finer_guess(
     """
     solution, positions = answer.solution, problem.positions
     influence = np.abs(solution.multipliers.pull / np.diff(coarse)).max(axis=1)
-    active = np.flatnonzero(influence > _IDLE)
+    active = np.flatnonzero(influence > _INACTIVE)
     if active.size == 0 or problem.common or problem.run.objective == "expected":
         active = np.arange(len(answer.active))
     plan = solution.plan
@@ -344,7 +341,7 @@ def search(
         Of the fastest run of each configuration.
     running_time : float [s]
     coarse : bool
-        Whether it only prepares another search: its tolerances are wider.
+        Whether it only prepares another search, with wider tolerances.
 
     Raises
     ------
@@ -352,35 +349,36 @@ def search(
         If there is no such trajectory; with the figures.
     """
     rows, plan, price = list(guess.rows), guess.plan, guess.price
-    wider, statuses = (_WIDER if coarse else 1.0), list(guess.statuses)
-    nearly = _ROUGHLY if coarse else _NEARLY
-    # What may be amended afterwards the programs need not find to the last digit.
+    statuses, nearly = list(guess.statuses), _COARSE if coarse else _BEFORE_CORRECTION
+    # What may be corrected afterwards the programs need not find to the last digit.
     exact = problem.common or bool(np.isfinite(problem.earliest).any())
     exact = exact or problem.run.objective == "expected"
     alone, even = guess.alone | {_slowest(problem, speeds)}, problem
     for turns in count(1):
-        part, accuracy = _program(even, rows, alone), _EXACT if exact else nearly
-        solution = _optimum(part, plan, price, speeds[rows], running_time, *accuracy)
+        part = _program(even, rows, alone)
+        tolerances = EXACT if exact else nearly
+        solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances)
         problem, part = even.tapered(solution.taper), part.tapered(solution.taper)
         statuses.extend(solution.statuses)
-        everyone = _all_ride(problem, rows, part, solution.plan)
+        everyone = _roll_out(problem, rows, part, solution.plan)
         own = delays(part, everyone.select(rows), running_time)[0]
         overdue = max(float(own.max()), 0.0)
         short = frozenset[int]()
         if problem.run.objective == "expected" and (
             len(rows) < problem.shape[0] or not problem.weights.all()
         ):
-            everyone = _all_follow(problem, rows, alone, everyone, running_time)
+            everyone = _brake_as_representatives(problem, rows, alone, everyone, running_time)
             short = alone | short_of_time(part, rows, solution.multipliers)
-        everyone = _dearer_follow(problem, rows, solution, everyone, running_time + overdue)
-        new = sorted(_violators(problem, everyone, running_time + overdue, rows, wider) - set(rows))
-        owed = solution.energy + overdue * float(solution.time_price.sum())
+        everyone = _brake_as_leader(problem, rows, solution, everyone, running_time + overdue)
+        violation = nearly.violation
+        new = _violators(problem, everyone, running_time + overdue, rows, violation) - set(rows)
+        budget = solution.energy + overdue * float(solution.time_price.sum())
         if coarse:
-            solution = replace(solution, energy=owed)
+            solution = replace(solution, energy=budget)
         found = (solution, everyone) if not (new or short > alone) and (coarse or exact) else None
         alone |= short
         if not (new or coarse or exact):
-            found = _amended(problem, rows, solution, running_time, owed)
+            found = _corrected(problem, rows, solution, running_time, budget)
         if found is not None:
             solution, everyone = found
             if not coarse:
@@ -389,28 +387,36 @@ def search(
             return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses), alone)
         exact = exact or not new
         price = np.append(solution.time_price, np.zeros(len(new)))
-        plan = solution.plan.joined(everyone.select(new))
-        rows += new
-    raise AssertionError  # for ever is long enough
+        plan = solution.plan.joined(everyone.select(sorted(new)))
+        rows += sorted(new)
+    raise AssertionError  # it adds at least one configuration in each turn
 
 
-def _amended(
-    problem: DiscreteProblem, rows: list[int], solution: Solution, running_time: float, owed: float
+def _corrected(
+    problem: DiscreteProblem,
+    rows: list[int],
+    solution: Solution,
+    running_time: float,
+    budget: float,
 ) -> tuple[Solution, Plan] | None:
-    """The solution made exact without another program, and how all ride.
+    """The solution with its lateness corrected without another program, and how all drive.
 
-    None where that is not possible, or costs more than the energy `owed` anyway.
+    None where that is not possible, or costs more than the energy `budget` [J/kg].
     """
     part = problem.select(rows)
-    traction = amended(part, solution.plan, running_time)
+    traction = correct_lateness(part, solution.plan, running_time)
     if traction is None:
         return None
-    everyone = _all_ride(problem, rows, part, replace(solution.plan, traction=traction))
-    everyone = _dearer_follow(problem, rows, solution, everyone, running_time)
+    everyone = _roll_out(problem, rows, part, replace(solution.plan, traction=traction))
+    everyone = _brake_as_leader(problem, rows, solution, everyone, running_time)
     driven = everyone.select(rows)
-    others = _violators(problem, everyone, running_time, rows, 1.0)
+    others = _violators(problem, everyone, running_time, rows)
     energy = energy_of(part, driven)
-    if others or _violators(part, driven, running_time, [], 1.0) or energy > owed * (1.0 + _DEARER):
+    if (
+        others
+        or _violators(part, driven, running_time, [])
+        or energy > budget * (1.0 + _CORRECTION_LOSS)
+    ):
         return None
     return replace(solution, plan=driven, energy=energy), everyone
 
@@ -423,78 +429,82 @@ def _slowest(problem: DiscreteProblem, speeds: FloatArray) -> int:
 def _program(
     problem: DiscreteProblem, rows: Sequence[int], alone: frozenset[int]
 ) -> DiscreteProblem:
-    """The problem of few configurations, each with the weight of those that it stands for."""
+    """The problem of few configurations, each with the weight of those that it represents."""
     part = problem.select(rows)
     if problem.run.objective != "expected":
         return part
-    return replace(part, weights=shared(problem, rows, alone).weights)
+    return replace(part, weights=shares_of(problem, rows, alone).weights)
 
 
-def _all_follow(
+def _brake_as_representatives(
     problem: DiscreteProblem,
     rows: list[int],
     alone: frozenset[int],
-    riding: Plan,
+    driven: Plan,
     running_time: float,
 ) -> Plan:
-    """The same traction; who is not in the program brakes as gently as those that stand for it.
+    """The same traction; one that is not in the program brakes as gently as its representatives.
 
-    So does who is in it without weight, for its limits alone, where that regains more.
+    So does one that is in it without weight, for its limits alone, where that regains more.
     """
-    ahead = shared(problem, rows, alone).parts @ riding.z[rows]
+    ahead = shares_of(problem, rows, alone).parts @ driven.z[rows]
     idle = problem.weights == 0.0
     ahead[idle] = problem.weights @ ahead
-    found = ride_behind(problem, riding.traction, ahead, running_time)
+    found = rollout_behind(problem, driven.traction, ahead, running_time)
     kept = np.zeros(idle.size, dtype=bool)
     kept[rows] = True
-    kept &= ~idle | (riding.dynamic @ problem.step > found.dynamic @ problem.step)
-    found.put(kept, riding, kept)
+    kept &= ~idle | (driven.dynamic @ problem.step > found.dynamic @ problem.step)
+    found.put(kept, driven, kept)
     return found
 
 
-def _dearer_follow(
-    problem: DiscreteProblem, rows: list[int], solution: Solution, riding: Plan, running_time: float
+def _brake_as_leader(
+    problem: DiscreteProblem, rows: list[int], solution: Solution, driven: Plan, running_time: float
 ) -> Plan:
-    """The same traction; who regains less than all in the program brakes as gently as the leader.
+    """The same traction; one that regains less than all in the program brakes like the leader.
 
-    That is who is shortest of time. Only at the line, and where each brakes for itself. Who brakes
-    late regains less than it could, which is no reason to optimise for it.
+    The leader is the one shortest of time. Only at the line, and where each brakes for itself. A
+    configuration that brakes late regains less than it could, no reason to optimise for it.
     """
-    regained = riding.dynamic @ problem.step
-    dearer = np.flatnonzero(regained < regained[rows].min()).tolist()
-    if problem.run.objective != "line" or problem.common or not dearer:
-        return riding
-    some = problem.select(dearer)
+    regained = driven.dynamic @ problem.step
+    costlier = np.flatnonzero(regained < regained[rows].min()).tolist()
+    if problem.run.objective != "line" or problem.common or not costlier:
+        return driven
+    some = problem.select(costlier)
     leader = rows[int(np.argmax(solution.time_price))]
-    ahead = np.broadcast_to(riding.z[leader], (len(dearer), riding.z.shape[1]))
-    behind = ride_behind(some, riding.traction, ahead, running_time)
-    better = behind.dynamic @ problem.step > regained[dearer]
-    riding.put(np.asarray(dearer)[better], behind, better)
-    return riding
+    ahead = np.broadcast_to(driven.z[leader], (len(costlier), driven.z.shape[1]))
+    behind = rollout_behind(some, driven.traction, ahead, running_time)
+    better = behind.dynamic @ problem.step > regained[costlier]
+    driven.put(np.asarray(costlier)[better], behind, better)
+    return driven
 
 
-def _all_ride(
+def _roll_out(
     problem: DiscreteProblem, rows: list[int], part: DiscreteProblem, optimum: Plan
 ) -> Plan:
     """The optimum for the active configurations, and how the others follow it."""
     common = optimum.braking[0] if problem.common else None
-    riding, driven = ride_along(problem, optimum.traction, common), realise(part, optimum)
-    riding.put(rows, driven)
-    return riding
+    everyone = rollout(problem, optimum.traction, common)
+    everyone.put(rows, realise(part, optimum))
+    return everyone
 
 
 def _violators(
-    problem: DiscreteProblem, plan: Plan, running_time: float, active: list[int], wider: float
+    problem: DiscreteProblem,
+    plan: Plan,
+    running_time: float,
+    active: list[int],
+    violation: float = EXACT.violation,
 ) -> set[int]:
-    """The worst of the others of each kind: late, short of power or brake, too fast, too dear."""
+    """The worst of the others of each kind: late, short of power or brake, too fast, too costly."""
     fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge))
     by_power = problem.dynamic_power / np.maximum(fastest, 1e-6)
     brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     late, soon = delays(problem, plan, running_time)
     excesses = [
-        late * (_OVER / LATE),
-        soon * (_OVER / LATE),
+        late * (EXACT.violation / LATE),
+        soon * (EXACT.violation / LATE),
         ((problem.floor - plan.z) / problem.ceiling.max()).max(axis=1),
         (plan.traction / problem.traction_by_power(plan.z)).max(axis=1) - 1.0,
         ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
@@ -506,7 +516,7 @@ def _violators(
     found: set[int] = set()
     for excess in excesses:
         excess[active] = -np.inf
-        found |= _worst(excess, wider * _OVER)
+        found |= _worst(excess, violation)
     return found
 
 
@@ -519,7 +529,7 @@ def _worst(amounts: FloatArray, limit: float) -> set[int]:
     return {int(first), int(second)} if excess[second] > 0.4 * excess[first] else {int(first)}
 
 
-def _dearest(problem: DiscreteProblem, least_times: FloatArray) -> int:
+def _highest_resistance(problem: DiscreteProblem, least_times: FloatArray) -> int:
     """The configuration of the highest resistance at the mean speed of the fastest runs."""
     speed = float(problem.step.sum()) / float(np.median(least_times))
     drag = problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2
@@ -533,9 +543,7 @@ def _optimum(
     price: FloatArray,
     speeds: FloatArray,
     running_time: float,
-    tolerance: float,
-    late: float,
-    evenness: float,
+    tolerances: Tolerances,
 ) -> Solution:
     """The optimum for these configurations, from a plan, or else from their relaxation.
 
@@ -545,33 +553,21 @@ def _optimum(
         With what is missing: time, or with common braking a higher speed at the end.
     """
     try:
-        solution = minimise(
-            problem,
-            plan,
-            price,
-            running_time,
-            rounds=12,
-            tolerance=tolerance,
-            lateness=late,
-            evenness=evenness,
-        )
-        if solution.settled and solution.lateness <= max(LATE, late):
+        solution = minimise(problem, plan, price, running_time, tolerances, iterations=12)
+        if solution.converged and solution.lateness <= max(LATE, tolerances.lateness):
             return solution
     except NoSolutionError:
         pass
     relaxation = Relaxation(problem, speeds)
     try:
         relaxed = relaxation.least_energy(running_time)
-    except NoSolutionError as word:
+    except NoSolutionError as status:
         if problem.common:
             raise brakes_explained(problem, speeds, running_time) from None
-        raise time_explained(problem, relaxation, running_time, str(word)) from None
+        raise time_explained(problem, relaxation, running_time, str(status)) from None
     try:
-        solution = minimise(
-            problem, relaxed.plan, relaxed.time_price, running_time, tolerance=tolerance,
-            lateness=late, evenness=evenness,
-        )  # fmt: skip
-        if solution.lateness <= max(LATE, late):
+        solution = minimise(problem, relaxed.plan, relaxed.time_price, running_time, tolerances)
+        if solution.lateness <= max(LATE, tolerances.lateness):
             return replace(solution, statuses=(relaxed.status, *solution.statuses))
         refusal = still_late(problem, running_time, solution.lateness)
     except NoSolutionError as failure:

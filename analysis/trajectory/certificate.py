@@ -17,15 +17,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.trajectory.active_set import Answer, multipliers_for_all, shared
+from analysis.trajectory.active_set import Answer, multipliers_for_all, shares_of
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.convex import MEAN_SPEED, NoSolutionError, Relaxation, power_cells
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
-from analysis.trajectory.phases import agreement, phases_by_control, spelled
+from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.rollout import cell_times, realise
-from analysis.trajectory.sqp import NEXT_TO_NOTHING, Multipliers, Solution, with_costates
+from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY, Multipliers, Solution, with_costates
 
 FloatArray = NDArray[np.float64]
 
@@ -238,7 +238,7 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
     part = problem.select(answer.active)
     expected = problem.run.objective == "expected"
     if expected and not set(np.flatnonzero(problem.weights).tolist()) <= set(answer.active):
-        shares = shared(problem, answer.active, answer.alone)
+        shares = shares_of(problem, answer.active, answer.alone)
         every = multipliers_for_all(problem, shares, solution.multipliers)
         spare, start = _spare(problem, answer.plan), np.sqrt(2.0 * answer.plan.z)
         return lower_bound(problem, every, start, running_time, spare), "shared multipliers"
@@ -246,13 +246,13 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
     bound = _bounded(part, solution, running_time)
     if bound >= close * solution.energy:
         return bound, "multipliers"
-    said = solution.time_price > _SHORT_PRICE * solution.time_price.max()
-    priced = np.flatnonzero(said | (expected & (part.weights > 0.0))).tolist()
+    short = solution.time_price > _SHORT_PRICE * solution.time_price.max()
+    priced = np.flatnonzero(short | (expected & (part.weights > 0.0))).tolist()
     rows = [answer.active[row] for row in priced]
     if len(priced) < len(answer.active):
         part = problem.select(rows)
-        told = solution.multipliers.select(priced)
-        alone = replace(solution, plan=solution.plan.select(priced), multipliers=told)
+        multipliers = solution.multipliers.select(priced)
+        alone = replace(solution, plan=solution.plan.select(priced), multipliers=multipliers)
         solution = with_costates(part, alone, running_time)
         bound = max(bound, _bounded(part, solution, running_time))
         if bound >= close * answer.solution.energy:
@@ -308,8 +308,8 @@ def certificate_of(
     energy, bound = float(energies.max()), lower[0] * problem.reference
     if run.objective == "expected":
         energy = float(problem.weights @ energies)
-    # Down a hill there may be next to nothing to spend, and no part of it to tell.
-    gap = (energy - bound) / max(abs(bound), NEXT_TO_NOTHING * problem.reference)
+    # Down a hill next to no energy may be needed: a part of it would mean nothing.
+    gap = (energy - bound) / max(abs(bound), NEGLIGIBLE_ENERGY * problem.reference)
     names = [configuration.name for configuration in run.configurations]
     return {
         "energy": energy,
@@ -383,7 +383,7 @@ def _convergence(
     if coarser is None:
         return None
     before = coarser[1] * reference
-    change = (energy - before) / max(before, NEXT_TO_NOTHING * reference)
+    change = (energy - before) / max(before, NEGLIGIBLE_ENERGY * reference)
     return {"cells": coarser[0], "energy": before, "change": change}
 
 
@@ -438,6 +438,6 @@ def _phases(problem: DiscreteProblem, answer: Answer) -> list[str]:
     plan = answer.plan
     pull, brake = _most(problem, plan)
     return [
-        spelled(phases_by_control(plan.traction, plan.braking[row], pull, brake[row]))
+        phase_letters(phases_by_control(plan.traction, plan.braking[row], pull, brake[row]))
         for row in range(problem.shape[0])
     ]

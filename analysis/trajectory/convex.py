@@ -48,12 +48,14 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 """What the solvers stop at: beyond it the rounding of large programs makes some of them stall."""
 
 
-BEYOND = "beyond the solver's arithmetic (numbers too far apart: check the lengths and the masses)"
-"""Said where a solver breaks off; its own words speak of its settings."""
+SOLVER_FAILED = (
+    "beyond the solver's arithmetic (numbers too far apart: check the lengths and the masses)"
+)
+"""Reported where a solver breaks off; its own message is about its settings."""
 
 
 class NoSolutionError(Exception):
-    """The solver's word when it is not a solution: infeasible, unbounded, or a failure."""
+    """The solver's status where it found no solution: infeasible, unbounded, or a failure."""
 
 
 class Rows:
@@ -110,7 +112,7 @@ class Unknowns:
     traction : (n,) array of int
     braking : (q, n) array of int
         With common braking every row is the same.
-    dynamic : (q, n) array of int, or None where the dynamic brake need not be told apart
+    dynamic : (q, n) array of int, or None where the dynamic brake needs no effort of its own
     regained : int or None
         The least energy that a configuration regains, where it counts.
     low, high : (size,) array
@@ -123,7 +125,9 @@ class Unknowns:
         self.traction = self.more((n,), 0.0, problem.traction)
         rows = (1 if problem.common else q, n)
         self.braking = np.broadcast_to(self.more(rows, 0.0), (q, n))
-        self.dynamic = self.more((q, n), 0.0, problem.dynamic) if tells_dynamic(problem) else None
+        self.dynamic = (
+            self.more((q, n), 0.0, problem.dynamic) if separates_dynamic_brake(problem) else None
+        )
         worst = problem.run.objective == "line"
         self.regained = int(self.more((1,))[0]) if worst else None
 
@@ -143,8 +147,8 @@ class Unknowns:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """A solution: the unknowns, the duals of the rows, the least value, the solver's word."""
+class ProgramSolution:
+    """A solution: the unknowns, the duals of the rows, the least value, the solver's status."""
 
     unknowns: FloatArray
     equal: FloatArray
@@ -162,15 +166,15 @@ def solve(
     curvature: sp.csc_array | None = None,
     cones: Sequence[Any] = (),
     variable: cp.Variable | None = None,
-) -> Found:
+) -> ProgramSolution:
     """Minimise ``cost x + x curvature x / 2``, and accept nothing but a solution.
 
-    Programs without cones go to PIQP, and to Clarabel where PIQP does not vouch for its answer.
+    Programs without cones go to PIQP, and to Clarabel where PIQP does not end with an optimum.
 
     Raises
     ------
     NoSolutionError
-        With the solver's word, or `BEYOND`.
+        With the solver's status, or `SOLVER_FAILED`.
     """
     x = bounded(unknowns) if variable is None else variable
     objective = cost @ x
@@ -178,28 +182,28 @@ def solve(
         objective = objective + 0.5 * cp.quad_form(x, curvature, assume_PSD=True)
     equations = equal.matrix(unknowns.size) @ x == equal.right
     limits = below.matrix(unknowns.size) @ x <= below.right
-    word = ""
+    status = ""
     for solver in (cp.CLARABEL,) if cones else (cp.PIQP, cp.CLARABEL):
         program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
         try:
             with warnings.catch_warnings():
-                # The status says what the warning would, and the certificate carries it.
+                # The status states what the warning would, and the certificate carries it.
                 warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
                 program.solve(solver=solver, **_SETTINGS.get(solver, {}))
         except cp.SolverError:
-            word = BEYOND
+            status = SOLVER_FAILED
             continue
-        word = str(program.status)
+        status = str(program.status)
         good = (cp.OPTIMAL,) if solver == cp.PIQP else (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
-        if word in good and np.all(np.isfinite(x.value)):
-            return Found(
+        if status in good and np.all(np.isfinite(x.value)):
+            return ProgramSolution(
                 np.asarray(x.value),
                 np.asarray(equations.dual_value),
                 np.asarray(limits.dual_value),
                 float(program.value),
-                f"{solver} {word}",
+                f"{solver} {status}",
             )
-    raise NoSolutionError(word)
+    raise NoSolutionError(status)
 
 
 def bounded(unknowns: Unknowns) -> cp.Variable:
@@ -253,8 +257,8 @@ def brake_limits(
         below.add(problem.friction + spare, (unknowns.braking, 1.0), (unknowns.dynamic, -1.0))
 
 
-def tells_dynamic(problem: DiscreteProblem) -> bool:
-    """Whether the dynamic brake must be told apart: for its energy, or for its power limit."""
+def separates_dynamic_brake(problem: DiscreteProblem) -> bool:
+    """Whether the dynamic brake needs an effort of its own: for its energy, or its power limit."""
     return problem.run.at_line or bool(np.any(problem.friction < problem.braking))
 
 
@@ -280,7 +284,7 @@ class Relaxed:
         Feasible but for the power limit, by the change of speed over a cell.
     time_price : (q,) array [J/(kg s)]
     status : str
-        The solver's word.
+        The solver's status.
     """
 
     bound: float
@@ -310,8 +314,8 @@ class Relaxation:
         self.longest = int(self.unknowns.more((1,))[0])
         self.equal, self.below = Rows(), Rows()
         self._motion()
-        # The resistance acts on the mean of a cell's end speeds, which the true mean exceeds by a
-        # trifle; the brake gets that much more room, so that no trajectory is excluded.
+        # The resistance acts on the mean of a cell's end speeds, which the true mean slightly
+        # exceeds; the brake gets that much more, so that no trajectory is excluded.
         spare = MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
         brake_limits(problem, self.unknowns, self.below, spare)
         self._power()
@@ -367,7 +371,7 @@ class Relaxation:
         time[self.longest] = 1.0
         return self._solved(time).value
 
-    def _solved(self, cost: FloatArray) -> Found:
+    def _solved(self, cost: FloatArray) -> ProgramSolution:
         x = bounded(self.unknowns)
         cones = self._cones(x)
         return solve(self.unknowns, cost, self.equal, self.below, cones=cones, variable=x)

@@ -231,7 +231,7 @@ class DiscreteProblem:
         """The same problem with the common traction tapered so; this one must not be."""
         profile = 1.0 - 2.0 * np.linspace(0.0, 1.0, SUBSTEPS + 1)
         fall = self.gain[:, None, None] * taper.fall[:, None] * profile
-        # Who gains speed and loses it again in such a cell is fastest inside.
+        # A configuration that gains speed and loses it in such a cell is fastest inside.
         rise = 0.25 * self.gain.max() * np.maximum(taper.fall, 0.0) * self.step
         ceiling = self.ceiling - np.maximum(np.append(rise, 0.0), np.insert(rise, 0, 0.0))
         ceiling = np.maximum(ceiling, np.minimum(self.floor, self.ceiling))
@@ -297,7 +297,7 @@ def most_traction(problem: DiscreteProblem, z: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(by_effort, problem.traction_by_power(z + 1e-9).min(axis=0)))
 
 
-def taper_for(problem: DiscreteProblem, plan: Plan) -> Taper:
+def taper_along(problem: DiscreteProblem, plan: Plan) -> Taper:
     """Traction tapered where a plan pulls with all the power of a configuration.
 
     Traction that is constant in a cell wastes the power of its slower part; what is lost is
@@ -309,7 +309,7 @@ def taper_for(problem: DiscreteProblem, plan: Plan) -> Taper:
     begin, end = (np.minimum(each, problem.traction) for each in most)
     mean = 0.5 * (begin + end)
     # Between half and nearly all of it by degrees: else a cell in which traction ends would be
-    # tapered in every other round.
+    # tapered in every other iteration.
     share = (plan.traction / mean - _HALF_FULL) / (_NEARLY_FULL - _HALF_FULL)
     fall = 0.5 * (begin - end) * np.clip(share, 0.0, 1.0)
     # How far the chord rises above the curve inside the cells, for whoever has just the power for
@@ -337,7 +337,7 @@ def tapered_as(problem: DiscreteProblem, trajectory: Trajectory) -> DiscreteProb
 def inside(positions: FloatArray, parts: int) -> FloatArray:
     """Positions [m] of the ends of equal parts of each cell, (n, parts + 1).
 
-    The outermost lie a trifle inside the cell, on its own side of whatever changes at a node.
+    The outermost lie slightly inside the cell, on its own side of whatever changes at a node.
     """
     shares = np.clip(np.linspace(0.0, 1.0, parts + 1), 1e-9, 1.0 - 1e-9)
     return np.asarray(positions[:-1, None] + np.diff(positions)[:, None] * shares)
@@ -349,7 +349,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
     Parameters
     ----------
     positions : (n + 1,) array [m]
-        From the run's start to its end, through all of its breakpoints; a sketch may leave out
+        From the run's start to its end, through all of its breakpoints; a coarse grid may leave out
         those of the line, and has the mean of what they separate.
     """
     train, step = run.train, np.diff(positions)

@@ -20,10 +20,10 @@ from trainlog.units import KMH, clock
 
 FloatArray = NDArray[np.float64]
 
-SLACKEST = 5.0
+MOST_TIME = 5.0
 """Times the least time, beyond which a timetable is refused."""
 
-_BESIDE = 50.0
+_AT_STATION = 50.0
 """From a station's position, within which a place is called by its name [m]."""
 
 _NEARLY = 0.98
@@ -32,12 +32,12 @@ _NEARLY = 0.98
 
 def place_of(line: Line, position: float) -> str:
     """A place on the line as people call it: its km, and the station that is there."""
-    name = next((s.name for s in line.stations if abs(s.position - position) <= _BESIDE), "")
+    name = next((s.name for s in line.stations if abs(s.position - position) <= _AT_STATION), "")
     return f"km {position / 1e3:.3f}" + (f" ({name})" if name else "")
 
 
 def seconds(time: float) -> str:
-    """What is missing of a time, never as nothing: tenths, or the first figure that tells."""
+    """What is missing of a time: tenths of a second, or its first significant figure."""
     return f"{time:.1f} s" if time >= 0.1 else f"{time:.1g} s"
 
 
@@ -61,12 +61,12 @@ def check_time(run: TrajectoryProblem, fastest: Envelope, running_time: float) -
     slowest = int(np.argmax(fastest.times))
     least = float(fastest.times[slowest])
     section = f"{place_of(run.line, run.start)} to {place_of(run.line, run.end)}"
-    if running_time > SLACKEST * least:
+    if running_time > MOST_TIME * least:
         raise InputError(
             f"trajectory: a running time of {running_time:.1f} s is"
             f" {running_time / least:.3g} times the least, {least:.1f} s ({clock(least)}) from"
             f" {section}: a train that slow would stand on the way",
-            remedy=f"give at most {SLACKEST * least:.0f} s, and let it wait at a station",
+            remedy=f"give at most {MOST_TIME * least:.0f} s, and let it wait at a station",
         )
     if running_time < least:
         late = np.flatnonzero(fastest.times > running_time).size
@@ -75,14 +75,14 @@ def check_time(run: TrajectoryProblem, fastest: Envelope, running_time: float) -
             f" configuration '{run.configurations[slowest].name}' needs at least {least:.1f} s"
             f" ({clock(least)}), {seconds(least - running_time)} are missing ({late} of"
             f" {len(run.configurations)} configurations would be late)"
-            f"; its fastest run is {held_back(run, fastest, slowest)}",
+            f"; its fastest run is {limiting_factors(run, fastest, slowest)}",
             remedy=f"allow at least {np.ceil(least):.0f} s",
         )
     _check_times(run, fastest, running_time)
     check_speeds(run, fastest)
 
 
-def held_back(run: TrajectoryProblem, fastest: Envelope, row: int) -> str:
+def limiting_factors(run: TrajectoryProblem, fastest: Envelope, row: int) -> str:
     """What holds a configuration's fastest run, and for how much of its time.
 
     Parameters
@@ -116,12 +116,12 @@ def held_back(run: TrajectoryProblem, fastest: Envelope, row: int) -> str:
         "at full tractive effort": full,
         "at full power": np.ones(times.size, dtype=bool),
     }
-    left, told = np.ones(times.size, dtype=bool), []
+    left, found = np.ones(times.size, dtype=bool), []
     for words, cells in held.items():
         share = float(times[cells & left].sum() / times.sum())
         left &= ~cells
-        told.append((share, words))
-    shares = sorted((each for each in told if each[0] >= 0.005), reverse=True)
+        found.append((share, words))
+    shares = sorted((each for each in found if each[0] >= 0.005), reverse=True)
     spent = [f"{100.0 * share:.0f} % {words}" for share, words in shares]
     return ", ".join([spent[0].replace("%", "% of the time", 1), *spent[1:]])
 
@@ -152,12 +152,14 @@ def _check_times(run: TrajectoryProblem, fastest: Envelope, running_time: float)
         missing = opens + float(spent[slowest]) - closes
         if missing > 0.0:
             raise InfeasibleError(
-                _told(run, points, (first, last), slowest, float(spent[slowest]), missing),
+                _windows_explained(
+                    run, points, (first, last), slowest, float(spent[slowest]), missing
+                ),
                 remedy="open the windows longer, or allow more time",
             )
 
 
-def _told(
+def _windows_explained(
     run: TrajectoryProblem,
     points: Sequence[TimingPoint],
     pair: tuple[int, int],
@@ -198,8 +200,8 @@ def check_speeds(run: TrajectoryProblem, fastest: Envelope) -> None:
         raise InfeasibleError(
             f"configuration '{run.configurations[slowest].name}' passes"
             f" {place_of(run.line, point.position)} at {KMH * speeds[slowest]:.1f} km/h at most,"
-            f" {KMH * point.lowest_speed:.1f} km/h are asked for; it is held by {why}",
-            remedy="lower what is asked for",
+            f" {KMH * point.lowest_speed:.1f} km/h are required; the limit is {why}",
+            remedy="lower the required speed",
         )
 
 
@@ -208,16 +210,16 @@ LATE = 5e-5
 
 
 def time_explained(
-    problem: DiscreteProblem, relaxation: Relaxation, running_time: float, word: str
+    problem: DiscreteProblem, relaxation: Relaxation, running_time: float, status: str
 ) -> InfeasibleError:
     """Why the relaxation, and so the problem, has no solution."""
     names = names_of(problem)
     try:
         time = relaxation.least_time()
     except NoSolutionError:
-        return InfeasibleError(f"no common run of {names}: the relaxation is {word}")
+        return InfeasibleError(f"no common run of {names}: the relaxation is {status}")
     if time <= running_time:
-        return unsettled(problem, running_time, f"the relaxation is {word}")
+        return unsettled(problem, running_time, f"the relaxation is {status}")
     return InfeasibleError(
         f"under one common traction, in {problem.shape[1]} cells, at least {time:.1f} s are needed"
         f" by {names}; the timetable gives {running_time:.1f} s, {seconds(time - running_time)} are"
@@ -235,11 +237,11 @@ def still_late(problem: DiscreteProblem, running_time: float, late: float) -> In
     )
 
 
-def unsettled(problem: DiscreteProblem, running_time: float, word: str) -> InfeasibleError:
+def unsettled(problem: DiscreteProblem, running_time: float, reason: str) -> InfeasibleError:
     """Why nothing was found where the programs do not settle; that nothing exists is not proven."""
     return InfeasibleError(
         f"no trajectory of {names_of(problem)} was found for {running_time:.1f} s on"
-        f" {problem.shape[1]} cells, and none was proven impossible: {word}",
+        f" {problem.shape[1]} cells, and none was proven impossible: {reason}",
         remedy="try more cells, or another running time",
     )
 
@@ -247,7 +249,7 @@ def unsettled(problem: DiscreteProblem, running_time: float, word: str) -> Infea
 def brakes_explained(
     problem: DiscreteProblem, speeds: FloatArray, running_time: float
 ) -> InfeasibleError:
-    """Why one braking effort does not bring them all to the speed asked for at the end."""
+    """Why one braking effort does not bring them all to the required speed at the end."""
     names = names_of(problem)
     lowest = lowest_end_speed(problem, speeds, running_time)
     if lowest is None:
@@ -258,7 +260,7 @@ def brakes_explained(
         )
     return InfeasibleError(
         f"with one braking effort for all, {names} cannot all end below {KMH * lowest:.1f} km/h in"
-        f" {running_time:.1f} s; asked for are {KMH * problem.run.final_speed:.1f} km/h",
+        f" {running_time:.1f} s; required are {KMH * problem.run.final_speed:.1f} km/h",
         remedy="let each configuration brake for itself (recourse), or end faster",
     )
 
@@ -289,7 +291,9 @@ def lowest_end_speed(
         trial = replace(problem, final=0.5 * speed**2)
         try:
             relaxed = Relaxation(trial, speeds).least_energy(running_time)
-            solution = minimise(trial, relaxed.plan, relaxed.time_price, running_time, rounds=12)
+            solution = minimise(
+                trial, relaxed.plan, relaxed.time_price, running_time, iterations=12
+            )
         except NoSolutionError:
             return False
         return solution.lateness <= LATE

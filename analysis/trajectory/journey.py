@@ -23,7 +23,7 @@ from scipy.optimize import linprog
 
 from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.feasibility import check_speeds, held_back, place_of, seconds
+from analysis.trajectory.feasibility import check_speeds, limiting_factors, place_of, seconds
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
@@ -198,11 +198,11 @@ def worst_mixture(energies: Callable[[FloatArray], FloatArray], start: FloatArra
 
 
 def _next(seen: FloatArray, chosen: FloatArray) -> FloatArray:
-    """First a little of all that are dearer than the mixture expects, then what the cuts say."""
+    """First a little of all that take more than the mixture expects, then what the cuts give."""
     if seen.shape[0] == 1:
-        dearer = (seen[0] > chosen @ seen[0]) & (chosen == 0.0)
-        if dearer.any():
-            return np.asarray((1.0 - _LITTLE) * chosen + _LITTLE * dearer / dearer.sum())
+        costlier = (seen[0] > chosen @ seen[0]) & (chosen == 0.0)
+        if costlier.any():
+            return np.asarray((1.0 - _LITTLE) * chosen + _LITTLE * costlier / costlier.sum())
     # Half way to the cuts' optimum: cuts far from it mislead.
     return np.asarray(0.5 * (_highest(seen) + chosen))
 
@@ -222,7 +222,7 @@ def _highest(seen: FloatArray) -> FloatArray:
 
 
 def _rounded(mixture: FloatArray) -> FloatArray:
-    """Without those that hardly count: who has no part needs no place in the program."""
+    """Without those that hardly count: they need no place in the program."""
     kept = np.where(mixture < _LEAST_PART, 0.0, mixture)
     return np.asarray(kept / kept.sum())
 
@@ -264,9 +264,9 @@ class JourneyPlan:
     certificate : dict
         Of all sections together, and what other times might still save. The sections carry their
         own certificates. ``energy`` is that of the configuration that takes most in all, the
-        ``dearest``, or the expected one. At the line the sections are optimised for the
-        ``mixture`` of configurations that makes the journey dearest; ``lower_bound`` holds for it,
-        and so for the worst.
+        ``costliest``, or the expected one. At the line the sections are optimised for the
+        ``mixture`` of configurations that makes the journey costliest; ``lower_bound`` holds for
+        it, and so for the worst.
     """
 
     journey: Journey
@@ -318,7 +318,7 @@ def optimise_journey(
     ----------
     problem : TrajectoryProblem
         Line, train, configurations and what else is the same in every section. Places, speeds,
-        windows and times come from the journey; the reserve counts where the journey does not say
+        windows and times come from the journey; the reserve counts where the journey does not state
         when it ends, as part of the least running time.
     journey : Journey
         On the problem's line, in the direction of travel.
@@ -353,10 +353,10 @@ def optimise_journey(
     least = np.array([each.times[-1] for each in fastest])
     low, high = _windows(sections, least, dwell, problem.reserve)
     _check_times(problem.line, journey, sections, fastest, low, high, dwell)
-    asked, schedule = _Sections(problem, sections), Schedule(least, low, high, dwell)
+    parts, schedule = _Sections(problem, sections), Schedule(least, low, high, dwell)
     coarse = OptimiserOptions(min(options.cells, _COARSE_CELLS))
-    times, saving, mixture = _planned(asked, schedule, coarse)
-    found = asked.mixed(mixture).solve_all(times, options)
+    times, saving, mixture = _planned(parts, schedule, coarse)
+    found = parts.mixed(mixture).solve_all(times, options)
     totals = _totals(found)
     energy = float(totals.max())
     if problem.objective == "expected":
@@ -368,8 +368,8 @@ def optimise_journey(
         "lower_bound": bound,
         "gap": gap,
         "bound_holds_for": "these departures and arrivals",
-        "dearest": problem.configurations[int(np.argmax(totals))].name,
-        "dearest_energy": float(totals.max()),
+        "costliest": problem.configurations[int(np.argmax(totals))].name,
+        "costliest_energy": float(totals.max()),
         "mixture": {
             each.name: float(part)
             for each, part in zip(problem.configurations, mixture, strict=False)
@@ -425,28 +425,28 @@ class _Sections:
 
 
 def _planned(
-    asked: _Sections, schedule: Schedule, options: OptimiserOptions
+    sections: _Sections, schedule: Schedule, options: OptimiserOptions
 ) -> tuple[FloatArray, float, FloatArray]:
     """Times of least energy, what others might save, and the mixture of configurations it is of.
 
     At the wheel all configurations take the same, and the expected energy adds up; at the line the
     worst of a journey is worst in all its sections together. There is no mixture but there.
     """
-    solve = partial(asked.solve, options=options)
+    solve = partial(sections.solve, options=options)
     times, saving = best_times(schedule, solve, schedule.even())
-    several = min(len(asked.sections), len(asked.problem.configurations)) > 1
-    if asked.problem.objective != "line" or not several:
+    several = min(len(sections.sections), len(sections.problem.configurations)) > 1
+    if sections.problem.objective != "line" or not several:
         return times, saving, np.zeros(0)
-    totals = _totals(asked.solve_all(times, options))
+    totals = _totals(sections.solve_all(times, options))
     mixture = np.eye(totals.size)[int(np.argmax(totals))]
     for _ in range(_MIXTURES):
         at = times
 
         def energies(parts: FloatArray, at: FloatArray = at) -> FloatArray:
-            return _totals(asked.mixed(parts).solve_all(at, options))
+            return _totals(sections.mixed(parts).solve_all(at, options))
 
         mixture = worst_mixture(energies, mixture)
-        solve = partial(asked.mixed(mixture).solve, options=options)
+        solve = partial(sections.mixed(mixture).solve, options=options)
         times, saving = best_times(schedule.anew(), solve, at)
         if float(np.abs(times - at).max()) <= _SAME_TIMES:
             break
@@ -509,7 +509,7 @@ def _section_problem(problem: TrajectoryProblem, section: Section) -> Trajectory
 
 
 def _fastest(problem: TrajectoryProblem, section: Section) -> _Fastest:
-    """The fastest run of the slowest configuration; speeds that nobody reaches are refused."""
+    """The fastest run of the slowest configuration; speeds that none reaches are refused."""
     run = _section_problem(problem, section)
     fastest = fastest_run(run)
     check_speeds(run, fastest)
@@ -518,7 +518,7 @@ def _fastest(problem: TrajectoryProblem, section: Section) -> _Fastest:
     return _Fastest(
         run.configurations[slowest].name,
         fastest.times_at(places)[slowest],
-        held_back(run, fastest, slowest),
+        limiting_factors(run, fastest, slowest),
     )
 
 

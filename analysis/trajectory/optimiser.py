@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import (
     Answer,
-    finer_guess,
-    first_guess,
-    outstanding,
+    extreme_configurations,
+    initial_guess,
+    interpolated_guess,
     search,
 )
 from analysis.trajectory.audit import Audit, audit
@@ -33,7 +33,7 @@ from analysis.trajectory.problem import (
     OptimiserOptions,
     TrajectoryProblem,
 )
-from analysis.trajectory.rollout import BESIDE_LEAST, least_time_together
+from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.railway import Trajectory
 
@@ -136,7 +136,7 @@ def _running_time(problem: TrajectoryProblem, fastest: Envelope, cells: int) -> 
         return (1.0 + problem.reserve) * least_time
     together = least_time_together(_discretised(problem, fastest, cells))
     # Under one braking effort for all there may be no such time; the search states why.
-    return max(together if np.isfinite(together) else 0.0, least_time * (1.0 + BESIDE_LEAST))
+    return max(together if np.isfinite(together) else 0.0, least_time * (1.0 + LEAST_TIME_MARGIN))
 
 
 def _settings(problem: TrajectoryProblem, options: OptimiserOptions) -> dict[str, Any]:
@@ -230,9 +230,9 @@ def _audited(
         problem, envelope = discretise(run, positions), fastest.at(positions)
         if found is None and coarse.size < 0.6 * positions.size:
             found = _coarse_optimum(run, fastest, coarse, running_time)
-        guess = first_guess(problem, envelope, running_time)
+        guess = initial_guess(problem, envelope, running_time)
         if found is not None:
-            guess = finer_guess(found, coarse, problem, range(problem.shape[0]))
+            guess = interpolated_guess(found, coarse, problem, range(problem.shape[0]))
         try:
             answer = search(problem, guess, envelope, running_time)
         except InfeasibleError:
@@ -261,14 +261,14 @@ def _coarse_optimum(
     None if it has no optimum: that of the fine grid may have one, and else it explains itself.
     """
     problem, speeds = discretise(run, positions), fastest.at(positions)
-    rows = outstanding(problem, fastest.times)
+    rows = extreme_configurations(problem, fastest.times)
     some = problem.select(rows)
     try:
-        guess = first_guess(some, speeds[rows], running_time)
+        guess = initial_guess(some, speeds[rows], running_time)
         answer = search(some, guess, speeds[rows], running_time, coarse=True)
         if len(rows) == problem.shape[0]:
             return answer
-        guess = finer_guess(answer, positions, problem, rows)
+        guess = interpolated_guess(answer, positions, problem, rows)
         return search(problem, guess, speeds, running_time, coarse=True)
     except InfeasibleError:
         return None

@@ -39,7 +39,7 @@ class Phase(IntEnum):
 
     @property
     def letter(self) -> str:
-        """The phase as one letter, as a trajectory's certificate spells it."""
+        """The phase as one letter, as a trajectory's certificate lists it."""
         return "TPCHB"[self]
 
     @property
@@ -68,7 +68,7 @@ def phases_by_control(
 
     Returns
     -------
-    (n,) array of `Phase`. A configuration that brakes against the common traction is told by
+    (n,) array of `Phase`. A configuration that brakes against the common traction is classified by
     what remains: less traction is partial traction.
     """
     net = traction - braking
@@ -131,7 +131,7 @@ def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
     return np.array([codes[letter] for letter in letters], dtype=np.int64)
 
 
-def spelled(phases: NDArray[np.int64]) -> str:
+def phase_letters(phases: NDArray[np.int64]) -> str:
     """The phases as letters, one a cell."""
     return _LETTERS[phases].tobytes().decode("ascii")
 
@@ -147,10 +147,10 @@ _SAME = 1.0 / KMH
 """Change of speed that a driver would not notice [m/s]."""
 
 _OTHER = 4.0 / KMH
-"""Change of speed that a driver has to be told of, however short it is [m/s]."""
+"""Change of speed that is advice to a driver, however short it is [m/s]."""
 
 _EVEN = (Phase.CRUISING, Phase.COASTING, Phase.PARTIAL_BRAKING)
-"""Phases that a driver does not tell apart while the speed stays: a little effort up or down."""
+"""Phases that are one to a driver while the speed stays: a little effort up or down."""
 
 HELD = 2.0 / KMH
 """Speeds within this of each other are one speed to hold [m/s]."""
@@ -205,7 +205,7 @@ class _Piece:
 
 
 def slowest_row(trajectory: Trajectory) -> int:
-    """The configuration that arrives last; who drives as it does is not late in any other."""
+    """The configuration that arrives last; a driver who follows it is late in none."""
     return int(np.argmax(trajectory.times[:, -1]))
 
 
@@ -229,7 +229,7 @@ def advice(
         cruising.
     held : float [m/s]
         Where the speed stays within this, and there is neither full traction nor full braking,
-        all is one: cruising, to hold that speed. With 0 every phase is told as it is.
+        all is one: cruising, to hold that speed. With 0 every phase is listed as it is.
 
     Raises
     ------
@@ -247,8 +247,8 @@ def advice(
         long = lasts >= (_BRIEF * shortest if even else shortest) or change >= _OTHER
         if not kept or (long and not same):
             kept.append(start)
-    told = _held(speeds, times, [(start, Phase(phases[start])) for start in kept], held)
-    ends = [*(piece.start for piece in told[1:]), phases.size]
+    pieces = _held(speeds, times, [(start, Phase(phases[start])) for start in kept], held)
+    ends = [*(piece.start for piece in pieces[1:]), phases.size]
     return tuple(
         AdvicePoint(
             float(trajectory.positions[piece.start]),
@@ -258,7 +258,7 @@ def advice(
             float(speeds[end]),
             piece.hold,
         )
-        for piece, end in zip(told, ends, strict=True)
+        for piece, end in zip(pieces, ends, strict=True)
     )
 
 
@@ -266,7 +266,7 @@ def _held(
     speeds: FloatArray, times: FloatArray, begun: list[tuple[int, Phase]], held: float
 ) -> list[_Piece]:
     """Phases, by the node where each begins; where the speed stays they are one: cruising."""
-    told = list[_Piece]()
+    pieces = list[_Piece]()
     ends = [*(start for start, _ in begun[1:]), speeds.size - 1]
     spans = [_Piece(*each, end) for each, end in zip(begun, ends, strict=True)]
     for even, group in groupby(spans, key=lambda piece: piece.phase in _EVEN):
@@ -280,9 +280,9 @@ def _held(
             same = working.any() and np.ptp(speeds[first : last + 1]) <= held
             holds = whole if same else _holds(speeds, times, working, held, first, last)
             run = _beside(run, holds)
-        told += run
-    kept = told[:1]
-    for piece in told[1:]:
+        pieces += run
+    kept = pieces[:1]
+    for piece in pieces[1:]:
         before, brief = kept[-1], held > 0.0 and not piece.hold
         brief = brief and times[piece.end] - times[piece.start] < SHORTEST
         alike = piece.phase is before.phase and not (piece.hold or before.hold)

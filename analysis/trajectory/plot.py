@@ -96,7 +96,7 @@ def _title(trajectory: Trajectory) -> str:
     if "energy" not in certificate:
         return words
     return (
-        f"{words}\n{trajectory.energy_told} {certificate['energy'] / _KWH:.1f} kWh,"
+        f"{words}\n{trajectory.energy_label} {certificate['energy'] / _KWH:.1f} kWh,"
         f" gap {100.0 * certificate['gap']:.3f} %"
     )
 
@@ -251,7 +251,7 @@ def draw_front(front: Front, path: str | Path) -> None:
     ]  # fmt: skip
     above.legend(handles=handles, fontsize=8, frameon=False)
     first = front.trajectories[0]
-    title = f"{first.train} on {first.line}: {first.energy_told}"
+    title = f"{first.train} on {first.line}: {first.energy_label}"
     dress(above, x="", y="kWh", title=title)
     below.plot(times, 1e3 * prices, "o-", color=BLUE, markersize=4, linewidth=1.2)
     below.set_ylim(bottom=0.0)

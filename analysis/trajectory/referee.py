@@ -1,4 +1,4 @@
-"""A second opinion: the same transcription as one nonlinear program, solved by CasADi and IPOPT.
+"""A second result: the same transcription as one nonlinear program, solved by CasADi and IPOPT.
 
 It shares cells, Runge-Kutta sub-steps and limits with `minimax`, but neither its linearisation nor
 its solver. Used by tests and benchmarks, and on request in a certificate.
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import Answer
-from analysis.trajectory.convex import power_cells, tells_dynamic
+from analysis.trajectory.convex import power_cells, separates_dynamic_brake
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import paced_run
 from trainlog.railway.motion import SUBSTEPS
@@ -29,7 +29,7 @@ _STANDSTILL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Opinion:
+class IpoptResult:
     """What IPOPT found.
 
     Attributes
@@ -50,7 +50,7 @@ class Opinion:
 
     @property
     def solved(self) -> bool:
-        """Whether IPOPT vouches for it."""
+        """Whether IPOPT found it to be optimal."""
         return self.status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
@@ -58,25 +58,25 @@ def refereed(answer: Answer, running_time: float) -> dict[str, Any]:
     """What IPOPT makes of the active configurations, beginning from a paced run."""
     problem = answer.problem
     part = problem.select(answer.active)
-    opinion = second_opinion(part, paced_run(part, running_time), running_time)
+    result = solve_with_ipopt(part, paced_run(part, running_time), running_time)
     return {
         "name": "IPOPT",
-        "energy": opinion.energy * problem.reference,
-        "difference": answer.solution.energy / opinion.energy - 1.0,
-        "status": opinion.status,
-        "iterations": opinion.iterations,
+        "energy": result.energy * problem.reference,
+        "difference": answer.solution.energy / result.energy - 1.0,
+        "status": result.status,
+        "iterations": result.iterations,
     }
 
 
-def second_opinion(problem: DiscreteProblem, start: Plan, running_time: float) -> Opinion:
+def solve_with_ipopt(problem: DiscreteProblem, start: Plan, running_time: float) -> IpoptResult:
     """Minimise the worst-case energy from `start` within `running_time` [s]."""
     q, n = problem.shape
     rows = 1 if problem.common else q
     z, traction = ca.MX.sym("z", n + 1, q), ca.MX.sym("traction", n)
     braking = ca.MX.sym("braking", n, rows)
-    dynamic = ca.MX.sym("dynamic", n, q if tells_dynamic(problem) else 0)
+    dynamic = ca.MX.sym("dynamic", n, q if separates_dynamic_brake(problem) else 0)
     worst = ca.MX.sym("worst")
-    rules: list[tuple[Any, float, float]] = []  # expression, least, most
+    constraints: list[tuple[Any, float, float]] = []  # expression, least, most
     cell = _cell().map(n)
     bulge, fall = ca.DM(problem.bulge), ca.DM(problem.taper.fall)
     train, expected = problem.run.train, ca.MX(0.0)
@@ -90,8 +90,8 @@ def second_opinion(problem: DiscreteProblem, start: Plan, running_time: float) -
             problem.drag2[a],
             problem.step,
         )
-        rules += [(reached.T - z[1:, a], 0.0, 0.0), (ca.sum2(times), -np.inf, running_time)]
-        rules += [
+        constraints += [(reached.T - z[1:, a], 0.0, 0.0), (ca.sum2(times), -np.inf, running_time)]
+        constraints += [
             (ca.sum2(times[:, : int(node)]), float(earliest), float(latest))
             for node, earliest, latest in zip(
                 problem.passed, problem.earliest, problem.latest, strict=True
@@ -101,24 +101,24 @@ def second_opinion(problem: DiscreteProblem, start: Plan, running_time: float) -
         for nodes, above in ((slice(0, n), fall), (slice(1, n + 1), -fall)):
             at = power_cells(problem, problem.power[a], problem.traction).tolist()
             v = _speed(z[nodes, a] + bulge)
-            rules.append((((traction + above)[at] * v[at]) / usable[at], -np.inf, 1.0))
+            constraints.append((((traction + above)[at] * v[at]) / usable[at], -np.inf, 1.0))
             if dynamic.numel():
                 at = power_cells(problem, problem.dynamic_power, problem.dynamic[a]).tolist()
-                rules.append((dynamic[at, a] * v[at], -np.inf, problem.dynamic_power))
+                constraints.append((dynamic[at, a] * v[at], -np.inf, problem.dynamic_power))
         spent = ca.dot(problem.step, traction)
         if dynamic.numel():
-            rules.append((brakes - dynamic[:, a], 0.0, problem.friction[a]))
+            constraints.append((brakes - dynamic[:, a], 0.0, problem.friction[a]))
         regained: Any = 0.0
         if problem.run.at_line:
             spent = spent / train.efficiency_traction
             regained = ca.dot(problem.step, dynamic[:, a]) * train.efficiency_regeneration
             expected += problem.weights[a] * (spent - regained)
         if problem.run.objective != "expected":
-            rules.append((worst - spent + regained, 0.0, np.inf))
+            constraints.append((worst - spent + regained, 0.0, np.inf))
     if problem.run.objective == "expected":
-        rules.append((worst - expected, 0.0, np.inf))
+        constraints.append((worst - expected, 0.0, np.inf))
     unknowns, low, high, first = _bounded(problem, start, z, traction, braking, dynamic, worst)
-    return _solved(problem, worst, unknowns, rules, low, high, first)
+    return _solved(problem, worst, unknowns, constraints, low, high, first)
 
 
 def _cell() -> ca.Function:
@@ -189,23 +189,23 @@ def _solved(
     problem: DiscreteProblem,
     objective: Any,
     unknowns: Any,
-    rules: list[tuple[Any, float, float]],
+    constraints: list[tuple[Any, float, float]],
     low: FloatArray,
     high: FloatArray,
     first: FloatArray,
-) -> Opinion:
+) -> IpoptResult:
     q, n = problem.shape
-    sizes = [expression.numel() for expression, _, _ in rules]
+    sizes = [expression.numel() for expression, _, _ in constraints]
     least = np.concatenate(
-        [np.broadcast_to(b, s) for (_, b, _), s in zip(rules, sizes, strict=True)]
+        [np.broadcast_to(b, s) for (_, b, _), s in zip(constraints, sizes, strict=True)]
     )
     most = np.concatenate(
-        [np.broadcast_to(b, s) for (_, _, b), s in zip(rules, sizes, strict=True)]
+        [np.broadcast_to(b, s) for (_, _, b), s in zip(constraints, sizes, strict=True)]
     )
     program: dict[str, Any] = {
         "x": unknowns,
         "f": objective,
-        "g": ca.vertcat(*(ca.vec(expression) for expression, _, _ in rules)),
+        "g": ca.vertcat(*(ca.vec(expression) for expression, _, _ in constraints)),
     }
     settings: dict[str, Any] = {
         "print_time": False,
@@ -217,7 +217,7 @@ def _solved(
     solver = ca.nlpsol("referee", "ipopt", program, settings)
     found = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
     values, statistics = np.asarray(found["x"]).ravel(), solver.stats()
-    return Opinion(
+    return IpoptResult(
         energy=float(values[-1]),
         z=values[: q * (n + 1)].reshape(q, n + 1),
         traction=values[q * (n + 1) : q * (n + 1) + n],

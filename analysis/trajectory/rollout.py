@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction, taper_for
+from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction, taper_along
 from analysis.trajectory.envelope import braking_curves
 from trainlog.railway.motion import advance, in_parts, landing, speed_of, traverse
 
@@ -31,7 +31,7 @@ _TRIALS = 6
 _CRAWL = 0.5 * 0.3**2
 """``z`` that a common brake leaves to the slowest configuration between the stops [m²/s²]."""
 
-BESIDE_LEAST = 1e-6
+LEAST_TIME_MARGIN = 1e-6
 """What a least time has to spare, relative: its own rounding."""
 
 
@@ -55,13 +55,13 @@ def paced_run(problem: DiscreteProblem, running_time: float) -> Plan:
 def least_time_together(problem: DiscreteProblem) -> float:
     """Time [s] in which all arrive under one common traction.
 
-    A trifle above that of the fastest run of the slowest by itself, whose traction follows the
+    Slightly above that of the fastest run of the slowest by itself, whose traction follows the
     power from metre to metre.
     """
     fastest = paced_run(problem, 0.0)
-    tapered = problem.tapered(taper_for(problem, fastest))
+    tapered = problem.tapered(taper_along(problem, fastest))
     times = [duration(each, paced_run(each, 0.0)) for each in (problem, tapered)]
-    return min(times) * (1.0 + BESIDE_LEAST)
+    return min(times) * (1.0 + LEAST_TIME_MARGIN)
 
 
 def capped_run(
@@ -70,7 +70,7 @@ def capped_run(
     """The fastest run cut off at a cruising speed, and about what a second of it is worth.
 
     It keeps the running time and the speed limits, and takes what efforts that needs: where the
-    rounds of the optimiser begin.
+    iterations of the optimiser begin.
 
     Parameters
     ----------
@@ -136,10 +136,10 @@ def delays(
 
 def cell_times(problem: DiscreteProblem, plan: Plan) -> FloatArray:
     """Time [s] of each configuration in each cell, (q, n)."""
-    return cross(problem, plan)[1]
+    return integrate_cells(problem, plan)[1]
 
 
-def cross(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
+def integrate_cells(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Each cell by itself: ``z`` at its end, and the time in it [s]; (q, n)."""
     effort = problem.gain[:, None] * (plan.traction - plan.braking)
     reached, times = in_parts(
@@ -176,18 +176,18 @@ def realise(problem: DiscreteProblem, plan: Plan) -> Plan:
     driven = drive(problem, plan)
     if problem.common:
         return driven
-    riding = ride_along(problem, plan.traction, None)
-    # Who brakes as late as possible may pass too early.
+    late = rollout(problem, plan.traction, None)
+    # A configuration that brakes as late as possible may pass too early.
     early = np.isfinite(problem.earliest).any()
     if problem.run.at_line or early:
-        planned, found = driven.dynamic @ problem.step, riding.dynamic @ problem.step
+        planned, found = driven.dynamic @ problem.step, late.dynamic @ problem.step
         least = planned if problem.run.objective == "expected" else planned.min()
         rows = np.full(found.shape, early) | (found < least)
-        riding.put(rows, driven, rows)
-    return riding
+        late.put(rows, driven, rows)
+    return late
 
 
-def ride_along(problem: DiscreteProblem, traction: FloatArray, braking: FloatArray | None) -> Plan:
+def rollout(problem: DiscreteProblem, traction: FloatArray, braking: FloatArray | None) -> Plan:
     """How each configuration runs under a given common traction, braking as late as it may.
 
     Parameters
@@ -202,11 +202,11 @@ def ride_along(problem: DiscreteProblem, traction: FloatArray, braking: FloatArr
         z = np.broadcast_to(problem.ceiling, (q, n + 1)).copy()
         z[:, 0] = problem.initial
         return drive(problem, Plan(z, traction, everyone, np.minimum(everyone, problem.dynamic)))
-    z, braking = ride_below(problem, braking_curves(problem, traction), traction)
+    z, braking = rollout_below(problem, braking_curves(problem, traction), traction)
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
 
-def ride_behind(
+def rollout_behind(
     problem: DiscreteProblem, traction: FloatArray, leader: FloatArray, running_time: float
 ) -> Plan:
     """How each configuration runs under a common traction, no faster than another, if in time.
@@ -223,7 +223,7 @@ def ride_behind(
     """
     curves = braking_curves(problem, traction)
     found = _below(problem, traction, curves)
-    curves = _gentler(problem, traction, curves)
+    curves = _dynamic_brake_curves(problem, traction, curves)
     low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
     for turn in range(_TRIALS):
         share = low if turn == 0 else 0.5 * (low + high)
@@ -238,7 +238,9 @@ def ride_behind(
     return found
 
 
-def _gentler(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> FloatArray:
+def _dynamic_brake_curves(
+    problem: DiscreteProblem, traction: FloatArray, curves: FloatArray
+) -> FloatArray:
     """The braking curves of the dynamic brake alone, for those that it can bring to a stand."""
     dynamic = np.minimum(problem.braking, problem.dynamic)
     alone = replace(problem, braking=dynamic, friction=np.zeros_like(dynamic))
@@ -248,18 +250,18 @@ def _gentler(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray)
 
 
 def _below(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> Plan:
-    """The ride below the curves as a plan."""
-    z, braking = ride_below(problem, curves, traction)
+    """The rollout below the curves as a plan."""
+    z, braking = rollout_below(problem, curves, traction)
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
 
-def ride_below(
+def rollout_below(
     problem: DiscreteProblem, curves: FloatArray, traction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """``z`` and braking under a given traction, braking as late as the `curves` allow."""
     z, braking = in_parts(
         problem.shape[0],
-        lambda part: ride_late(
+        lambda part: brake_late(
             curves[part], traction, problem.initial, problem.gain[part], problem.drag0[part],
             problem.drag1[part], problem.drag2[part], problem.step,
         ),
@@ -287,7 +289,7 @@ def dynamic_share(problem: DiscreteProblem, z: FloatArray, braking: FloatArray) 
 
 
 def _run_at(problem: DiscreteProblem, curves: FloatArray, cruising_speed: float) -> Plan:
-    z, traction, braking = keep_pace(
+    z, traction, braking = cruise(
         curves, cruising_speed, problem.common, problem.initial, problem.traction, problem.gain,
         problem.power, problem.taper.fall, problem.taper.crest, problem.braking, problem.drag0,
         problem.drag1, problem.drag2, problem.step,
@@ -304,10 +306,12 @@ _SOONEST = 5e-4
 _SECANTS = 8
 
 _FIRST = 0.05
-"""Share of its room by which the traction is changed first."""
+"""Share of its margin by which the traction is changed first."""
 
 
-def amended(problem: DiscreteProblem, plan: Plan, running_time: float) -> FloatArray | None:
+def correct_lateness(
+    problem: DiscreteProblem, plan: Plan, running_time: float
+) -> FloatArray | None:
     """A common traction under which all of `problem` are in time, or None if that takes more.
 
     Parameters
@@ -322,23 +326,23 @@ def amended(problem: DiscreteProblem, plan: Plan, running_time: float) -> FloatA
     -------
     (n,) array [m/s²] or None
     """
-    room = _room(problem, plan)
+    margin = _traction_margin(problem, plan)
 
     def late(share: float) -> float:
-        driven = realise(problem, replace(plan, traction=plan.traction + share * room))
+        driven = realise(problem, replace(plan, traction=plan.traction + share * margin))
         return float(delays(problem, driven, running_time)[0].max())
 
-    share = _in_time(late)
-    return None if share is None else plan.traction + share * room
+    share = _secant_share(late)
+    return None if share is None else plan.traction + share * margin
 
 
-def _room(problem: DiscreteProblem, plan: Plan) -> FloatArray:
+def _traction_margin(problem: DiscreteProblem, plan: Plan) -> FloatArray:
     """By how much each cell of partial traction may change, (n,) [m/s²]."""
     most, least = most_traction(problem, plan.z), np.abs(problem.taper.fall)
     return np.asarray(np.maximum(np.minimum(plan.traction - least, most - plan.traction), 0.0))
 
 
-def _in_time(late: Callable[[float], float]) -> float | None:
+def _secant_share(late: Callable[[float], float]) -> float | None:
     """The share at which the lateness is between its bounds, by secants."""
     share, value, slope = 0.0, late(0.0), np.nan
     for _ in range(_SECANTS):
@@ -355,7 +359,7 @@ def _in_time(late: Callable[[float], float]) -> float | None:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def keep_pace(
+def cruise(
     curves: FloatArray, cruising_speed: float, common: bool, initial: float,
     traction: FloatArray, gain: FloatArray, power: FloatArray, fall: FloatArray,
     crest: FloatArray, braking: FloatArray, drag0: FloatArray, drag1: FloatArray,
@@ -430,7 +434,7 @@ def follow_plan(
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def ride_late(
+def brake_late(
     curves: FloatArray, traction: FloatArray, initial: float, gain: FloatArray,
     drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip

@@ -26,24 +26,24 @@ from analysis.trajectory.convex import (
     power_cells,
     solve,
 )
-from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_for
-from analysis.trajectory.rollout import cross, delays, realise
+from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_along
+from analysis.trajectory.rollout import delays, integrate_cells, realise
 
 FloatArray = NDArray[np.float64]
 
 _Limited = tuple[int, NDArray[np.int64], NDArray[np.int64]]
-"""A configuration, cells in which its power is limited, and the rows that say so."""
+"""A configuration, cells in which its power is limited, and the rows of these limits."""
 
 _FLOOR = 1e-5
 """Smallest ``z`` between the two ends [m²/s²]."""
 
 _NEAR_POWER = 1.5
-"""A power limit above this many times the largest effort is left out of a round."""
+"""A power limit above this many times the largest effort is left out of a program."""
 
-_NOT_AT_ALL = 1e-4
+_BRAKE_APPLIED = 1e-4
 """Part of the largest traction below which a brake is not applied."""
 
-_NEAR_OTHERS = 1.02
+_NEAR_LEAST = 1.02
 """Times the least of all configurations: power that counts as short, too."""
 
 _LEAST_SHARE = 0.02
@@ -105,7 +105,7 @@ class Multipliers:
     def convex(self) -> Multipliers:
         """The same with no more on the earliest times than leaves every second worth something.
 
-        ``t(point) >= earliest`` is not convex, but with ``t(end) <= T`` it says that the rest
+        ``t(point) >= earliest`` is not convex, but with ``t(end) <= T`` it means that the rest
         takes at most ``T - earliest``, which is: price on price, the Lagrange function is the
         same as long as no cell's price is negative.
         """
@@ -119,7 +119,7 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the rounds ended.
+    """Where the iterations ended.
 
     Attributes
     ----------
@@ -135,12 +135,12 @@ class Solution:
     lateness : float [s]
         By which the timetable cannot be kept; 0 in a feasible run.
     moved : float [J/kg]
-        What the last round's changes weigh by the curvature of the time: the round after it would
-        gain far less.
+        What the last changes weigh by the curvature of the time: another iteration would gain far
+        less.
     statuses : tuple of str
-        The solver's word on each round.
-    settled : bool
-        Whether the last round changed nothing any more.
+        The solver's status of each program.
+    converged : bool
+        Whether the last iteration changed nothing any more.
     """
 
     plan: Plan
@@ -151,7 +151,7 @@ class Solution:
     lateness: float
     moved: float = np.inf
     statuses: tuple[str, ...] = ()
-    settled: bool = False
+    converged: bool = False
 
     @property
     def time_price(self) -> FloatArray:
@@ -187,14 +187,14 @@ class Motion:
     @staticmethod
     def about(problem: DiscreteProblem, plan: Plan) -> Motion:
         """Linearise about `plan`."""
-        reached, times = cross(problem, plan)
+        reached, times = integrate_cells(problem, plan)
         decay = problem.drag1[:, None] * times + 2.0 * problem.drag2 * problem.step
         mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
         push = problem.gain[:, None] * problem.step * mean
         return Motion(reached, times, np.exp(-decay), push)
 
 
-class Round:
+class QPSubproblem:
     """One quadratic program about a plan.
 
     The unknowns are changes of speed to first order, ``dz = scale · change``, and the efforts.
@@ -210,7 +210,7 @@ class Round:
         self.equal, self.below = Rows(), Rows()
 
     def solve(
-        self, running_time: float, radius: float, lateness_price: float, *, evenness: float
+        self, running_time: float, radius: float, lateness_price: float, smoothing: float
     ) -> Solution:
         """The optimum of the program.
 
@@ -220,7 +220,7 @@ class Round:
         radius : float
             Part of the speed by which it may change.
         lateness_price : float [J/(kg s)]
-        evenness : float [s²/m]
+        smoothing : float [s²/m]
             Price of the squared change of effort from cell to cell.
 
         Raises
@@ -254,7 +254,7 @@ class Round:
         unknowns.high[unknowns.traction] = np.maximum(problem.traction - spare, spare)
         priced = cost.copy()
         priced[self.late] = lateness_price
-        bends = curvature + evenness * self._unevenness()
+        bends = curvature + smoothing * self._effort_changes()
         found = solve(unknowns, priced, self.equal, self.below, curvature=bends)
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
@@ -325,9 +325,9 @@ class Round:
         slope = 2.0 * step / total**2
         # A fixed node at standstill does not move; elsewhere dv = dz / v.
         ratio = np.where(speed > 0.25 * SLOW, self.scale / np.maximum(speed, 0.25 * SLOW), 0.0)
-        spent = float(self.problem.step @ self.plan.traction) / running_time
+        power = float(self.problem.step @ self.plan.traction) / running_time
         highest = max(float(self.price.max()), 0.0)
-        least = max(_LEAST_SHARE * highest, _LEAST_POWER * spent)
+        least = max(_LEAST_SHARE * highest, _LEAST_POWER * power)
         price = np.maximum(self.price, least)
         both = np.zeros_like(speed)
         both[:, :-1] += price * slope
@@ -344,7 +344,7 @@ class Round:
         gradient = np.stack((-slope * ratio[:, :-1], -slope * ratio[:, 1:]))
         return gradient, sp.csc_array((values, (rows, columns)), shape=(size, size))
 
-    def _unevenness(self) -> sp.csc_array:
+    def _effort_changes(self) -> sp.csc_array:
         """Squares of what the efforts change by from cell to cell.
 
         Speeds that are alternately higher and lower from node to node cost next to nothing, as
@@ -380,7 +380,7 @@ class Round:
         Where traction follows the power of one configuration all the way, at their mean.
         """
         problem, unknowns, n = self.problem, self.unknowns, self.problem.shape[1]
-        taper, level, alone = problem.taper, np.zeros(n), self._alone_at_power()
+        taper, level, alone = problem.taper, np.zeros(n), self._single_power_limit()
         pulled, braked = [], []
         for a, power in enumerate(problem.power.tolist()):
             usable, effort = power * (1.0 - taper.crest), unknowns.traction
@@ -394,16 +394,16 @@ class Round:
                     braked.append(self._below(a, nodes, usable_brake, own, limit, level))
         return pulled, braked
 
-    def _alone_at_power(self) -> NDArray[np.bool_]:
+    def _single_power_limit(self) -> NDArray[np.bool_]:
         """Cells in which each configuration is the only one to be short of power, (q, n).
 
-        Others, and who brakes not to need more, must keep the limit at both ends.
+        Others, and those that brake not to need more, must keep the limit at both ends.
         """
         problem = self.problem
         limit = problem.power[:, None] / np.maximum(self.speed, SLOW)
-        near = limit < _NEAR_OTHERS * limit.min(axis=0)
+        near = limit < _NEAR_LEAST * limit.min(axis=0)
         near = near[:, :-1] | near[:, 1:]
-        driving = self.plan.braking < _NOT_AT_ALL * problem.traction
+        driving = self.plan.braking < _BRAKE_APPLIED * problem.traction
         return np.asarray(problem.taper.full & near & (near.sum(axis=0) == 1) & driving)
 
     def _below(
@@ -433,7 +433,7 @@ class Round:
         """Mean effort in the cells `at` below the mean of ``power / v`` at their ends.
 
         By the tangent of what the power does in the time ``2 ds / (v + v')``, which the lower
-        bound has too; it is a trifle less than the mean, by a factor taken as of the plan.
+        bound has too; it is slightly less than the mean, by a factor taken as of the plan.
         """
         ends = np.stack((at, at + 1), axis=1)
         v = np.sqrt(self.speed[a, ends] ** 2 + 2.0 * self.problem.bulge[at, None])
@@ -454,34 +454,57 @@ def _until(gradient: FloatArray, node: int) -> FloatArray:
 
 
 def _by_point(
-    duals: FloatArray, told: list[tuple[int, NDArray[np.int64]]], shape: tuple[int, int]
+    duals: FloatArray, limits: list[tuple[int, NDArray[np.int64]]], shape: tuple[int, int]
 ) -> FloatArray:
     """Duals of the rows by configuration and passing point."""
     found = np.zeros(shape)
-    for number, rows in told:
+    for number, rows in limits:
         found[:, number] = np.maximum(duals[rows], 0.0)
     return found
 
 
-def _gathered(duals: FloatArray, told: list[_Limited], shape: tuple[int, int]) -> FloatArray:
+def _gathered(duals: FloatArray, limits: list[_Limited], shape: tuple[int, int]) -> FloatArray:
     """Duals of the rows by configuration and cell, those of both ends together."""
     total = np.zeros(shape)
-    for row, at, rows in told:
+    for row, at, rows in limits:
         total[row, at] += np.maximum(duals[rows], 0.0)
     return total
 
 
-NEXT_TO_NOTHING = 1e-3
-"""Energy next to which differences are not told [J/kg]: that of a train at 5 cm/s."""
+NEGLIGIBLE_ENERGY = 1e-3
+"""Energy beside which differences do not count [J/kg]: that of a train at 5 cm/s."""
 
 _LATENESS_PRICE = 100.0
 """Price of lateness over the multiplier of the time; more than a feasible run would pay."""
 
-_FREE_ROUNDS = 10
-"""Rounds before the steps are made to shrink."""
+_FREE_ITERATIONS = 10
+"""Iterations before the steps are made to shrink."""
 
-EVENNESS = 7e-4
-"""Price of the squared change of effort from cell to cell [s²/m]."""
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What quadratic programs leave when they end.
+
+    Attributes
+    ----------
+    energy : float
+        Relative change of energy below which an iteration is the last.
+    lateness : float [s]
+        That may be left besides.
+    violation : float
+        Excess over power, brake, speed or energy that makes another configuration active, relative.
+    smoothing : float [s²/m]
+        Price of the squared change of effort from cell to cell.
+    """
+
+    energy: float
+    lateness: float
+    violation: float = 5e-7
+    smoothing: float = 7e-4
+
+
+EXACT = Tolerances(energy=2e-6, lateness=3e-5)
+"""Where nothing corrects what is left."""
 
 
 def minimise(
@@ -489,15 +512,13 @@ def minimise(
     start: Plan,
     time_price: FloatArray,
     running_time: float,
+    tolerances: Tolerances = EXACT,
     *,
-    rounds: int = 40,
-    tolerance: float = 2e-6,
-    lateness: float = 3e-5,
-    evenness: float = EVENNESS,
+    iterations: int = 40,
 ) -> Solution:
     """Minimise the worst-case energy, beginning from a plan.
 
-    The time may be exceeded at a price that a feasible problem never pays; what remains tells how
+    The time may be exceeded at a price that a feasible problem never pays; what remains shows how
     far from feasible a problem is.
 
     Parameters
@@ -506,19 +527,14 @@ def minimise(
     time_price : (q,) array [J/(kg s)]
         Multiplier of the running time, about.
     running_time : float [s]
-    rounds : int
+    tolerances : Tolerances
+    iterations : int
         Most quadratic programs to solve.
-    tolerance : float
-        Relative change of energy below which a round is the last.
-    lateness : float [s]
-        That may be left besides.
-    evenness : float [s²/m]
-        Price of the squared change of effort from cell to cell.
 
     Raises
     ------
     NoSolutionError
-        If the solver finds a round infeasible, or fails.
+        If the solver finds a quadratic program infeasible, or fails.
     """
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
@@ -526,28 +542,29 @@ def minimise(
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
-        tapered = problem.tapered(taper_for(problem, plan))
-        program = Round(tapered, plan, price)
-        solution = program.solve(running_time, radius, lateness_price, evenness=evenness)
+        tapered = problem.tapered(taper_along(problem, plan))
+        program = QPSubproblem(tapered, plan, price)
+        solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
         late, early = delays(tapered, realise(tapered, plan), running_time)
         off = max(float(late.max()), float(early.max())) - solution.lateness
         changed = min(abs(solution.energy - energy), solution.moved)
-        settled = changed <= tolerance * max(solution.energy, NEXT_TO_NOTHING) and off <= lateness
-        if settled or len(statuses) == rounds:
-            return replace(solution, statuses=tuple(statuses), settled=settled)
+        enough = tolerances.energy * max(solution.energy, NEGLIGIBLE_ENERGY)
+        converged = changed <= enough and off <= tolerances.lateness
+        if converged or len(statuses) == iterations:
+            return replace(solution, statuses=tuple(statuses), converged=converged)
         energy = solution.energy
-        # The rounds contract by themselves; where they do not, ever smaller steps make them.
-        if len(statuses) >= _FREE_ROUNDS:
+        # The iterations contract by themselves; where they do not, ever smaller steps make them.
+        if len(statuses) >= _FREE_ITERATIONS:
             radius *= 0.7
 
 
 def with_costates(problem: DiscreteProblem, solution: Solution, running_time: float) -> Solution:
-    """A solution with the multipliers of its program as it stands, without a price of evenness.
+    """A solution with the multipliers of its program as it stands, without smoothing.
 
     They are the costates of the robust maximum principle, and give the lower bound. Where the
-    solver does not vouch for them, the solution keeps those it has.
+    solver does not find them to be optimal, the solution keeps those it has.
 
     Parameters
     ----------
@@ -556,10 +573,10 @@ def with_costates(problem: DiscreteProblem, solution: Solution, running_time: fl
     running_time : float [s]
     """
     plan, price = solution.plan, solution.multipliers.cell_prices(problem)
-    program = Round(problem, plan, price)
+    program = QPSubproblem(problem, plan, price)
     lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
     try:
-        found = program.solve(running_time, 1.0, lateness_price, evenness=0.0)
+        found = program.solve(running_time, 1.0, lateness_price, smoothing=0.0)
     except NoSolutionError:
         return solution
     return replace(

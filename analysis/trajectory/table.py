@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 LISTED = 8
 """Configurations of a trajectory that are listed one by one."""
 
-VOUCHED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
-"""Words of IPOPT by which it vouches for what it found."""
+OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+"""Statuses of IPOPT with which it finds its answer to be optimal."""
 
 
 def trajectory_table(trajectory: Trajectory) -> Group:
@@ -45,22 +45,22 @@ def trajectory_table(trajectory: Trajectory) -> Group:
             f"{trajectory.running_time:.1f} s ({clock(trajectory.running_time)}), {reserve}",
         ),
         ("configurations", deciding),
-        (trajectory.energy_told, f"{kwh(certificate['energy'])}, {bound}"),
+        (trajectory.energy_label, f"{kwh(certificate['energy'])}, {bound}"),
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
         ("latest arrival", f"{excess(audit['lateness']):.4f} s after the timetable"),
         ("speed over the limit", f"{excess(audit['overspeed']) * KMH:.5f} km/h"),
         ("power", f"{audit['power']:.6f} of the limit at most"),
         ("adhesion", _share(audit["adhesion"])),
-        ("controls as the maximum principle asks", shares or "not told"),
+        ("controls as the maximum principle asks", shares or "not known"),
     )
     for row in rows:
         facts.add_row(*row)
     if "referee" in certificate:
-        judge = certificate["referee"]
-        words = f"{kwh(judge['energy'])}, ours {judge['difference']:+.4%}"
-        if judge["status"] not in VOUCHED:
-            words += f"; {judge['name']} stopped before it was sure: its last point, no proof"
-        facts.add_row(f"second opinion by {judge['name']}", words)
+        referee = certificate["referee"]
+        words = f"{kwh(referee['energy'])}, ours {referee['difference']:+.4%}"
+        if referee["status"] not in OPTIMAL:
+            words += f"; {referee['name']} stopped before it was optimal: its last point, no proof"
+        facts.add_row(f"second result by {referee['name']}", words)
     table = new_table(
         "Energy of each configuration",
         *("configuration", "mass", "arrival", "top speed", "at the wheels", "from the line"),
@@ -84,7 +84,7 @@ def front_table(front: Front) -> Table:
     """Energy against running time, and what a second more saves."""
     first = front.trajectories[0]
     table = new_table(
-        f"Running time on {first.line}, {first.train}, against {first.energy_told}",
+        f"Running time on {first.line}, {first.train}, against {first.energy_label}",
         *("running time", "reserve", "energy", "gap", "a second more saves"),
     )
     for each, price in zip(front.trajectories, front.prices, strict=True):
@@ -102,21 +102,21 @@ def front_table(front: Front) -> Table:
 def journey_table(plan: JourneyPlan) -> Table:
     """Sections of a journey: when, how much, and what a second is worth in each."""
     certificate, first = plan.certificate, plan.sections[0]
-    dearest, mixed = certificate["dearest"], bool(certificate["mixture"])
+    costliest, mixed = certificate["costliest"], bool(certificate["mixture"])
     title = (
         f"Journey {plan.journey.name} on {plan.journey.line}:"
-        f" {'worst-case energy from the line' if mixed else first.energy_told}"
+        f" {'worst-case energy from the line' if mixed else first.energy_label}"
         f" {kwh(certificate['energy'])}, at least {kwh(certificate['lower_bound'])} at these"
         f" times; other times might save {certificate['other_times_might_save']:.2%}"
     )
     table = new_table(
         title,
         *("from km", "departs", "to km", "arrives", "energy", "gap", "a second is worth"),
-        caption=f"{dearest} takes most in all, {kwh(certificate['dearest_energy'])}"
+        caption=f"{costliest} takes most in all, {kwh(certificate['costliest_energy'])}"
         + ("; energies are its own" if mixed else ""),
         caption_justify="left",
     )
-    row = first.index_of(dearest)
+    row = first.index_of(costliest)
     for each, departs, arrives in zip(plan.sections, plan.departures, plan.arrivals, strict=True):
         found = each.certificate
         price = sum(found["time_price"].values())

@@ -20,7 +20,7 @@ from analysis.trajectory import optimise
 from analysis.trajectory.discretisation import discretise, tapered_as
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.problem import TrajectoryProblem
-from analysis.trajectory.rollout import cell_times, ride_along
+from analysis.trajectory.rollout import cell_times, rollout
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
@@ -62,7 +62,7 @@ def judge(line: Line, train: Train, found: ParameterSet, true: list[Configuratio
     )
     run = TrajectoryProblem(line, train, true)
     problem = tapered_as(discretise(run, trajectory.positions), trajectory)
-    plan = ride_along(problem, trajectory.tractive_effort / problem.reference, None)
+    plan = rollout(problem, trajectory.tractive_effort / problem.reference, None)
     arrival = cell_times(problem, plan).sum(axis=1)
     power = (plan.traction / problem.traction_by_power(plan.z)).max(axis=1)
     late = arrival - trajectory.running_time

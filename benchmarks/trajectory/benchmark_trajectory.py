@@ -21,7 +21,7 @@ import numpy as np
 from analysis.studies.cunillera_2022.model import TRAIN as VIRM6
 from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.trajectory.discretisation import discretise, tapered_as
-from analysis.trajectory.referee import Opinion, second_opinion
+from analysis.trajectory.referee import IpoptResult, solve_with_ipopt
 from analysis.trajectory.rollout import paced_run
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
@@ -91,7 +91,7 @@ def ours(case: Case, repeats: int) -> tuple[Trajectory, float, float]:
     return found, statistics.median(seconds), statistics.median(spent)
 
 
-def referee(case: Case, found: Trajectory, repeats: int) -> tuple[Opinion, float, float]:
+def referee(case: Case, found: Trajectory, repeats: int) -> tuple[IpoptResult, float, float]:
     """IPOPT's answer, the median processor time [s], and the reference inertia [kg]."""
     active = found.certificate["active"]
     run = case.problem()
@@ -103,9 +103,9 @@ def referee(case: Case, found: Trajectory, repeats: int) -> tuple[Opinion, float
     seconds = []
     for _ in range(repeats):
         begin = time.process_time()
-        opinion = second_opinion(problem, start, found.running_time)
+        result = solve_with_ipopt(problem, start, found.running_time)
         seconds.append(time.process_time() - begin)
-    return opinion, statistics.median(seconds), problem.reference
+    return result, statistics.median(seconds), problem.reference
 
 
 def row(case: Case, repeats: int) -> str:
@@ -120,9 +120,9 @@ def row(case: Case, repeats: int) -> str:
         f"{seconds:8.2f} {spent:8.2f}",
     ]
     if active <= LONGEST_FOR_IPOPT:
-        opinion, other, reference = referee(case, found, max(1, repeats // 2))
-        difference = certificate["energy"] / (opinion.energy * reference) - 1.0
-        told = f"{difference:+9.1e}" if opinion.solved else f"{'failed':>9s}"
+        result, other, reference = referee(case, found, max(1, repeats // 2))
+        difference = certificate["energy"] / (result.energy * reference) - 1.0
+        told = f"{difference:+9.1e}" if result.solved else f"{'failed':>9s}"
         words.append(f"{other:8.2f} {other / spent:6.1f} {told} ")
     else:
         words.append(f"{'-':>8s} {'-':>6s} {'-':>9s} ")

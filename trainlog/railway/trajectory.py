@@ -147,7 +147,7 @@ class Trajectory:
         return str(self.provenance.get("settings", {}).get("objective", "wheel"))
 
     @property
-    def energy_told(self) -> str:
+    def energy_label(self) -> str:
         """What the ``energy`` of the certificate is, and where it is taken, in words."""
         return _ENERGY.get(self.objective, "energy")
 

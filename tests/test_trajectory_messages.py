@@ -55,7 +55,7 @@ def test_an_opinion_that_ipopt_does_not_vouch_for_is_none() -> None:
     for status, sure in (("Solve_Succeeded", True), ("Error_In_Step_Computation", False)):
         certificate = found.certificate | {"referee": judge | {"status": status}}
         told = printed(replace(found, certificate=certificate))
-        assert ("stopped before it was sure" in told) is not sure
+        assert ("stopped before it was optimal" in told) is not sure
         assert status not in told
 
 
