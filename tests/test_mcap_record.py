@@ -21,7 +21,7 @@ from mcap_trips import ATTACHMENTS, METADATA, START, assert_same, trip_of
 
 import trainlog
 from trainlog.errors import InputError, LogError
-from trainlog.mcap import OverloadWarning, Recording, read_log, recorder, write_log
+from trainlog.mcap import OverloadWarning, Recording, read_log, write_log, writer
 from trainlog.mcap.chunks import PackedChunk, RawChunk
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
@@ -194,14 +194,14 @@ def test_an_event_happens_now_unless_told_otherwise(tmp_path: Path) -> None:
 def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """A disk that takes no chunk before the gate is opened."""
     opened = threading.Event()
-    compress = recorder.packed
+    compress = writer.packed
 
     def held(raw: RawChunk) -> PackedChunk:
         if threading.current_thread().name == "trainlog.record":
             assert opened.wait(30)
         return compress(raw)
 
-    monkeypatch.setattr(recorder, "packed", held)
+    monkeypatch.setattr(writer, "packed", held)
     return opened
 
 

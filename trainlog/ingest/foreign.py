@@ -346,7 +346,7 @@ def _topics(table: Table) -> set[str]:
 
 
 def _merged(first: Table, second: Table) -> Table:
-    """The rows of both; what only one of them tells is absent in the rows of the other."""
+    """The rows of both; what only one of them has is absent in the rows of the other."""
     time = np.concatenate((first.time, second.time))
     order = np.argsort(time, kind="stable")
     signals: dict[str, FloatArray] = {}

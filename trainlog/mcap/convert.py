@@ -117,7 +117,14 @@ def convert(
 
 
 def span_of(source: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
-    """Times of the first and the last row of a log or a folder; None if it has no rows."""
+    """Times of the first and the last row of a log or a folder; None if it has no rows.
+
+    Examples
+    --------
+    >>> first, last = span_of("sample_logs/nonstop.mcap")
+    >>> first < last
+    True
+    """
     if Path(source).is_dir():
         return time_span(source)
     topics = describe(source).topics

@@ -181,7 +181,7 @@ def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:
 
 @dataclass(frozen=True)
 class Length:
-    """The length of an array, given before its elements so that changing ones can be told."""
+    """The length of an array, given before its elements so that changing ones are found."""
 
     count: int
 

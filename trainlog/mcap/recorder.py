@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import atexit
 import errno
-import os
 import struct
 import threading
 import time as clock
@@ -26,32 +25,28 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import writing_error
-from trainlog.mcap.chunks import Listed, Samples, Stream, known_topic, packed, plan_of
-from trainlog.mcap.codec import HIGHEST_LEVEL, Codec, codec_for, event_record
+from trainlog.mcap.chunks import Listed, Samples, Stream, known_topic
+from trainlog.mcap.codec import HIGHEST_LEVEL, codec_for, event_record
 from trainlog.mcap.errors import in_file
 from trainlog.mcap.names import RECORDING_RECORD
 from trainlog.mcap.schemas import channel_of, schema_of
-from trainlog.mcap.writer import Sink, attachment_of, metadata_records
+from trainlog.mcap.writer import RecordingFile, metadata_records
 from trainlog.topics import EVENTS, TOPICS, Topic
 from trainlog.trip import Trip
 from trainlog.version import __version__
 
 QUEUE = 2**26
-"""How much may wait to be written, unless told otherwise [bytes]: seconds of a busy train."""
+"""How much may wait to be written by default [bytes]: seconds of a busy train."""
 
 _WARNING = 3
 """foxglove.Log.WARNING."""
 
 _HEAD = 2
 """Words of a row before its values: time and number."""
-
-_UNBOUNDED = 2**62
-"""A period [ns] that no chunk of a recording reaches: it is cut by its flushes."""
 
 
 class OverloadWarning(UserWarning):
@@ -77,15 +72,6 @@ class RecordingAccount:
     dropped: dict[str, int]
 
 
-@dataclass
-class _Batch:
-    """What has gathered since the last flush."""
-
-    rows: list[tuple[Form, bytearray]] = field(default_factory=list)
-    events: list[tuple[int, int, str, str]] = field(default_factory=list)
-    drops: dict[str, list[int]] = field(default_factory=dict)
-
-
 def record(
     path: str | Path,
     *,
@@ -96,9 +82,6 @@ def record(
     sync: bool = False,
 ) -> Recording:
     """Record live.
-
-        with trainlog.record("today.mcap", metadata={"train": "FLIRT"}) as log:
-            log.write("/train/state", time, speed=21.3, position=1204.0)
 
     Parameters
     ----------
@@ -111,7 +94,7 @@ def record(
         program is killed.
     queue : int
         How much may wait to be written [bytes]. What comes when it is full is dropped, counted and
-        told, in the log too; the caller never waits.
+        reported, in the log too; the caller never waits.
     sync : bool
         Whether to wait at every flush until the disk has it, so that no more is lost by a power
         cut either.
@@ -122,6 +105,19 @@ def record(
         If the file exists or cannot be made, or `flush` or `queue` is not positive.
     LogError
         If metadata are not text.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.mcap import read_log
+    >>> start = 1_700_000_000 * 10**9
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with record(f"{folder}/today.mcap", metadata={"train": "FLIRT"}) as log:
+    ...         log.write("/train/state", start, speed=21.3, position=1204.0)
+    ...         log.write("/train/state", [start + 10**8, start + 2 * 10**8], speed=[21.4, 21.5])
+    ...     trip = read_log(f"{folder}/today.mcap")
+    >>> trip["/train/state"]["speed"].tolist()
+    [21.3, 21.4, 21.5]
     """
     if not (isfinite(flush) and flush > 0):
         raise InputError(f"flush is {flush}", remedy="give a period in seconds, such as 1.0")
@@ -154,17 +150,17 @@ class Recording:
         self._closing = False
         self._failure: InputError | None = None
         self._waiting = 0
-        self._tables: dict[str, Table] = {}
-        self._forms: dict[tuple[str, ...], Form] = {}
-        self._batch = _Batch()
+        self._tables: dict[str, _Table] = {}
+        self._forms: dict[tuple[str, ...], _Form] = {}
+        self._events: list[tuple[int, int, str, str]] = []
         self._written: dict[str, int] = {}
         events = self._table(EVENTS.name, {})
         step = {"step": "record", "software": f"trainlog {__version__}"}
         with in_file(path):
             described = metadata_records(Trip({}, metadata, (step,), attachments))
         described[RECORDING_RECORD] = {"flush": repr(float(flush)), "sync": str(sync).lower()}
-        declared = (events.schema, events.channel)
-        self._file = RecordingFile(path, declared, described, attachments, sync=sync)
+        self._file = RecordingFile(path, sync)
+        self._file.begin((events.schema, events.channel), described, attachments)
         self._thread = threading.Thread(target=self._run, name="trainlog.record", daemon=True)
         self._thread.start()
         atexit.register(self.close)
@@ -206,7 +202,7 @@ class Recording:
                     row = form.block(time, values)
                 count = len(row) // (8 * (form.width + 2))
             if self._waiting >= self._limit:
-                self._drop(form.table, time, count)
+                form.table.drop(nanoseconds(topic, time), count)
                 return
             form.rows += row
             form.table.count += count
@@ -239,9 +235,9 @@ class Recording:
                 self._refuse()
             table = self._tables[EVENTS.name]
             if self._waiting >= self._limit:
-                self._drop(table, event[0], 1)
+                table.drop(at, 1)
                 return
-            self._batch.events.append(event)
+            self._events.append(event)
             self._waiting += 64 + 4 * (len(message) + len(name))
 
     def account(self) -> RecordingAccount:
@@ -282,8 +278,8 @@ class Recording:
             raise self._failure
         dropped = self.account().dropped
         if dropped:
-            told = ", ".join(f"{count:,} of {name}" for name, count in dropped.items())
-            message = f"{self._path}: samples were dropped because the queue was full: {told}"
+            counts = ", ".join(f"{count:,} of {name}" for name, count in dropped.items())
+            message = f"{self._path}: samples were dropped because the queue was full: {counts}"
             warnings.warn(OverloadWarning(message), stacklevel=2)
 
     def __enter__(self) -> Recording:
@@ -308,35 +304,22 @@ class Recording:
             raise self._failure
         raise LogError("the recording is closed", file=self._path, remedy="begin another one")
 
-    def _form(self, topic: str, values: Mapping[str, Any]) -> Form:
+    def _form(self, topic: str, values: Mapping[str, Any]) -> _Form:
         """The form of samples with these fields, made when the first one comes."""
         with in_file(self._path):
             if known_topic(topic) is EVENTS:
                 raise LogError("events are not samples", remedy="record them with event()")
             with self._lock:
-                form = form_of(self._table(topic, values), values)
+                form = self._table(topic, values).form(values)
                 return self._forms.setdefault((topic, *values), form)
 
-    def _table(self, name: str, values: Mapping[str, Any]) -> Table:
-        """The table of a topic; its first sample that tells of axles says how many there are."""
+    def _table(self, name: str, values: Mapping[str, Any]) -> _Table:
+        """The table of a topic; its first sample decides how many axles there are."""
         table = self._tables.get(name)
         if table is None:
-            axles = axles_in(TOPICS[name], values)
-            table = table_of(TOPICS[name], len(self._tables) + 1, axles)
+            table = _Table(TOPICS[name], len(self._tables) + 1, _axles_in(TOPICS[name], values))
             self._tables[name] = table
         return table
-
-    def _drop(self, table: Table, time: Any, count: int) -> None:
-        """Count samples that come when the queue is full."""
-        table.dropped += count
-        table.count += count
-        at = nanoseconds(table.topic.name, time)
-        if at.size:
-            first, last, before = self._batch.drops.get(
-                table.topic.name, [int(at.min()), int(at.max()), 0]
-            )
-            span = [min(first, int(at.min())), max(last, int(at.max())), before + count]
-            self._batch.drops[table.topic.name] = span
 
     def _run(self) -> None:
         """The recorder's thread: a flush a period, and one at the end."""
@@ -348,49 +331,52 @@ class Recording:
             with self._lock:
                 self._due.clear()
                 closing = self._closing
-                batch = self._taken()
+                rows, events = self._taken()
             try:
-                for counts in self._file.put(self._streams(batch)):
+                for counts in self._file.put(self._streams(rows, events)):
                     self._count(counts)
             except MemoryError:
                 self._fail(OSError(errno.ENOMEM, "out of memory"))
             except OSError as error:
                 self._fail(error)
 
-    def _taken(self) -> _Batch:
-        """What has gathered; the queue is empty then."""
-        batch, self._batch = self._batch, _Batch()
-        for form in self._forms.values():
-            if form.rows:
-                batch.rows.append((form, form.rows))
-                form.rows = bytearray()
-        table = self._tables[EVENTS.name]
-        for name, (first, last, count) in batch.drops.items():
-            said = f"{count:,} samples of {name} dropped: the queue was full"
-            span = f"from {np.datetime64(first, 'ns')} to {np.datetime64(last, 'ns')}"
-            batch.events.append((first, _WARNING, f"{said} {span}", "trainlog.record"))
-        table.count += len(batch.events)
+    def _taken(self) -> tuple[list[tuple[_Form, bytearray]], list[tuple[int, int, str, str]]]:
+        """The samples by their form and the events that have gathered; the queue is empty then."""
+        rows = [(form, form.rows) for form in self._forms.values() if form.rows]
+        for form, _ in rows:
+            form.rows = bytearray()
+        events, self._events = self._events, []
+        for name, table in self._tables.items():
+            if table.gap is not None:
+                first, last, count = table.gap
+                span = f"from {np.datetime64(first, 'ns')} to {np.datetime64(last, 'ns')}"
+                problem = f"{count:,} samples of {name} dropped: the queue was full {span}"
+                events.append((first, _WARNING, problem, "trainlog.record"))
+                table.gap = None
+        self._tables[EVENTS.name].count += len(events)
         self._waiting = 0
-        return batch
+        return rows, events
 
-    def _streams(self, batch: _Batch) -> list[Stream]:
+    def _streams(
+        self, rows: list[tuple[_Form, bytearray]], events: list[tuple[int, int, str, str]]
+    ) -> list[Stream]:
         """The streams of what was taken, in the order of their channels."""
-        parts: dict[str, list[tuple[Form, bytearray]]] = {}
-        for form, rows in batch.rows:
-            parts.setdefault(form.table.topic.name, []).append((form, rows))
-        streams = [form_rows[0][0].table.stream(form_rows) for form_rows in parts.values()]
-        if batch.events:
+        parts: dict[str, list[tuple[_Form, bytearray]]] = {}
+        for form, each in rows:
+            parts.setdefault(form.table.topic.name, []).append((form, each))
+        streams = [self._tables[name].stream(each) for name, each in parts.items()]
+        if events:
             table = self._tables[EVENTS.name]
-            first = table.count - len(batch.events)
-            numbered = sorted(enumerate(batch.events, start=first), key=lambda each: each[1][0])
-            records = [event_record(table.channel.id, *event) for _, event in numbered]
+            first = table.count - len(events)
+            numbered = sorted(enumerate(events, start=first), key=lambda each: each[1][0])
+            numbers, ordered = zip(*numbered, strict=True)
             streams.append(
                 Stream(
                     table.channel,
                     table.schema,
-                    np.array([event[0] for _, event in numbered], dtype=np.int64),
-                    Listed(records),
-                    np.array([number for number, _ in numbered], dtype=np.uint64).astype(np.uint32),
+                    np.array([event[0] for event in ordered], dtype=np.int64),
+                    Listed([event_record(table.channel.id, *event) for event in ordered]),
+                    np.array(numbers, dtype=np.uint64).astype(np.uint32),
                 )
             )
         return sorted(streams, key=lambda stream: stream.channel.id)
@@ -441,21 +427,22 @@ def _checked_event(time: Any, level: int, message: str, name: str) -> tuple[int,
 
 
 @dataclass
-class Form:
+class _Form:
     """The samples of one topic that give the same fields in the same order.
 
     Attributes
     ----------
-    table : Table
-    pack : callable
-        From time, number and values to the bytes of a row; struct.error if they are not numbers.
+    table : _Table
+    names : tuple of str
     axles : tuple of int
-        For each value 0, or how many numbers it is for a field with one for each axle.
+        For each field 0, or how many numbers it is for a field with one for each axle.
     rows : bytearray
         The samples that wait.
+    pack : callable
+        From time, number and values to the bytes of a row; struct.error if they are not numbers.
     """
 
-    table: Table
+    table: _Table
     names: tuple[str, ...]
     axles: tuple[int, ...]
     rows: bytearray = field(default_factory=bytearray)
@@ -489,8 +476,9 @@ class Form:
         rows = np.empty((times.size, _HEAD + self.width))
         rows[:, :_HEAD].view(np.int64)[:, 0] = times
         rows[:, :_HEAD].view(np.int64)[:, 1] = self.table.count + np.arange(times.size)
-        at = _HEAD
-        for (name, value), count in zip(values.items(), self.axles, strict=True):
+        for (name, value), at, count in zip(
+            values.items(), self._places(), self.axles, strict=True
+        ):
             shape = times.shape + ((count,) if count else ())
             try:
                 numbers = np.asarray(value, dtype=np.float64)
@@ -500,8 +488,7 @@ class Form:
                 raise self.table.refusal(
                     f"{name} has the shape {numbers.shape}, where the time asks for {shape}"
                 )
-            rows[:, at : at + (count or 1)] = numbers.reshape(times.size, count or 1)
-            at += count or 1
+            rows[:, at] = numbers.reshape(times.size, count or 1)
         return rows.tobytes()
 
     def arrays(
@@ -510,44 +497,72 @@ class Form:
         """Times, numbers, and a table with a row for each column of the topic, NaN if absent."""
         words = np.frombuffer(rows, dtype=np.float64).reshape(-1, _HEAD + self.width)
         head = words[:, :_HEAD].view(np.int64)
-        columns = self.table.columns
+        columns = self.table.codec.names
         table = np.full((len(columns), len(words)), np.nan)
-        at = _HEAD
-        for name, count in zip(self.names, self.axles, strict=True):
-            first = columns[f"{name}_1" if count else name]
-            table[first : first + (count or 1)] = words[:, at : at + (count or 1)].T
-            at += count or 1
+        for name, at, count in zip(self.names, self._places(), self.axles, strict=True):
+            first = columns.index(f"{name}_1" if count else name)
+            table[first : first + (count or 1)] = words[:, at].T
         return head[:, 0].copy(), head[:, 1].copy(), table
+
+    def _places(self) -> Iterator[slice]:
+        """Where the values of each field stand in a row."""
+        at = _HEAD
+        for count in self.axles:
+            yield slice(at, at + (count or 1))
+            at += count or 1
 
 
 @dataclass
-class Table:
+class _Table:
     """One topic of a recording.
 
     Attributes
     ----------
     topic : Topic
-    channel : mcap.records.Channel
-    schema : mcap.records.Schema
-    codec : Codec
+    number : int
+        Of its channel and its schema.
     axles : int
-        How many numbers its fields have that have one for each axle; the first sample says it.
-    columns : dict of str to int
-        Row of each column in the codec's tables.
+        How many numbers its fields have that have one for each axle; the first sample decides it.
     count : int
         How many samples it was given, those dropped included.
     dropped : int
         How many of them were not recorded.
+    gap : (int, int, int), optional
+        First and last time [ns] and number of the samples dropped since the last flush.
     """
 
     topic: Topic
-    channel: Channel
-    schema: Schema
-    codec: Codec
+    number: int
     axles: int
-    columns: dict[str, int]
     count: int = 0
     dropped: int = 0
+    gap: tuple[int, int, int] | None = None
+
+    def __post_init__(self) -> None:
+        counts = {each.name: self.axles for each in self.topic.fields if each.per_axle}
+        self.codec = codec_for(self.topic, self.number, counts)
+        self.channel = channel_of(self.topic, self.number, self.number, counts)
+        self.schema = schema_of(self.topic, self.number)
+
+    def form(self, values: Mapping[str, Any]) -> _Form:
+        """How samples with these fields are laid down.
+
+        Raises
+        ------
+        LogError
+            If the topic does not have one of the fields.
+        """
+        if not values:
+            raise self.refusal("has no values")
+        per_axle = {each.name: each.per_axle for each in self.topic.fields}
+        for name in values:
+            if name not in per_axle:
+                raise LogError(
+                    f"{self.topic.name} has no field {name}",
+                    remedy=f"its fields are {', '.join(per_axle)}",
+                )
+        axles = tuple(self.axles if per_axle[name] else 0 for name in values)
+        return _Form(self, tuple(values), axles)
 
     def refusal(self, problem: str) -> LogError:
         """The error for a sample that does not fit."""
@@ -557,7 +572,16 @@ class Table:
             remedy="give numbers in SI units; leave out what is not known",
         )
 
-    def stream(self, parts: list[tuple[Form, bytearray]]) -> Stream:
+    def drop(self, time: NDArray[np.int64], count: int) -> None:
+        """Count samples that come when the queue is full."""
+        self.dropped += count
+        self.count += count
+        if time.size:
+            least, greatest = int(time.min()), int(time.max())
+            first, last, before = self.gap or (least, greatest, 0)
+            self.gap = min(first, least), max(last, greatest), before + count
+
+    def stream(self, parts: list[tuple[_Form, bytearray]]) -> Stream:
         """The samples taken, in the order of time, numbered as they arrived."""
         found = [form.arrays(rows) for form, rows in parts]
         time = np.concatenate([part[0] for part in found])
@@ -570,38 +594,8 @@ class Table:
         return Stream(self.channel, self.schema, time, Samples(self.codec, table), sequence)
 
 
-def table_of(topic: Topic, number: int, axles: int) -> Table:
-    """A topic's table; channel and schema are both called `number`."""
-    counts = {each.name: axles for each in topic.fields if each.per_axle}
-    codec = codec_for(topic, number, counts)
-    columns = {name: row for row, name in enumerate(codec.names)}
-    channel, schema = channel_of(topic, number, number, counts), schema_of(topic, number)
-    return Table(topic, channel, schema, codec, axles, columns)
-
-
-def form_of(table: Table, values: Mapping[str, Any]) -> Form:
-    """How a topic's samples with these fields are laid down.
-
-    Raises
-    ------
-    LogError
-        If the topic does not have one of the fields.
-    """
-    if not values:
-        raise table.refusal("has no values")
-    per_axle = {each.name: each.per_axle for each in table.topic.fields}
-    for name in values:
-        if name not in per_axle:
-            raise LogError(
-                f"{table.topic.name} has no field {name}",
-                remedy=f"its fields are {', '.join(per_axle)}",
-            )
-    axles = tuple(table.axles if per_axle[name] else 0 for name in values)
-    return Form(table, tuple(values), axles)
-
-
-def axles_in(topic: Topic, values: Mapping[str, Any]) -> int:
-    """How many axles a sample tells of; 0 if it has no field with one number for each.
+def _axles_in(topic: Topic, values: Mapping[str, Any]) -> int:
+    """How many axles a sample has values for; 0 if it has no field with one number for each.
 
     Raises
     ------
@@ -658,115 +652,3 @@ def _no_time(topic: str, time: Any) -> LogError:
         f"{str(time)[:60]} of {topic} is no time, or one before 1970",
         remedy="give nanoseconds since 1970 (UTC) as whole numbers, or time stamps",
     )
-
-
-# ------------------------------------------------------------------------------------- the file
-
-
-class RecordingFile:
-    """The file of a recording, which did not exist before.
-
-    Parameters
-    ----------
-    path : Path
-    declared : (mcap.records.Schema, mcap.records.Channel)
-        The channel that every recording has.
-    described : dict of str to dict
-        Its metadata records by name.
-    attachments : dict of str to bytes
-    sync : bool
-        Whether each flush waits until the disk has it.
-
-    Raises
-    ------
-    InputError
-        If the file exists or cannot be made.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        declared: tuple[Schema, Channel],
-        described: dict[str, dict[str, str]],
-        attachments: dict[str, bytes],
-        *,
-        sync: bool,
-    ) -> None:
-        self._path, self._sync = path, sync
-        try:
-            self._file = path.open("xb", buffering=0)
-        except FileExistsError as error:
-            remedy = "choose another name; a recording never overwrites a file"
-            raise InputError("exists already", file=path, remedy=remedy) from error
-        except OSError as error:
-            raise writing_error(path, error) from error
-        try:
-            self._sink = Sink(self._file)
-            self._declare(*declared)
-            for name, values in described.items():
-                self._sink.put_metadata(name, values)
-            for name, content in sorted(attachments.items()):
-                self._sink.put_attachment(attachment_of(name, content, 0))
-        except OSError as error:
-            self._file.close()
-            path.unlink(missing_ok=True)
-            raise writing_error(path, error) from error
-
-    def _declare(self, schema: Schema, channel: Channel) -> None:
-        self._sink.declare(schema)
-        self._sink.declare(channel)
-
-    def put(self, streams: list[Stream]) -> Iterator[dict[str, int]]:
-        """Write streams as chunks; for each chunk that is in the file, its messages by topic.
-
-        Raises
-        ------
-        OSError
-            If they cannot be written, or the file is no longer at its place.
-        """
-        for stream in streams:
-            self._declare(stream.schema, stream.channel)
-        topics = {stream.channel.id: stream.channel.topic for stream in streams}
-        plan = plan_of(streams, period=_UNBOUNDED)
-        for number in range(len(plan)):
-            chunk = packed(plan.chunk(number))
-            self._sink.put_chunk(chunk)
-            yield {topics[channel]: len(entries) for channel, entries in chunk.index.items()}
-        if self._sync:
-            os.fsync(self._file.fileno())
-        here, there = os.fstat(self._file.fileno()), self._path.stat()
-        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
-            raise FileNotFoundError(errno.ENOENT, "another file has taken its place")
-
-    def end(self, closed: dict[str, str], *, failed: bool) -> None:
-        """Close the file: with its summary if there is room for it, else behind its last chunk.
-
-        Parameters
-        ----------
-        closed : dict of str to str
-            What the closing metadata say.
-        failed : bool
-            Whether the last write failed, and may have left a part of a record.
-
-        Raises
-        ------
-        OSError
-            If there is no summary.
-        """
-        try:
-            if failed:
-                self._cut()
-            self._sink.put_metadata(RECORDING_RECORD, closed)
-            self._sink.finish()
-            if self._sync:
-                os.fsync(self._file.fileno())
-        except OSError:
-            self._cut()
-            raise
-        finally:
-            self._file.close()
-
-    def _cut(self) -> None:
-        """Take away the part of a record that a failed write may have left."""
-        self._file.truncate(self._sink.position)
-        self._file.seek(self._sink.position)

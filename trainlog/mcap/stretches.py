@@ -87,6 +87,13 @@ def stretches(
     ------
     LogError, InputError
         As `read_log`.
+
+    Examples
+    --------
+    >>> [part.number for part in stretches("sample_logs/nonstop.mcap", ["/train/state"])]
+    [1]
+    >>> len(list(stretches("sample_logs/nonstop.mcap", ["/train/state"], rows=5_000))) > 1
+    True
     """
     borders = _borders(path, topics, rows or ROWS)
     if not borders:

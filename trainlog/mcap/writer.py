@@ -7,7 +7,9 @@ those of the official package.
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import struct
 import sys
 from collections import Counter, deque
@@ -39,15 +41,24 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from trainlog.errors import LogError
-from trainlog.formats.files import atomic_write
+from trainlog.errors import InputError, LogError
+from trainlog.formats.files import atomic_write, writing_error
 from trainlog.mcap.chunks import PackedChunk, Plan, Stream, packed, plan_of, stream_of, topics_of
 from trainlog.mcap.errors import in_file
-from trainlog.mcap.names import FORMAT_RECORD, POSITIONS_RECORD, PROVENANCE_RECORD, TRIP_RECORD
+from trainlog.mcap.names import (
+    FORMAT_RECORD,
+    POSITIONS_RECORD,
+    PROVENANCE_RECORD,
+    RECORDING_RECORD,
+    TRIP_RECORD,
+)
 from trainlog.mcap.positions import Entry, encoded
 from trainlog.mcap.workers import threads_of
 from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import Trip
+
+_UNBOUNDED = 2**62
+"""A period [ns] that no chunk of a recording reaches: it is cut by its flushes."""
 
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 """Opcode, length, first and last log time, size, checksum, length of the compression's name."""
@@ -81,6 +92,17 @@ def write_log(
         run backwards, metadata that are not text.
     InputError
         If `path` cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.mcap import read_log
+    >>> trip = read_log("sample_logs/nonstop.mcap")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_log(trip, f"{folder}/again.mcap")
+    ...     again = read_log(f"{folder}/again.mcap")
+    >>> again["/train/state"].equals(trip["/train/state"])
+    True
     """
     with LogWriter(path, threads=threads, sync=sync) as log:
         log.add(trip)
@@ -88,10 +110,6 @@ def write_log(
 
 class LogWriter:
     """A log written piece by piece, for trips larger than the memory; whole or not at all.
-
-        with LogWriter("long.mcap") as log:
-            for piece in pieces:
-                log.add(piece)
 
     The pieces follow each other in time. Metadata and attachments are those of the first, the
     provenance is that of the last, which knows what was lost on the way. When the block ends the
@@ -104,6 +122,18 @@ class LogWriter:
     path : path
     threads, sync
         As for `write_log`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.mcap import describe, stream_log
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with LogWriter(f"{folder}/long.mcap") as log:
+    ...         for piece in stream_log("sample_logs/nonstop.mcap", rows=10_000):
+    ...             log.add(piece)
+    ...     made = describe(f"{folder}/long.mcap").account.messages
+    >>> made == describe("sample_logs/nonstop.mcap").account.messages
+    True
     """
 
     def __init__(self, path: str | Path, *, threads: int | None = None, sync: bool = False) -> None:
@@ -240,6 +270,94 @@ class LogWriter:
 
 def _made(plan: Plan, number: int) -> PackedChunk:
     return packed(plan.chunk(number))
+
+
+class RecordingFile:
+    """The file of a recording, readable at any moment; InputError if it exists or cannot be made.
+
+    Parameters
+    ----------
+    path : Path
+    sync : bool
+        Whether each `put` waits until the disk has it.
+    """
+
+    def __init__(self, path: Path, sync: bool) -> None:
+        self._path, self._sync = path, sync
+        try:
+            self._file = path.open("xb", buffering=0)
+        except FileExistsError as error:
+            remedy = "choose another name; a recording never overwrites a file"
+            raise InputError("exists already", file=path, remedy=remedy) from error
+        except OSError as error:
+            raise writing_error(path, error) from error
+
+    def begin(
+        self,
+        declared: tuple[Schema, Channel],
+        described: dict[str, dict[str, str]],
+        attachments: dict[str, bytes],
+    ) -> None:
+        """Write what explains the recording; InputError, and no file, if it cannot be written."""
+        try:
+            self._sink = Sink(self._file)
+            for record in declared:
+                self._sink.declare(record)
+            for name, values in described.items():
+                self._sink.put_metadata(name, values)
+            for name, content in sorted(attachments.items()):
+                self._sink.put_attachment(attachment_of(name, content, 0))
+        except OSError as error:
+            self._file.close()
+            self._path.unlink(missing_ok=True)
+            raise writing_error(self._path, error) from error
+
+    def put(self, streams: list[Stream]) -> Iterator[dict[str, int]]:
+        """Write streams as chunks; for each chunk that is in the file, its messages by topic.
+
+        Raises
+        ------
+        OSError
+            If they cannot be written, or the file is no longer at its place.
+        """
+        for stream in streams:
+            self._sink.declare(stream.schema)
+            self._sink.declare(stream.channel)
+        topics = {stream.channel.id: stream.channel.topic for stream in streams}
+        plan = plan_of(streams, period=_UNBOUNDED)
+        for number in range(len(plan)):
+            chunk = packed(plan.chunk(number))
+            self._sink.put_chunk(chunk)
+            yield {topics[channel]: len(entries) for channel, entries in chunk.index.items()}
+        if self._sync:
+            os.fsync(self._file.fileno())
+        here, there = os.fstat(self._file.fileno()), self._path.stat()
+        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
+            raise FileNotFoundError(errno.ENOENT, "another file has taken its place")
+
+    def end(self, closed: dict[str, str], *, failed: bool) -> None:
+        """Close the file: with its summary if there is space for it, else behind its last chunk.
+
+        `closed` is what the closing metadata state; `failed` whether the last write failed, and may
+        have left a part of a record. OSError if there is no summary.
+        """
+        try:
+            if failed:
+                self._cut()
+            self._sink.put_metadata(RECORDING_RECORD, closed)
+            self._sink.finish()
+            if self._sync:
+                os.fsync(self._file.fileno())
+        except OSError:
+            self._cut()
+            raise
+        finally:
+            self._file.close()
+
+    def _cut(self) -> None:
+        """Take away the part of a record that a failed write may have left."""
+        self._file.truncate(self._sink.position)
+        self._file.seek(self._sink.position)
 
 
 def attachment_of(name: str, content: bytes, time: int) -> Attachment:
@@ -401,8 +519,8 @@ class Sink:
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer. The stream stays open."""
         if self._positions:
-            told = {topic: encoded(entries) for topic, entries in sorted(self._positions.items())}
-            self.put_metadata(POSITIONS_RECORD, told)
+            ranges = {topic: encoded(entries) for topic, entries in sorted(self._positions.items())}
+            self.put_metadata(POSITIONS_RECORD, ranges)
         end = record_bytes(DataEnd(data_section_crc=self._checksum))
         start = self.position + len(end)
         summary, offsets = bytearray(), bytearray()
