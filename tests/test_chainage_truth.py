@@ -155,7 +155,7 @@ def test_a_log_that_runs_there_and_back_is_refused() -> None:
         frame.attrs = there[name].attrs
         assert np.all(np.diff(joined) > 0)
         topics[name] = frame
-    with pytest.raises(InputError, match=r"against the direction|runs both ways"):
+    with pytest.raises(InputError, match=r"against the direction|follow it in one direction"):
         estimated(Trip(topics, there.metadata), winding())
 
 

@@ -183,27 +183,27 @@ LINE_CASES = [
     ("length.unit", "kg", "f.json, length.unit: unit 'kg' cannot be read as m; declare a unit of"),
     ("length.unit", "furlongish", "f.json, length.unit: unit 'furlongish' cannot be read as m"),
     ("length.value", -1, "f.json: line 'L': length -1.0 m is not positive"),
-    ("length.value", "1", "f.json, length.value: input should be a valid number"),
-    ("length.value", True, "f.json, length.value: input should be a valid number"),
+    ("length.value", "1", "f.json, length.value: must be a valid number"),
+    ("length.value", True, "f.json, length.value: must be a valid number"),
     ("length", {"value": 1}, "f.json, length.unit: 'unit' is missing; add it"),
-    ("name", "", "f.json, name: string should have at least 1 character"),
+    ("name", "", "f.json, name: must have at least 1 character"),
     ("speed_limits.units.speed", "m", "f.json, speed_limits.units.speed: unit 'm' cannot be read"),
     ("speed_limits.values.1", [300], "f.json, speed_limits.values[1][1]: '1' is missing; add it"),
     ("speed_limits.values.1", [0, 9], "f.json, speed_limits.values[1]: position 0 m follows 0 m"),
     ("speed_limits.values.0.0", 5, "f.json, speed_limits.values: the first row is not at position"),
     ("speed_limits.values", [], "f.json, speed_limits.values: the first row is not at position 0"),
     ("speed_limits.values.1.1", 0, "f.json: line 'L': speed limit at km 0.400 is not positive; a"),
-    ("speed_limits.values.1.1", None, "f.json, speed_limits.values[1][1]: input should be a valid"),
+    ("speed_limits.values.1.1", None, "f.json, speed_limits.values[1][1]: must be a valid"),
     ("gradients.values.0.1", 300, "f.json: line 'L': gradient at km 0.000 is steeper than 200 per"),
     ("stations.values.1.1", 2000, "f.json: line 'L': station at km 2.000 lies before the line's"),
-    ("stations.values.0.0", 7, "f.json, stations.values[0][0]: input should be a valid string"),
+    ("stations.values.0.0", 7, "f.json, stations.values[0][0]: must be a valid string"),
     (
         "curvatures",
         {
             "units": {"position": "m", "radius_at_start": "m", "radius_at_end": "m"},
             "values": [[0, "straight", 500]],
         },
-        "f.json, curvatures.values[0][1]: should be a finite number or 'infinity'",
+        "f.json, curvatures.values[0][1]: must be a finite number or 'infinity'",
     ),
     (
         "curvatures",
@@ -257,12 +257,12 @@ TRAIN_CASES = [
     ("max_deceleration.value", 0, "f.json: train 'T': max_deceleration 0.0 is not positive"),
     ("brake.dead_time.value", -1, "f.json, brake.dead_time: must be 0 or more"),
     ("running_resistance.r2.value", -9, "f.json, running_resistance: train 'T': running resist"),
-    ("axles.count", 0, "f.json, axles.count: input should be greater than 0"),
-    ("axles.count", 4.5, "f.json, axles.count: input should be a valid integer"),
+    ("axles.count", 0, "f.json, axles.count: must be greater than 0"),
+    ("axles.count", 4.5, "f.json, axles.count: must be a valid integer"),
     ("axles.wheel_radius.value", 0, "f.json, axles.wheel_radius: must be positive"),
     ("running_resistance.r3", 1, "f.json, running_resistance.r3: unknown key 'r3'"),
     ("running_resistance.r1.unit", "kN", "f.json, running_resistance.r1.unit: unit 'kN' cannot"),
-    ("max_speed", 160, "f.json, max_speed: input should be a valid dictionary"),
+    ("max_speed", 160, "f.json, max_speed: must be a valid dictionary"),
 ]
 OTHER_CASES = [
     ("journey", "timing_points.values.0.1", -1, "f.json: journey 'J': time window at km 0.000 has"),
@@ -292,7 +292,7 @@ OTHER_CASES = [
         "map",
         "layers.dry.observed",
         [1, 0],
-        "f.json, layers.dry.observed[0]: input should be a vali",
+        "f.json, layers.dry.observed[0]: must be a vali",
     ),
     ("map", "bin_length.value", 0, "f.json, bin_length: must be positive"),
     (
@@ -306,7 +306,7 @@ OTHER_CASES = [
 
 CONSIST_CASES = [
     ("vehicles.0.mass.value", -1, "f.json, vehicles[0]: vehicle 'wagon': mass -1000.0 is not"),
-    ("vehicles.0.count", 0, "f.json, vehicles[0].count: input should be greater than 0"),
+    ("vehicles.0.count", 0, "f.json, vehicles[0].count: must be greater than 0"),
     ("vehicles.0.count", 9, "f.json: consist 'train of paper 004, 8 wagons': 9 vehicles need 8"),
     ("vehicles", [], "f.json, vehicles: has too few entries; give at least 1 item"),
     (

@@ -168,7 +168,7 @@ def test_files_that_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_a_start_that_was_never_set_can_be_given(tmp_path: Path) -> None:
     path = measured(tmp_path / "run.mdf", version="3.30", set_start=False)
-    with pytest.raises(InputError, match="says that it was started at 1980-01-01"):
+    with pytest.raises(InputError, match="states that it was started at 1980-01-01"):
         ingest(path, profile=profile())
     time = {"column": "time", "format": "elapsed", "start": "2024-05-01T08:00:00+02:00"}
     trip = ingest(path, profile=profile(time=time))

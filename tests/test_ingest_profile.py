@@ -32,7 +32,7 @@ def test_the_samples_profile_is_valid() -> None:
         ("", "is not a recorder profile: format is None; begin the file with format ="),
         ("format = 'trainlog/line'", "is not a recorder profile: format is 'trainlog/line'"),
         ("format = ", r"is not TOML: Invalid value \(at end of document\)"),
-        (HEAD.replace("1", "2"), "version: Input should be 1"),
+        (HEAD.replace("1", "2"), "version: must be 1"),
         (HEAD.replace("name", "names"), "(names: unknown key 'names'|name: key 'name' is missing)"),
         (HEAD + "[time]\ncolunm = 't'", "time.colunm: unknown key 'colunm'.*did you mean 'column'"),
         (HEAD + "[tiem]\ncolumn = 't'", "tiem: unknown key 'tiem'; did you mean 'time'"),
@@ -41,12 +41,12 @@ def test_the_samples_profile_is_valid() -> None:
         (HEAD + "[time]\ncolumn = 't'\nformat = 'isoo'", "format 'isoo' is none of 'iso'"),
         (HEAD + "[time]\ncolumn = 't'\nformat = 'elapsed'", "'elapsed' and start"),
         (HEAD + "[time]\ncolumn = 't'\ntimezone = 'Mars'", "timezone 'Mars' is not known"),
-        (HEAD + "[time]\ncolumn = 't'\nunit = 'h'", "time.unit: Input should be 's'"),
+        (HEAD + "[time]\ncolumn = 't'\nunit = 'h'", "time.unit: must be 's'"),
         (HEAD + "[time]\ncolumn = 't'\ndate = 2024-05-01", "date is for a pattern"),
-        (HEAD + "[file]\ndelimiter = ';;'", "file.delimiter: String should have at most 1"),
+        (HEAD + "[file]\ndelimiter = ';;'", "file.delimiter: must have at most 1"),
         (HEAD + "[file]\ndelimiter = ','\ndecimal = ','", "delimiter and decimal are both ','"),
         (HEAD + "[file]\nencoding = 'utf8000'", "encoding 'utf8000' is not known"),
-        (HEAD + "[file]\nheader = -1", "file.header: Input should be greater"),
+        (HEAD + "[file]\nheader = -1", "file.header: must be greater"),
         (
             HEAD + "[columns]\n'/train/sate.speed' = {column='v', unit='m/s'}",
             "unknown field '/train/sate.speed'; did you mean '/train/state.speed'",
@@ -89,11 +89,11 @@ def test_the_samples_profile_is_valid() -> None:
         ),
         (
             HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='m/s', sign=2}",
-            """columns."/train/state.speed".sign: Input should be 1 or -1""",
+            """columns."/train/state.speed".sign: must be 1 or -1""",
         ),
         (
             HEAD + "[columns]\n'/train/state.speed' = {column='v', unit='m/s', scale=nan}",
-            "scale: Input should be a finite number",
+            "scale: must be a finite number",
         ),
         (
             HEAD + "[columns]\n'/events.message' = {value=3}",
@@ -105,13 +105,13 @@ def test_the_samples_profile_is_valid() -> None:
         ),
         (HEAD + "[trip]\nload = {value=3, unit='m'}", "load: unit 'm' cannot be read as kg"),
         (HEAD + "[trip]\nload = 3", "trip.load"),
-        (HEAD + "[trip]\nweather = 'snow'", "trip.weather: Input should be 'dry' or 'wet'"),
+        (HEAD + "[trip]\nweather = 'snow'", "trip.weather: must be 'dry' or 'wet'"),
         (
             HEAD + "[trip]\nload = {value=3, unit='t'}\nmass = {value=3, unit='t'}",
             "trip: give load or mass, not both",
         ),
         (HEAD + "[repair]\nspike = false", "unknown key 'spike'; did you mean 'spikes'"),
-        (HEAD + "[repair]\nspikes = 3", "repair.spikes: Input should be a valid boolean"),
+        (HEAD + "[repair]\nspikes = 3", "repair.spikes: must be a valid boolean"),
         (
             HEAD + "[limits.columns]\n'/train/state.speed' = {unit='m/s', maximum=3}",
             "unknown key 'maximum'",
@@ -120,7 +120,7 @@ def test_the_samples_profile_is_valid() -> None:
             HEAD + "[limits.columns]\n'/train/state.speed' = {unit='kg', max=3}",
             "/train/state.speed: unit 'kg' cannot be read as m/s",
         ),
-        (HEAD + "[metadata]\noperator = 3", "metadata.operator: Input should be a valid string"),
+        (HEAD + "[metadata]\noperator = 3", "metadata.operator: must be a valid string"),
     ],
 )
 def test_each_mistake_gives_one_line_with_file_place_and_remedy(
@@ -276,7 +276,7 @@ def test_mass_becomes_load_and_position_gets_its_start(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="load -91000 kg is not plausible"):
         ingest(path, profile=plain_profile(trip=light), train=TRAIN)
     other = {"train": "other"}
-    with pytest.raises(InputError, match="the profile says train 'other', given is 'small'"):
+    with pytest.raises(InputError, match="the profile states train 'other', given is 'small'"):
         ingest(path, profile=plain_profile(trip=other), train=TRAIN)
 
 

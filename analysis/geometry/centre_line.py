@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
+from scipy.spatial import cKDTree
 
-from analysis.geometry.rough_line import GAP, NEAR, rough_line
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
 from trainlog.errors import InputError
@@ -30,7 +30,7 @@ TURNS = 3
 """Times the fixes are matched to the line and the line is fitted to them."""
 
 STEP = 10.0
-"""Distance between the points at which the line is told [m]."""
+"""Distance between the points of the surveyed line [m]."""
 
 SUPPORT = 200.0
 """A trip supports the line within this distance of its fixes [m]."""
@@ -43,6 +43,12 @@ TOLERANCE = 0.1
 
 CURVATURE_STEP = 50.0
 """Length of the elements of the curvature profile [m]."""
+
+NEAR = 60.0
+"""A fix so near to the rough line adds nothing to its course [m]."""
+
+GAP = 100.0
+"""Points of the rough line further apart than this [m] have a gap between them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +102,18 @@ class Survey:
     def lines(self) -> list[str]:
         """What was found, in words."""
         known = self.support > 0
-        told = [
+        found = [
             f"{self.length / 1e3:.3f} km from {len(self.used)} trips, {self.fixes} fixes,"
             f" {self.rejected} set aside",
             f"standard deviation across the track {np.median(self.std[known]):.1f} m,"
             f" at most {self.std[known].max():.1f} m; {np.mean(self.support > 1):.0%} of the line"
             " rests on more than one trip",
         ]
-        told += [
+        found += [
             f"no fixes from km {start / 1e3:.3f} to km {end / 1e3:.3f}: bridged, not known"
             for start, end in self.unsupported
         ]
-        return told + [f"{name} is not used: {reason}" for name, reason in self.refused]
+        return found + [f"{name} is not used: {reason}" for name, reason in self.refused]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +150,11 @@ def geometry_of(trips: Sequence[Trip]) -> Survey:
     origin = _origin(passes)
     passes = [replace(p, points=_plane(p.fixes, origin)) for p in passes]
     rough = rough_line([_thinned(p) for p in passes])
-    way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(rough)))))
-    curve, _ = fitted_curve(way, rough, np.full(rough.size, _std(passes)))
+    along = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(rough)))))
+    curve, _ = fitted_curve(along, rough, np.full(rough.size, _std(passes)))
     for turn in range(TURNS):
         geometry = _by_length(curve, origin)
-        # At first the line may be what is off, not the fixes: all of them have their say.
+        # At first the line may be what is off, not the fixes: all of them count.
         passes = [_matched(p, geometry, gated=turn > 0) for p in passes]
         used = [p for p in passes if p.matched is not None]
         if not used:
@@ -161,10 +167,10 @@ def geometry_of(trips: Sequence[Trip]) -> Survey:
 
 
 def line_of(survey: Survey, name: str) -> Line:
-    """A line with the surveyed geometry and curvature; what fixes do not tell is told as unknown.
+    """A line with the surveyed geometry and curvature; its source names what is not known.
 
     A line needs speed limits and gradients: it gets the highest speed driven, rounded up to
-    5 km/h, and level track, and its `source` says so.
+    5 km/h, and level track, and its `source` states so.
     """
     limit = 5.0 / 3.6 * np.ceil(max(survey.fastest, 1.0) * 3.6 / 5.0)
     missing = sum(end - start for start, end in survey.unsupported)
@@ -216,16 +222,16 @@ def _plane(fixes: Fixes, origin: tuple[float, float]) -> ComplexArray:
 def _thinned(one: _Pass) -> ComplexArray:
     """One point for every `PIECE` driven, the median of its fixes."""
     known = np.flatnonzero(np.isfinite(one.points))
-    way = distance_driven(one.fixes)
-    if not np.isfinite(way).any():
-        way = _way_of(one)
-    piece = np.floor(way[known] / PIECE)
+    driven = distance_driven(one.fixes)
+    if not np.isfinite(driven).any():
+        driven = _distance_along_fixes(one)
+    piece = np.floor(driven[known] / PIECE)
     edges = np.flatnonzero(np.diff(piece, prepend=piece[0] - 1.0))
     groups = np.split(one.points[known], edges[1:])
     return np.array([np.median(g.real) + 1j * np.median(g.imag) for g in groups])
 
 
-def _way_of(one: _Pass) -> FloatArray:
+def _distance_along_fixes(one: _Pass) -> FloatArray:
     """Distance driven [m] where no speed was measured: along the smoothed fixes."""
     nothing = np.full(one.points.size, np.nan)
     axes = [
@@ -284,16 +290,16 @@ def _refitted(used: list[_Pass]) -> Curve:
     curve, _ = fitted_curve(
         np.concatenate([p.chainage[k] for p, k in zip(used, kept, strict=True)]),
         np.concatenate([p.points[k] for p, k in zip(used, kept, strict=True)]),
-        np.concatenate([_worth(p)[k] for p, k in zip(used, kept, strict=True)]),
+        np.concatenate([_std_in_fit(p)[k] for p, k in zip(used, kept, strict=True)]),
     )
     return curve
 
 
-def _worth(one: _Pass) -> FloatArray:
+def _std_in_fit(one: _Pass) -> FloatArray:
     """Standard deviation [m] with which each fix counts: all of a trip's in a `PIECE` as one.
 
-    Errors last. Ten fixes a second, or those of a train that stands before a wall that reflects,
-    tell little more than one, and must not outvote the other trips.
+    Errors last. Ten fixes a second, or those of a train that stands before a reflecting wall,
+    carry little more than one, and must not outweigh the other trips.
     """
     kept = np.isfinite(one.chainage)
     piece = np.where(kept, np.floor(one.chainage / PIECE), -1.0)
@@ -304,7 +310,7 @@ def _worth(one: _Pass) -> FloatArray:
 def _survey(
     curve: Curve, used: list[_Pass], refused: list[_Pass], origin: tuple[float, float]
 ) -> Survey:
-    """What is told of the fitted curve."""
+    """The survey that the fitted curve gives."""
     at = np.linspace(curve.start, curve.end, int((curve.end - curve.start) / STEP) + 2)
     position = _length_along(curve, at)
     points = curve.at(at)
@@ -347,8 +353,8 @@ def _supported(at: FloatArray, places: FloatArray) -> IntArray:
 def _between(curve: Curve, used: list[_Pass]) -> float:
     """Standard deviation [m] of a trip's own lasting error, from how trips differ.
 
-    Errors that last do not average out along the line, only over trips. One trip alone cannot
-    tell them from the line: it is taken at its word.
+    Errors that last do not average out along the line, only over trips. With one trip alone
+    they cannot be separated from the line: its stated accuracy is taken.
     """
     sums: dict[int, list[tuple[float, float]]] = {}
     for p in used:
@@ -381,3 +387,78 @@ def _spans(position: FloatArray, flags: NDArray[np.bool_]) -> tuple[tuple[float,
     runs, count = label(flags)
     spans = [np.flatnonzero(runs == k + 1) for k in range(count)]
     return tuple((float(position[s[0]]), float(position[s[-1]])) for s in spans)
+
+
+def rough_line(sequences: list[ComplexArray]) -> ComplexArray:
+    """The longest sequence of points, with what others have in its gaps and beyond its ends.
+
+    Parameters
+    ----------
+    sequences : list of complex arrays [m]
+        Points of the plane along each trip, one trip in one direction or the other.
+
+    Returns
+    -------
+    (n,) complex array [m]
+        In the direction of the longest, without points at which it would turn back on itself.
+    """
+    lengths = [float(np.sum(np.minimum(np.abs(np.diff(s)), GAP))) for s in sequences]
+    order = np.argsort(lengths)[::-1]
+    line = sequences[int(order[0])]
+    for number in order[1:]:
+        sequence = sequences[int(number)]
+        for begin, end in _pieces_apart(line, sequence):
+            line = _with_piece(line, sequence, begin, end)
+    return _without_turns_back(line)
+
+
+def _without_turns_back(line: ComplexArray) -> ComplexArray:
+    """The points without those, far off, at which the line would turn back on itself."""
+    while line.size > 3:
+        steps = np.diff(line)
+        back = (np.conj(steps[:-1]) * steps[1:]).real < 0.0
+        if not back.any():
+            break
+        line = line[np.concatenate(([True], ~back, [True]))]
+    return line
+
+
+def _pieces_apart(line: ComplexArray, sequence: ComplexArray) -> list[tuple[int, int]]:
+    """Runs of a sequence that the line does not pass by, as (first, one past the last)."""
+    apart, _ = cKDTree(_pairs(line)).query(_pairs(sequence))
+    runs, count = label(apart > NEAR)
+    spans = [np.flatnonzero(runs == k + 1) for k in range(count)]
+    return [(int(span[0]), int(span[-1]) + 1) for span in spans if span.size > 2]
+
+
+def _with_piece(line: ComplexArray, sequence: ComplexArray, begin: int, end: int) -> ComplexArray:
+    """The line with a piece of another sequence, if it fills a gap or goes on beyond an end."""
+    tree = cKDTree(_pairs(line))
+    piece, last = sequence[begin:end], line.size - 1
+    before = int(tree.query(_pairs(sequence[begin - 1 : begin]))[1][0]) if begin else None
+    after = int(tree.query(_pairs(sequence[end : end + 1]))[1][0]) if end < sequence.size else None
+    if before is not None and after is not None:
+        low, high = sorted((before, after))
+        inner = np.abs(np.diff(line[low : high + 1]))
+        if inner.size and inner.max() > GAP and high - low <= 5:
+            part = piece if before < after else piece[::-1]
+            return np.concatenate([line[: low + 1], part, line[high:]])
+        return line
+    for anchor, outward in ((before, piece), (after, piece[::-1])):
+        if anchor is None:
+            continue
+        if anchor >= last - 2 and _continues(line, outward):
+            return np.concatenate([line, outward])
+        if anchor <= 2 and _continues(line[::-1], outward):
+            return np.concatenate([outward[::-1], line])
+    return line
+
+
+def _continues(line: ComplexArray, further: ComplexArray) -> bool:
+    """Whether points beyond the end of a line lie within 60° of ahead: no train turns at once."""
+    heading, ahead = line[-1] - line[max(line.size - 6, 0)], further[2] - line[-1]
+    return bool((np.conj(heading) * ahead).real > 0.5 * np.abs(heading) * np.abs(ahead))
+
+
+def _pairs(points: ComplexArray) -> FloatArray:
+    return np.column_stack([points.real, points.imag])

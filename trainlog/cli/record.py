@@ -171,7 +171,7 @@ def ingest(
     ] = False,
     facts: Annotated[
         list[str] | None,
-        typer.Option("--set", help="What the file does not tell: weather=wet, load=12000 (kg)."),
+        typer.Option("--set", help="What the file does not state: weather=wet, load=12000 (kg)."),
     ] = None,
 ) -> None:
     """Turn recorded logs into trips; what was repaired is counted and kept in the log.
@@ -191,7 +191,7 @@ def ingest(
     metadata = pairs(facts or [])
     written: set[Path] = set()
     for recording in recordings:
-        told: set[str] = set()
+        shown: set[str] = set()
         trips = ingest_each(
             recording,
             profile=profile,
@@ -218,11 +218,11 @@ def ingest(
             write_log(trip, target)
             console.print(about(trip), highlight=False, markup=False)
             for finding in report_of(trip).lines():
-                # What the file holds besides its trips is told with the first of them.
-                if finding not in told:
+                # What the file holds besides its trips is shown with the first of them.
+                if finding not in shown:
                     console.print(f"    {finding}", highlight=False, markup=False)
                 if finding.startswith("not used: "):
-                    told.add(finding)
+                    shown.add(finding)
             wrote(target)
 
 

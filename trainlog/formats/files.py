@@ -66,7 +66,7 @@ def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
         temporary.replace(target)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        # An error about another file, say an input, is not ours to explain.
+        # An error about another file, such as an input, is passed on as it is.
         about = {None, str(temporary), str(target)}
         if error.errno in _REMEDIES and error.filename in about:
             _refuse_writing(path, error)
@@ -261,7 +261,7 @@ def _refuse_writing(path: str | Path, error: OSError) -> NoReturn:
 
 
 def writing_error(path: str | Path, error: OSError) -> InputError:
-    """The error that says why a file cannot be written, and what to do about it."""
+    """The error that states why a file cannot be written, and what to do about it."""
     reason = (error.strerror or str(error)).lower()
     if not Path(path).absolute().parent.is_dir():
         reason = "its folder does not exist"
@@ -367,7 +367,7 @@ def _text(value: Any) -> str:
 
 
 LOOKED_AT = 4096
-"""So many bytes from the beginning tell what a file is."""
+"""So many bytes from the beginning show what a file is."""
 
 _INGEST = "'trainlog ingest' makes logs of recordings"
 _UNPACK = "unpack it first"
@@ -422,7 +422,7 @@ def mistaken_log(start: bytes) -> tuple[str, str]:
 
 
 def mistaken_json(start: bytes) -> str | None:
-    """What a file is that was given for JSON, from its beginning; None if that does not tell."""
+    """What a file is that was given for JSON, from its beginning; None if that does not show it."""
     if start.startswith(_MCAP):
         return "a log (MCAP)"
     return next((what for beginning, what, _ in _BEGINNINGS if start.startswith(beginning)), None)

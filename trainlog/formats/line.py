@@ -187,7 +187,7 @@ def _check_rows(place: str, positions: FloatArray) -> None:
         raise InputError(
             "the first row is not at position 0",
             place=f"{place}.values",
-            remedy="say what holds from the line's start",
+            remedy="give what holds from the line's start",
         )
     falling = np.flatnonzero(np.diff(positions) <= 0.0)
     if falling.size:

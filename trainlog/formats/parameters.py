@@ -228,10 +228,10 @@ class CoastDownResult:
     Attributes
     ----------
     train : str
-        Empty where the recordings do not tell.
+        Empty where the recordings do not name it.
     gradient : {"line", "unknown"}
     quantities : tuple of Identified
-        Those that were asked for, identified or not.
+        Those that were sought, identified or not.
     covariance : (p, p) array
         Of the quantities that have a value, in their order.
     curve : DragCurve or None

@@ -232,7 +232,7 @@ def _line(path: _Path, place: str) -> Line:
         raise InputError("the first section has no speed", place=where, remedy="add it")
     start, end = ordered[0].position, ordered[-1].position
     positions = np.array([each.position - start for each in ordered[:-1]])
-    # What a section does not say stays as it was before.
+    # What a section does not give stays as it was before.
     speeds, resistances = [ordered[0].speed], [ordered[0].resistance or 0.0]
     for each in ordered[1:-1]:
         speeds.append(speeds[-1] if each.speed is None else each.speed)

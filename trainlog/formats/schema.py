@@ -7,6 +7,7 @@ file declares.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,7 +81,7 @@ class File(Part):
         return checked(cls, body, file)
 
     def to_bytes(self) -> bytes:
-        """The file's bytes: canonical units, parts that say nothing left out."""
+        """The file's bytes: canonical units, parts without content left out."""
         return to_bytes({"format": self.FORMAT, "version": self.VERSION} | dumped(self))
 
 
@@ -142,7 +143,7 @@ def error_of(error: ValidationError, file: str | Path) -> InputError:
         "extra_forbidden": (f"unknown key '{key}'", "correct its spelling or remove it"),
         "finite_number": ("is not a finite number", "give one"),
         "too_short": ("has too few entries", f"give {_at_least(first)}"),
-    }.get(first["type"], (_sentence(first["msg"]), None))
+    }.get(first["type"], (must_be(first["msg"]), None))
     others = len(complaints) - 1
     if others:
         problem += f" (and {others} more {'problem' if others == 1 else 'problems'})"
@@ -154,8 +155,10 @@ def _at_least(complaint: ErrorDetails) -> str:
     return f"at least {least} item{'' if least == 1 else 's'}"
 
 
-def _sentence(message: str) -> str:
-    return message[:1].lower() + message[1:]
+def must_be(message: str) -> str:
+    """A complaint of pydantic ("Input should be a valid string") as what the value must be."""
+    demand = re.sub(r"^(?:\w+ )?should ", "must ", message)
+    return demand[:1].lower() + demand[1:] if demand == message else demand
 
 
 FloatArray = NDArray[np.float64]
@@ -204,7 +207,7 @@ def _rounded(values: FloatArray, digits: int) -> FloatArray:
 
 
 def _to_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:
-    """Convert, telling a wrong unit in pydantic's way so that its place is kept."""
+    """Convert; a wrong unit is reported in pydantic's way, so that its place is kept."""
     try:
         with np.errstate(over="ignore"):
             converted = to_si(values, unit, si)
@@ -317,7 +320,7 @@ class Column:
         return core_schema.union_schema(
             [core_schema.literal_schema([word]), _NUMBER],
             custom_error_type="cell",
-            custom_error_message=f"should be a finite number or '{word}'",
+            custom_error_message=f"must be a finite number or '{word}'",
         )
 
     def read(self, cells: tuple[Any, ...], units: dict[str, str]) -> Any:

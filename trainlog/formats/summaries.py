@@ -160,7 +160,7 @@ def read_summaries(path: str | Path) -> pd.DataFrame:
             "is not a Parquet file, or damaged", file=path, remedy="fit the logs again"
         ) from error
     except OSError as error:
-        # Arrow tells of a page whose checksum is wrong by an OSError without a number.
+        # Arrow reports a page whose checksum is wrong by an OSError without a number.
         if error.errno is None:
             raise InputError("is damaged", file=path, remedy="fit the logs again") from error
         refuse_reading(path, error)

@@ -128,13 +128,13 @@ class Metadata(Layout):
         """Everything but the names, in words that `of` takes apart again."""
         if (self.library_version, self.created_by, self.license) == (LIBRARY_VERSION, None, None):
             return self.description or ""
-        told = {
+        words = {
             "created by": self.created_by,
             "license": self.license,
             "description": self.description,
         }
-        words = [f"; {word} {value}" for word, value in told.items() if value is not None]
-        return f"library {self.library_version}{''.join(words)}"
+        parts = [f"; {word} {value}" for word, value in words.items() if value is not None]
+        return f"library {self.library_version}{''.join(parts)}"
 
     @staticmethod
     def of(name: str, source: str, track: str | None = None) -> Metadata:
@@ -373,7 +373,7 @@ _NOT_IN_TTOBENCH = ("max_load", "axles", "brake")
 _AXLE_LOAD = 18_000.0
 _ADHESION_IN_USE = 0.29
 """A powered axle carries so much [kg], and full effort uses so much adhesion at most, unless the
-train is too light for that: what good dry rail bears."""
+train is too light for that: what good dry rail allows."""
 
 _POWERED_SHARE = 0.72
 """Of the rotating mass, at most this share is in the powered axles."""
@@ -387,12 +387,12 @@ def _assumed_axles(mass: float, effort: float, rotating: float) -> Axles:
     """
     count = max(2, math.ceil(effort / (_ADHESION_IN_USE * GRAVITY * _AXLE_LOAD)))
     usual = Axles()
-    room = _POWERED_SHARE * rotating * mass / count
+    share = _POWERED_SHARE * rotating * mass / count
     return Axles(
         count=count,
         adhesive_mass=min(count * _AXLE_LOAD, mass),
         wheel_radius=usual.wheel_radius,
-        rotating_mass=min(usual.rotating_mass, room) if room > 0.0 else usual.rotating_mass,
+        rotating_mass=min(usual.rotating_mass, share) if share > 0.0 else usual.rotating_mass,
     )
 
 
@@ -490,7 +490,7 @@ def read_track(path: str | Path) -> Line:
     ------
     InputError
         If the file cannot be read, a key is unknown or missing, a unit is of the wrong kind or a
-        value makes no sense; names the place.
+        value is not possible; names the place.
     """
     return built(_read(TrackLayout, "track", path).line, path)
 

@@ -123,12 +123,12 @@ def slipping_wheels(
     unit = np.maximum(spread, WHEEL_GATE / GATE)
     slipping = held(apart / unit, fixes.seconds, GATE, HOLD)
     known = np.flatnonzero(np.isfinite(fixes.wheel_speed))
-    told, time = fixes.wheel_speed[known], fixes.seconds[known]
-    spans = (_feasible(time, told), _feasible(-time[::-1], told[::-1])[::-1])
+    speeds, time = fixes.wheel_speed[known], fixes.seconds[known]
+    spans = (_feasible(time, speeds), _feasible(-time[::-1], speeds[::-1])[::-1])
     unit = np.maximum(fixes.wheel_speed_std[known], WHEEL_GATE / GATE)
     for feasible in spans:
-        slipping[known] |= held(np.abs(told - feasible) / unit, time, GATE, HOLD)
-    # Between the rise and the fall of a slip the wheels tell a steady speed.
+        slipping[known] |= held(np.abs(speeds - feasible) / unit, time, GATE, HOLD)
+    # Between the rise and the fall of a slip the wheels turn at a steady speed.
     flagged = np.flatnonzero(slipping)
     short = np.diff(fixes.seconds[flagged]) < SLIP_TIME
     between = np.zeros(slipping.size + 1, dtype=np.int64)
@@ -173,7 +173,7 @@ NODE = 5.0
 """Time between fixes from which the chain is made [s]."""
 
 LAG = 5.0
-"""Time over which differences of the distance beside the line tell what part of it lasts [s]."""
+"""Time over which differences of the distance beside the line show what part of it lasts [s]."""
 
 WHITE_SHARE = 0.02
 """Least part of a fix's variance that is taken to be white."""
@@ -191,7 +191,7 @@ MAX_MISFIT = 500.0
 """Misfit of line and fixes [m] beyond which it is another line."""
 
 BACKWARDS = 500.0
-"""Way against the line [m] from which a trip is refused."""
+"""Distance against the line [m] from which a trip is refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +291,7 @@ def _smooth(
     if wheels is not None and wheel_std is not None:
         step = float(np.median(np.diff(fixes.seconds[np.isfinite(wheels)])))
         wheels = np.where(slipping, np.nan, wheels)
-        # White noise of this size says as much, taken together, as errors that last.
+        # White noise of this size carries as much, taken together, as errors that last.
         wheel_std = wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step))
     return smooth_motion(
         fixes.seconds,
@@ -375,10 +375,12 @@ def _driven(fixes: Fixes, slipping: BoolArray, ratio: float) -> tuple[FloatArray
         return np.full(speed.size, np.nan), np.zeros(speed.size)
     time = fixes.seconds[known]
     steps = np.diff(time)
-    way = np.concatenate(([0.0], np.cumsum(0.5 * (speed[known][1:] + speed[known][:-1]) * steps)))
+    driven = np.concatenate(
+        ([0.0], np.cumsum(0.5 * (speed[known][1:] + speed[known][:-1]) * steps))
+    )
     unsure = (std[known][1:] * steps) ** 2 + DRIFT**2 * steps + LOSS_DENSITY * steps**3 / 12.0
     variance = np.concatenate(([0.0], np.cumsum(unsure)))
-    return np.interp(fixes.seconds, time, way), np.interp(fixes.seconds, time, variance)
+    return np.interp(fixes.seconds, time, driven), np.interp(fixes.seconds, time, variance)
 
 
 def _chain(
@@ -420,8 +422,7 @@ def _chain(
         raise InputError(
             f"the fixes run from km {near[ends[0]] / 1e3:.3f} to km {near[ends[1]] / 1e3:.3f},"
             " against the direction of travel",
-            remedy="give the other direction: 'reverse' instead of 'forward', or the other way"
-            " round",
+            remedy="give the other direction: 'reverse' instead of 'forward', or vice versa",
         )
     inside = np.count_nonzero(chain >= 0)
     against = backwards[(chain < 0) & (backwards >= 0)]
@@ -430,7 +431,7 @@ def _chain(
         raise InputError(
             f"only {inside / np.count_nonzero(counts):.0%} of the fixes near the line follow it"
             " in one direction",
-            remedy="give the line that was driven; a log that runs both ways is two trips",
+            remedy="give the line that was driven; a log that runs in both directions is two trips",
         )
     chainage = np.full(points.size, np.nan)
     chainage[chosen[chain >= 0]] = places.chainage[chain[chain >= 0]]

@@ -82,8 +82,8 @@ def drop_clock_jumps(table: Table, limits: Limits) -> Result:
     is far off if its time differs from both trusted rows around it by more than
     ``limits.sort_within`` and by more than five usual steps.
     """
-    stray = outside_largest_group(table.time, limits.pause)
-    group = np.flatnonzero(~stray)
+    far = outside_largest_group(table.time, limits.pause)
+    group = np.flatnonzero(~far)
     time = table.time[group]
     trusted = longest_nondecreasing(time)
     kept = np.flatnonzero(trusted)
@@ -93,15 +93,15 @@ def drop_clock_jumps(table: Table, limits: Limits) -> Result:
         np.abs(time - time[kept[np.clip(after, None, kept.size - 1)]]),
     )
     within = max(limits.sort_within, 5.0 * usual_step(time[kept]))
-    stray[group[~trusted & (nearest > within * NANOSECONDS)]] = True
-    if np.count_nonzero(stray) > MAX_DROPPED * len(table):
+    far[group[~trusted & (nearest > within * NANOSECONDS)]] = True
+    if np.count_nonzero(far) > MAX_DROPPED * len(table):
         raise InputError(
-            f"the clock jumps: {np.count_nonzero(stray)} of {len(table)} rows do not fit into"
+            f"the clock jumps: {np.count_nonzero(far)} of {len(table)} rows do not fit into"
             " one trip",
-            place=f"row {table.rows[stray][0]}",
+            place=f"row {table.rows[far][0]}",
             remedy="split the file where the clock was set, or one file a trip",
         )
-    return table.take(~stray), table.found("clock_jump", stray)
+    return table.take(~far), table.found("clock_jump", far)
 
 
 def outside_largest_group(time: IntArray, pause: float) -> BoolArray:
@@ -340,11 +340,11 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
     moved = time + shift
     if _disorder(moved, limits.pause) >= _disorder(time, limits.pause):
         return table, []
-    sizes = ", ".join(_told(int(size)) for size in np.unique(shift[shift != 0]))
+    sizes = ", ".join(_size(int(size)) for size in np.unique(shift[shift != 0]))
     return table.at(moved), table.found("clock_step", shift != 0, note=f"moved by {sizes}")
 
 
-def _told(shift: int) -> str:
+def _size(shift: int) -> str:
     if shift % ROLLOVER == 0:
         return f"{1024 * (shift // ROLLOVER):+d} weeks"
     return f"{shift / NANOSECONDS:+.0f} s"
@@ -387,7 +387,7 @@ def _zone_edges(time: IntArray) -> IntArray:
 def _leap_edges(table: Table) -> IntArray:
     """Steps back by 1 to 18 whole seconds [ns], 0 where there is none.
 
-    A block that was written late goes back too. A clock that was set back tells its times twice,
+    A block that was written late goes back too. A clock that was set back gives its times twice,
     with other values.
     """
     time = table.time
@@ -403,13 +403,13 @@ def _leap_edges(table: Table) -> IntArray:
     if places.size > MOST_EDGES:
         return found
     for place in places:
-        if _told_twice(table, int(place), usual):
+        if _repeated_differently(table, int(place), usual):
             found[place] = -seconds[place] * NANOSECONDS
     return found
 
 
-def _told_twice(table: Table, place: int, usual: int) -> bool:
-    """Whether the times between row `place` and the next are told before and after, differently."""
+def _repeated_differently(table: Table, place: int, usual: int) -> bool:
+    """Whether the times between row `place` and the next come twice, with other values."""
     time = table.time
     low, high = time[place + 1], time[place]
     capacity = (high - low) // usual + 1

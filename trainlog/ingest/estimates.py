@@ -23,11 +23,11 @@ SPEED_STD = 0.5
 """Standard deviation of a satellite speed [m/s] where the receiver gives none."""
 
 STANDSTILL_STDS = 2.0
-"""A receiver tells the size of the speed, so its noise never averages to 0: below this many
+"""A receiver gives the size of the speed, so its noise never averages to 0: below this many
 standard deviations the train is taken to stand."""
 
 SMALLEST_SPEED_STD = 0.03
-"""What no receiver undercuts [m/s], whatever it says."""
+"""What no receiver undercuts [m/s], whatever it states."""
 
 ODOMETER_STD = 0.1
 """Standard deviation of the speed from the wheels [m/s]."""
@@ -41,7 +41,7 @@ LONGEST_OUTAGE = 600.0
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What could be estimated: the frame, if any, what was found, and what to tell of it."""
+    """What could be estimated: the frame, if any, what was found, and the metadata of it."""
 
     frame: pd.DataFrame | None = None
     findings: tuple[Finding, ...] = ()
@@ -70,10 +70,10 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
         matched = chainage_of(
             geometry, fixes, gated=profile.repair.off_line, slip_aware=profile.repair.slip
         )
-        told = {"line.misfit": f"{matched.misfit:.1f}"}
+        metadata = {"line.misfit": f"{matched.misfit:.1f}"}
         usable = np.isfinite(matched.chainage).sum() > 1
         frame = _smoothed_fixes(fixes, matched) if usable else None
-        return Estimate(frame, _findings(matched), told)
+        return Estimate(frame, _findings(matched), metadata)
     start = profile.trip.start_position
     if start is None or "/train/state" not in trip:
         return Estimate()
@@ -109,8 +109,8 @@ def fixes_of(trip: Trip) -> Fixes:
     absent = np.full(len(frame), np.nan)
     columns = {name: frame[name].to_numpy(np.float64) for name in frame.columns}
     accuracy = columns["horizontal_accuracy"]
-    told = columns.get("speed_accuracy", absent)
-    speed_std = np.maximum(np.where(told > 0.0, told, SPEED_STD), SMALLEST_SPEED_STD)
+    stated = columns.get("speed_accuracy", absent)
+    speed_std = np.maximum(np.where(stated > 0.0, stated, SPEED_STD), SMALLEST_SPEED_STD)
     speed = columns.get("speed", absent)
     turning = None
     if wheels is not None:

@@ -73,7 +73,7 @@ CUT_OFF = (
     expat.errors.codes[expat.errors.XML_ERROR_PARTIAL_CHAR],
     expat.errors.codes[expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION],
 )
-"""What expat says of a file that ends too early, as a recorder without power leaves it."""
+"""What expat reports of a file that ends too early, as a recorder without power leaves it."""
 
 
 @dataclass
@@ -168,9 +168,9 @@ def read_gpx(path: Path, profile: Profile | None) -> list[Recording]:  # noqa: A
     reader, cut = _parsed(_without_zeros(read_bytes(path)), path)
     filled = [track for track in reader.tracks if track.points]
     if not filled:
-        told = ", ".join(f"{count} {kind}" for kind, count in reader.others.items())
+        others = ", ".join(f"{count} {kind}" for kind, count in reader.others.items())
         raise InputError(
-            f"holds no track point{f', but {told}' if told else ''}",
+            f"holds no track point{f', but {others}' if others else ''}",
             file=path,
             remedy="give the track that was recorded, not waypoints or a planned route",
         )
@@ -234,8 +234,10 @@ def _recording(
         name: pa.array([point.get(name) or None for point in track.points], pa.string())
         for name in COLUMNS
     }
-    told = {"clock": "GNSS, UTC", "segments": str(track.segments)}
-    told |= {key: value for key, value in (("track", track.name), ("recorder", creator)) if value}
+    metadata = {"clock": "GNSS, UTC", "segments": str(track.segments)}
+    metadata |= {
+        key: value for key, value in (("track", track.name), ("recorder", creator)) if value
+    }
     layout = LAYOUT
     for accuracy, dop, metres in (
         ("horizontal_accuracy", "hdop", HORIZONTAL_PER_HDOP),
@@ -245,7 +247,7 @@ def _recording(
             name = f"/gnss/fix.{accuracy}"
             scaled = Column(column=dop, unit="m", scale=metres)
             layout = layout.model_copy(update={"columns": layout.columns | {name: scaled}})
-            told[accuracy] = f"{metres:g} m times {dop.upper()}"
+            metadata[accuracy] = f"{metres:g} m times {dop.upper()}"
     present = {
         name: column
         for name, column in columns.items()
@@ -256,4 +258,4 @@ def _recording(
     cells = Cells(pa.table(present), rows, rows.size + len(lost), lost)
     found = recording_of(cells, layout, path)
     named = {"trip": trip} if trip else {}
-    return replace(found, metadata=told | named, not_used=dict(not_used))
+    return replace(found, metadata=metadata | named, not_used=dict(not_used))

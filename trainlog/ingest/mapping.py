@@ -47,7 +47,7 @@ def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> li
         raise InputError(
             f"profile '{profile.name}' has no {lacking} section",
             file=file,
-            remedy="say where time stands and which column is what; docs/ingest.md has an example",
+            remedy="give time and the meaning of the columns; docs/ingest.md has an example",
         )
     names = list(profile.time.names)
     for column in profile.columns.values():
@@ -68,7 +68,7 @@ def recording_of(
     file : Path
         For messages.
     time : (n,) int64 array [ns], optional
-        Time of the rows, where the file itself tells it; default: as the profile says.
+        Time of the rows, where the file itself gives it; default: as the profile says.
 
     Raises
     ------

@@ -101,18 +101,17 @@ def _open(path: Path) -> Iterator[Any]:
             (error.strerror or str(error)).lower(), file=path, remedy="check the path"
         ) from error
     with stream:
-        mdf = _asked(path, lambda: library.MDF(stream))
+        mdf = _called(path, lambda: library.MDF(stream))
         try:
             yield mdf
         finally:
             mdf.close()
 
 
-def _asked(path: Path, call: Callable[[], Any]) -> Any:
-    """What asammdf answers; one error for whatever it raises on a damaged file.
+def _called(path: Path, call: Callable[[], Any]) -> Any:
+    """What asammdf returns; one error for whatever it raises on a damaged file.
 
-    It complains in the log, and where nobody can hear when the half-opened file is let go: neither
-    is passed on.
+    Its messages, in the log and when the half-opened file is closed, are not passed on.
     """
     log = logging.getLogger("asammdf")
     level, hook = log.level, sys.unraisablehook
@@ -136,12 +135,12 @@ def _asked(path: Path, call: Callable[[], Any]) -> Any:
 
 def _start(mdf: Any, profile: Profile, path: Path) -> int:
     """Instant of the file's time 0 [ns]."""
-    told = profile.time.start if profile.time is not None else None
-    start = pd.Timestamp(mdf.header.start_time if told is None else told)
+    given = profile.time.start if profile.time is not None else None
+    start = pd.Timestamp(mdf.header.start_time if given is None else given)
     start = start.tz_localize("UTC") if start.tzinfo is None else start
     if not EARLIEST <= start.value < LATEST:
         raise InputError(
-            f"says that it was started at {start}",
+            f"states that it was started at {start}",
             file=path,
             remedy="give the start: [time] column = 'time', format = 'elapsed', start = ...",
         )
@@ -211,7 +210,7 @@ def _parts(profile: Profile, places: dict[str, list[Place]]) -> list[_Part]:
 
 
 def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) -> Recording:
-    """What the channels of one table say."""
+    """The recording of the channels of one table."""
     signals: dict[str, Any] = {}
     columns: dict[str, Column] = {
         name: column for name, column in profile.columns.items() if column.value is not None
@@ -234,7 +233,7 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
     cells = Cells(table, np.arange(1, time.size + 1, dtype=np.int64), time.size)
     mapped = profile.model_copy(update={"columns": columns, "time": None})
     found = recording_of(cells, mapped, path, time)
-    # A channel says nothing between its own instants: that is no empty cell.
+    # A channel has no value between its own instants: that is no empty cell.
     findings = (
         found.findings
         if len(groups) == 1
@@ -246,7 +245,7 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
 def _selected(mdf: Any, places: list[Place], words: bool, path: Path) -> list[Any]:
     """The channels at some places; the numbers of a code, unless it is words that are wanted."""
     wanted = [(None, group, index) for group, index in places]
-    return list(_asked(path, lambda: mdf.select(wanted, ignore_value2text_conversions=not words)))
+    return list(_called(path, lambda: mdf.select(wanted, ignore_value2text_conversions=not words)))
 
 
 def _clock(signals: dict[str, Any], group: int, start: int) -> IntArray:
@@ -309,13 +308,13 @@ def _with_unit(
     unit = column.unit
     item = field_of(name)[2]
     if unit is None and item.unit not in ("", "1"):
-        told = str(signal.unit or "").strip()
-        unit = UNITS.get(told, told)
+        stated = str(signal.unit or "").strip()
+        unit = UNITS.get(stated, stated)
         try:
             factor(unit or "1", item.unit)
         except InputError as error:
             raise InputError(
-                f"channel '{signal.name}' has the unit '{told}', which is no {item.unit}",
+                f"channel '{signal.name}' has the unit '{stated}', which is no {item.unit}",
                 file=path,
                 place=f"field {name}",
                 remedy="give its unit in the profile",

@@ -65,7 +65,7 @@ def read_nmea(path: Path, profile: Profile | None) -> Recording:  # noqa: ARG001
     Raises
     ------
     InputError
-        If it holds no sentence that tells a position or a speed, no date, or most are damaged.
+        If it holds no sentence that gives a position or a speed, no date, or most are damaged.
     """
     text = read_bytes(path).rstrip(b"\0").decode("ascii", "replace")
     lines: list[tuple[int, str, str]] = []
@@ -88,7 +88,7 @@ def read_nmea(path: Path, profile: Profile | None) -> Recording:  # noqa: ARG001
         (table,),
         len(table),
         damaged,
-        metadata={"clock": "GNSS, UTC"} | epochs.told(),
+        metadata={"clock": "GNSS, UTC"} | epochs.metadata(),
         not_used=dict(sorted(messages.others.items())),
         raw=messages.raw(),
     )
@@ -162,7 +162,7 @@ class Epochs:
             name: np.array([found.get(name, np.nan) for found in self.values])
             for name in (*COLUMNS, "hdop", "fixed")
         }
-        # What a receiver without a fix repeats says nothing.
+        # What a receiver without a fix repeats is no position.
         lost = columns.pop("fixed") == 0.0
         for name in ("latitude", "longitude"):
             columns[name] = np.where(lost, np.nan, columns[name])
@@ -175,32 +175,32 @@ class Epochs:
         }
         return Table(self._time(), np.array(self.rows, dtype=np.int64), signals)
 
-    def told(self) -> dict[str, str]:
+    def metadata(self) -> dict[str, str]:
         """Metadata of how values were come by."""
         if not self.from_dop:
             return {}
         return {"horizontal_accuracy": f"{HORIZONTAL_PER_HDOP:g} m times HDOP"}
 
     def _time(self) -> IntArray:
-        """UTC of the epochs [ns]: the date that their sentences tell, or that of those around."""
+        """UTC of the epochs [ns]: the date that their sentences give, or that of those around."""
         of_day = np.array([_nanoseconds(time) for time in self.of_day], dtype=np.int64)
         step = np.diff(of_day, prepend=of_day[:1])
         day = np.cumsum((step < -DAY // 2).astype(np.int64) - (step > DAY // 2))
-        told = np.array(
+        dated = np.array(
             [NO_TIME if date is None else pd.Timestamp(date).value for date in self.dates]
         )
-        if np.all(told == NO_TIME):
-            told = self._logged_dates()
-        known = told != NO_TIME
+        if np.all(dated == NO_TIME):
+            dated = self._logged_dates()
+        known = dated != NO_TIME
         if not known.any():
             raise InputError(
-                "tells the time of day, but no date",
+                "gives the time of day, but no date",
                 place=f"row {self.rows[0]}",
                 remedy="have the receiver write RMC or ZDA too",
             )
-        base = told[known] - day[known] * DAY
+        base = dated[known] - day[known] * DAY
         dates, counts = np.unique(base, return_counts=True)
-        date = np.where(known, told, dates[np.argmax(counts)] + day * DAY)
+        date = np.where(known, dated, dates[np.argmax(counts)] + day * DAY)
         return np.asarray(date + of_day)
 
     def _logged_dates(self) -> IntArray:
@@ -221,10 +221,10 @@ class Epochs:
 
 def _whole(sentence: str) -> bool:
     """Whether a sentence ends with the checksum of what stands before it."""
-    body, mark, told = sentence[1:].rpartition("*")
+    body, mark, checksum = sentence[1:].rpartition("*")
     if not (mark and body.isascii() and body.isprintable()):
         return False  # the exclusive or does not see the same wrong byte twice
-    return f"{reduce(xor, body.encode(), 0):02X}" == told.upper()
+    return f"{reduce(xor, body.encode(), 0):02X}" == checksum.upper()
 
 
 def _nanoseconds(time: datetime.time) -> int:
@@ -233,7 +233,7 @@ def _nanoseconds(time: datetime.time) -> int:
 
 
 def _date(kind: str, parsed: Any) -> datetime.date | None:
-    """The date that a sentence tells."""
+    """The date that a sentence gives."""
     if kind == "RMC":
         date = getattr(parsed, "date", None)
         return date if isinstance(date, datetime.date) else None
@@ -281,9 +281,9 @@ def _vtg(parsed: Any) -> dict[str, float]:
 
 
 def _gst(parsed: Any) -> dict[str, float]:
-    told = _numbers(parsed, north="stdLat", east="stdLong", vertical_accuracy="stdAlt")
-    north, east = told.pop("north", np.nan), told.pop("east", np.nan)
-    return told | {"horizontal_accuracy": float(np.sqrt(0.5 * (north**2 + east**2)))}
+    found = _numbers(parsed, north="stdLat", east="stdLong", vertical_accuracy="stdAlt")
+    north, east = found.pop("north", np.nan), found.pop("east", np.nan)
+    return found | {"horizontal_accuracy": float(np.sqrt(0.5 * (north**2 + east**2)))}
 
 
 def _gsa(parsed: Any) -> dict[str, float]:
@@ -306,7 +306,7 @@ READERS = {
 """Sentences that are used."""
 
 TIMED = ("RMC", "GGA", "GNS", "ZDA", "GST")
-"""Those of them that tell the time of day."""
+"""Those of them that give the time of day."""
 
 
 def epochs_of(sentences: Iterable[tuple[int, str]], messages: Messages) -> Table:

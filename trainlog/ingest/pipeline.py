@@ -34,7 +34,7 @@ INFO = 2.0
 def frames(tables: list[Table], constants: dict[str, float | str]) -> dict[str, pd.DataFrame]:
     """One frame a topic, in the order of the table of topics.
 
-    A row that says nothing of a topic is no row of its frame. A constant fills the rows of its
+    A row without a value of a topic is no row of its frame. A constant fills the rows of its
     topic; where the topic has nothing else, it stands at both ends of the trip.
     """
     found: dict[str, pd.DataFrame] = {}
@@ -51,7 +51,7 @@ def frames(tables: list[Table], constants: dict[str, float | str]) -> dict[str, 
 
 
 def _frame(topic: Topic, table: Table, fixed: dict[str, Any]) -> pd.DataFrame | None:
-    """What a table says of a topic; None if it says nothing."""
+    """The frame of a topic that a table gives; None if it has no value of it."""
     signals = _of_topic(table.signals, topic.name)
     texts = _of_topic(table.texts, topic.name)
     present = _any([np.isfinite(values) for values in signals.values()], len(table))
@@ -133,7 +133,7 @@ def ingest(
     Returns
     -------
     Trip
-        In SI units, time in UTC; metadata and the provenance step ``"ingest"`` tell what was
+        In SI units, time in UTC; metadata and the provenance step ``"ingest"`` state what was
         read, kept and repaired.
 
     Raises
@@ -167,7 +167,7 @@ def ingest_each(
     """Turn every recording of a file into a trip: the rides of a phone log, the tracks of a GPX.
 
     Parameters are those of `ingest`. Recordings that cannot be used do not keep the others from
-    becoming trips; they are told when all others have been handed over.
+    becoming trips; they are reported when all others have been handed over.
 
     Yields
     ------
@@ -233,12 +233,12 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
         )
     if chosen.layout == "own" and rules is not None:
         idle = {"[time]": int(rules.time is not None), "[columns]": len(rules.columns)}
-        told = {
+        unused = {
             f"{section} of the profile, format '{chosen.name}' has its own": count
             for section, count in idle.items()
             if count
         }
-        recordings = tuple(replace(item, not_used=item.not_used | told) for item in recordings)
+        recordings = tuple(replace(item, not_used=item.not_used | unused) for item in recordings)
     return _Source(source, chosen, rules, carried, recordings)
 
 
@@ -336,15 +336,15 @@ def _trip(
         repairs.add(number, changed)
         tables.append(_from_start(kept, profile.trip))
         findings += found
-    way = direction or profile.trip.direction or "forward"
-    travelled = line.reversed() if line is not None and way == "reverse" else line
+    heading = direction or profile.trip.direction or "forward"
+    travelled = line.reversed() if line is not None and heading == "reverse" else line
     topics = frames([table for table in tables if len(table)], recording.constants)
     if not topics:
         raise InputError(
             f"nothing is left of {recording.rows_read} rows after repair",
             remedy="look at [limits] and at the units of the columns in the profile",
         )
-    trip = Trip(topics, _metadata(recording, profile, line, train, way))
+    trip = Trip(topics, _metadata(recording, profile, line, train, heading))
     estimate = estimated_state(trip, travelled, profile)
     findings += estimate.findings
     if estimate.frame is not None:
@@ -385,7 +385,7 @@ def _joined(findings: list[Finding]) -> tuple[Finding, ...]:
 
 
 def _limits(limits: Limits, line: Line | None, train: Train | None) -> Limits:
-    """The profile's limits; speeds bounded by what line and train allow where it says nothing."""
+    """The profile's limits; speeds bounded by what line and train allow where it gives none."""
     allowed = [float(line.speed_limit(line.breakpoints).max())] if line is not None else []
     allowed += [train.max_speed] if train is not None else []
     if not allowed:
@@ -411,31 +411,31 @@ def _from_start(table: Table, options: TripOptions) -> Table:
 
 
 def _metadata(
-    recording: Recording, profile: Profile, line: Line | None, train: Train | None, way: str
+    recording: Recording, profile: Profile, line: Line | None, train: Train | None, heading: str
 ) -> dict[str, str]:
     """What is known of the trip but for its files and its report."""
     options = profile.trip
     known = {
         "train": _agreed("train", options.train, train.name if train else None),
         "line": _agreed("line", options.line, line.name if line else None),
-        "direction": way,
+        "direction": heading,
         "load": _load(options, train),
         "weather": options.weather,
         "clock": options.clock or recording.metadata.get("clock"),
         "software": f"trainlog {__version__}",
         "trip": options.name,
     }
-    told = {key: value for key, value in known.items() if value is not None}
-    return {**recording.metadata, **profile.metadata, **told}
+    stated = {key: value for key, value in known.items() if value is not None}
+    return {**recording.metadata, **profile.metadata, **stated}
 
 
-def _agreed(what: str, told: str | None, given: str | None) -> str | None:
-    if told is not None and given is not None and told != given:
+def _agreed(what: str, stated: str | None, given: str | None) -> str | None:
+    if stated is not None and given is not None and stated != given:
         raise InputError(
-            f"the profile says {what} '{told}', given is '{given}'",
+            f"the profile states {what} '{stated}', given is '{given}'",
             remedy=f"give the {what} that was recorded, or correct {what} under [trip]",
         )
-    return given or told
+    return given or stated
 
 
 def _load(options: TripOptions, train: Train | None) -> str | None:

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
+from trainlog.formats.schema import must_be
 from trainlog.topics import TOPICS
 from trainlog.topics import Field as Item
 from trainlog.units import factor, to_si
@@ -263,7 +264,7 @@ class LineOptions(_Strict):
     kind : str
         Column that says of which kind a line is.
     payload : str
-        Column that holds what the line says, in hexadecimal digits.
+        Column that holds the data, in hexadecimal digits.
     kinds : dict of str to Payload
         What the payload of each kind is; numbers are the columns ``"KIND.1"``, ``"KIND.2"`` ... of
         [columns].
@@ -511,7 +512,7 @@ def _in_one_line(error: pydantic.ValidationError, file: str | Path | None) -> In
     first, *others = error.errors(include_url=False)
     place = "".join(f'."{part}"' if "/" in str(part) else f".{part}" for part in first["loc"])
     key = str(first["loc"][-1]) if first["loc"] else ""
-    problem = first["msg"].removeprefix("Value error, ")
+    problem = must_be(first["msg"].removeprefix("Value error, "))
     remedy = None
     if first["type"] == "extra_forbidden":
         known = _keys_beside(tuple(first["loc"]))

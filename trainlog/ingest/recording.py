@@ -22,7 +22,7 @@ NO_TIME = int(np.iinfo(np.int64).min)
 """Time of a row whose clock could not be read."""
 
 TIME_CELL = "time"
-"""Column of a `Raw` that tells of times which could not be read."""
+"""Column of a `Raw` that holds times which could not be read."""
 
 SHOWN_ROWS = 5
 """How many of the rows concerned a finding names."""
@@ -141,7 +141,7 @@ class Raw:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The columns of a file that were asked for.
+    """The columns of a file that are needed.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class Recording:
     constants : dict of str to float or str
         By ``"/topic.field"``, in SI: what does not change over the trip.
     metadata : dict of str to str
-        What the file says of the trip, such as the recorder's clock. Where a file holds several
+        What the file states of the trip, such as the recorder's clock. Where a file holds several
         recordings, ``"trip"`` names this one.
     not_used : dict of str to int
         What the file holds besides and was not used, such as messages of other kinds, by name,
@@ -246,7 +246,7 @@ class Messages:
     read : int
         All messages.
     others : Counter
-        Messages of kinds that say nothing of the trip, by name.
+        Messages of kinds that are not used, by name.
     """
 
     read: int = 0

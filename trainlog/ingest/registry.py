@@ -43,7 +43,7 @@ Reader = Callable[[Path, Profile | None], Recording | Sequence[Recording]]
 
 
 def never(head: bytes) -> bool:  # noqa: ARG001
-    """Recognise nothing: for formats that have to be asked for by name."""
+    """Recognise nothing: for formats that have to be named."""
     return False
 
 
@@ -80,7 +80,7 @@ GENERAL = (
     # Last: any text may be a CSV.
     Format("csv", read_delimited, is_delimited),
 )
-"""The general readers, in the order in which they are asked."""
+"""The general readers, in the order in which they are tried."""
 
 
 def format_by_profile(name: str, profile: Profile) -> Format:
@@ -121,7 +121,7 @@ def own_profile(path: Path) -> Path | None:
 
 @cache
 def formats() -> dict[str, Format]:
-    """Every format by name; registered ones come first, so that they are asked first.
+    """Every format by name; registered ones come first, and are tried first.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 The counts are kept in the trip's metadata and provenance, the raw values in an attachment.
 Each entry is a cell or, where `column` is empty, a whole row, in the order in which the rules were
-applied. Its time before and after the rule tells whether the row was moved; without a time after
+applied. Its time before and after the rule shows whether the row was moved; without a time after
 it, the row was dropped.
 """
 
@@ -146,18 +146,18 @@ def report_of(trip: Trip) -> Report:
     """
     for entry in trip.provenance:
         if entry.get("step") == "ingest":
-            told = entry["report"]
+            stored = entry["report"]
             return Report(
-                int(told["rows_read"]),
-                int(told["rows_kept"]),
+                int(stored["rows_read"]),
+                int(stored["rows_kept"]),
                 tuple(
                     Finding(**{**finding, "rows": tuple(int(row) for row in finding["rows"])})
-                    for finding in told["findings"]
+                    for finding in stored["findings"]
                 ),
-                tuple(told["switched_off"]),
-                {what: int(count) for what, count in told.get("not_used", {}).items()},
-                int(told.get("raw_kept", 0)),
-                int(told.get("raw_beyond", 0)),
+                tuple(stored["switched_off"]),
+                {what: int(count) for what, count in stored.get("not_used", {}).items()},
+                int(stored.get("raw_kept", 0)),
+                int(stored.get("raw_beyond", 0)),
             )
     raise LogError(
         f"trip '{trip.name}' was not made by ingest", remedy="simulated trips have no such report"
@@ -302,11 +302,11 @@ class Repairs:
         """Take in what was done to the table of that number."""
         for change in found:
             already = self.by_rule.get(change.rule, 0)
-            room = max(0, self.most - already)
-            self.beyond += max(0, change.rows.size - room)
-            self.by_rule[change.rule] = already + min(room, change.rows.size)
-            if room:
-                self.kept.append((table, _first(change, room)))
+            left = max(0, self.most - already)
+            self.beyond += max(0, change.rows.size - left)
+            self.by_rule[change.rule] = already + min(left, change.rows.size)
+            if left:
+                self.kept.append((table, _first(change, left)))
 
     def __len__(self) -> int:
         return sum(change.rows.size for _, change in self.kept)

@@ -66,15 +66,15 @@ MAX_OUT_OF_LIMITS = 0.5
 
 
 def blank_without_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG001
-    """Take away what a receiver says in rows without a satellite fix."""
+    """Take away the values of a receiver in rows without a satellite fix."""
     fix = has_fix(table)
     if fix is None or fix.all():
         return table, []
-    says = np.zeros(len(table), dtype=np.bool_)
+    present = np.zeros(len(table), dtype=np.bool_)
     for name, values in table.signals.items():
         if name.startswith("/gnss/"):
-            says |= np.isfinite(values)
-    lost = ~fix & says
+            present |= np.isfinite(values)
+    lost = ~fix & present
     found = table.found("no_fix", lost)
     for name in table.signals:
         if name.startswith("/gnss/"):
@@ -208,7 +208,7 @@ AGAINST = -0.5
 """Correlation of effort and acceleration below which the sign of the effort is wrong."""
 
 LONGEST_GAP_IN_CHORD = 3.0
-"""Gap [s] beyond which fixes say nothing of the distance in between."""
+"""Gap [s] beyond which fixes do not give the distance in between."""
 
 LEAST_EFFORT = 0.2
 """Share of the largest effort from which on acceleration is expected to follow it."""
@@ -283,7 +283,7 @@ def _distance_ratio(
             remedy="position grows in the direction of travel: set sign = -1, and offset to"
             " minus the line's length, for its column in the profile",
         )
-    yield POSITION, moved / driven, f"{POSITION} moves {moved:.0f} m, {SPEED} says {driven:.0f} m"
+    yield POSITION, moved / driven, f"{POSITION} moves {moved:.0f} m, {SPEED} gives {driven:.0f} m"
 
 
 def _fix_ratio(table: Table, name: str) -> Iterator[tuple[str, float, str]]:
@@ -294,8 +294,8 @@ def _fix_ratio(table: Table, name: str) -> Iterator[tuple[str, float, str]]:
     if np.count_nonzero(fixed) < 3 or np.count_nonzero(np.isfinite(speed)) < 3:
         return
     seconds = (table.time - table.time[0]) / 1e9
-    told = np.isfinite(speed)
-    at, speeds = seconds[told], speed[told]
+    known = np.isfinite(speed)
+    at, speeds = seconds[known], speed[known]
     distance = np.concatenate(([0.0], np.cumsum(np.diff(at) * 0.5 * (speeds[1:] + speeds[:-1]))))
     marks = np.arange(max(at[0], seconds[fixed][0]), min(at[-1], seconds[fixed][-1]), CHORD)
     if marks.size < 2:
@@ -347,11 +347,11 @@ def _refuse_sign(table: Table) -> None:
 
 def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
     seconds = (table.time - table.time[0]) / 1e9
-    told = np.isfinite(speed)
-    if np.count_nonzero(told) < 3:
+    known = np.isfinite(speed)
+    if np.count_nonzero(known) < 3:
         return
     ahead, behind = (
-        np.interp(seconds + shift, seconds[told], speed[told]) for shift in (2.5, -2.5)
+        np.interp(seconds + shift, seconds[known], speed[known]) for shift in (2.5, -2.5)
     )
     acceleration = (ahead - behind) / 5.0
     strong = np.abs(push) >= LEAST_EFFORT * np.max(np.abs(push))

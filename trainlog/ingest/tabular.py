@@ -63,7 +63,7 @@ class TextFile:
             self._check(name)
         parsed = self._parsed(names, quotes=True)
         if parsed is None:
-            # A stray quotation mark swallowed line ends: then it is no more than a character.
+            # A single quotation mark swallowed line ends: then it is no more than a character.
             parsed = self._parsed(names, quotes=False)
         if parsed is None:
             raise InputError(
@@ -111,7 +111,7 @@ class TextFile:
         try:
             table = pa.csv.read_csv(
                 pa.BufferReader(self.body),
-                # Without threads the handler is told the number of the row.
+                # Without threads the handler is given the number of the row.
                 read_options=pa.csv.ReadOptions(column_names=self.names, use_threads=False),
                 parse_options=pa.csv.ParseOptions(
                     delimiter=self.options.delimiter,

@@ -291,13 +291,13 @@ def _count_others(lines: _Lines, others: BoolArray, messages: Messages) -> None:
 
 
 def _pvt_time(pvt: Any) -> IntArray:
-    """UTC of UBX-NAV-PVT [ns]; `NO_TIME` if the receiver does not vouch for it."""
+    """UTC of UBX-NAV-PVT [ns]; `NO_TIME` if the receiver does not declare it valid."""
     parts = [pvt[name].astype(np.float64) for name in ("year", "month", "day", "hour", "minute")]
     minute = from_parts([*parts, np.zeros(len(pvt))])
-    vouched = (pvt["valid"] & DATE_AND_TIME == DATE_AND_TIME) & (minute != NO_TIME)
+    valid = (pvt["valid"] & DATE_AND_TIME == DATE_AND_TIME) & (minute != NO_TIME)
     # The second may be 60, the nanoseconds are negative where it was rounded up.
     second = pvt["second"].astype(np.int64) * 1_000_000_000 + pvt["nano"]
-    return np.where(vouched, minute + second, NO_TIME)
+    return np.where(valid, minute + second, NO_TIME)
 
 
 def _pvt_signals(pvt: Any) -> dict[str, FloatArray]:
