@@ -103,7 +103,7 @@ def test_text_without_a_profile(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("position", "speed", "message"),
     [
-        ("m", "km/h", "position moves .* m, /train/state.speed says .* m; check the units"),
+        ("m", "km/h", "position moves .* m, /train/state.speed gives .* m; check the units"),
         ("km", "m/s", "position: .* values are impossible|position moves"),
         ("mm", "m/s", "position moves"),
     ],
