@@ -29,7 +29,13 @@ GRAVITY = 9.81
 
 
 def clock(seconds: float) -> str:
-    """A duration [s] as timetables show it: minutes and seconds, hours where there are any."""
+    """A duration [s] as timetables show it: minutes and seconds, hours where there are any.
+
+    Examples
+    --------
+    >>> clock(754.0), clock(4000.0)
+    ('12:34 min', '1:06:40 h')
+    """
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
@@ -53,6 +59,14 @@ def factor(unit: str, si: str) -> tuple[float, float]:
     ------
     InputError
         If `unit` is unknown or has another dimension than `si`.
+
+    Examples
+    --------
+    >>> factor("kN", "N")
+    (1000.0, 0.0)
+    >>> factor("kg", "m/s")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: unit 'kg' cannot be read as m/s; declare a unit...
     """
     registry = _registry()
     try:
@@ -74,6 +88,11 @@ def to_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:
 
     Conversions that are a division by an integer (km/h, per mille) are done as one, so that a
     file's 110 km/h reads and writes as 110 km/h.
+
+    Examples
+    --------
+    >>> to_si([36.0, 110.0], "km/h", "m/s").round(3)
+    array([10.   , 30.556])
     """
     slope, offset = factor(unit, si)
     numbers = np.asarray(value, dtype=np.float64)

@@ -145,6 +145,13 @@ def geometry_of(trips: Sequence[Trip]) -> Survey:
     ------
     InputError
         If no trip has fixes that move along a line.
+
+    Examples
+    --------
+    >>> from trainlog.mcap import read_log
+    >>> survey = geometry_of([read_log("sample_logs/nonstop.mcap")])
+    >>> bool(abs(survey.length - 29_556.0) < 100.0)
+    True
     """
     passes = _passes(trips)
     origin = _origin(passes)
@@ -171,6 +178,13 @@ def line_of(survey: Survey, name: str) -> Line:
 
     A line needs speed limits and gradients: it gets the highest speed driven, rounded up to
     5 km/h, and level track, and its `source` states so.
+
+    Examples
+    --------
+    >>> from trainlog.mcap import read_log
+    >>> survey = geometry_of([read_log("sample_logs/nonstop.mcap")])
+    >>> line_of(survey, "from fixes").source.endswith("gradients, stations, tunnels: not known")
+    True
     """
     limit = 5.0 / 3.6 * np.ceil(max(survey.fastest, 1.0) * 3.6 / 5.0)
     missing = sum(end - start for start, end in survey.unsupported)

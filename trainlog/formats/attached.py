@@ -22,6 +22,12 @@ def line_of(trip: Trip) -> Line:
         If the trip carries no line, or its direction is neither ``forward`` nor ``reverse``.
     InputError
         If the attachment is not a line file.
+
+    Examples
+    --------
+    >>> from trainlog.mcap import read_log
+    >>> line_of(read_log("sample_logs/nonstop.mcap")).name
+    'CH_StGallen_Wil'
     """
     line = line_from_bytes(_attachment(trip, LINE_ATTACHMENT), file=_called(trip, LINE_ATTACHMENT))
     direction = trip.metadata.get("direction", "forward")
@@ -42,6 +48,12 @@ def train_of(trip: Trip) -> Train:
         If the trip carries no train.
     InputError
         If the attachment is not a train file.
+
+    Examples
+    --------
+    >>> from trainlog.mcap import read_log
+    >>> train_of(read_log("sample_logs/nonstop.mcap")).name
+    'CH_Stadler_FLIRT_TPF'
     """
     data = _attachment(trip, TRAIN_ATTACHMENT)
     return train_from_bytes(data, file=_called(trip, TRAIN_ATTACHMENT))

@@ -101,20 +101,49 @@ def map_from_bytes(data: bytes, *, file: str | Path = "map.json") -> TrackCondit
     ------
     InputError
         If they are not a map file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> map_from_bytes(read_bytes("sample_logs/CH_StGallen_Wil.map.json")).bins
+    1183
     """
     return built(_MapFile.from_bytes(data, file).map, file)
 
 
 def map_to_bytes(condition: TrackConditionMap) -> bytes:
-    """The bytes of the map's file: doubles exact, the same map gives the same bytes."""
+    """The bytes of the map's file: doubles exact, the same map gives the same bytes.
+
+    Examples
+    --------
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> map_to_bytes(map_from_bytes(map_to_bytes(condition))) == map_to_bytes(condition)
+    True
+    """
     return _MapFile.of(condition).to_bytes()
 
 
 def read_map(path: str | Path) -> TrackConditionMap:
-    """Read a track-condition map; errors as `map_from_bytes`, and if the file cannot be read."""
+    """Read a track-condition map; errors as `map_from_bytes`, and if the file cannot be read.
+
+    Examples
+    --------
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> condition.line, list(condition.layers)
+    ('CH_StGallen_Wil', ['dry', 'wet'])
+    """
     return map_from_bytes(read_bytes(path), file=path)
 
 
 def write_map(condition: TrackConditionMap, path: str | Path) -> None:
-    """Write a track-condition map, whole or not at all."""
+    """Write a track-condition map, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_map(condition, Path(folder) / "copy.map.json")
+    ...     read_map(Path(folder) / "copy.map.json").bins
+    1183
+    """
     write_bytes(path, map_to_bytes(condition))

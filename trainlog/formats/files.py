@@ -50,6 +50,15 @@ def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
     ------
     InputError
         If the folder is missing or read-only, the disk is full, or the target is not a file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with atomic_write(Path(folder) / "note.txt") as temporary:
+    ...         _ = temporary.write_text("whole or not at all")
+    ...     [path.name for path in Path(folder).iterdir()]
+    ['note.txt']
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
@@ -93,6 +102,15 @@ def atomic_folder(path: str | Path, marker: str) -> Iterator[Path]:
     ------
     InputError
         If something else is at the target, or the folder cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with atomic_folder(Path(folder) / "trip", marker="index.json") as temporary:
+    ...         _ = (temporary / "index.json").write_text("{}")
+    ...     [path.name for path in Path(folder, "trip").iterdir()]
+    ['index.json']
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not (target / marker).is_file():
@@ -167,12 +185,25 @@ def made_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def sha256(data: bytes) -> str:
-    """SHA-256 of `data`, as 64 hexadecimal digits."""
+    """SHA-256 of `data`, as 64 hexadecimal digits.
+
+    Examples
+    --------
+    >>> sha256(b"trainlog")[:16]
+    '225659941706fabe'
+    """
     return hashlib.sha256(data).hexdigest()
 
 
 def sha256_of(path: str | Path) -> str:
-    """SHA-256 of a file's content, as 64 hexadecimal digits; errors as `read_bytes`."""
+    """SHA-256 of a file's content, as 64 hexadecimal digits; errors as `read_bytes`.
+
+    Examples
+    --------
+    >>> path = "sample_logs/gnss.csv"
+    >>> sha256_of(path) == sha256(read_bytes(path))
+    True
+    """
     try:
         with Path(path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -201,6 +232,12 @@ def parse_json(data: bytes, *, file: str | Path) -> Any:
     ------
     InputError
         With line and column where the text ceases to be JSON.
+
+    Examples
+    --------
+    >>> parse_json(b'{"a": 1, "a": 2}', file="x.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: x.json, a: comes twice in one object; remove one of them
     """
     try:
         text = data.decode("utf-8-sig")
@@ -293,6 +330,17 @@ def to_bytes(value: Any) -> bytes:
     ------
     InputError
         If the value holds NaN, infinity or something JSON has no word for; names the key.
+
+    Examples
+    --------
+    >>> print(to_bytes({"unit": "m", "values": [[0.0, 1.5], [2, 3]]}).decode(), end="")
+    {
+      "unit": "m",
+      "values": [
+        [0.0, 1.5],
+        [2, 3]
+      ]
+    }
     """
     return ("".join(_pieces(value, 0)) + "\n").encode()
 
@@ -304,6 +352,11 @@ def plain(value: Any, place: str = "") -> Any:
     ------
     InputError
         If it cannot be said in JSON; names the key.
+
+    Examples
+    --------
+    >>> plain({"mass": np.float64(2.0), "speeds": np.arange(2)})
+    {'mass': 2.0, 'speeds': [0, 1]}
     """
     if isinstance(value, dict):
         return {str(key): plain(item, f"{place}.{key}") for key, item in value.items()}
@@ -405,6 +458,11 @@ def mistaken_log(start: bytes) -> tuple[str, str]:
     -------
     tuple of str
         What is wrong and the remedy, for a `LogError`.
+
+    Examples
+    --------
+    >>> mistaken_log(b"#ROSBAG V2.0")[0]
+    'is not an MCAP file but a bag of ROS 1'
     """
     if not start:
         return "is empty", "expected a log in the MCAP format"

@@ -216,22 +216,54 @@ def line_from_bytes(data: bytes, *, file: str | Path = "line.json") -> Line:
     ------
     InputError
         If they are not a line file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> line_from_bytes(read_bytes("sample_logs/CH_StGallen_Wil.line.json")).stations[0].position
+    0.0
+    >>> line_from_bytes(b"{}")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: line.json: is not a trainlog/line file: it has no key...
     """
     return built(_LineFile.from_bytes(data, file).line, file)
 
 
 def line_to_bytes(line: Line) -> bytes:
-    """The bytes of the line's file: the same line gives the same bytes."""
+    """The bytes of the line's file: the same line gives the same bytes.
+
+    Examples
+    --------
+    >>> path = Path("sample_logs/CH_StGallen_Wil.line.json")
+    >>> line_to_bytes(read_line(path)) == path.read_bytes()
+    True
+    """
     return _LineFile.of(line).to_bytes()
 
 
 def read_line(path: str | Path) -> Line:
-    """Read a line file; errors as `line_from_bytes`, and if the file cannot be read."""
+    """Read a line file; errors as `line_from_bytes`, and if the file cannot be read.
+
+    Examples
+    --------
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> line.name, line.length
+    ('CH_StGallen_Wil', 29556.1)
+    """
     return line_from_bytes(read_bytes(path), file=path)
 
 
 def write_line(line: Line, path: str | Path) -> None:
-    """Write a line file, whole or not at all."""
+    """Write a line file, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_line(line, Path(folder) / "copy.line.json")
+    ...     read_line(Path(folder) / "copy.line.json").name
+    'CH_StGallen_Wil'
+    """
     write_bytes(path, line_to_bytes(line))
 
 
@@ -295,20 +327,50 @@ def journey_from_bytes(data: bytes, *, file: str | Path = "journey.json") -> Jou
     ------
     InputError
         If they are not a journey file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
+    >>> journey_from_bytes(journey_to_bytes(journey)).points[1].latest
+    600.0
     """
     return built(_JourneyFile.from_bytes(data, file).journey, file)
 
 
 def journey_to_bytes(journey: Journey) -> bytes:
-    """The bytes of the journey's file: the same journey gives the same bytes."""
+    """The bytes of the journey's file: the same journey gives the same bytes.
+
+    Examples
+    --------
+    >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
+    >>> len(journey_to_bytes(journey).splitlines()) > 5
+    True
+    """
     return _JourneyFile.of(journey).to_bytes()
 
 
 def read_journey(path: str | Path) -> Journey:
-    """Read a journey file; errors as `journey_from_bytes`, and if the file cannot be read."""
+    """Read a journey file; errors as `journey_from_bytes`, and if the file cannot be read.
+
+    Examples
+    --------
+    >>> read_journey("absent.journey.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.journey.json: does not exist; check the path
+    """
     return journey_from_bytes(read_bytes(path), file=path)
 
 
 def write_journey(journey: Journey, path: str | Path) -> None:
-    """Write a journey file, whole or not at all."""
+    """Write a journey file, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_journey(journey, Path(folder) / "r1.journey.json")
+    ...     read_journey(Path(folder) / "r1.journey.json") == journey
+    True
+    """
     write_bytes(path, journey_to_bytes(journey))

@@ -161,22 +161,59 @@ def parameters_from_bytes(data: bytes, *, file: str | Path = "parameters.json") 
     ------
     InputError
         If they are not a parameters file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> data = b'{"format": "trainlog/parameters", "version": 2}'
+    >>> parameters_from_bytes(data)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: parameters.json, version: version 2 is newer than...
     """
     return built(_ParametersFile.from_bytes(data, file).parameters, file)
 
 
 def parameters_to_bytes(parameters: ParameterSet) -> bytes:
-    """The bytes of the set's file: doubles exact, the same set gives the same bytes."""
+    """The bytes of the set's file: doubles exact, the same set gives the same bytes.
+
+    Examples
+    --------
+    >>> from trainlog.railway.resistance import RunningResistance
+    >>> resistance = RunningResistance(2000.0, 50.0, 8.0)
+    >>> empty = Configuration("empty", 122e3, 9e3, resistance, 2.6e6)
+    >>> found = ParameterSet("FLIRT", (empty,), speed_range=(5.0, 40.0))
+    >>> parameters_from_bytes(parameters_to_bytes(found)).train
+    'FLIRT'
+    """
     return _ParametersFile.of(parameters).to_bytes()
 
 
 def read_parameters(path: str | Path) -> ParameterSet:
-    """Read a parameters file; errors as `parameters_from_bytes`, and if it cannot be read."""
+    """Read a parameters file; errors as `parameters_from_bytes`, and if it cannot be read.
+
+    Examples
+    --------
+    >>> read_parameters("absent.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
     return parameters_from_bytes(read_bytes(path), file=path)
 
 
 def write_parameters(parameters: ParameterSet, path: str | Path) -> None:
-    """Write a parameters file, whole or not at all."""
+    """Write a parameters file, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.railway.resistance import RunningResistance
+    >>> resistance = RunningResistance(2000.0, 50.0, 8.0)
+    >>> empty = Configuration("empty", 122e3, 9e3, resistance, 2.6e6)
+    >>> found = ParameterSet("FLIRT", (empty,), speed_range=(5.0, 40.0))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_parameters(found, Path(folder) / "flirt.parameters.json")
+    ...     read_parameters(Path(folder) / "flirt.parameters.json").configurations[0].mass
+    122000.0
+    """
     write_bytes(path, parameters_to_bytes(parameters))
 
 
@@ -352,20 +389,52 @@ def coast_down_from_bytes(data: bytes, *, file: str | Path = "coast-down.json") 
     ------
     InputError
         If they are not a coast-down file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> coast_down_from_bytes(b"")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: coast-down.json: is empty; expected JSON
     """
     return built(_CoastDownFile.from_bytes(data, file).result, file)
 
 
 def coast_down_to_bytes(result: CoastDownResult) -> bytes:
-    """The bytes of the file: doubles exact, the same result gives the same bytes."""
+    """The bytes of the file: doubles exact, the same result gives the same bytes.
+
+    Examples
+    --------
+    >>> mass = Identified("mass", "kg", None, None, "coasting gives resistance by mass only")
+    >>> result = CoastDownResult("FLIRT", "line", (mass,), np.zeros((0, 0)))
+    >>> coast_down_from_bytes(coast_down_to_bytes(result))["mass"].reason
+    'coasting gives resistance by mass only'
+    """
     return _CoastDownFile.of(result).to_bytes()
 
 
 def read_coast_down(path: str | Path) -> CoastDownResult:
-    """Read a coast-down file; errors as `coast_down_from_bytes`, and if it cannot be read."""
+    """Read a coast-down file; errors as `coast_down_from_bytes`, and if it cannot be read.
+
+    Examples
+    --------
+    >>> read_coast_down("absent.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
     return coast_down_from_bytes(read_bytes(path), file=path)
 
 
 def write_coast_down(result: CoastDownResult, path: str | Path) -> None:
-    """Write a coast-down file, whole or not at all."""
+    """Write a coast-down file, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> mass = Identified("mass", "kg", None, None, "coasting gives resistance by mass only")
+    >>> result = CoastDownResult("FLIRT", "line", (mass,), np.zeros((0, 0)))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_coast_down(result, Path(folder) / "flirt.json")
+    ...     read_coast_down(Path(folder) / "flirt.json").train
+    'FLIRT'
+    """
     write_bytes(path, coast_down_to_bytes(result))

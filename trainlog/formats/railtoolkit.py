@@ -101,6 +101,22 @@ def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dic
     ------
     InputError
         If the file is not rolling stock of railtoolkit; names the place and what is wrong.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = '''
+    ... schema: https://railtoolkit.org/schema/rolling-stock.json
+    ... schema_version: "2022.05"
+    ... vehicles:
+    ...   - {id: wagon, name: wagon, vehicle_type: freight, length: 14.0, mass: 22.0}
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "stock.yaml"
+    ...     _ = path.write_text(text)
+    ...     vehicles, formations = read_rolling_stock(path)
+    >>> vehicles["wagon"].mass
+    22000.0
     """
     content = _content(path, "rolling-stock.json")
     stock = checked(_RollingStock, content, path)
@@ -142,6 +158,22 @@ def read_running_paths(path: str | Path) -> dict[str, Line]:
     ------
     InputError
         If the file is not a running path of railtoolkit; names the place and what is wrong.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = '''
+    ... schema: https://railtoolkit.org/schema/running-path.json
+    ... schema_version: "2022.05"
+    ... paths:
+    ...   - id: short
+    ...     characteristic_sections: [[0.0, 80, 0.0], [5000.0, 60, 5.0], [8000.0, 60, 5.0]]
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "path.yaml"
+    ...     _ = path.write_text(text)
+    ...     read_running_paths(path)["short"].length
+    8000.0
     """
     content = _content(path, "running-path.json")
     lines: dict[str, Line] = {}

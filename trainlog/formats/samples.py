@@ -25,6 +25,11 @@ def folder() -> Path:
     ------
     InputError
         If there is none.
+
+    Examples
+    --------
+    >>> folder().name
+    'sample_logs'
     """
     for place in _PLACES:
         if (place / DEFAULT_LINE).is_file():
@@ -43,6 +48,11 @@ def sample(name: str) -> Path:
     ------
     InputError
         If there is no such sample; lists those that there are.
+
+    Examples
+    --------
+    >>> sample(DEFAULT_LINE).name
+    'CH_StGallen_Wil.line.json'
     """
     path = folder() / name
     if not path.is_file():
@@ -51,7 +61,13 @@ def sample(name: str) -> Path:
 
 
 def names() -> list[str]:
-    """Names of all samples, in alphabetical order."""
+    """Names of all samples, in alphabetical order.
+
+    Examples
+    --------
+    >>> "nonstop.mcap" in names()
+    True
+    """
     return sorted(
         path.name
         for path in folder().iterdir()
@@ -66,6 +82,13 @@ def copy_samples(output: str | os.PathLike[str]) -> list[Path]:
     ------
     InputError
         If the folder cannot be made or written to.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as target:
+    ...     len(copy_samples(target)) == len(names())
+    True
     """
     target = made_folder(output)
     for name in names():

@@ -194,22 +194,52 @@ def train_from_bytes(data: bytes, *, file: str | Path = "train.json") -> Train:
     ------
     InputError
         If they are not a train file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> data = read_bytes("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> train_from_bytes(data).max_tractive_effort
+    200000.0
     """
     return built(_TrainFile.from_bytes(data, file).train, file)
 
 
 def train_to_bytes(train: Train) -> bytes:
-    """The bytes of the train's file: the same train gives the same bytes."""
+    """The bytes of the train's file: the same train gives the same bytes.
+
+    Examples
+    --------
+    >>> path = Path("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> train_to_bytes(read_train(path)) == path.read_bytes()
+    True
+    """
     return _TrainFile.of(train).to_bytes()
 
 
 def read_train(path: str | Path) -> Train:
-    """Read a train file; errors as `train_from_bytes`, and if the file cannot be read."""
+    """Read a train file; errors as `train_from_bytes`, and if the file cannot be read.
+
+    Examples
+    --------
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> train.name, train.mass
+    ('CH_Stadler_FLIRT_TPF', 122000.0)
+    """
     return train_from_bytes(read_bytes(path), file=path)
 
 
 def write_train(train: Train, path: str | Path) -> None:
-    """Write a train file, whole or not at all."""
+    """Write a train file, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_train(train, Path(folder) / "copy.train.json")
+    ...     read_train(Path(folder) / "copy.train.json") == train
+    True
+    """
     write_bytes(path, train_to_bytes(train))
 
 
@@ -351,20 +381,49 @@ def consist_from_bytes(data: bytes, *, file: str | Path = "consist.json") -> Con
     ------
     InputError
         If they are not a consist file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> len(consist_from_bytes(read_bytes("sample_logs/freight_24_wagons.consist.json")).couplers)
+    24
     """
     return built(_ConsistFile.from_bytes(data, file).consist, file)
 
 
 def consist_to_bytes(consist: Consist) -> bytes:
-    """The bytes of the consist's file: the same consist gives the same bytes."""
+    """The bytes of the consist's file: the same consist gives the same bytes.
+
+    Examples
+    --------
+    >>> path = Path("sample_logs/freight_24_wagons.consist.json")
+    >>> consist_to_bytes(read_consist(path)) == path.read_bytes()
+    True
+    """
     return _ConsistFile.of(consist).to_bytes()
 
 
 def read_consist(path: str | Path) -> Consist:
-    """Read a consist file; errors as `consist_from_bytes`, and if the file cannot be read."""
+    """Read a consist file; errors as `consist_from_bytes`, and if the file cannot be read.
+
+    Examples
+    --------
+    >>> consist = read_consist("sample_logs/freight_24_wagons.consist.json")
+    >>> consist.name, len(consist.vehicles)
+    ('freight train, 24 wagons', 25)
+    """
     return consist_from_bytes(read_bytes(path), file=path)
 
 
 def write_consist(consist: Consist, path: str | Path) -> None:
-    """Write a consist file, whole or not at all."""
+    """Write a consist file, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> consist = read_consist("sample_logs/freight_24_wagons.consist.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_consist(consist, Path(folder) / "copy.consist.json")
+    ...     read_consist(Path(folder) / "copy.consist.json").name
+    'freight train, 24 wagons'
+    """
     write_bytes(path, consist_to_bytes(consist))

@@ -107,6 +107,12 @@ def trajectory_from_bytes(data: bytes, *, file: str | Path = "trajectory.json") 
     ------
     InputError
         If they are not a trajectory file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> trajectory_from_bytes(b'{"format": "trainlog/line"}')  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: trajectory.json, format: is a file of format 'trainlog/line'...
     """
     return built(_TrajectoryFile.from_bytes(data, file).trajectory, file)
 
@@ -117,7 +123,14 @@ def trajectory_to_bytes(trajectory: Trajectory) -> bytes:
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
-    """Read a trajectory file; errors as `trajectory_from_bytes`, and if it cannot be read."""
+    """Read a trajectory file; errors as `trajectory_from_bytes`, and if it cannot be read.
+
+    Examples
+    --------
+    >>> read_trajectory("absent.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
     return trajectory_from_bytes(read_bytes(path), file=path)
 
 

@@ -444,12 +444,33 @@ def detect(path: str | Path) -> Kind:
     ------
     InputError
         If the file cannot be read or is none of the three.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_track(line, Path(folder) / "track.json")
+    ...     detect(Path(folder) / "track.json")
+    'track'
     """
     return _detect(read_json(path), path)
 
 
 def import_file(path: str | Path) -> Line | Train | Journey:
-    """Read a TTOBench file of any kind; errors as `detect` and as the reader of that kind."""
+    """Read a TTOBench file of any kind; errors as `detect` and as the reader of that kind.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_track(line, Path(folder) / "track.json")
+    ...     import_file(Path(folder) / "track.json").length
+    29556.1
+    """
     kind = detect(path)
     if kind == "track":
         return read_track(path)
@@ -468,6 +489,16 @@ def convert(path: str | Path, output: str | Path) -> Path:
     ------
     InputError
         If the file cannot be read or used, or the new one cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_track(line, Path(folder) / "track.json")
+    ...     convert(Path(folder) / "track.json", folder).name
+    'track.line.json'
     """
     found = import_file(path)
     target = Path(output) / Path(path).stem
@@ -491,6 +522,16 @@ def read_track(path: str | Path) -> Line:
     InputError
         If the file cannot be read, a key is unknown or missing, a unit is of the wrong kind or a
         value is not possible; names the place.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_track(line, Path(folder) / "track.json")
+    ...     read_track(Path(folder) / "track.json").stations[0].name
+    'km 0.000'
     """
     return built(_read(TrackLayout, "track", path).line, path)
 
@@ -504,12 +545,33 @@ def read_train(path: str | Path) -> Train:
     ------
     InputError
         As `read_track`; also for trains whose efficiency is a table of losses.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.train import read_train as read_own
+    >>> train = read_own("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_train(train, Path(folder) / "train.json")
+    ...     read_train(Path(folder) / "train.json").mass
+    122000.0
     """
     return built(_read(TrainLayout, "train", path).train, path)
 
 
 def read_journey(path: str | Path) -> Journey:
-    """Read a journey; errors as `read_track`."""
+    """Read a journey; errors as `read_track`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.railway.journey import TimingPoint
+    >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_journey(journey, Path(folder) / "r1.json")
+    ...     read_journey(Path(folder) / "r1.json") == journey
+    True
+    """
     return built(_read(JourneyLayout, "journey", path).journey, path)
 
 
@@ -523,6 +585,16 @@ def write_track(line: Line, path: str | Path) -> None:
     InputError
         If the line does not begin and end at a station, as the layout demands, or the file cannot
         be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_track(line, Path(folder) / "track.json")
+    ...     read_track(Path(folder) / "track.json").length
+    29556.1
     """
     _write(TrackLayout.of(line), path)
 
@@ -531,12 +603,33 @@ def write_train(train: Train, path: str | Path) -> None:
     """Write a train, without the fields that are ``assumed``.
 
     The layout has no place for loads, axles and the brake's delays.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.train import read_train as read_own
+    >>> train = read_own("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_train(train, Path(folder) / "train.json")
+    ...     read_train(Path(folder) / "train.json").mass
+    122000.0
     """
     _write(TrainLayout.of(train), path)
 
 
 def write_journey(journey: Journey, path: str | Path) -> None:
-    """Write a journey."""
+    """Write a journey.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.railway.journey import TimingPoint
+    >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_journey(journey, Path(folder) / "r1.json")
+    ...     read_journey(Path(folder) / "r1.json") == journey
+    True
+    """
     _write(JourneyLayout.of(journey), path)
 
 

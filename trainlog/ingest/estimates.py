@@ -96,6 +96,13 @@ def fixes_of(trip: Trip) -> Fixes:
     ----------
     trip : Trip
         With ``/gnss/fix``.
+
+    Examples
+    --------
+    >>> from trainlog.ingest import ingest
+    >>> fixes = fixes_of(ingest("sample_logs/gnss.csv"))
+    >>> fixes.seconds.size >= 6847
+    True
     """
     frame = trip["/gnss/fix"]
     if "/gnss/motion" in trip:

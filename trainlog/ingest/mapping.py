@@ -313,7 +313,14 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
 
 
 def from_parts(parts: list[FloatArray]) -> IntArray:
-    """Time from year, month, day, hour, minute, second; `NO_TIME` where there is no such day."""
+    """Time from year, month, day, hour, minute, second; `NO_TIME` where there is no such day.
+
+    Examples
+    --------
+    >>> parts = [np.array([float(part)]) for part in (2024, 5, 1, 8, 30, 15.5)]
+    >>> pd.Timestamp(from_parts(parts)[0]).isoformat()
+    '2024-05-01T08:30:15.500000'
+    """
     bounds = ((1980, 2099), (1, 12), (1, 31), (0, 23), (0, 59), (0, 60.999999999))
     valid = np.ones(parts[0].size, dtype=np.bool_)
     for values, (low, high) in zip(parts, bounds, strict=True):

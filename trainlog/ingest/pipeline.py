@@ -141,6 +141,15 @@ def ingest(
     InputError
         If the file cannot be used, with row and column where they are known and a remedy; or if
         it holds several recordings, see `ingest_each`.
+
+    Examples
+    --------
+    >>> from trainlog.ingest import report_of
+    >>> trip = ingest("sample_logs/recorder.csv", profile="sample_logs/recorder.profile.toml")
+    >>> list(trip.topics)
+    ['/train/state', '/train/controls', '/train/axles']
+    >>> report_of(trip).lines()[0]
+    '14103 rows read, 14091 kept, 12 dropped'
     """
     source = _opened(path, profile, format)
     if len(source.recordings) > 1:
@@ -178,6 +187,11 @@ def ingest_each(
     ------
     InputError
         If the file cannot be used, or, after the last trip, if some of its recordings cannot.
+
+    Examples
+    --------
+    >>> [trip.name for trip in ingest_each("sample_logs/gnss.csv")]
+    ['gnss']
     """
     source = _opened(path, profile, format)
     refused: list[InputError] = []

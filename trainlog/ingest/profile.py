@@ -474,12 +474,25 @@ def read_profile(path: str | Path) -> Profile:
     ------
     InputError
         If it is missing, no TOML, or does not fit; the message names the key and what would fit.
+
+    Examples
+    --------
+    >>> profile = read_profile("sample_logs/recorder.profile.toml")
+    >>> profile.columns["/train/state.speed"].unit
+    'km/h'
     """
     return parse_profile(read_bytes(path), file=path)
 
 
 def parse_profile(data: bytes, *, file: str | Path) -> Profile:
-    """The profile that the bytes of a TOML file hold; errors as `read_profile`."""
+    """The profile that the bytes of a TOML file hold; errors as `read_profile`.
+
+    Examples
+    --------
+    >>> parse_profile(b"format = 'trainlog/line'", file="mine.toml")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: mine.toml: is not a recorder profile...
+    """
     try:
         content = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -494,7 +507,22 @@ def parse_profile(data: bytes, *, file: str | Path) -> Profile:
 
 
 def profile_of(content: dict[str, Any], *, file: str | Path | None = None) -> Profile:
-    """The profile that a dict of the same layout describes; errors as `read_profile`."""
+    """The profile that a dict of the same layout describes; errors as `read_profile`.
+
+    Examples
+    --------
+    >>> profile = profile_of(
+    ...     {
+    ...         "format": "trainlog/recorder-profile",
+    ...         "version": 1,
+    ...         "name": "mine",
+    ...         "time": {"column": "t"},
+    ...         "columns": {"/train/state.speed": {"column": "v", "unit": "km/h"}},
+    ...     }
+    ... )
+    >>> profile.time.timezone
+    'UTC'
+    """
     stated = content.get("format")
     if stated != PROFILE_FORMAT:
         raise InputError(

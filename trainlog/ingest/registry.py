@@ -127,6 +127,11 @@ def formats() -> dict[str, Format]:
     ------
     InputError
         If a registered format cannot be loaded.
+
+    Examples
+    --------
+    >>> "gpx" in formats() and "ublox" in formats()
+    True
     """
     found: dict[str, Format] = {}
     for entry in entry_points(group=GROUP):

@@ -143,6 +143,12 @@ def report_of(trip: Trip) -> Report:
     ------
     LogError
         If the trip was not made by ingest.
+
+    Examples
+    --------
+    >>> from trainlog.ingest import ingest
+    >>> report_of(ingest("sample_logs/gnss.csv")).counts
+    {'subsecond': 5477, 'spikes': 3, 'gaps': 1}
     """
     for entry in trip.provenance:
         if entry.get("step") == "ingest":
@@ -399,6 +405,13 @@ def repairs_of(trip: Trip) -> pd.DataFrame:
     ------
     LogError
         If the trip was not made by ingest, or the attachment is damaged.
+
+    Examples
+    --------
+    >>> from trainlog.ingest import ingest
+    >>> repairs = repairs_of(ingest("sample_logs/gnss.csv"))
+    >>> repairs[repairs["rule"] == "spikes"]["row"].tolist()
+    [3240, 3505, 5172]
     """
     report_of(trip)
     data = trip.attachments.get(REPAIRS_ATTACHMENT)
