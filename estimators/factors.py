@@ -185,14 +185,15 @@ def recursion(size: int) -> Callable[..., FloatArray]:
         covariance_after: FloatArray,
     ) -> FloatArray:
         innovations = np.empty_like(values)
-        scratch = np.empty_like(estimate)
-        weights = 1.0 / prior
+        scratch, weights, leak = np.empty_like(prior), np.empty_like(prior), np.empty_like(prior)
         inverse = 1.0 / forgetting
+        wanders, forgets = False, forgetting < 1.0
         # Before the guard the covariance is at most (prior + walk) / forgetting: this information
         # brings it back to the prior. The trace bounds what it is in any direction.
-        leak = (prior * (1.0 - forgetting) + walk) / (prior * (prior + walk))
-        wanders = np.any(walk > 0.0)
-        forgets = forgetting < 1.0
+        for i in range(size):
+            weights[i] = 1.0 / prior[i]
+            leak[i] = (prior[i] * (1.0 - forgetting) + walk[i]) / (prior[i] * (prior[i] + walk[i]))
+            wanders = wanders or walk[i] > 0.0
         for k in range(len(rows)):
             if wanders:
                 for i in range(size):
@@ -211,7 +212,8 @@ def recursion(size: int) -> Callable[..., FloatArray]:
             innovations[k] = innovation
             measure(size, estimate, upper, diagonal, scratch, rows[k], innovation, variance)
             if k < estimate_after.shape[0]:
-                estimate_after[k] = estimate
+                for i in range(size):
+                    estimate_after[k, i] = estimate[i]
                 product(size, upper, diagonal, covariance_after[k])
         return innovations
 
