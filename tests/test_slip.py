@@ -86,6 +86,23 @@ def test_onsets_measure_the_maximum_adhesion(trips: list[Seen]) -> None:
     assert abs(np.median(errors)) < 0.003
 
 
+def test_creep_curves_find_the_maximum_and_whether_it_was_passed(trips: list[Seen]) -> None:
+    errors, scaled, falls = [], [], []
+    for each in trips:
+        events = each.found.events.join(each.found.creep_curves())
+        events = events[events["measured"] & events["maximum"].notna()]
+        truth = each.scenario.maximum_adhesion(events["position"].to_numpy())
+        errors.append(events["maximum"].to_numpy() - truth)
+        scaled.append(errors[-1] / events["maximum_std"].to_numpy())
+        falls.append(events["slope"].to_numpy() < 0.0)
+    error, z = np.concatenate(errors), np.concatenate(scaled)
+    assert error.size > 50
+    assert np.median(np.abs(error)) < 0.003
+    assert abs(np.median(error)) < 0.0015
+    assert np.mean(np.abs(z) < 1.96) > 0.88
+    assert np.mean(np.concatenate(falls)) > 0.75
+
+
 def test_slip_that_stays_short_of_the_maximum_does_not_measure_it(trips: list[Seen]) -> None:
     """What is not marked as measured lies below the maximum, not around it."""
     for each in trips:

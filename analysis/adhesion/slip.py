@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from estimators.adhesion import smoothed_force
+from estimators.creep_curve import estimate_creep_curve
 from estimators.slip import (
     SLOPE_RATE,
     SLOPE_RATE_WITHOUT_BRAKE,
@@ -65,6 +66,13 @@ CALIBRATION_SAMPLES = 50
 
 LOOK_BACK = 3.0
 """How long before the detection of slip its onset is sought [s]."""
+
+CURVE_BEFORE, CURVE_AFTER = 1.5, 0.5
+"""The creep curve is estimated from so long before the detection of slip to so long after the
+largest slip [s]."""
+
+CURVE_SPEED_STD = 0.03
+"""Error of the train's speed while its axles slip [m/s]."""
 
 PROMINENCE = 3.0
 """Standard deviations by which adhesion in use must fall on either side of a maximum."""
@@ -128,9 +136,50 @@ class SlipAnalysis:
             {"adhesion": self.adhesion, "slip_speed": self.slip_speed},
         )
 
+    def creep_curves(self) -> pd.DataFrame:
+        """Adhesion characteristic of each slip event, by an unscented filter.
+
+        Returns
+        -------
+        DataFrame
+            With the index of `events`: ``maximum`` and ``maximum_std``, the maximum adhesion at
+            the onset; ``slope`` and ``slope_std`` [s/m], the change of adhesion with slip speed at
+            the largest slip, negative where the maximum was passed. NaN where too few samples show
+            the curve.
+        """
+        clock = np.asarray(self.time.as_unit("ns").asi8)
+        time = (clock - clock[0]) / 1e9 if clock.size else np.empty(0)
+        noise = adhesion_noise(time, self.adhesion) if len(self.events) else 0.0
+        slip_std = float(np.hypot(wheel_noise(self.slip_speed), CURVE_SPEED_STD))
+        columns = ["maximum", "maximum_std", "slope", "slope_std"]
+        found = np.full((len(self.events), 4), np.nan)
+        axles = self.events["axle"].to_numpy() - 1
+        signs = np.sign(self.events["peak_slip"].to_numpy())
+        places = self.events["position"].to_numpy()
+        starts, stops = (self.time.searchsorted(self.events[name]) for name in ("start", "end"))
+        for number, (axle, sign, start, stop) in enumerate(
+            zip(axles, signs, starts, stops, strict=True)
+        ):
+            slip = sign * self.slip_speed[:, axle]
+            peak = int(start) + int(np.nanargmax(slip[start : max(stop, start + 1)]))
+            first = int(np.searchsorted(time, time[start] - CURVE_BEFORE))
+            part = slice(first, min(stop, int(np.searchsorted(time, time[peak] + CURVE_AFTER))))
+            used = sign * self.adhesion[part, axle]
+            curve = estimate_creep_curve(time[part], slip[part], used, noise, slip_std)
+            known = np.flatnonzero(np.isfinite(curve.maximum))
+            if not known.size:
+                continue
+            onset_at = known[np.argmin(np.abs(self.position[part][known] - places[number]))]
+            peak_at = known[np.argmax(slip[part][known])]
+            found[number, :2] = curve.maximum[onset_at], curve.maximum_std[onset_at]
+            found[number, 2:] = curve.slope[peak_at], curve.slope_std[peak_at]
+        frame = pd.DataFrame(found, self.events.index, columns)
+        frame.attrs["units"] = dict(zip(columns, ("1", "1", "s/m", "s/m"), strict=True))
+        return frame
+
     def events_frame(self) -> pd.DataFrame:
         """The slip events as a frame of the topic ``/events``, one warning each."""
-        rows = self.events.sort_values(["start", "axle"])
+        rows = self.events.join(self.creep_curves()).sort_values(["start", "axle"])
         told = zip(
             rows["axle"],
             rows["kind"],
@@ -138,12 +187,15 @@ class SlipAnalysis:
             rows["speed"].to_numpy() * KMH,
             np.abs(rows["peak_slip"].to_numpy()),
             rows["adhesion"].to_numpy(),
+            rows["maximum"].to_numpy(),
+            1.96 * rows["maximum_std"].to_numpy(),
             strict=True,
         )
         messages = [
             f"axle {axle} slips in {kind} at km {km:.3f}, {kmh:.0f} km/h: {peak:.1f} m/s,"
             f" adhesion {adhesion:.3f}"
-            for axle, kind, km, kmh, peak, adhesion in told
+            + (f", maximum {top:.3f} ± {reach:.3f}" if np.isfinite(top) else "")
+            for axle, kind, km, kmh, peak, adhesion, top, reach in told
         ]
         return frame_of(
             EVENTS,
