@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from io import StringIO
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
 
 JOULES_PER_KWH = 3.6e6
+
+PAGE = 110
+"""Columns of a table in a notebook."""
 
 _PADDING = 3
 """Of each column: a space on both sides, and what divides it from the next."""
@@ -77,3 +81,12 @@ def kwh(energy: float) -> str:
 def excess(excess: float) -> float:
     """An excess as people read it: nothing rather than a negative or a minus zero."""
     return excess if excess > 0.0 else 0.0
+
+
+def as_page(*parts: RenderableType) -> str:
+    """Tables and words as HTML, as a notebook shows them."""
+    console = Console(record=True, file=StringIO(), width=PAGE, markup=False)
+    console.print(*parts, sep="\n")
+    return console.export_html(
+        inline_styles=True, code_format="<pre style='line-height:1.2'>{code}</pre>"
+    )

@@ -18,14 +18,13 @@ from analysis.resistance import (
     TripFit,
     TripRefusedError,
     combine,
-    fit_logs,
     fit_trip,
     parameter_set,
     summarised,
 )
 from analysis.resistance.combination import nearest_physical
 from analysis.resistance.fit import History, WindowPoints
-from analysis.resistance.logs import AllRefusedError
+from analysis.resistance.logs import AllRefusedError, fit
 from analysis.resistance.plot import draw_each_refused, draw_fits, draw_refused, draw_trip
 from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals, powers
@@ -141,7 +140,7 @@ def test_trips_without_noise_are_averaged_and_left_alone() -> None:
 def test_trips_that_are_all_noise_are_drawn_to_the_common_curve() -> None:
     fits, _ = drawn(20, 0.0, (900.0, 400.0, 900.0), seed=3)
     common = combine(fits)
-    raw = np.mean([relative(fit.beta, TRUE) for fit in fits])
+    raw = np.mean([relative(one.beta, TRUE) for one in fits])
     drawn_in = np.mean([relative(beta, TRUE) for beta in common.betas])
     assert drawn_in < 0.6 * raw
     assert relative(beta_of(common.resistance), TRUE) < 0.5 * raw
@@ -152,7 +151,7 @@ def test_drawing_towards_the_common_curve_helps_on_average() -> None:
     for seed in range(10):
         fits, true = drawn(12, 0.07, (300.0, 100.0, 300.0), seed)
         common = combine(fits)
-        raw += [relative(fit.beta, t) for fit, t in zip(fits, true, strict=True)]
+        raw += [relative(one.beta, t) for one, t in zip(fits, true, strict=True)]
         better += [relative(beta, t) for beta, t in zip(common.betas, true, strict=True)]
     assert np.mean(better) < 0.9 * np.mean(raw)
 
@@ -189,10 +188,10 @@ def test_parameter_set_is_physical_and_complete() -> None:
     summaries = summarised(fits, {"trip-900": standing}, trains={"trip-900": "unit"})
     parameters = parameter_set(summaries)
     assert [c.name for c in parameters.configurations] == [f.trip for f in fits]
-    for configuration, fit in zip(parameters.configurations, fits, strict=True):
+    for configuration, one in zip(parameters.configurations, fits, strict=True):
         assert np.all(beta_of(configuration.resistance) >= 0.0)
         assert configuration.rotating_mass == 12e3
-        assert configuration.mass == pytest.approx(fit.mass, rel=0.02)
+        assert configuration.mass == pytest.approx(one.mass, rel=0.02)
         assert configuration.max_power == TRAIN.max_traction_power
     assert parameters.details[-1] == {
         "trip": "trip-900",
@@ -253,8 +252,8 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
     logs = [tmp_path / f"{one.name}.mcap" for one in trips]
     for one, path in zip(trips, logs, strict=True):
         write_log(one, path)
-    fits = fit_logs(logs)
-    assert [fit.trip for fit in fits.trips] == ["made-0", "made-1", "made-2"]
+    fits = fit(logs)
+    assert [one.trip for one in fits.trips] == ["made-0", "made-1", "made-2"]
     assert list(fits.refused) == ["dull"]
     assert fits.refused["dull"].reason == "condition"
     assert "vary too little" in str(fits.refused["dull"])
@@ -281,10 +280,10 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
 def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
     write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
     with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as told:
-        fit_logs([tmp_path / "dull.mcap"])
+        fit([tmp_path / "dull.mcap"])
     assert draw_each_refused(told.value.refused, tmp_path) == [tmp_path / "dull.png"]
     with pytest.raises(NotIdentifiableError, match="no log was given"):
-        fit_logs([])
+        fit([])
 
 
 @pytest.mark.long

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from resistance_trips import constant_speed, trip
 
-from analysis.resistance import combine, fit_logs, summarised
+from analysis.resistance import combine, summarised
 from analysis.resistance.combination import random_effects
+from analysis.resistance.logs import fit
 from tests.test_resistance_together import drawn
 from trainlog.errors import InputError
 from trainlog.formats.parameters import parameters_to_bytes
@@ -129,17 +130,17 @@ def test_known_logs_are_not_read_again_and_nothing_changes(tmp_path: Path) -> No
     logs = [tmp_path / f"{one.name}.mcap" for one in trips]
     for one, path in zip(trips, logs, strict=True):
         write_log(one, path)
-    whole = fit_logs(logs)
+    whole = fit(logs)
     for name, part in (("a", logs[:1]), ("b", logs[1:])):
-        write_summaries(fit_logs(part).summaries, tmp_path / f"{name}.parquet")
+        write_summaries(fit(part).summaries, tmp_path / f"{name}.parquet")
     summaries = [tmp_path / "b.parquet", tmp_path / "a.parquet"]
-    again = fit_logs([*summaries, *logs])
+    again = fit([*summaries, *logs])
     assert again.known == 3
     assert not again.trips
     assert not again.refused
     assert parameters_to_bytes(again.parameters) == parameters_to_bytes(whole.parameters)
     pd.testing.assert_frame_equal(again.summaries, whole.summaries, check_exact=True)
-    alone = fit_logs(summaries)
+    alone = fit(summaries)
     assert parameters_to_bytes(alone.parameters) == parameters_to_bytes(whole.parameters)
     assert whole.parameters.cover["refused"] == {"condition": 1}
 

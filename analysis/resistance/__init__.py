@@ -2,12 +2,12 @@
 
 `fit_trip` fits one trip, `summarised` keeps what is needed of it, `combine` takes all of them,
 `parameter_set` makes the observed configurations that a robust trajectory is computed for;
-`fit_logs` does all of it for files.
+`fit` does all of it for trips, logs and summaries.
 """
 
 from analysis.resistance.combination import CommonFit, combine, summarised
 from analysis.resistance.fit import TripFit, estimated_resistance, fit_trip
-from analysis.resistance.logs import Fits, fit_logs
+from analysis.resistance.logs import Fits
 from analysis.resistance.observed import parameter_set
 from analysis.resistance.recording import TripRefusedError
 
@@ -18,7 +18,6 @@ __all__ = [
     "TripRefusedError",
     "combine",
     "estimated_resistance",
-    "fit_logs",
     "fit_trip",
     "parameter_set",
     "summarised",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -27,6 +28,7 @@ from analysis.resistance.regression import (
     regress,
 )
 from analysis.resistance.windows import Evidence, Windows, part_of
+from trainlog.display import as_html, as_text, picture, span
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
 from trainlog.railway.line import Line, StepProfile
@@ -91,7 +93,7 @@ class History:
     covariance: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TripFit:
     """Running resistance and mass as observed on one trip.
 
@@ -175,6 +177,34 @@ class TripFit:
     timeline: Timeline
     history: History
 
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        speed = np.linspace(0.0, self.asked[1], 100)
+        low, high = self.band(speed)
+        curves = {"running resistance [kN]": self.resistance(speed) / 1e3}
+        curves |= {"95 % band, lower": low / 1e3, "upper": high / 1e3}
+        return as_html(self._title, self._summary(), picture(speed, curves))
+
+    @property
+    def _title(self) -> str:
+        return f"Running resistance of {self.train} on trip '{self.trip}'"
+
+    def _summary(self) -> dict[str, str]:
+        power = "limit not reached"
+        if self.max_power is not None and self.max_power_std is not None:
+            power = f"{self.max_power / 1e3:.0f} ± {1.96 * self.max_power_std / 1e3:.0f} kW"
+        masked = [f"{reason} {time:.0f} s" for reason, time in self.masked.items() if time > 0.0]
+        return {
+            "curve": curve_words(self),
+            "mass": f"{self.mass / 1e3:.1f} ± {1.96 * self.mass_std / 1e3:.1f} t",
+            "power": power,
+            "speeds": f"{span(self.speed_range, KMH)} km/h, asked for {span(self.asked, KMH)} km/h",
+            "windows": f"{self.windows['used']} used, {self.windows['outlier']} outliers",
+            "masked": ", ".join(masked) or "nothing",
+        }
+
     @property
     def mass_std(self) -> float:
         """Standard deviation of the mass [kg]."""
@@ -200,6 +230,31 @@ class TripFit:
         return value - reach, value + reach
 
 
+class Curve(Protocol):
+    """A drag curve with its uncertainty."""
+
+    @property
+    def resistance(self) -> RunningResistance:
+        """Of straight, level, open track."""
+
+    @property
+    def asked(self) -> tuple[float, float]:
+        """Speeds [m/s] between which it is asked for."""
+
+    def std(self, speed: ArrayLike) -> FloatArray:
+        """Standard deviation [N] at each speed [m/s]."""
+
+
+def curve_words(fit: Curve) -> str:
+    """A curve in words: its coefficients, and its value at the highest speed asked for."""
+    curve, top = fit.resistance, fit.asked[1]
+    value, reach = float(curve(top)) / 1e3, 1.96 * float(fit.std(top)) / 1e3
+    return (
+        f"{curve.r0:.0f} N + {curve.r1:.1f} N/(m/s) v + {curve.r2:.2f} N/(m/s)² v²,"
+        f" {value:.2f} ± {reach:.2f} kN at {KMH * top:.0f} km/h"
+    )
+
+
 def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
     """Fit running resistance and mass to a trip.
 
@@ -222,6 +277,13 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
         If the trip does not determine the curve; the message says why.
     LogError
         If the trip lacks its line or its train, or time does not increase.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> fit = fit_trip(trainlog.read("sample_logs/nonstop.mcap"))
+    >>> bool(abs(fit.mass - 145e3) < 1e3), fit.windows["used"] > 800
+    (True, True)
     """
     check_recorded(trip)
     line, train = line_of(trip), train_of(trip)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from analysis.given import Given, each_given
 from analysis.resistance.combination import SOFTWARE, CommonFit, combine, summarised
-from analysis.resistance.fit import TripFit, fit_evidence, fit_trip, origin_of
+from analysis.resistance.fit import TripFit, curve_words, fit_evidence, fit_trip, origin_of
 from analysis.resistance.observed import COVER, LISTED, parameter_set
 from analysis.resistance.recording import (
     ScaleSamples,
@@ -22,6 +23,7 @@ from analysis.resistance.recording import (
     scale_samples,
 )
 from analysis.resistance.windows import Evidence, part_of, within
+from trainlog.display import as_text, span
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
@@ -30,6 +32,7 @@ from trainlog.mcap import read_log
 from trainlog.mcap.stretches import stretches
 from trainlog.railway.configuration import ParameterSet
 from trainlog.trip import Trip, seconds
+from trainlog.units import KMH
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
 """What is read of each log."""
@@ -55,9 +58,9 @@ class AllRefusedError(NotIdentifiableError):
         self.refused = refused
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fits:
-    """What a set of logs says about a train's running resistance.
+    """What a set of trips shows of a train's running resistance.
 
     Attributes
     ----------
@@ -81,25 +84,102 @@ class Fits:
     common: CommonFit
     parameters: ParameterSet
 
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
 
-def fit_logs(
-    paths: Iterable[Path],
+    def _repr_html_(self) -> str:
+        from analysis.resistance.table import fit_table
+        from analysis.tables import as_page
+
+        return as_page(fit_table(self))
+
+    @property
+    def _title(self) -> str:
+        accepted = int(np.count_nonzero(self.summaries["refused"] == ""))
+        return (
+            f"Running resistance of {self.common.train}: {accepted}"
+            f" trip{'s' * (accepted != 1)} accepted, {len(self.summaries) - accepted} refused"
+        )
+
+    def _summary(self) -> dict[str, str]:
+        common, found = self.common, self.parameters
+        mass = self.summaries["mass"].dropna().to_numpy(np.float64)
+        rows = {
+            "together": curve_words(common),
+            "mass": f"{span(mass, 1e-3, 1)} t",
+            "supported": f"{span(common.speed_range, KMH)} km/h",
+            "observed set": f"{len(found.configurations)} configurations, which bound"
+            f" {found.cover['level']:.1%} of trips like these",
+        }
+        reasons = [f"{trip} ({error.reason})" for trip, error in self.refused.items()]
+        if reasons:
+            more = f" and {len(reasons) - 4} more" if len(reasons) > 4 else ""
+            rows["refused"] = ", ".join(reasons[:4]) + more
+        return rows
+
+
+@dataclass(eq=False)
+class _Read:
+    """What was read of the trips and summaries given."""
+
+    earlier: list[pd.DataFrame] = field(default_factory=list)
+    held: set[str] = field(default_factory=set)
+    known: int = 0
+    digests: dict[str, str] = field(default_factory=dict)
+    trains: dict[str, str] = field(default_factory=dict)
+    trips: list[TripFit] = field(default_factory=list)
+    refused: dict[str, TripRefusedError] = field(default_factory=dict)
+
+    def add(self, given: Trip | Path, speeds: tuple[float, float] | None) -> None:
+        """Fit a trip or a log, or keep a file of summaries."""
+        path = None if isinstance(given, Trip) else given
+        if path is not None and path.suffix == SUFFIX:
+            self.earlier.append(read_summaries(path))
+            self.held |= set(self.earlier[-1]["sha256"]) - {""}
+            return
+        digest = "" if path is None else sha256_of(path)
+        if digest in self.held:
+            self.known += 1
+            return
+        about = given if isinstance(given, Trip) else read_log(given, [])
+        if about.name in self.digests:
+            raise InputError(
+                f"trip '{about.name}' is given twice", file=path, remedy="give each trip once"
+            )
+        self.digests[about.name] = digest
+        try:
+            one = fit_trip(given, speeds) if isinstance(given, Trip) else fit_log(given, speeds)
+            self.trips.append(one)
+        except TripRefusedError as error:
+            self.refused[about.name] = error
+            self.trains[about.name] = _train_name(about)
+
+
+def fit(
+    trips: Given | Iterable[Given],
     speeds: tuple[float, float] | None = None,
     *,
     cover: float = COVER,
     most: int | None = None,
 ) -> Fits:
-    """Fit each log, then all of them together, with the trips of which summaries are given.
+    """Fit running resistance and mass to each trip, then to all of them together.
 
     Parameters
     ----------
-    paths : iterable of path
-        Logs, read one after the other, and files of summaries (``.parquet``). A log is not read,
-        but for its SHA-256, after summaries that hold it.
+    trips : Trip, path, or iterable of them
+        Of one train: trips at hand, logs, folders of logs, and files of summaries of earlier fits
+        (``.parquet``). Logs are read one after the other; one that summaries given before it hold
+        is not read, but for its SHA-256.
     speeds : (float, float) [m/s], optional
         Speeds between which the curve is asked for; see `fit_trip`.
-    cover, most
-        Of the observed set; see `parameter_set`.
+    cover : float
+        Share of trips whose running times and energies the observed set is to bound.
+    most : int, optional
+        At most so many configurations in the set.
+
+    Returns
+    -------
+    Fits
 
     Raises
     ------
@@ -108,37 +188,21 @@ def fit_logs(
     LogError
         If a file is not a log, or a trip lacks its line or its train.
     InputError
-        If the logs are of different trains, a trip appears twice, or a file of summaries is none.
+        If the trips are of different trains, one appears twice, or a file of summaries is none.
+
+    Examples
+    --------
+    >>> fits = fit("sample_logs/nonstop.mcap")
+    >>> [one.trip for one in fits.trips]
+    ['trip-01']
+    >>> bool(abs(fits.common.resistance(25.0) / 12e3 - 1.0) < 0.2)
+    True
     """
-    earlier: list[pd.DataFrame] = []
-    held: set[str] = set()
-    trips: list[TripFit] = []
-    refused: dict[str, TripRefusedError] = {}
-    digests: dict[str, str] = {}
-    trains: dict[str, str] = {}
-    known = 0
-    for path in paths:
-        if path.suffix == SUFFIX:
-            earlier.append(read_summaries(path))
-            held |= set(earlier[-1]["sha256"]) - {""}
-            continue
-        digest = sha256_of(path)
-        if digest in held:
-            known += 1
-            continue
-        about = read_log(path, [])
-        if about.name in digests:
-            raise InputError(
-                f"trip '{about.name}' is given twice", file=path, remedy="give each trip once"
-            )
-        digests[about.name] = digest
-        try:
-            trips.append(fit_log(path, speeds))
-        except TripRefusedError as error:
-            refused[about.name] = error
-            trains[about.name] = _train_name(about)
-    rows = summarised(trips, refused, trains=trains, digests=digests)
-    summaries = merged([*earlier, rows])
+    read = _Read()
+    for given in each_given(trips):
+        read.add(given, speeds)
+    rows = summarised(read.trips, read.refused, trains=read.trains, digests=read.digests)
+    summaries = merged([*read.earlier, rows])
     if not (summaries["refused"] == "").any():
         first = next(iter(summaries["message"]), "no log was given")
         others = len(summaries) - 1
@@ -147,13 +211,13 @@ def fit_logs(
             + (f"; nor do the other {others}" if others > 0 else ""),
             remedy="give longer or more varied trips; 'trainlog fit --per-trip FOLDER' draws why"
             " each was refused",
-            refused=refused,
+            refused=read.refused,
         )
     parameters = parameter_set(summaries, cover=cover, most=most)
     return Fits(
-        trips=tuple(sorted(trips, key=lambda fit: fit.trip)),
-        refused=refused,
-        known=known,
+        trips=tuple(sorted(read.trips, key=lambda one: one.trip)),
+        refused=read.refused,
+        known=read.known,
         summaries=summaries,
         common=combine(summaries),
         parameters=replace(parameters, provenance=_provenance(summaries)),

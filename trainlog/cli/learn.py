@@ -58,8 +58,8 @@ def fit(
 
     Example: trainlog fit results/trips -o results/parameters.json
     """
-    from analysis.resistance import fit_logs
     from analysis.resistance.logs import AllRefusedError
+    from analysis.resistance.logs import fit as fit_trips
     from analysis.resistance.plot import draw_each, draw_each_refused, draw_fits
     from analysis.resistance.table import fit_table
     from trainlog.formats.parameters import write_parameters
@@ -76,7 +76,7 @@ def fit(
     with progress_bar() as progress:
         given = progress.track(paths, description="fitting")
         try:
-            fits = fit_logs(given, cover=cover / 100.0, most=configurations)
+            fits = fit_trips(given, cover=cover / 100.0, most=configurations)
         except AllRefusedError as error:
             if drawn is not None:
                 wrote(*draw_each_refused(error.refused, drawn))
