@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.resistance.coast_down import CoastDown, coast_down, coast_down_logs
+from analysis.resistance.coast_down import CoastDown, coast_down
 from analysis.resistance.coasting_fit import Curve, MassRatio, fit_segments, with_ratio
 from analysis.resistance.motion import motion_of, smoothed_over
 from analysis.resistance.plot import draw_without_gradient
@@ -290,12 +290,12 @@ def test_segments_of_a_simulated_trip_are_where_it_truly_coasted() -> None:
 def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     write_log(satellites_only(sample_trip("nonstop.mcap")), log)
-    found = coast_down_logs([log])
+    found = coast_down([log])
     data = coast_down_to_bytes(found.result)
     assert coast_down_to_bytes(coast_down_from_bytes(data)) == data
-    assert coast_down_to_bytes(coast_down_logs([log]).result) == data
+    assert coast_down_to_bytes(coast_down(log).result) == data
     result = found.result
-    assert result["c0"].value == found.found.curve.theta[1]
+    assert result["c0"].value == found.curve.theta[1]
     assert result["mass_ratio"].reason in (None, "expected: train file")
     assert len(result.provenance["inputs"]["trip-01"]) == 64
     assert result.trips[0]["segments"]

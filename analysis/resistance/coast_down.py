@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.given import Given, each_given
 from analysis.resistance.coasting_detection import (
     TYPICAL,
     TYPICAL_STD,
@@ -32,10 +33,10 @@ from analysis.resistance.coasting_fit import (
     TripCoastDown,
     fit_segments,
 )
-from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, random_effects
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, random_effects
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.resistance.regression import powers
-from trainlog import __version__
+from trainlog.display import as_text, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256_of
@@ -59,7 +60,7 @@ chance exceeds it once in 10,000 trains. A driver who holds one effort all day c
 train that coasts with another curve, unless no train has that curve."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CoastDown:
     """What the coasting of a train shows of its running resistance.
 
@@ -77,7 +78,9 @@ class CoastDown:
     refused : dict of str to str
         Trips that contribute nothing, and why.
     evidence : float
-        Gain in log-likelihood by coasting over a world without, all trips together.
+        Gain in log-likelihood by coasting over no coasting at all, all trips together.
+    digests : dict of str to str
+        SHA-256 of the files that it was made from; see `Sources`.
     """
 
     train: str
@@ -87,21 +90,114 @@ class CoastDown:
     trips: tuple[TripCoastDown, ...]
     refused: dict[str, str]
     evidence: float
+    digests: dict[str, str]
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        from analysis.resistance.table import coast_down_table
+        from analysis.tables import as_page
+
+        return as_page(coast_down_table(self))
+
+    @property
+    def _title(self) -> str:
+        trips = len(self.trips)
+        return (
+            f"Coasting of {self.train or 'a train'}: {trips} trip{'s' * (trips != 1)} used,"
+            f" {len(self.refused)} refused"
+        )
+
+    def _summary(self) -> dict[str, str]:
+        c0, c1, c2 = self.curve.theta[1:]
+        known = self.curve.supported
+        segments = sum(len(fit.segments) for fit in self.trips)
+        return {
+            "coasted": f"{sum(fit.coasted for fit in self.trips):.0f} s in {segments} segments",
+            "curve": f"{c0:.5f} m/s² + {c1:.2e} 1/s v + {c2:.2e} 1/m v², over inertia",
+            "supported": "at no speed" if known is None else f"{span(known, KMH)} km/h",
+            "mass over inertia": f"{self.ratio.value:.3f} ± {1.96 * self.ratio.std:.3f}"
+            f" ({self.ratio.source})",
+        }
+
+    @property
+    def result(self) -> CoastDownResult:
+        """What it amounts to, ready to be written."""
+        return with_origin(result_of(self), self.digests)
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Trips that were given, and the files that they and the line came from.
+
+    Attributes
+    ----------
+    trips : tuple of Trip
+        In order of name. A log too long for the memory is read in stretches, each a trip.
+    line : Line or None
+        For trips that carry none.
+    digests : dict of str to str
+        SHA-256 of the log of each trip that came from one, and of the file of the ``line``.
+    """
+
+    trips: tuple[Trip, ...]
+    line: Line | None
+    digests: dict[str, str]
+
+    @staticmethod
+    def of(
+        trips: Given | Iterable[Given],
+        line: Line | str | Path | None,
+        topics: tuple[str, ...] = TOPICS,
+    ) -> Sources:
+        """The trips and the line given, read where they are paths."""
+        found: list[Trip] = []
+        digests: dict[str, str] = {}
+        for given in each_given(trips):
+            if isinstance(given, Trip):
+                found.append(given)
+                continue
+            digest = sha256_of(given)
+            for stretch in stretches(given, topics):
+                found.append(stretch.named())
+                digests[found[-1].name] = digest
+        digests = dict(sorted(digests.items()))
+        if isinstance(line, str | Path):
+            digests["line"] = sha256_of(line)
+            line = read_line(line)
+        return Sources(tuple(sorted(found, key=lambda trip: trip.name)), line, digests)
+
+
+def with_origin(result: CoastDownResult, digests: dict[str, str]) -> CoastDownResult:
+    """The result with the SHA-256 of the files that it was made from, if there are any."""
+    if not digests:
+        return result
+    known = [
+        {**trip, "sha256": digests[trip["trip"]]} if trip["trip"] in digests else trip
+        for trip in result.trips
+    ]
+    step = {"step": "coast-down", "software": SOFTWARE, "inputs": digests}
+    return replace(result, trips=known, provenance=step)
 
 
 def coast_down(
-    trips: Sequence[Trip],
-    line: Line | None = None,
+    trips: Given | Iterable[Given],
+    line: Line | str | Path | None = None,
     speeds: tuple[float, float] | None = None,
 ) -> CoastDown:
     """Running resistance over inertia from trips of one train that recorded no efforts.
 
+    Where the train coasted is found from its motion and the line's gradients. Where these are not
+    known: `analysis.resistance.unknown_gradient.coast_down_without_gradient`.
+
     Parameters
     ----------
-    trips : sequence of Trip
-        With ``/gnss/motion`` or ``/train/state``, and chainage; efforts are not looked at.
-    line : Line, optional
-        In its own direction; default: the one that each trip carries.
+    trips : Trip, path, or iterable of them
+        Trips at hand, logs and folders of logs, with ``/gnss/motion`` or ``/train/state``, and
+        chainage; efforts are not looked at.
+    line : Line or path, optional
+        In its own direction, for trips that carry none; default: the one that each trip carries.
     speeds : (float, float) [m/s], optional
         Speeds between which the curve must be known; default: wherever it is.
 
@@ -118,15 +214,21 @@ def coast_down(
         If the trips are of different trains, or a trip appears twice.
     LogError
         If a trip carries no line and none is given.
+
+    Examples
+    --------
+    >>> found = coast_down("sample_logs/nonstop.mcap")
+    >>> bool(found.curve.supported[1] > 25.0)
+    True
     """
-    ordered = sorted(trips, key=lambda trip: trip.name)
-    train, name = one_train(ordered)
+    sources = Sources.of(trips, line)
+    train, name = one_train(sources.trips)
     expected = MassRatio.expected(train)
     refused: dict[str, str] = {}
     moved: list[tuple[Motion, Line]] = []
-    for trip in ordered:
+    for trip in sources.trips:
         try:
-            moved.append(_located(trip, line))
+            moved.append(_located(trip, sources.line))
         except NotIdentifiableError as error:
             refused[trip.name] = str(error)
     check_any(moved, refused)
@@ -141,7 +243,9 @@ def coast_down(
     curve, between, ratio = combined(fits, expected)
     check_plausible(curve)
     check_supported(curve, speeds)
-    return CoastDown(name, curve, ratio, between, tuple(fits), refused, detection.evidence)
+    return CoastDown(
+        name, curve, ratio, between, tuple(fits), refused, detection.evidence, sources.digests
+    )
 
 
 def combined(
@@ -382,7 +486,7 @@ def trip_detail(fit: TripCoastDown) -> dict[str, Any]:
         "cluster_factor": fit.cluster_factor,
         "residual_std": fit.residual_std,
         "segments": [segment_detail(motion, segment) for segment in fit.segments],
-        "strays": [segment_detail(motion, segment) for segment in fit.strays],
+        "outlier_segments": [segment_detail(motion, segment) for segment in fit.outlier_segments],
     }
 
 
@@ -406,77 +510,3 @@ def refusals(refused: dict[str, str]) -> list[dict[str, Any]]:
         {"trip": name, "accepted": False, "reason": reason}
         for name, reason in sorted(refused.items())
     ]
-
-
-class CoastDowns(NamedTuple):
-    """What a set of logs shows by coasting.
-
-    Attributes
-    ----------
-    found : CoastDown
-    result : CoastDownResult
-        Ready to be written.
-    """
-
-    found: CoastDown
-    result: CoastDownResult
-
-
-def coast_down_logs(
-    logs: Iterable[Path],
-    line: Path | None = None,
-    speeds: tuple[float, float] | None = None,
-) -> CoastDowns:
-    """Find where the trips of logs coasted, and what that shows of the running resistance.
-
-    Parameters
-    ----------
-    logs : iterable of path
-        Of one train. A log too long for the memory is read in stretches, each a trip of its own.
-    line : path, optional
-        Line file for logs that carry no line.
-    speeds : (float, float) [m/s], optional
-        Speeds between which the curve must be known; see `coast_down`.
-
-    Raises
-    ------
-    NotIdentifiableError, InputError, LogError
-        As `coast_down`, and if a file is not a log or not a line.
-    """
-    given = None if line is None else read_line(line)
-    trips, digests = trips_of(logs)
-    found = coast_down(trips, given, speeds)
-    return CoastDowns(found, with_origin(result_of(found), digests, line))
-
-
-def trips_of(
-    logs: Iterable[Path], topics: tuple[str, ...] = TOPICS
-) -> tuple[list[Trip], dict[str, str]]:
-    """The trips of logs, and the SHA-256 of the log that each came from."""
-    trips: list[Trip] = []
-    digests: dict[str, str] = {}
-    for path in logs:
-        digest = sha256_of(path)
-        for stretch in stretches(path, topics):
-            trip = stretch.named()
-            trips.append(trip)
-            digests[trip.name] = digest
-    return trips, digests
-
-
-def with_origin(
-    result: CoastDownResult, digests: dict[str, str], line: Path | None
-) -> CoastDownResult:
-    """The result with the files that it was made from."""
-    inputs = dict(sorted(digests.items()))
-    if line is not None:
-        inputs["line"] = sha256_of(line)
-    return replace(
-        result,
-        trips=[{**trip, "sha256": digests[trip["trip"]]} for trip in result.trips],
-        provenance={
-            "step": "coast-down",
-            "software": f"trainlog {__version__}",
-            "inputs": inputs,
-        },
-    )

@@ -57,7 +57,7 @@ RATIO_STD = 0.005
 FREE_RATIO_STD = 0.2
 """Standard deviation of mass over inertia [1] with which the data are asked for it: free."""
 
-STRAY = 4.0
+OUTLIER_SEGMENT = 4.0
 """A segment whose windows together are so many standard deviations off was not coasting."""
 
 
@@ -191,7 +191,7 @@ class TripCoastDown:
         The curve's parameters and covariance from the data alone, mass over inertia free.
     segments : tuple of Segment
         That were used.
-    strays : tuple of Segment
+    outlier_segments : tuple of Segment
         Found as coasting, and left out because they contradict the others.
     coasted : float [s]
         Time in the segments used.
@@ -217,7 +217,7 @@ class TripCoastDown:
     ratio: MassRatio
     free: tuple[FloatArray, FloatArray]
     segments: tuple[Segment, ...]
-    strays: tuple[Segment, ...]
+    outlier_segments: tuple[Segment, ...]
     coasted: float
     windows: dict[str, int]
     noise: dict[str, float]
@@ -248,7 +248,7 @@ def fit_segments(
     NotIdentifiableError
         If the segments are too short together, or all at one speed.
     """
-    strays: tuple[Segment, ...] = ()
+    outlier_segments: tuple[Segment, ...] = ()
     width = max(WINDOW, SAMPLES * motion.period)
     # How noisy the speed is was seen on the whole trip, not only where it coasts.
     ordinary = Expected.on(line)
@@ -261,12 +261,12 @@ def fit_segments(
         regression = regress(
             windows, 1.0 / expected.value, FREE_RATIO_STD / expected.value**2, noise
         )
-        worst = _stray(segments, windows, regression)
+        worst = _outlier_segment(segments, windows, regression)
         if worst is None:
             break
-        strays += (segments[worst],)
+        outlier_segments += (segments[worst],)
         segments = segments[:worst] + segments[worst + 1 :]
-    return _result(motion, segments, strays, windows, regression, expected)
+    return _result(motion, segments, outlier_segments, windows, regression, expected)
 
 
 def coasting_recording(motion: Motion, line: Line, segments: tuple[Segment, ...]) -> Recording:
@@ -340,7 +340,9 @@ def _check_windows(motion: Motion, windows: Windows) -> None:
         )
 
 
-def _stray(segments: tuple[Segment, ...], windows: Windows, regression: Regression) -> int | None:
+def _outlier_segment(
+    segments: tuple[Segment, ...], windows: Windows, regression: Regression
+) -> int | None:
     """The segment that contradicts the others most, if any does beyond chance."""
     if len(segments) < 3:
         return None
@@ -350,13 +352,13 @@ def _stray(segments: tuple[Segment, ...], windows: Windows, regression: Regressi
     total = np.bincount(owner, regression.residual, minlength=len(segments))
     count = np.maximum(np.bincount(owner, minlength=len(segments)), 1)
     z = np.abs(total) / np.sqrt(count * regression.cluster_factor)
-    return int(np.argmax(z)) if z.max() > STRAY else None
+    return int(np.argmax(z)) if z.max() > OUTLIER_SEGMENT else None
 
 
 def _result(
     motion: Motion,
     segments: tuple[Segment, ...],
-    strays: tuple[Segment, ...],
+    outlier_segments: tuple[Segment, ...],
     windows: Windows,
     regression: Regression,
     expected: MassRatio,
@@ -376,7 +378,7 @@ def _result(
         ratio=ratio,
         free=free,
         segments=segments,
-        strays=strays,
+        outlier_segments=outlier_segments,
         coasted=float(sum(segment.duration for segment in segments)),
         windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
         noise=dict(zip(("speed", "gradient", "position"), regression.noise.sizes[:3], strict=True)),

@@ -512,7 +512,7 @@ def _segments(axes: Axes, fit: TripCoastDown) -> None:
     axes.plot(kilometre, speed, color=GREY, linewidth=0.7, label="speed")
     for segments, colour, label in (
         (fit.segments, BLUE, "coasting"),
-        (fit.strays, RED, "left out: contradicts the others"),
+        (fit.outlier_segments, RED, "left out: contradicts the others"),
     ):
         for number, segment in enumerate(segments):
             inside = (motion.time >= segment.start) & (motion.time <= segment.end)

@@ -91,7 +91,8 @@ def coast_down_table(found: CoastDown) -> Group:
         table.add_row(
             fit.trip,
             fit.source,
-            f"{len(fit.segments)}" + (f" ({len(fit.strays)} strays)" if fit.strays else ""),
+            f"{len(fit.segments)}"
+            + (f" ({len(fit.outlier_segments)} outliers)" if fit.outlier_segments else ""),
             f"{fit.coasted:.0f} s",
             f"{KMH * low:.0f} to {KMH * high:.0f}",
             f"{fit.windows['used']}",

@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.resistance.coast_down import check_any, one_train, trips_of, with_origin
+from analysis.given import Given
+from analysis.resistance.coast_down import Sources, check_any, one_train, with_origin
 from analysis.resistance.coasting_detection import SHORTEST
 from analysis.resistance.coasting_fit import LARGEST_STD, SHORTEST_RANGE
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
 from analysis.resistance.regression import band_factor, curve_std, powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
-from trainlog.formats.line import read_line
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 from trainlog.railway.line import Line
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
@@ -91,17 +91,17 @@ class Passages:
 
 
 def coast_down_without_gradient(
-    trips: Sequence[Trip],
-    line: Line | None = None,
+    trips: Given | Iterable[Given],
+    line: Line | str | Path | None = None,
     spans: Mapping[str, Spans] | None = None,
 ) -> CoastDownResult:
     """What coasting tells of running resistance where the gradient is not known.
 
     Parameters
     ----------
-    trips : sequence of Trip
-        Of one train, with speed and chainage.
-    line : Line, optional
+    trips : Trip, path, or iterable of them
+        Of one train, with speed and chainage: trips at hand, logs and folders of logs.
+    line : Line or path, optional
         For trips that carry none; only its length is used, to count trips against it back.
     spans : mapping of str to sequence of (float, float) [s], optional
         When each trip coasted, since the first sample of its speed; default: where the recorded
@@ -121,15 +121,15 @@ def coast_down_without_gradient(
     InputError
         If the trips are of different trains, or a trip appears twice.
     """
-    ordered = sorted(trips, key=lambda trip: trip.name)
-    _, train = one_train(ordered)
+    sources = Sources.of(trips, line, (*TOPICS, "/train/controls"))
+    _, train = one_train(sources.trips)
     parts: list[Passages] = []
     told: list[dict[str, object]] = []
-    for number, trip in enumerate(ordered):
+    for number, trip in enumerate(sources.trips):
         try:
             motion = motion_of(trip)
             known = lever_at_rest(trip, motion) if spans is None else spans.get(trip.name, ())
-            found = passages(motion, known, number, _turned(trip, line))
+            found = passages(motion, known, number, _turned(trip, sources.line))
         except NotIdentifiableError as error:
             told.append({"trip": trip.name, "accepted": False, "reason": str(error)})
             continue
@@ -138,31 +138,7 @@ def coast_down_without_gradient(
     check_any(parts, {str(each["trip"]): str(each["reason"]) for each in told if "reason" in each})
     rows = _joined(parts)
     _check_repeated(rows)
-    return replace(_solved(rows, told), train=train)
-
-
-def coast_down_logs_without_gradient(
-    logs: Iterable[Path], line: Path | None = None
-) -> CoastDownResult:
-    """What logs tell by coasting where the line's gradients are not known.
-
-    Coasting is where the recorded lever was at rest; see `coast_down_without_gradient`.
-
-    Parameters
-    ----------
-    logs : iterable of path
-        Of one train.
-    line : path, optional
-        Line file for logs that carry no line.
-
-    Raises
-    ------
-    NotIdentifiableError, InputError, LogError
-        As `coast_down_without_gradient`, and if a file is not a log or not a line.
-    """
-    given = None if line is None else read_line(line)
-    trips, digests = trips_of(logs, (*TOPICS, "/train/controls"))
-    return with_origin(coast_down_without_gradient(trips, given), digests, line)
+    return with_origin(replace(_solved(rows, told), train=train), sources.digests)
 
 
 def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:

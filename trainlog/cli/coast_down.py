@@ -37,10 +37,8 @@ def coast_down(
 
     Example: trainlog coast-down results/recorded -o results/coast-down.json
     """
-    from analysis.resistance.coast_down import coast_down_logs
-    from analysis.resistance.plot import draw_coast_down, draw_without_gradient
-    from analysis.resistance.table import coast_down_table, without_gradient_table
-    from analysis.resistance.unknown_gradient import coast_down_logs_without_gradient
+    from analysis.resistance import coast_down as coasting
+    from analysis.resistance import plot, table, unknown_gradient
     from trainlog.formats.parameters import write_coast_down
 
     destination(output, ".json")
@@ -48,14 +46,15 @@ def coast_down(
     with progress_bar() as progress:
         every = progress.track(logs_in(logs), description="coasting")
         if gradient == "unknown":
-            result = coast_down_logs_without_gradient(every, line)
+            result = unknown_gradient.coast_down_without_gradient(every, line)
         else:
-            found, result = coast_down_logs(every, line)
+            found = coasting.coast_down(every, line)
+            result = found.result
     write_coast_down(result, output)
     if gradient == "unknown":
-        draw_without_gradient(result, shown)
-        console.print(without_gradient_table(result))
+        plot.draw_without_gradient(result, shown)
+        console.print(table.without_gradient_table(result))
     else:
-        draw_coast_down(found, shown)
-        console.print(coast_down_table(found))
+        plot.draw_coast_down(found, shown)
+        console.print(table.coast_down_table(found))
     wrote(output, shown)
