@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from trajectory_cases import (
     FLIRT,
+    KMH,
     VIRM6,
     drawn,
     hilly_line,
@@ -231,10 +232,11 @@ def known_run(
     traction: float = TRACTION,
     braking: float = BRAKING,
     running_time: float = TIME,
+    line: Line = LEVEL,
     **question: object,
 ) -> tuple[Audit, list[str]]:
     """The audit of a run whose motion is known, and what it does not pass."""
-    problem = TrajectoryProblem(LEVEL, train, [configuration], sigmas=0.0, **question)  # type: ignore[arg-type]
+    problem = TrajectoryProblem(line, train, [configuration], sigmas=0.0, **question)  # type: ignore[arg-type]
     positions = np.linspace(0.0, 2_000.0, 81)
     pulls, brakes = positions[:-1] < 500.0, positions[:-1] >= 1_000.0
     found = audit(problem, positions, traction * pulls, np.zeros(80), braking * brakes[None])
@@ -351,6 +353,22 @@ def test_what_is_beyond_a_limit_by_less_than_its_tolerance_passes() -> None:
 def test_an_overspeed_of_a_few_centimetres_a_second_is_reported() -> None:
     _, failures = known_run(replace(SMOOTH, max_speed=FASTEST - 0.03))
     assert failures == [f"configuration '{ONE.name}' exceeds the permitted speed by [m/s] 0.03"]
+
+
+def test_an_overspeed_where_a_lower_limit_ends_is_reported() -> None:
+    """The train accelerates beyond the limit in its last metre alone."""
+    limit = KMH * (FASTEST * np.sqrt(0.8) - 3.0 * SPEED_TOLERANCE)
+    line = level_line(2_000.0, (0.0, limit), (400.0, 140.0))
+    found, failures = known_run(line=line)
+    assert found.overspeed[0] == pytest.approx(3.0 * SPEED_TOLERANCE, rel=1e-3)
+    assert len(failures) == 1
+    assert "exceeds the permitted speed" in failures[0]
+
+
+def test_the_distance_to_the_end_of_a_train_that_stops_early_is_known() -> None:
+    found, failures = known_run(braking=1.25 * BRAKING)
+    assert found.shortfall[0] == pytest.approx(200.0, rel=1e-9)
+    assert any("stops short by [m] 200" in failure for failure in failures)
 
 
 def test_braking_beyond_the_adhesion_is_reported() -> None:

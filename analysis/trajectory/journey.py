@@ -26,6 +26,7 @@ from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, limiting_factors, place_of, seconds
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
+from trainlog.display import as_html, as_text
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
@@ -251,9 +252,11 @@ class Section:
     passing: tuple[TimingPoint, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class JourneyPlan:
     """Trajectories of all sections of a journey, and when each departs.
+
+    Printing it lists them.
 
     Attributes
     ----------
@@ -274,6 +277,31 @@ class JourneyPlan:
     departures: FloatArray
     arrivals: FloatArray
     certificate: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title, self._summary())
+
+    @property
+    def _title(self) -> str:
+        return f"Plan of journey '{self.journey.name}' on {self.journey.line}"
+
+    def _summary(self) -> dict[str, str]:
+        rows = {}
+        for each, departs, arrives in list(
+            zip(self.sections, self.departures, self.arrivals, strict=True)
+        )[:7]:
+            first, last = each.positions[[0, -1]] / 1e3
+            rows[f"km {first:.3f} to {last:.3f}"] = f"{departs:.1f} s to {arrives:.1f} s"
+        if len(self.sections) > 7:
+            rows["..."] = f"{len(self.sections)} sections in all"
+        if "energy" in self.certificate:
+            rows["energy"] = (
+                f"{self.certificate['energy'] / 3.6e6:.2f} kWh, gap {self.certificate['gap']:.3%}"
+            )
+        return rows
 
 
 def sections_of(journey: Journey) -> tuple[Section, ...]:

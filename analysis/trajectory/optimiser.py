@@ -34,6 +34,7 @@ from analysis.trajectory.problem import (
     TrajectoryProblem,
 )
 from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
+from trainlog.display import as_html, as_text, picture
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.railway import Trajectory
 
@@ -278,9 +279,11 @@ RESERVES = (0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.13, 0.17, 0.22, 0.3)
 """Over the least time; closer where the front is steep."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Front:
     """Least energies for several running times.
+
+    Printing it lists them.
 
     Attributes
     ----------
@@ -292,6 +295,27 @@ class Front:
 
     trajectories: tuple[Trajectory, ...]
     least_time: float
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        energies = (self.energies / 3.6e6).round(2)
+        return as_html(self._title, self._summary(), picture(self.times, {"kWh": energies}))
+
+    @property
+    def _title(self) -> str:
+        first = self.trajectories[0]
+        return f"Energy against time of {first.train} on {first.line}, {first.energy_label}"
+
+    def _summary(self) -> dict[str, str]:
+        rows = {"least time": f"{self.least_time:.1f} s"}
+        shown = np.unique(np.linspace(0, self.times.size - 1, 8).astype(int)).tolist()
+        for row in shown:
+            rows[f"{self.times[row]:.1f} s"] = (
+                f"{self.energies[row] / 3.6e6:.2f} kWh, {self.prices[row] / 3.6e3:.1f} Wh a second"
+            )
+        return rows
 
     @property
     def times(self) -> FloatArray:

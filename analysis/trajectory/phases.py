@@ -204,11 +204,6 @@ class _Piece:
     hold: bool = False
 
 
-def slowest_row(trajectory: Trajectory) -> int:
-    """The configuration that arrives last; a driver who follows it is late in none."""
-    return int(np.argmax(trajectory.times[:, -1]))
-
-
 def advice(
     trajectory: Trajectory,
     row: int | None = None,
@@ -236,7 +231,7 @@ def advice(
     InputError
         If the trajectory does not come from `optimise`.
     """
-    chosen = slowest_row(trajectory) if row is None else row
+    chosen = trajectory.latest if row is None else row
     phases, times = phases_of(trajectory, chosen), trajectory.times[chosen]
     starts = np.flatnonzero(np.diff(phases, prepend=-1)).tolist()
     speeds, kept = trajectory.speeds[chosen], list[int]()
@@ -379,7 +374,7 @@ def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> T
         )
     if REFERENCE.name in trip:
         raise InputError(f"trip '{name}' carries a reference already: it followed a trajectory")
-    chosen = slowest_row(trajectory) if row is None else row
+    chosen = trajectory.latest if row is None else row
     state = trip[TRAIN_STATE.name]
     position = state["position"].to_numpy(dtype=np.float64)
     first, last = trajectory.positions[[0, -1]]

@@ -67,7 +67,7 @@ def draw_trajectory(
     row : int, optional
         The configuration shown in colours; the one that arrives last without it.
     """
-    chosen = int(np.argmax(trajectory.times[:, -1])) if row is None else row
+    chosen = trajectory.latest if row is None else row
     switching = trajectory.certificate.get("switching")
     heights = [3.2, 1.3, 1.1, 1.0] if switching else [3.2, 1.3, 1.0]
     figure = new_figure(11.0, 1.55 * sum(heights))

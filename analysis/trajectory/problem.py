@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.adhesion.demonstrated import assured_adhesion
+from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
 from trainlog.units import KMH
@@ -94,7 +95,10 @@ class TrajectoryProblem:
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> TrajectoryProblem(line, train, [Configuration.of(train)], end=9_613.0, reserve=0.1)
     Trajectory problem: CH_Stadler_FLIRT_TPF on CH_StGallen_Wil, km 0.000 to km 9.613
-      1 configuration, 10 % over the least time, braking recourse, energy at the wheel
+      configurations  1
+      time            10 % over the least time
+      braking         recourse
+      energy          at the wheel
     """
 
     line: Line
@@ -122,17 +126,18 @@ class TrajectoryProblem:
         count, time = len(self.configurations), f"{100.0 * self.reserve:g} % over the least time"
         if self.running_time is not None:
             time = f"{self.running_time:.1f} s"
-        lines = [
-            f"Trajectory problem: {self.train.name} on {self.line.name},"
-            f" km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f}",
-            f"  {count} configuration{'s' * (count > 1)}, {time}, braking {self.braking},"
-            f" energy {_ENERGY[self.objective]}",
-        ]
+        rows = {
+            "configurations": f"{count}",
+            "time": time,
+            "braking": self.braking,
+            "energy": _ENERGY[self.objective],
+        }
         if self.condition_map is not None:
-            lines.append(f"  adhesion by the track-condition map, {self.layer}")
+            rows["adhesion"] = f"of the track-condition map, {self.layer}"
         if self.windows:
-            lines.append(f"  {len(self.windows)} passing points")
-        return "\n".join(lines)
+            rows["passing points"] = f"{len(self.windows)}"
+        title = f"Trajectory problem: {self.train.name} on {self.line.name}"
+        return as_text(f"{title}, km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f}", rows)
 
     def __post_init__(self) -> None:
         for name in ("configurations", "weights", "windows"):

@@ -8,8 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.configuration import Configuration
+from trainlog.units import KMH, clock
 
 FloatArray = NDArray[np.float64]
 
@@ -21,12 +23,14 @@ _ENERGY = {
 """What an objective of the optimisation counts."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """A robust trajectory between two stops.
 
     The braking effort is constant in each cell between two neighbouring positions, the tractive
     effort linear: where it takes all the power it falls as the speed rises.
+
+    Printing it gives a summary in a few lines, in a notebook with a picture of its speeds.
 
     Attributes
     ----------
@@ -49,6 +53,25 @@ class Trajectory:
     certificate : dict
         Audit, lower bound and gap of the optimisation, and how it was obtained.
     provenance : dict
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from trainlog.formats.train import read_train
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> trajectory = Trajectory(
+    ...     "line", train.name, np.array([0.0, 500.0, 1000.0]), (Configuration.of(train),),
+    ...     np.array([[0.0, 20.0, 0.0]]), np.array([[0.0, 50.0, 100.0]]),
+    ...     np.array([53e3, 0.0]), np.array([[0.0, 53e3]]), 100.0,
+    ... )
+    >>> trajectory
+    Trajectory of CH_Stadler_FLIRT_TPF on line, km 0.000 to km 1.000
+      running time    1:40 min
+      configurations  nominal
+      speed           at most 72 km/h
+      cells           2
+    >>> trajectory.speed_at(0, 250.0).round(2)
+    np.float64(14.14)
     """
 
     line: str
@@ -83,6 +106,47 @@ class Trajectory:
                 raise InputError(
                     f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}"
                 )
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        row = self.latest
+        place = np.linspace(self.positions[0], self.positions[-1], 500)
+        effort = self.tractive_effort_at(place) - self.braking_effort[row, self.cell_of(place)]
+        drawn = {
+            "speed [km/h]": (KMH * self.speed_at(row, place)).round(1),
+            "effort [kN]": (effort / 1e3).round(1),
+        }
+        return as_html(self._title, self._summary(), picture(place, drawn))
+
+    @property
+    def _title(self) -> str:
+        first, last = self.positions[[0, -1]] / 1e3
+        against = " against the chainage" * (self.direction == "reverse")
+        return (
+            f"Trajectory of {self.train} on {self.line}{against}, km {first:.3f} to km {last:.3f}"
+        )
+
+    def _summary(self) -> dict[str, str]:
+        names, certificate = [each.name for each in self.configurations], self.certificate
+        listed = ", ".join(names[:3]) + f" ... ({len(names)})" * (len(names) > 3)
+        rows = {"running time": clock(self.running_time), "configurations": listed}
+        if "energy" in certificate:
+            rows["energy"] = (
+                f"{certificate['energy'] / 3.6e6:.2f} kWh, {self.energy_label};"
+                f" gap to the lower bound {certificate['gap']:.3%}"
+            )
+        if "audit" in certificate:
+            rows["audit"] = (
+                f"passed, latest arrival {certificate['audit']['lateness']:+.4f} s,"
+                f" last {certificate['hardest']}"
+            )
+        fastest = KMH * self.speeds.max(axis=1)
+        return rows | {
+            "speed": f"at most {span(fastest)} km/h",
+            "cells": f"{self.positions.size - 1}",
+        }
 
     def check(self, line: str, train: str) -> None:
         """Refuse to be used on another line or for another train.
