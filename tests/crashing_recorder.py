@@ -1,4 +1,4 @@
-"""A program that records until it is killed, and tells meanwhile what it has recorded.
+"""A program that records until it is killed, and reports meanwhile what it has recorded.
 
 It is started by a server that has everything loaded, so that it begins in milliseconds.
 """
@@ -55,7 +55,7 @@ def run(path: str, pipe: Connection) -> None:
 
 
 def started(path: Path) -> tuple[BaseProcess, Connection]:
-    """The program under way, and the end of the pipe that hears its reports."""
+    """The program under way, and the end of the pipe that receives its reports."""
     context = get_context("forkserver")
     context.set_forkserver_preload([__name__])
     # The server looks for what it loads beforehand where the environment says, and there alone.

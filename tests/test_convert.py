@@ -260,9 +260,9 @@ def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(
     data[last.chunk_start_offset + last.chunk_length - 5] ^= 0xFF
     long.write_bytes(data)
 
-    with pytest.warns(DamageWarning) as told:
+    with pytest.warns(DamageWarning) as caught:
         convert(long, tmp_path / f"made{suffix}")
-    account = told[0].message.account  # type: ignore[union-attr]
+    account = caught[0].message.account  # type: ignore[union-attr]
     made = read_log(tmp_path / "made.mcap") if suffix == ".mcap" else read_parquet(
         tmp_path / "made.parquet"
     )  # fmt: skip

@@ -278,7 +278,7 @@ def test_a_damaged_file_gives_what_is_readable_and_says_so(tmp_path):
     assert "lost" in trip.metadata["damage"]
 
 
-def test_an_empty_topic_and_an_absent_field_are_told(tmp_path):
+def test_an_empty_topic_and_an_absent_field_are_listed(tmp_path):
     path = json_log(tmp_path / "odo.mcap", "/odo", [{"v": 1.0, "w": 2.0}, {"v": 1.0, "w": 2.0}])
     speed = {"unit": "m/s"}
     for column, problem in (

@@ -64,9 +64,9 @@ def check(path: Path, must: int, may: int) -> None:
         with pytest.raises(LogError, match="no message of it is readable"):
             read_log(path)
         return
-    with pytest.warns(DamageWarning) as told:
+    with pytest.warns(DamageWarning) as caught:
         trip = read_log(path)
-    account = told.list[0].message
+    account = caught.list[0].message
     assert isinstance(account, DamageWarning)
     assert account.account.messages == sum(len(frame) for frame in trip.topics.values())
     assert trip.metadata == {"trip": "cut short"}

@@ -179,8 +179,8 @@ def test_what_does_not_become_columns_is_named_and_counted(tmp_path):
     ]
     found = frames_of(json_log(tmp_path / "json.mcap", "/things", messages))
     assert list(found.frames["/things"].columns) == ["fits", "a.b"]
-    told = {(item.field, item.messages) for item in found.skipped}
-    assert told == {("long", 2), ("kind", 2), ("grows", 2), ("a.b", 1)}
+    listed = {(item.field, item.messages) for item in found.skipped}
+    assert listed == {("long", 2), ("kind", 2), ("grows", 2), ("a.b", 1)}
     assert found.frames["/things"]["a.b"].iloc[2] == 1
 
 

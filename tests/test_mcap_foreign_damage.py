@@ -1,4 +1,4 @@
-"""Damaged files of other programs: what is readable comes, the rest is told."""
+"""Damaged files of other programs: what is readable comes, the rest is listed."""
 
 import struct
 import tempfile
@@ -31,7 +31,7 @@ def test_of_a_damaged_file_what_is_readable_comes(tmp_path):
     assert not caught[0].message.account.whole
 
 
-def test_every_damage_of_a_small_file_is_told_or_harmless(tmp_path):
+def test_every_damage_of_a_small_file_is_reported_or_harmless(tmp_path):
     whole = json_log(tmp_path / "json.mcap", "/x", [{"x": row} for row in range(5)]).read_bytes()
     path = tmp_path / "damaged.mcap"
     for at in range(0, len(whole), 3):
@@ -65,7 +65,7 @@ def every_encoding(path):
 
 def read_mutated(folder, whole, seeds):
     path = folder / "mutated.mcap"
-    outcomes = {"refused": 0, "told": 0, "silent": 0}
+    outcomes = {"refused": 0, "reported": 0, "silent": 0}
     for seed in seeds:
         kind, data = mutated(whole, seed)
         path.write_bytes(data)
@@ -79,22 +79,22 @@ def read_mutated(folder, whole, seeds):
             except BaseException as error:
                 raise AssertionError(f"seed {seed} ({kind})") from error
         assert all(item.category is DamageWarning for item in caught), (seed, kind)
-        told = caught or found.skipped or not found.account.whole
-        outcomes["told" if told else "silent"] += 1
-        if not told and data == whole:
+        reported = caught or found.skipped or not found.account.whole
+        outcomes["reported" if reported else "silent"] += 1
+        if not reported and data == whole:
             assert [len(frame) for frame in found.frames.values()] == [30] * 4
     return outcomes
 
 
 def test_mutated_files_raise_nothing_but_our_errors(tmp_path):
     outcomes = read_mutated(tmp_path, every_encoding(tmp_path / "all.mcap"), range(120))
-    assert outcomes["told"] > 30
+    assert outcomes["reported"] > 30
 
 
 @pytest.mark.long
 def test_many_mutated_files_raise_nothing_but_our_errors(tmp_path):
     outcomes = read_mutated(tmp_path, every_encoding(tmp_path / "all.mcap"), range(120, 20_000))
-    assert outcomes["told"] > 5_000
+    assert outcomes["reported"] > 5_000
 
 
 @settings(max_examples=150, deadline=None)
@@ -105,7 +105,7 @@ def test_mutated_schemas_and_messages_cost_only_themselves(data):
 
 
 def _damage_contents(path, data):
-    """Damage inside of messages and schemas, where no checksum of the file tells."""
+    """Damage inside of messages and schemas, where no checksum of the file shows it."""
     descriptors = build_file_descriptor_set(LocationFix).SerializeToString()
     position = LocationFix(latitude=47.0, position_covariance=COVARIANCE).SerializeToString()
     kinds = {

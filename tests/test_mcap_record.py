@@ -181,7 +181,7 @@ def test_events_that_do_not_fit(
     assert len(read_log(tmp_path / "log.mcap")[EVENTS.name]) == 0
 
 
-def test_an_event_happens_now_unless_told_otherwise(tmp_path: Path) -> None:
+def test_an_event_happens_now_unless_a_time_is_given(tmp_path: Path) -> None:
     before = clock.time_ns()
     with trainlog.record(tmp_path / "log.mcap") as log:
         log.event(2, "departure", "driver")
@@ -205,7 +205,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return opened
 
 
-def test_overload_is_counted_and_told(gate: threading.Event, tmp_path: Path) -> None:
+def test_overload_is_counted_and_reported(gate: threading.Event, tmp_path: Path) -> None:
     row = 8 * 3
     log = trainlog.record(tmp_path / "log.mcap", flush=0.01, queue=100 * row)
     log.write(STATE, START, speed=0.0)
@@ -214,7 +214,7 @@ def test_overload_is_counted_and_told(gate: threading.Event, tmp_path: Path) -> 
     for number in range(1, 151):
         log.write(STATE, START + number, speed=float(number))
     log.write(STATE, START + np.arange(151, 161), speed=np.arange(151.0, 161.0))
-    log.event(2, "nobody hears this", time=START + 160)
+    log.event(2, "this does not fit", time=START + 160)
     account = log.account()
     assert account.dropped == {STATE: 60, EVENTS.name: 1}
     assert account.waiting == {STATE: 101}
@@ -226,15 +226,15 @@ def test_overload_is_counted_and_told(gate: threading.Event, tmp_path: Path) -> 
     assert log.account().written == {STATE: 102, EVENTS.name: 2}
     found = read_log(tmp_path / "log.mcap")
     assert found[STATE]["speed"].tolist() == [*range(101), 161]
-    told = found[EVENTS.name]
-    assert told["level"].tolist() == [3, 3]
+    reported = found[EVENTS.name]
+    assert reported["level"].tolist() == [3, 3]
     span = "from 2023-11-14T22:13:20.000000101 to 2023-11-14T22:13:20.000000160"
-    assert told["message"].tolist() == [
+    assert reported["message"].tolist() == [
         f"60 samples of /train/state dropped: the queue was full {span}",
         "1 samples of /events dropped: the queue was full from "
         "2023-11-14T22:13:20.000000160 to 2023-11-14T22:13:20.000000160",
     ]
-    assert told.index[0].value == START + 101
+    assert reported.index[0].value == START + 101
     with (tmp_path / "log.mcap").open("rb") as stream:
         reader = make_reader(stream)
         numbers = [
@@ -243,7 +243,7 @@ def test_overload_is_counted_and_told(gate: threading.Event, tmp_path: Path) -> 
             if channel.topic == STATE
         ]
         records = [record.metadata for record in reader.iter_metadata()]
-    # The numbers tell exactly which are missing.
+    # The numbers state exactly which are missing.
     assert numbers == [*range(101), 161]
     closed = {"closed": "whole", f"dropped.{STATE}": "60", f"dropped.{EVENTS.name}": "1"}
     assert closed in records
@@ -306,7 +306,7 @@ def test_the_file_is_readable_while_it_is_recorded(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="open files cannot be removed there")
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_file_taken_away_is_told(replaced: bool, tmp_path: Path) -> None:
+def test_a_file_taken_away_is_reported(replaced: bool, tmp_path: Path) -> None:
     log = trainlog.record(tmp_path / "log.mcap", flush=0.01)
     (tmp_path / "log.mcap").unlink()
     if replaced:
@@ -349,9 +349,9 @@ def written_before_the_disk_was_full(program: str, path: Path, size: int) -> int
     run = subprocess.run(
         [sys.executable, "-c", program, path, str(size)], capture_output=True, text=True, check=True
     )
-    told, again, account = run.stdout.splitlines()
-    assert told == again
-    assert told.startswith(f"{path}: cannot be written: file too large")
+    reported, again, account = run.stdout.splitlines()
+    assert reported == again
+    assert reported.startswith(f"{path}: cannot be written: file too large")
     written, lost = account.split()
     assert lost == "True"
     return int(written)
@@ -359,12 +359,12 @@ def written_before_the_disk_was_full(program: str, path: Path, size: int) -> int
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
 @pytest.mark.parametrize("size", [800_000, 1_500_001])
-def test_a_full_disk_is_told_and_what_was_written_stays(size: int, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_what_was_written_stays(size: int, tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     written = written_before_the_disk_was_full(LIMITED, path, size)
     assert path.stat().st_size <= size
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the missing summary, if there was no room for it
+        warnings.simplefilter("ignore")  # of the missing summary, if there was no space for it
         state = read_log(path)[STATE]
     assert len(state) == written > 0
     np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(written))
@@ -399,7 +399,7 @@ def test_a_disk_that_is_really_full(small_disk: Path) -> None:
     with pytest.raises(InputError, match="no space left"):
         log.close()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the missing summary, if there was no room for it
+        warnings.simplefilter("ignore")  # of the missing summary, if there was no space for it
         state = read_log(small_disk / "log.mcap")[STATE]
     assert len(state) == log.account().written[STATE] > 0
     np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(len(state)))

@@ -97,31 +97,31 @@ def test_an_empty_file_is_whole() -> None:
 class Disk(BytesIO):
     """A disk with so many bytes left, which takes what fits before it fails."""
 
-    room = 10**9
+    space = 10**9
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        if not self.room:
+        if not self.space:
             raise OSError(28, "No space left on device")
-        written = super().write(bytes(data[: min(self.room, 11)]))
-        self.room -= written
+        written = super().write(bytes(data[: min(self.space, 11)]))
+        self.space -= written
         return written
 
 
-@pytest.mark.parametrize("room", [0, 1, 40, 70, 100])
-def test_after_a_failure_the_file_can_still_be_finished(room: int) -> None:
+@pytest.mark.parametrize("space", [0, 1, 40, 70, 100])
+def test_after_a_failure_the_file_can_still_be_finished(space: int) -> None:
     """Disks take part of what they are given: at each call, and before they are full."""
     disk = Disk()
     sink = Sink(disk)
     declare(sink)
     sink.put_chunk(packed(raw_chunk()))
     before = sink.position
-    disk.room = room
+    disk.space = space
     with pytest.raises(OSError, match="No space"):
         sink.put_chunk(packed(raw_chunk()))
     assert sink.position == before
     disk.truncate(sink.position)
     disk.seek(sink.position)
-    disk.room = 10**9
+    disk.space = 10**9
     sink.finish()
     assert len(messages(disk.getvalue())) == len(TIMES)
 

@@ -154,7 +154,7 @@ for threads in (1, 2):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of file sizes are POSIX's")
-def test_a_full_disk_is_told_and_damages_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_damages_nothing(tmp_path: Path) -> None:
     path = tmp_path / "trip.mcap"
     write_log(trip_of(rows=3), path)
     before = path.read_bytes()
@@ -170,7 +170,7 @@ def test_a_full_disk_is_told_and_damages_nothing(tmp_path: Path) -> None:
 def test_folders_that_cannot_be_written_to(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="its folder does not exist"):
         write_log(trip_of(rows=3), tmp_path / "gone" / "trip.mcap")
-    if os.path.isdir("/sys/kernel"):  # noqa: PTH112 - a folder that nobody may write to
+    if os.path.isdir("/sys/kernel"):  # noqa: PTH112 - a folder that no one may write to
         with pytest.raises(InputError, match="choose a folder you may write to"):
             write_log(trip_of(rows=3), "/sys/kernel/trip.mcap")
 

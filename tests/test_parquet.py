@@ -327,11 +327,11 @@ def test_a_flipped_bit_is_found_or_harmless(
     try:
         back = read_parquet(folder)
     except LogError as error:
-        told = error.file
+        named = error.file
     else:
-        told = file
+        named = file
         assert_same(trip, back)
-    assert told == file
+    assert named == file
 
 
 def test_a_damaged_attachment_is_named(written: Path) -> None:

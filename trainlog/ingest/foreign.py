@@ -1,13 +1,15 @@
 """Format ``mcap``: MCAP files of other programs (ROS bags, Foxglove), mapped to our topics.
 
-Messages whose schema says what they are need no profile. A profile names any other field as
-``"/topic:path.to.field[0]"``.
+Messages that say the same everywhere (fixes, IMU, events) need no profile. A profile names any
+other field as ``"/topic:path.to.field[0]"``. A message about speed is never taken by itself: a
+``geometry_msgs/TwistStamped`` may be what was asked for or what was measured, by satellites or by
+the wheels.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,15 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
 from trainlog.errors import InputError
-from trainlog.ingest.foreign_presets import preset_of, table_of
+from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
 from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions, suggestion
 from trainlog.ingest.recording import (
     NO_TIME,
+    BoolArray,
     Cells,
     Finding,
     FloatArray,
@@ -32,7 +36,7 @@ from trainlog.ingest.recording import (
     field_of,
 )
 from trainlog.mcap import ForeignFrames, describe, frames_of
-from trainlog.topics import EVENTS
+from trainlog.topics import EVENTS, GNSS_FIX, IMU
 
 LOG_TIME, PUBLISH_TIME, STAMP = "log_time", "publish_time", "stamp"
 """What [time] of a profile can name besides a path."""
@@ -44,6 +48,24 @@ _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsecs", "nsec"
 
 _MOST_NAMED = 12
 
+Reading = tuple[dict[str, FloatArray], dict[str, NDArray[np.object_]]]
+"""Signals and texts as in a `Table`."""
+
+Preset = Callable[[pd.DataFrame], Reading]
+
+_NO_FIX = -1
+"""sensor_msgs/NavSatStatus: unable to fix position."""
+
+_COVARIANCE_UNKNOWN = 0
+"""Of sensor_msgs/NavSatFix and foxglove.LocationFix."""
+
+_LEVELS = {
+    "foxglove": {level: level for level in range(6)},
+    "ros1": {1: 1, 2: 2, 4: 3, 8: 4, 16: 5},
+    "ros2": {10: 1, 20: 2, 30: 3, 40: 4, 50: 5},
+}
+"""Levels of events, as ours, which are foxglove.Log's."""
+
 
 def is_mcap(head: bytes) -> bool:
     """Whether a file begins as MCAP does."""
@@ -54,7 +76,7 @@ def read_foreign(path: Path, profile: Profile | None) -> Recording:
     """Read an MCAP file of another program.
 
     Topics of ours that the profile's [columns] do not name come from messages whose schema is
-    known (`trainlog.ingest.foreign_presets`). Rows are counted from 1 in each topic of the file.
+    known, see `PRESETS`. Rows are counted from 1 in each topic of the file.
 
     Raises
     ------
@@ -362,3 +384,101 @@ def _merged(first: Table, second: Table) -> Table:
         texts[name] = np.concatenate(words)[order]
     rows = np.concatenate((first.rows, second.rows))[order]
     return Table(time[order], rows, signals, texts)
+
+
+# --------------------------------------------------------------------------------------- presets
+
+
+def _number(frame: pd.DataFrame, path: str) -> FloatArray:
+    """A column as numbers, NaN where it has none."""
+    if path not in frame:
+        return np.full(len(frame), np.nan)
+    column = frame[path]
+    if not pd.api.types.is_numeric_dtype(column.dtype):
+        return np.full(len(frame), np.nan)
+    return column.to_numpy(dtype=np.float64, na_value=np.nan)
+
+
+def _fix(frame: pd.DataFrame) -> Reading:
+    kind = _number(frame, "position_covariance_type")
+    east, north, up = (_number(frame, f"position_covariance[{at}]") for at in (0, 4, 8))
+    known = kind != _COVARIANCE_UNKNOWN
+    with np.errstate(over="ignore", invalid="ignore"):
+        horizontal = (east + north) / 2.0
+    signals = {
+        "latitude": _number(frame, "latitude"),
+        "longitude": _number(frame, "longitude"),
+        "altitude": _number(frame, "altitude"),
+        # A receiver that says that it has no position has the accuracy that means so.
+        "horizontal_accuracy": np.where(
+            _number(frame, "status.status") <= _NO_FIX,
+            NO_ACCURACY,
+            _deviation(horizontal, known),
+        ),
+        "vertical_accuracy": _deviation(up, known),
+    }
+    return {f"{GNSS_FIX.name}.{name}": values for name, values in signals.items()}, {}
+
+
+def _deviation(variance: FloatArray, known: BoolArray) -> FloatArray:
+    """Standard deviation; a variance that is negative or not known has none."""
+    usable = known & (variance >= 0.0)
+    return np.where(usable, np.sqrt(np.where(usable, variance, 0.0)), np.nan)
+
+
+def _imu(frame: pd.DataFrame) -> Reading:
+    signals = {}
+    for ours, theirs in (
+        ("specific_force", "linear_acceleration"),
+        ("angular_rate", "angular_velocity"),
+    ):
+        # A first covariance of -1 says that the sensor does not measure this at all.
+        absent = _number(frame, f"{theirs}_covariance[0]") == -1.0
+        for axis in "xyz":
+            values = _number(frame, f"{theirs}.{axis}")
+            signals[f"{IMU.name}.{ours}_{axis}"] = np.where(absent, np.nan, values)
+    return signals, {}
+
+
+def _events(levels: str, message: str) -> Preset:
+    def read(frame: pd.DataFrame) -> Reading:
+        known = _LEVELS[levels]
+        level = np.array([float(known.get(each, 0)) for each in _number(frame, "level").tolist()])
+        texts = {"message": _words(frame, message), "name": _words(frame, "name")}
+        return (
+            {f"{EVENTS.name}.level": level},
+            {f"{EVENTS.name}.{name}": words for name, words in texts.items()},
+        )
+
+    return read
+
+
+def _words(frame: pd.DataFrame, path: str) -> NDArray[np.object_]:
+    column: Any = frame.get(path)
+    if column is None:
+        return np.full(len(frame), "", dtype=np.object_)
+    return np.array(["" if pd.isna(text) else str(text) for text in column], dtype=np.object_)
+
+
+PRESETS: dict[str, tuple[str, Preset]] = {
+    "sensor_msgs/NavSatFix": (GNSS_FIX.name, _fix),
+    "foxglove.LocationFix": (GNSS_FIX.name, _fix),
+    "foxglove_msgs/LocationFix": (GNSS_FIX.name, _fix),
+    "sensor_msgs/Imu": (IMU.name, _imu),
+    "rosgraph_msgs/Log": (EVENTS.name, _events("ros1", "msg")),
+    "rcl_interfaces/Log": (EVENTS.name, _events("ros2", "msg")),
+    "foxglove.Log": (EVENTS.name, _events("foxglove", "message")),
+    "foxglove_msgs/Log": (EVENTS.name, _events("foxglove", "message")),
+}
+"""Our topic, and how its columns are found, by the schema's name without ``/msg/``."""
+
+
+def preset_of(schema: str) -> tuple[str, Preset] | None:
+    """Our topic for a schema, and how its columns are found; None if it says nothing for sure."""
+    return PRESETS.get(schema.replace("/msg/", "/"))
+
+
+def table_of(time: Any, frame: pd.DataFrame, read: Preset) -> Table:
+    """The table that a preset makes of a frame, its rows counted from 1."""
+    signals, texts = read(frame)
+    return Table(time, np.arange(1, len(frame) + 1, dtype=np.int64), signals, texts)
