@@ -323,11 +323,15 @@ def _definitions(name: str, data: bytes, dialect: Dialect) -> str:
         sections.append((head.removeprefix("MSG:").strip(), body))
     known = {_short(each) for each, _ in sections}
     sections += [(each, body) for each, body in _BUILT_IN[dialect].items() if each not in known]
-    texts = []
+    texts, count = [], 0
     for message, body in sections:
         if not _NAME.fullmatch(message):
             raise UndecodableError(f"{message[:40]!r} is no name of a message")
-        texts.append("\n".join([f"MSG: {message}", *_fields(message, body, known, dialect)]))
+        fields = _fields(message, body, known, dialect)
+        count += len(fields)
+        if count > _MOST_VALUES:
+            raise UndecodableError(f"the schema has more than {_MOST_VALUES:,} fields")
+        texts.append("\n".join([f"MSG: {message}", *fields]))
     return f"\n{'=' * 80}\n".join(texts).removeprefix(f"MSG: {name}\n") + "\n"
 
 
