@@ -22,7 +22,7 @@ PAPER_MASS, PAPER_EFFORT = 350e3, 250e3
 PAPER_RESISTANCE = RunningResistance(2_090.0, 39.0, 0.675)
 
 
-def told(resistance: RunningResistance) -> RunningResistance:
+def rounded(resistance: RunningResistance) -> RunningResistance:
     """A resistance rounded to what a textbook's formula can mean."""
     return RunningResistance(
         round(resistance.r0, 1), round(resistance.r1, 2), round(resistance.r2, 4)
@@ -64,7 +64,7 @@ def freight() -> Consist:
         "electric locomotive",
         mass=85e3,
         length=18.9,
-        resistance=told(unit.resistance(0.0)),
+        resistance=rounded(unit.resistance(0.0)),
         rotating_mass=0.15 * 85e3,
         max_tractive_effort=300e3,
         max_traction_power=5.6e6,
@@ -80,7 +80,7 @@ def freight() -> Consist:
             name,
             mass=mass,
             length=rolling.length,
-            resistance=told(rolling.resistance(load)),
+            resistance=rounded(rolling.resistance(load)),
             rotating_mass=0.04 * rolling.mass,
             max_braking_effort=0.75 * mass if load else 0.9 * mass,
         )
@@ -130,7 +130,7 @@ def passenger() -> Consist:
         "electric locomotive",
         mass=84e3,
         length=18.9,
-        resistance=told(unit.resistance(0.0)),
+        resistance=rounded(unit.resistance(0.0)),
         rotating_mass=0.15 * 84e3,
         max_tractive_effort=300e3,
         max_traction_power=5.6e6,
@@ -144,7 +144,7 @@ def passenger() -> Consist:
         "coach",
         mass=58e3,
         length=26.8,
-        resistance=told(rolling.resistance(8e3)),
+        resistance=rounded(rolling.resistance(8e3)),
         rotating_mass=0.06 * 50e3,
         max_braking_effort=58e3 * 1.1,
     )

@@ -86,7 +86,7 @@ def sample_train(file: str | Path) -> Train:
 
 
 def main() -> None:
-    """Write both files and tell how well the line lies."""
+    """Write both files and print how well the line lies."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("track", type=Path, help="TTOBench's CH_StGallen_Wil.json")
     parser.add_argument("train", type=Path, help="TTOBench's CH_Stadler_FLIRT_TPF.json")

@@ -23,7 +23,7 @@ LOGS = {"trip-01": "nonstop.mcap", "trip-03": "stopping.mcap"}
 """Logs: a dry trip from St.Gallen to Wil without a stop, and a wet one that calls everywhere."""
 
 RECORDED = "trip-05"
-"""The dry stopping trip of which only a vehicle's recorder and a satellite receiver tell."""
+"""The dry stopping trip of which only a vehicle's recorder and a satellite receiver are left."""
 
 MAPPED = ("trip-01", "trip-03", "trip-05", "trip-07", "trip-09", "trip-11")
 """Trips that the map was rebuilt from."""

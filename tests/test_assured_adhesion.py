@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulated_world import flirt, level_line
+from simulated_line import flirt, level_line
 from trajectory_cases import observed
 
 from analysis.adhesion.condition_map import SETTINGS

@@ -1,4 +1,4 @@
-"""A consist of coupled vehicles obeys the laws it is made of; paper 004, eqs. (1)-(10)."""
+"""A consist of coupled vehicles obeys its laws; Amirhosseini et al. (2024), eqs. (1)-(10)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_world import level_line, steps
+from simulated_line import level_line, steps
 
 from trainlog.errors import InputError
 from trainlog.railway import Brake, CurvatureProfile, RunningResistance, Tunnel
@@ -242,7 +242,7 @@ def test_a_braked_train_stands_on_a_slope_and_rolls_without_brake() -> None:
     assert np.all(state.speeds < -3.0)
 
 
-def test_the_resistance_swings_as_told() -> None:
+def test_the_resistance_swings_as_named() -> None:
     vehicle = replace(WAGON, resistance=RunningResistance(10_000.0, 0.0, 0.0))
     plant = ConsistPlant(
         Consist("one", (vehicle,)), variation=Variation((0.5, 0.0, 0.0), 0.1), step=0.01
@@ -277,7 +277,7 @@ def test_slack_runs_in_and_out() -> None:
         (lambda: Consist("x", (WAGON, WAGON)), "2 vehicles need 1 couplers, given are 0"),
         (lambda: Consist("x", ()), "at least one vehicle"),
         (lambda: ConsistPlant(train(), step=0.1), "too coarse for the couplers.*at most"),
-        (lambda: ConsistPlant(train(1), step=0.0), "makes no sense"),
+        (lambda: ConsistPlant(train(1), step=0.0), "is not positive"),
         (lambda: ConsistPlant(train()).at(-1.0), "cannot start at km -0.001"),
         (
             lambda: replace(level_line(1_000.0), tunnels=(Tunnel(900.0, 200.0, 40.0),)),

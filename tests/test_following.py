@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_world import flirt, hilly_line, level_line, steps
+from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.control import prediction as prediction
 from analysis.control.follow import Follower, Margin, Tuning

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from ingest_logs import clean_run, plain_profile, write
-from simulated_world import flirt, hilly_line
+from simulated_line import flirt, hilly_line
 
 from trainlog import __version__
 from trainlog.errors import InputError, LogError

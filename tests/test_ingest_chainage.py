@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ingest_logs import plain_profile
-from simulated_world import flirt, hilly_line
+from simulated_line import flirt, hilly_line
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, report_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_world import flirt, hilly_line, level_line, steps, trajectory_of
+from simulated_line import flirt, hilly_line, level_line, steps, trajectory_of
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Station
@@ -117,7 +117,7 @@ def test_early_driver_runs_more_slowly() -> None:
     assert slow < fast - 1.0
 
 
-def test_a_train_that_cannot_climb_is_told() -> None:
+def test_a_train_that_cannot_climb_is_refused() -> None:
     line = replace(hilly_line(), gradients=steps((0.0, 0.0), (3_000.0, 0.06)))
     with pytest.raises(InfeasibleError, match="does not arrive; at km 3"):
         drive(journey(line, adhesion=0.05))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from simulated_world import flirt, hilly_line, level_line, steps
+from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
@@ -213,7 +213,7 @@ def test_effort_and_power_stay_within_their_limits() -> None:
 
 
 def test_friction_brake_has_dead_time_and_lag() -> None:
-    """Paper 004, eq. (1): nothing for the dead time, then 1 - exp(-t/lag)."""
+    """Amirhosseini et al. (2024), eq. (1): nothing for the dead time, then 1 - exp(-t/lag)."""
     train = flirt(max_dynamic_braking_effort=0.0, brake=Brake(dead_time=0.6, lag=0.4))
     plant = Plant.of(level_line(), train)
     state = rolling(plant, 0.0, 30.0)

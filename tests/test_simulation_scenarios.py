@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from simulated_world import flirt, hilly_line
+from simulated_line import flirt, hilly_line
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
@@ -184,13 +184,13 @@ def test_sensors_see_the_truth_within_their_errors() -> None:
 def test_events_tell_what_happened() -> None:
     for scenario, trip in zip(drawn(), trips(), strict=False):
         events = trip["/events"]
-        told = [m for m in events.message if m.startswith(("departure", "arrival"))]
+        written = [m for m in events.message if m.startswith(("departure", "arrival"))]
         names = [stop.station for stop in scenario.stops]
         expected = [f"departure from {names[0]}"]
         for name in names[1:-1]:
             expected += [f"arrival at {name}", f"departure from {name}"]
         expected.append(f"arrival at {names[-1]}")
-        assert told == expected
+        assert written == expected
         truth, axles = trip["/truth"], trip["/train/axles"]
         for when in events.index[events.message.str.contains("slip protection")]:
             speeds = axles.loc[when, [f"wheel_speed_{k}" for k in range(1, 5)]]
@@ -217,18 +217,18 @@ def test_written_trip_reads_back(tmp_path: Path) -> None:
 
 def test_vehicle_recorder_file(tmp_path: Path) -> None:
     trip = trips()[2]
-    told = write_recorder_csv(trip, tmp_path / "recorder.csv")
+    written = write_recorder_csv(trip, tmp_path / "recorder.csv")
     raw = (tmp_path / "recorder.csv").read_bytes()
     assert raw.endswith(b"\r\n")
     frame = pd.read_csv(io.BytesIO(raw), sep=";", decimal=",", encoding="latin-1")
-    assert len(frame) == told.rows
+    assert len(frame) == written.rows
     time = pd.to_datetime(frame.Date + " " + frame.Time, format="%d.%m.%Y %H:%M:%S.%f")
     step = np.diff(time.to_numpy()) / np.timedelta64(1, "s")
-    assert np.sum(step == 0.0) == told.duplicates == 12
-    assert np.sum(step < 0.0) == told.backwards == 3
-    assert np.sum(step >= 1.0) == told.gaps == 1
-    assert frame.V_kmh.isna().sum() == told.missing == 20
-    assert np.sum(frame.V_kmh == OVERFLOW) == told.outliers == 5
+    assert np.sum(step == 0.0) == written.duplicates == 12
+    assert np.sum(step < 0.0) == written.backwards == 3
+    assert np.sum(step >= 1.0) == written.gaps == 1
+    assert frame.V_kmh.isna().sum() == written.missing == 20
+    assert np.sum(frame.V_kmh == OVERFLOW) == written.outliers == 5
     utc = time.dt.tz_localize("Europe/Zurich").dt.tz_convert("UTC")
     state = trip["/train/state"]
     good = frame.V_kmh.notna() & (frame.V_kmh != OVERFLOW)
@@ -240,17 +240,17 @@ def test_vehicle_recorder_file(tmp_path: Path) -> None:
 
 def test_ublox_file(tmp_path: Path) -> None:
     trip = trips()[2]
-    told = write_ublox_csv(trip, tmp_path / "ublox.csv")
+    written = write_ublox_csv(trip, tmp_path / "ublox.csv")
     lines = (tmp_path / "ublox.csv").read_text().splitlines()
     assert lines[0] == (
         "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt1,Alt2,hAcc,vAcc,speed,speedAcc,PDOP,"
     )
     assert all(line.endswith(",") for line in lines)
     rows = np.array([[int(part) for part in line.split(",")[:-1]] for line in lines[1:]])
-    assert len(rows) == told.rows == len(trip["/gnss/fix"])
+    assert len(rows) == written.rows == len(trip["/gnss/fix"])
     np.testing.assert_allclose(rows[:, 7] * 1e-7, trip["/gnss/fix"].longitude, atol=1e-9)
     np.testing.assert_allclose(rows[:, 10] * 1e-3, trip["/gnss/fix"].altitude, atol=1e-3)
-    assert np.sum(rows[:, 13] > 70_000) == told.outliers
+    assert np.sum(rows[:, 13] > 70_000) == written.outliers
     _, a_second = np.unique(rows[:, :6], axis=0, return_counts=True)
     assert np.median(a_second) == 5
     assert a_second.max() == 5

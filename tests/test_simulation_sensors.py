@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_world import hilly_line
+from simulated_line import hilly_line
 
 from trainlog.errors import InputError
 from trainlog.simulation import sensors as measuring
-from trainlog.simulation.sensors import NANOSECONDS, Sensors
+from trainlog.simulation.sensors import Sensors
+from trainlog.units import NANOSECONDS
 
 COUNT = 20_000
 

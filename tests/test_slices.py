@@ -44,7 +44,7 @@ def stamp(nanoseconds: int) -> pd.Timestamp:
     return pd.Timestamp(nanoseconds, tz="UTC")
 
 
-def told(trip: Trip) -> list[str]:
+def messages(trip: Trip) -> list[str]:
     return trip[EVENTS.name]["message"].tolist()
 
 
@@ -81,7 +81,7 @@ def test_both_ends_belong_to_a_slice_and_a_time_without_zone_is_utc() -> None:
         start.tz_localize(None), stamp(START + 2 * SECOND).tz_convert("Europe/Zurich")
     )
     assert cut[TRAIN_STATE.name]["position"].tolist() == [10, 20]
-    assert told(cut) == ["1 s", "1.5 s", "2 s"]
+    assert messages(cut) == ["1 s", "1.5 s", "2 s"]
 
 
 def test_a_slice_is_a_step_of_provenance_and_leaves_the_trip_as_it_was() -> None:
@@ -117,36 +117,36 @@ def test_every_topic_is_cut_to_the_times_within_the_stretch() -> None:
     cut = driven([0, 1, 2, 3], [0, 10, 20, 30]).within(5, 20)
     assert cut[TRAIN_STATE.name]["position"].tolist() == [10, 20]
     # 5 m were passed half way between two samples.
-    assert told(cut) == ["0.5 s", "1 s", "1.5 s", "2 s"]
+    assert messages(cut) == ["0.5 s", "1 s", "1.5 s", "2 s"]
 
 
 def test_a_train_that_comes_back_gives_several_spans() -> None:
     cut = driven([0, 1, 2, 3, 4], [0, 20, 40, 20, 0]).within(10, 20)
     assert cut[TRAIN_STATE.name]["position"].tolist() == [20, 20]
-    assert told(cut) == ["0.5 s", "1 s", "3 s", "3.5 s"]
+    assert messages(cut) == ["0.5 s", "1 s", "3 s", "3.5 s"]
 
 
 def test_a_stretch_passed_between_two_samples_still_has_its_time() -> None:
     cut = driven([0, 1, 2], [0, 100, 200]).within(40, 60)
     assert len(cut[TRAIN_STATE.name]) == 0
-    assert told(cut) == ["0.5 s"]
+    assert messages(cut) == ["0.5 s"]
 
 
 def test_standing_at_the_limit_is_within() -> None:
-    assert told(driven([0, 1, 2], [0, 10, 10]).within(10, 12)) == ["1 s", "1.5 s", "2 s"]
+    assert messages(driven([0, 1, 2], [0, 10, 10]).within(10, 12)) == ["1 s", "1.5 s", "2 s"]
 
 
 def test_the_smoothed_position_counts_where_there_is_one() -> None:
     trip = driven([0, 1], [0, 10])
     smoothed = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"position": [100, 110]})
-    assert told(trip.with_topic(smoothed).within(100, 104)) == ["0 s"]
+    assert messages(trip.with_topic(smoothed).within(100, 104)) == ["0 s"]
     unknown = frame_of(ESTIMATED_STATE, START + np.array([0, SECOND]), {"speed": [1.0, 1.0]})
-    assert told(trip.with_topic(unknown).within(0, 4)) == ["0 s"]
+    assert messages(trip.with_topic(unknown).within(0, 4)) == ["0 s"]
 
 
 def test_positions_that_are_not_known_are_passed_over() -> None:
     cut = driven([0, 1, 2, 3], [np.nan, 10, np.nan, 30]).within(10, 20)
-    assert told(cut) == ["1 s", "1.5 s", "2 s"]
+    assert messages(cut) == ["1 s", "1.5 s", "2 s"]
 
 
 def test_a_trip_without_position_is_refused() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
-from simulated_world import flirt, hilly_line, level_line
+from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Score, Seen, onset_errors, seen
 
 from analysis.adhesion.slip import adhesion_noise, slip, wheel_noise

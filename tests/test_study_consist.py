@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_world import level_line, steps
+from simulated_line import level_line, steps
 
 from analysis.consist_table import consist_tables
 from analysis.studies.in_train_forces import simulation as study

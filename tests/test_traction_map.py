@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import norm
-from simulated_world import flirt, hilly_line, level_line
+from simulated_line import flirt, hilly_line, level_line
 
 from analysis.adhesion.condition_map import (
     LEVELS,

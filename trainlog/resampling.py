@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError, LogError
 from trainlog.topics import TOPICS, Topic, column_field
 from trainlog.trip import Trip
+from trainlog.units import NANOSECONDS
 from trainlog.version import __version__
 
 FloatArray = NDArray[np.float64]
 
 Clock = pd.DatetimeIndex | float
 """The times to resample to: as they are, or the step between them [s]."""
-
-_SECOND = 1_000_000_000
 
 
 def interpolated(
@@ -79,7 +78,7 @@ def interpolated(
         found = np.where(since == 0, found, _on_line(found, values[after], since, step))
     unknown = (wanted < known[0]) | (wanted > known[-1])
     if max_gap is not None:
-        unknown |= (since > 0) & (step > max_gap * _SECOND)
+        unknown |= (since > 0) & (step > max_gap * NANOSECONDS)
     return np.where(unknown, np.nan, found)
 
 
@@ -209,7 +208,7 @@ def joined_pieces(
         As `joined`.
     """
     topics = {on, *(name.rpartition(".")[0] for name in columns)}
-    patience = None if max_gap is None else int(max_gap * _SECOND) + 1
+    patience = None if max_gap is None else int(max_gap * NANOSECONDS) + 1
     waiting: Trip | None = None
     newest = -1
     for piece in pieces:
@@ -278,14 +277,14 @@ def regular_clock(start: pd.Timestamp, end: pd.Timestamp, step: float) -> pd.Dat
     InputError
         If the step is shorter than a nanosecond, or makes more than `MOST_INSTANTS`.
     """
-    nanoseconds = round(step * _SECOND) if np.isfinite(step) else 0
+    nanoseconds = round(step * NANOSECONDS) if np.isfinite(step) else 0
     if nanoseconds < 1:
         raise InputError(f"a clock cannot go in steps of {step:g} s", remedy="give seconds above 0")
     first, last = start.as_unit("ns").value, end.as_unit("ns").value
     if (last - first) // nanoseconds > MOST_INSTANTS:
         raise InputError(
             f"a clock in steps of {step:g} s has {(last - first) // nanoseconds:,} instants"
-            f" in {(last - first) / _SECOND:.0f} s",
+            f" in {(last - first) / NANOSECONDS:.0f} s",
             remedy=f"take longer steps or a part of the trip: at most {MOST_INSTANTS:,}",
         )
     times = np.arange(first, last + 1, nanoseconds)

@@ -15,6 +15,9 @@ Interpolation = Literal["linear", "previous", "none"]
 Each = Literal["", "powered axle", "vehicle", "coupler"]
 """What a field has one value for, if not for the whole train."""
 
+STANDSTILL = 0.1
+"""Recorded speed [m/s] up to which a train stands: wheel speeds of a train at rest are noise."""
+
 SCHEMA_VERSION = 1
 """Raised when a field changes its meaning; new fields are added without raising it."""
 

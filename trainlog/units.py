@@ -24,6 +24,9 @@ KMH = 3.6
 PER_MILLE = 1e3
 """Per mille in one (rise over run)."""
 
+NANOSECONDS = 1_000_000_000
+"""In a second: times of logs are whole nanoseconds since 1970 UTC."""
+
 GRAVITY = 9.81
 """Acceleration of gravity [m/s²], as in TTOBench and in all the studies but one."""
 

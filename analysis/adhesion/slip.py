@@ -29,7 +29,7 @@ from trainlog.formats.attached import line_of, train_of
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans
-from trainlog.topics import ESTIMATED_ADHESION, EVENTS
+from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL
 from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
 
@@ -48,9 +48,6 @@ NOISE_SPAN = 0.4
 
 ADHESION_NOISE_FLOOR = 0.002
 """Least noise of an observed adhesion that is believed."""
-
-STANDSTILL = 0.1
-"""Speed of the wheels up to which the train stands [m/s]."""
 
 SATELLITE_STD = 0.1
 """Standard deviation of a satellite speed that comes without one [m/s]."""

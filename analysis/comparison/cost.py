@@ -16,13 +16,10 @@ from trainlog.mcap import read_log
 from trainlog.mcap.stream import stream_log
 from trainlog.railway import Line, Train
 from trainlog.resampling import joined_pieces
-from trainlog.topics import EVENTS, REFERENCE
+from trainlog.topics import EVENTS, REFERENCE, STANDSTILL
 from trainlog.trip import Trip, seconds
 
 FloatArray = NDArray[np.float64]
-
-STANDSTILL = 0.3
-"""Speeds below this count as standing [m/s]; wheel-speed noise stays under it."""
 
 SHORTEST_STOP = 5.0
 """A train that stands for less [s] is creeping, not stopping."""

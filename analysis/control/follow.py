@@ -34,7 +34,7 @@ from trainlog.simulation.plant import HOLDING
 
 FloatArray = NDArray[np.float64]
 
-STOPPED = 0.3
+STOPPING_TOLERANCE = 0.3
 """A train that stands no more than this short of its stop has arrived [m]."""
 
 SHORTEST = 3
@@ -179,7 +179,7 @@ class Follower:
     def demand(self, observation: Observation) -> Demand:
         """The efforts wanted now."""
         distance = self._route.end - observation.position
-        if observation.speed < AT_REST and distance <= STOPPED:
+        if observation.speed < AT_REST and distance <= STOPPING_TOLERANCE:
             self._arrived = True
         if self._arrived or observation.time < self._release:
             return Demand(0.0, HOLDING * self._limits.mass)

@@ -86,8 +86,8 @@ class TripRefusedError(NotIdentifiableError):
         self.timeline = timeline
 
 
-STANDSTILL = 2.0
-"""Slower than this [m/s] counts as standing: wheel impulses are too few, drag is not Davis's."""
+LOWEST_SPEED = 2.0
+"""Slower samples [m/s] are left out: wheel impulses are too few, drag is not Davis's."""
 
 SLIP = 2.0
 """A wheel that differs from the train's speed by more than this [m/s] slips. Creep under heavy
@@ -276,7 +276,7 @@ def prepare(
     wheels = _wheel_speeds(trip, index) / scale.factor
     masks = {
         "gap": _gaps(time, [state, controls], origin) | ~np.isfinite(speed + position + traction),
-        "standstill": ~(smooth >= STANDSTILL),
+        "standstill": ~(smooth >= LOWEST_SPEED),
         "braking": _braking(
             controls,
             index,

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 _FLOOR = 1e-5
 """Smallest ``z`` between the two ends, as in `minimax` [m²/s²]."""
 
-_STANDSTILL = 1e-6
+_ROUNDED = 1e-6
 """Added to ``v²`` under the root, so that its slope is finite at standstill [m²/s²]."""
 
 
@@ -148,7 +148,7 @@ def _cell() -> ca.Function:
 
 
 def _speed(z: Any) -> Any:
-    return ca.sqrt(ca.fmax(2.0 * z, 0.0) + _STANDSTILL)
+    return ca.sqrt(ca.fmax(2.0 * z, 0.0) + _ROUNDED)
 
 
 def _bounded(

@@ -18,7 +18,7 @@ import numpy as np
 from monte_carlo import PERIOD, Drawn, Study
 from numpy.typing import NDArray
 
-from analysis.resistance.recording import STANDSTILL, widened
+from analysis.resistance.recording import LOWEST_SPEED, widened
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -29,7 +29,7 @@ BLOCK = 10
 
 def information(trip: Drawn, study: Study) -> FloatArray:
     """Information (3, 3) that a trip holds on r0, r1 and r2, its mass being unknown."""
-    usable = ~widened(trip.time, (trip.braking > 0.0) | (trip.true_speed < STANDSTILL))
+    usable = ~widened(trip.time, (trip.braking > 0.0) | (trip.true_speed < LOWEST_SPEED))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], usable, [0]))))
     rows = [
         _stretch(trip, study, int(begin), int(end))

@@ -26,8 +26,7 @@ from trainlog.ingest.recording import (
     IntArray,
     Table,
 )
-
-NANOSECONDS = 1_000_000_000
+from trainlog.units import NANOSECONDS
 
 MAX_DROPPED = 0.25
 """Share of the rows beyond which a clock that jumps is refused rather than repaired."""

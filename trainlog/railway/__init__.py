@@ -1,4 +1,4 @@
-"""The world a train runs in: lines, trains, running resistance, adhesion, track condition.
+"""Lines, trains, running resistance, adhesion, track condition.
 
 Pure data and pure functions on arrays; no files.
 """

@@ -13,7 +13,9 @@ from trainlog.errors import InputError
 
 @dataclass(frozen=True)
 class CreepCurve:
-    """Adhesion coefficient ``mu(v_s) = c exp(-a v_s) - d exp(-b v_s)``; paper 003, eq. (10).
+    """Adhesion coefficient ``mu(v_s) = c exp(-a v_s) - d exp(-b v_s)``.
+
+    Source: Zhao et al. (2025), eq. (10).
 
     ``v_s`` [m/s] is wheel speed minus train speed; the curve is odd in it. It rises from 0 to
     its maximum, the maximum adhesion, and falls beyond.
@@ -54,10 +56,10 @@ class CreepCurve:
 
 
 DRY = CreepCurve(a=0.54, b=1.2, c=1.0, d=1.0)
-"""Dry rail; paper 003, table 1."""
+"""Dry rail; Zhao et al. (2025), table 1."""
 
 WET = CreepCurve(a=0.19, b=0.54, c=0.4, d=0.4)
-"""Wet rail; paper 003, table 1."""
+"""Wet rail; Zhao et al. (2025), table 1."""
 
 
 def creep_coefficients(maximum: ArrayLike) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Coupler:
-    """A nonlinear spring and damper between two vehicles; paper 004, eqs. (2)-(4).
+    """A nonlinear spring and damper between two vehicles; Amirhosseini et al. (2024), eqs. (2)-(4).
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Consist:
     couplers : tuple of Coupler
         One fewer than vehicles.
     brake : Brake
-        Dead time and lag of every vehicle's brake; paper 004, eq. (1).
+        Dead time and lag of every vehicle's brake; Amirhosseini et al. (2024), eq. (1).
     brake_propagation : float [m/s]
         How fast the demand travels from the front along the train pipe; infinite where it is
         electric.

@@ -364,7 +364,7 @@ class Line:
     def track_acceleration(self, position: ArrayLike) -> FloatArray:
         """Deceleration by the track itself [m/s²]: gradient and curves, for any mass.
 
-        ``g (sin(alpha) + k_C |curvature|)``; paper 004, eq. (6) and (7).
+        ``g (sin(alpha) + k_C |curvature|)``; Amirhosseini et al. (2024), eq. (6) and (7).
         """
         slope = self.gradient(position)
         sine = slope / np.sqrt(1.0 + slope**2)

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from trainlog.errors import InputError
 
 CURVE_COEFFICIENT = 0.6
-"""k_C [m]: curve resistance is weight times k_C over the radius (paper 004, eq. 6, corrected)."""
+"""k_C [m]: curve resistance is weight times k_C over the radius; Amirhosseini et al. (2024),
+eq. (6), corrected."""
 
 
 TUNNEL_COEFFICIENT = 1.3e-7
-"""k_T [1/m]: tunnel resistance is weight times k_T times the tunnel's length (paper 004, eq. 6,
-corrected), where no coefficient of the train itself is known."""
+"""k_T [1/m]: tunnel resistance is weight times k_T times the tunnel's length, where no coefficient
+of the train itself is known; Amirhosseini et al. (2024), eq. (6), corrected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,9 @@ class RunningResistance:
 
 
 def curve_force_per_weight(curvature: ArrayLike) -> NDArray[np.float64]:
-    """Curve resistance over weight, ``k_C |curvature|``; paper 004, eq. (6) as corrected.
+    """Curve resistance over weight, ``k_C |curvature|``.
+
+    Source: Amirhosseini et al. (2024), eq. (6) as corrected.
 
     Parameters
     ----------
@@ -62,7 +65,9 @@ def curve_force_per_weight(curvature: ArrayLike) -> NDArray[np.float64]:
 
 
 def tunnel_force_per_weight(length: ArrayLike) -> NDArray[np.float64]:
-    """Resistance of a tunnel over weight, ``k_T L_T``; paper 004, eq. (6) as corrected.
+    """Resistance of a tunnel over weight, ``k_T L_T``.
+
+    Source: Amirhosseini et al. (2024), eq. (6) as corrected.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trainlog.replay.clock import FloatArray, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.curves import Colour, Curve
 from trainlog.resampling import interpolated
-from trainlog.topics import ESTIMATED_ADHESION, TRAIN_AXLES, TRAIN_CONTROLS
+from trainlog.topics import ESTIMATED_ADHESION, STANDSTILL, TRAIN_AXLES, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
 
 GAP_PERIODS = 5.0
@@ -22,9 +22,6 @@ GAP_PERIODS = 5.0
 
 SHORTEST_GAP = 1_000_000_000
 """Shorter pauses are never a gap [ns]."""
-
-STANDSTILL = 0.1
-"""Speed below which a train stands [m/s]."""
 
 APPLIED = 0.02
 """Share of its largest value from which an effort or a lever counts as applied."""

@@ -1,4 +1,6 @@
-"""A consist on a line: every vehicle a particle, joined by nonlinear couplers; paper 004.
+"""A consist on a line: every vehicle a particle, joined by nonlinear couplers.
+
+Source: Amirhosseini et al. (2024).
 
 The single-particle model is a consist of one vehicle.
 """
@@ -211,7 +213,7 @@ class ConsistPlant:
             softening coupler is stretched beyond its validity, or the motion is not finite.
         """
         if steps < 0:
-            raise InputError(f"{steps} steps make no sense", remedy="time passes forwards only")
+            raise InputError(f"{steps} steps: their number must not be negative")
         pull = self._shared(tractive_efforts, particles.PULL, "tractive")
         demand = self._shared(braking_efforts, particles.BRAKE, "braking")
         state.cursor = particles.advance(
@@ -285,7 +287,7 @@ class ConsistPlant:
 
     def _check_step(self) -> None:
         if not (self.step > 0.0 and np.isfinite(self.step)):
-            raise InputError(f"a time step of {self.step} s makes no sense")
+            raise InputError(f"a time step of {self.step} s is not positive")
         name = self.consist.name
         inertia = self._vehicles[:, particles.INERTIA]
         reduced = 1.0 / (1.0 / inertia[:-1] + 1.0 / inertia[1:])
@@ -303,11 +305,11 @@ class ConsistPlant:
         # What can bring a vehicle to rest within one step.
         held = self._vehicles[:, particles.BRAKE] + self._vehicles[:, particles.R0]
         strongest = float((held / inertia).max())
-        if self.step * strongest > 2.0 * particles.AT_REST:
+        if self.step * strongest > 2.0 * particles.FRICTION_SPEED:
             raise InputError(
                 f"step of {1e3 * self.step:g} ms is too coarse for consist '{name}': its brakes"
                 f" and its resistance take {strongest:.1f} m/s²",
-                remedy=f"use at most {2e3 * particles.AT_REST / strongest:.1f} ms",
+                remedy=f"use at most {2e3 * particles.FRICTION_SPEED / strongest:.1f} ms",
             )
 
     def _check_motion(self, state: ConsistState) -> None:

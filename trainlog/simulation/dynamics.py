@@ -6,11 +6,11 @@ through the adhesion between wheel and rail:
     M dv/dt   = sum F_i - R(v) - m g (sin alpha + k_C |kappa|) - r_T v² - F_B
     J dw_i/dt = T_i - F_i,        F_i = mu(w_i - v; mu_max(s)) W
 
-(paper 003, eq. 1, 8, 10; paper 004, eq. 1, 5, 6, 10). `M` moves with the train, `J` is the inertia
-of one powered axle, both as masses at the wheel rim; `T_i` is the motor torque over the wheel
-radius. The efforts follow their demand with a first-order lag, the friction brake after a dead
-time as well. Classical Runge-Kutta of fourth order with a fixed step; the works of all forces are
-integrated beside the motion, so that the energy balance can be checked.
+(Zhao et al. (2025), eq. 1, 8, 10; Amirhosseini et al. (2024), eq. 1, 5, 6, 10). `M` moves with the
+train, `J` is the inertia of one powered axle, both as masses at the wheel rim; `T_i` is the motor
+torque over the wheel radius. The efforts follow their demand with a first-order lag, the friction
+brake after a dead time as well. Classical Runge-Kutta of fourth order with a fixed step; the works
+of all forces are integrated beside the motion, so that the energy balance can be checked.
 
 The state is one vector: position, train speed, friction braking effort, the wheel speeds, the
 lagged efforts of the motors, and the works listed in `WORKS`.

@@ -4,12 +4,13 @@
                   - C_i + C_{i-1}
     C_i         = k0 (1 + eps d²) d + b dv,     d = x_i - x_{i+1} less the distance at rest
 
-(paper 004, eqs. 1-10 as corrected: the forces of a coupler act on its two vehicles with opposite
-signs, and the track acts on every vehicle at its own position.) `M` moves with the vehicle; `P` is
-its tractive effort, `B` the braking effort, which follows its demand after the vehicle's own dead
-time and with a first-order lag (eq. 1). `k0` and `eps` may differ between draft and buff. `dh/L` is
-the rise of the track from the vehicle's rear to its front over its length: the slope under it,
-which changes steadily as it passes an edge. One vehicle is the single-particle model (10).
+(Amirhosseini et al. (2024), eqs. 1-10 as corrected: the forces of a coupler act on its two vehicles
+with opposite signs, and the track acts on every vehicle at its own position.) `M` moves with the
+vehicle; `P` is its tractive effort, `B` the braking effort, which follows its demand after the
+vehicle's own dead time and with a first-order lag (eq. 1). `k0` and `eps` may differ between draft
+and buff. `dh/L` is the rise of the track from the vehicle's rear to its front over its length: the
+slope under it, which changes steadily as it passes an edge. One vehicle is the single-particle
+model (10).
 
 Classical Runge-Kutta of fourth order with a fixed step; the works of all forces are integrated
 beside the motion, so that the energy balance can be checked.
@@ -51,7 +52,7 @@ with TUNNEL over weight. The first piece begins at minus infinity; a row at infi
 TAKE_UP = 0.005
 """Travel behind the slack [m] over which a coupler's damper takes hold."""
 
-AT_REST = 0.01
+FRICTION_SPEED = 0.01
 """Below this speed [m/s] friction fades, so that it never drives; a train that nothing moves is
 stopped there, and the brakes take what kinetic energy is left."""
 
@@ -144,17 +145,17 @@ def derivative(
             effort = vehicles[i, POWER] / v
         # Friction and brakes act against the motion.
         speed = abs(v)
-        way = 1.0 if v > 0.0 else -1.0
-        if speed < AT_REST:
-            way = v / AT_REST
+        sense = 1.0 if v > 0.0 else -1.0
+        if speed < FRICTION_SPEED:
+            sense = v / FRICTION_SPEED
         weight = GRAVITY * vehicles[i, MASS]
-        own = way * (
+        own = sense * (
             vehicles[i, R0] * scale[0]
             + vehicles[i, R1] * scale[1] * speed
             + vehicles[i, R2] * scale[2] * speed * speed
         )
-        held = way * brake[i]
-        load = weight * (rise + way * resisting)
+        held = sense * brake[i]
+        load = weight * (rise + sense * resisting)
         # What the coupler in front pulls, found with the vehicle before.
         force = behind
         behind = 0.0
@@ -235,7 +236,7 @@ def advance(
             brake[i] = wanted + (brake[i] - wanted) * decay
         cursor = cursor + 1 if cursor + 1 < rows else 0
 
-        if abs(y[n]) <= AT_REST and _stands(y, pull, brake, vehicles, track, places):
+        if abs(y[n]) <= FRICTION_SPEED and _stands(y, pull, brake, vehicles, track, places):
             for i in range(n):
                 y[2 * n + 1] += 0.5 * vehicles[i, INERTIA] * y[n + i] ** 2
                 y[n + i] = 0.0
@@ -290,7 +291,7 @@ def _stands(
     """Whether no vehicle moves and what drives the train is less than what holds it."""
     n = vehicles.shape[0]
     for i in range(n):
-        if abs(y[n + i]) > AT_REST:
+        if abs(y[n + i]) > FRICTION_SPEED:
             return False
     locate(y, vehicles, track, places)
     drive, hold = 0.0, 0.0

@@ -142,7 +142,7 @@ class Plant:
         resistance : RunningResistance, optional
         max_power : float [W], optional
         maximum_adhesion : StepProfile, optional
-            By position; default: the dry rail of paper 003 everywhere.
+            By position; default: the dry rail of Zhao et al. (2025) everywhere.
         axle_adhesion : (n,) array, optional
             Adhesion of each axle over the profile's; default 1.
         drive : Drive, optional

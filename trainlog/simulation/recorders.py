@@ -17,7 +17,7 @@ from trainlog.errors import LogError
 from trainlog.formats.files import write_bytes
 from trainlog.topics import GNSS_FIX, GNSS_MOTION, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import Trip
-from trainlog.units import KMH
+from trainlog.units import KMH, NANOSECONDS
 
 LOCAL_TIME = "Europe/Zurich"
 """The vehicle recorder's clock; the file does not say so."""
@@ -193,7 +193,7 @@ def write_ublox_csv(trip: Trip, path: str | Path, seed: int = 1) -> Defects:
         backwards=0,
         missing=0,
         outliers=int(outliers.size),
-        gaps=int(np.sum(np.diff(time.as_unit("ns").asi8) >= 1_000_000_000)),
+        gaps=int(np.sum(np.diff(time.as_unit("ns").asi8) >= NANOSECONDS)),
     )
 
 

@@ -16,8 +16,7 @@ from trainlog.formats.train import train_to_bytes
 from trainlog.simulation import sensors as measuring
 from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
 from trainlog.simulation.scenario import Scenario
-from trainlog.simulation.sensors import NANOSECONDS
-from trainlog.topics import EVENTS, REFERENCE, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
+from trainlog.topics import EVENTS, REFERENCE, STANDSTILL, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
 from trainlog.trip import (
     LINE_ATTACHMENT,
     SCENARIO_ATTACHMENT,
@@ -25,6 +24,7 @@ from trainlog.trip import (
     Trip,
     frame_of,
 )
+from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
@@ -255,9 +255,9 @@ def axle_frame(
 
 
 def _moving(speed: FloatArray) -> NDArray[np.bool_]:
-    """Whether the train is on its way: from 0.1 m/s on until it stands again, (n,)."""
+    """Whether the train is moving: from `STANDSTILL` on until it stands still again, (n,)."""
     # A train that settles on its springs as the brake grips has not departed.
-    state = np.where(speed > 0.1, 1, np.where(speed > 0.0, 0, -1))
+    state = np.where(speed > STANDSTILL, 1, np.where(speed > 0.0, 0, -1))
     last = np.maximum.accumulate(np.where(state != 0, np.arange(speed.size), 0))
     return np.asarray(state[last] > 0)
 

@@ -23,7 +23,8 @@ from trainlog.simulation.drivers import (
     plan,
 )
 from trainlog.simulation.plant import Plant
-from trainlog.simulation.sensors import NANOSECONDS, Instruments, Reading, Sensors, wheel_scales
+from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_scales
+from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ SPOTS = {"dry": (0.1, 0.16), "wet": (0.06, 0.12)}
 """Range of the maximum adhesion in slippery spots, by weather."""
 
 Locator = Callable[[Reading], Observation]
-"""Tells a driver of the train what its instruments let it know."""
+"""From a reading of the train's instruments to what its driver knows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +87,8 @@ class Scenario:
     follows : callable or None
         Makes the driver who follows the trajectory.
     locates : callable or None
-        Makes what tells that driver where he is and how fast, of the train's sensors and the place
-        where it starts; None: he sees the true motion.
+        Makes the locator that gives that driver place and speed, from the train's sensors and the
+        place where it starts; None: he sees the true motion.
     """
 
     name: str
@@ -202,8 +203,8 @@ class Scenario:
             "r1": self.resistance.r1,
             "r2": self.resistance.r2,
             "max_power": self.max_power,
-            "maximum_adhesion": _told(self.maximum_adhesion),
-            "survey_error": None if self.survey_error is None else _told(self.survey_error),
+            "maximum_adhesion": _as_json(self.maximum_adhesion),
+            "survey_error": None if self.survey_error is None else _as_json(self.survey_error),
             "stops": [asdict(stop) for stop in self.stops],
             "habits": asdict(self.habits),
             "sensors": asdict(self.sensors),
@@ -213,10 +214,10 @@ class Scenario:
         return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def _told(profile: StepProfile) -> dict[str, Any]:
+def _as_json(profile: StepProfile) -> dict[str, Any]:
     """A profile along the line in its own direction, for JSON."""
-    told = {"positions": profile.positions, "values": profile.values}
-    return {"direction": "forward"} | {name: array.tolist() for name, array in told.items()}
+    arrays = {"positions": profile.positions, "values": profile.values}
+    return {"direction": "forward"} | {name: array.tolist() for name, array in arrays.items()}
 
 
 def draw_scenarios(

@@ -18,13 +18,12 @@ from trainlog.errors import InputError
 from trainlog.railway import Line
 from trainlog.topics import ENVIRONMENT, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import frame_of
+from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the earth [m]."""
-
-NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +289,7 @@ OUTAGE = (10.0, 60.0)
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One sample of a train's instruments; NaN where one tells nothing.
+    """One sample of a train's instruments; NaN where one shows nothing.
 
     Attributes
     ----------
@@ -345,7 +344,7 @@ class Instruments:
         self._last = 0.0
 
     def read(self, time: float, position: float, speed: float, acceleration: float) -> Reading:
-        """What the instruments tell of a true motion; times and positions do not go back."""
+        """What the instruments show of a true motion; times and positions do not go back."""
         sensors = self._sensors
         noise = self._generator.standard_normal(4)
         wheel = 0.0
