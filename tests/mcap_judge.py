@@ -31,18 +31,17 @@ from mcap_trips import trip_of
 from trainlog.errors import LogError, TrainlogError
 from trainlog.mcap import account_of, describe, read_log, recover, write_log
 from trainlog.mcap.account import Account, DamageWarning
-from trainlog.mcap.contents import contents_of
+from trainlog.mcap.index import fetched, index_in
 from trainlog.mcap.records import message_data, opened
+from trainlog.mcap.scan import check_is_mcap, contents_of, scanned
 from trainlog.mcap.source import Source
-from trainlog.mcap.stored import fetched, index_in
-from trainlog.mcap.walk import check_is_mcap, contents_by_walk
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_STATE
 from trainlog.trip import Trip
 
 Message = tuple[str, int, bytes]
 """Topic, log time and data."""
 
-_TWICE = ("comes again", "one file ends here")
+_TWICE = ("comes again", "one file ends here", "without its chunk")
 """What an account says of files in which something comes twice."""
 
 LONGEST = 20
@@ -219,7 +218,7 @@ def _judged(data: bytes, whole: Specimen, path: Path, *, rebuild: bool) -> Itera
     try:
         with Source(path) as source:
             check_is_mcap(source)
-            contents = contents_by_walk(source)
+            contents = scanned(source)
             account, walked = contents.account, messages_in(source, contents)
             if account.whole and messages_in(source, contents_of(source)) != walked:
                 yield "the index gives other messages than the walk"
@@ -303,7 +302,7 @@ def _messages(
             told = account.messages + account.messages_lost
             # Of what comes twice, damaged otherwise each time, nothing tells that it is the same.
             twice = any(word in loss.reason for loss in account.losses for word in _TWICE)
-            if told > whole.messages.total() and not twice:
+            if told > whole.messages.total() and not twice and read != written:
                 yield f"{told} messages are accounted for, {whole.messages.total()} were written"
     told = " ".join(loss.reason for loss in account.losses)
     if "declared" not in told and all(each in data for each in whole.declarations):
@@ -360,6 +359,17 @@ def _rows(frame: pd.DataFrame) -> Counter[tuple[int, tuple[object, ...]]]:
     return Counter(zip(pd.DatetimeIndex(frame.index).asi8.tolist(), rows, strict=True))
 
 
+def _reads(path: Path) -> bool:
+    """Whether a damaged log gives a trip."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DamageWarning)
+        try:
+            read_log(path)
+        except TrainlogError:
+            return False
+    return True
+
+
 def _recovered(path: Path, walked: Counter[Message], account: Account) -> Iterator[str]:
     """What is rebuilt is whole, by the official reader's checks, and holds the same."""
     output = path.with_name("recovered.mcap")
@@ -367,7 +377,7 @@ def _recovered(path: Path, walked: Counter[Message], account: Account) -> Iterat
     try:
         told = recover(path, output)
     except LogError as error:
-        if account.messages:
+        if account.messages and _reads(path):
             yield f"recover refuses a file with messages: {error}"
         return
     if told != account:

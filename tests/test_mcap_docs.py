@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trainlog.mcap.documentation import topics_table
+from trainlog.mcap.description import topics_table
 from trainlog.topics import TOPICS
 
 PAGE = Path(__file__).parents[1] / "docs" / "log.md"

@@ -32,9 +32,9 @@ from trainlog.mcap import (
     write_log,
 )
 from trainlog.mcap.account import Loss, Unfinished
-from trainlog.mcap.names import RECOVERY_RECORD
+from trainlog.mcap.records import RECOVERY_RECORD
+from trainlog.mcap.scan import scanned
 from trainlog.mcap.source import Source
-from trainlog.mcap.walk import contents_by_walk
 from trainlog.topics import EVENTS, TRAIN_STATE
 
 
@@ -319,7 +319,7 @@ def test_the_account_stays_with_the_recovered_log(whole: Specimen, tmp_path: Pat
     account = recover(path, tmp_path / "once.mcap")
     recover(tmp_path / "once.mcap", tmp_path / "twice.mcap")
     with Source(tmp_path / "twice.mcap") as source:
-        metadata = {each.name: each.metadata for each in contents_by_walk(source).metadata}
+        metadata = {each.name: each.metadata for each in scanned(source).metadata}
     told = {key: json.loads(text) for key, text in metadata[RECOVERY_RECORD].items()}
     assert list(told) == ["0001", "0002"]
     assert told["0001"]["account"] == json.loads(json.dumps(account.details()))
@@ -385,7 +385,7 @@ def test_what_cannot_be_recovered_is_refused(tmp_path: Path) -> None:
 
 def test_messages_found_are_those_that_were_written(whole: Specimen, tmp_path: Path) -> None:
     with Source(put(tmp_path, whole.data)) as source:
-        assert messages_in(source, contents_by_walk(source)) == whole.messages
+        assert messages_in(source, scanned(source)) == whole.messages
 
 
 # --------------------------------------------------------------------------------- command line

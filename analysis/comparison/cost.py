@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
 from trainlog.mcap import read_log
-from trainlog.mcap.stream import stream_log
+from trainlog.mcap.reader import stream_log
 from trainlog.railway import Line, Train
 from trainlog.resampling import joined_pieces
 from trainlog.topics import EVENTS, REFERENCE, STANDSTILL

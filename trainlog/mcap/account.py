@@ -10,6 +10,10 @@ LISTED = 100
 """Losses that are kept one by one with what is made of a log; the others are counted."""
 
 
+NOT_CLOSED = "the file ends without its closing records"
+"""Why a file is not whole that was not closed, if nothing else is wrong with it."""
+
+
 @dataclass(frozen=True)
 class Loss:
     """A stretch of a file that could not be read.
@@ -21,7 +25,7 @@ class Loss:
     reason : str
         What is wrong there.
     messages : int or None
-        How many messages it held; None where nothing in the file tells.
+        How many messages it held; None where nothing in the file says so.
     """
 
     start: int
@@ -80,12 +84,15 @@ class Account:
         In the order of the file; empty if it is whole.
     unfinished : Unfinished or None
         If the file is a live recording that was not closed.
+    expected : int or None
+        How many messages the file held, by its statistics; None if these are not readable.
     """
 
     messages: int
     chunks: int
     losses: tuple[Loss, ...] = ()
     unfinished: Unfinished | None = None
+    expected: int | None = None
 
     @property
     def whole(self) -> bool:
@@ -99,9 +106,22 @@ class Account:
 
     @property
     def messages_lost(self) -> int | None:
-        """How many messages were lost; None where nothing in the file tells."""
-        counts = [loss.messages for loss in self.losses]
-        return None if None in counts else sum(count for count in counts if count is not None)
+        """How many messages were lost; None where nothing in the file says so."""
+        if self.expected is not None:
+            return max(0, self.expected - self.messages)
+        known = all(loss.messages is not None for loss in self.losses)
+        return self._counted_lost if known else None
+
+    @property
+    def _counted_lost(self) -> int:
+        """Messages of the losses that are counted: at least so many are lost."""
+        return sum(loss.messages or 0 for loss in self.losses)
+
+    @property
+    def _only_unclosed(self) -> bool:
+        """Whether nothing is wrong but that the file was not closed."""
+        ended = self.unfinished is not None or self.losses[-1].reason == NOT_CLOSED
+        return ended and self.bytes_lost == 0 and self.messages_lost in (0, None)
 
     @property
     def sentence(self) -> str:
@@ -110,16 +130,27 @@ class Account:
             return f"is whole: {self._readable}"
         readable = f"{_counted(self.messages, 'message')} {_are(self.messages)} readable"
         first, *others = self.losses
-        if self.unfinished and self.bytes_lost == 0 and self.messages_lost in (0, None):
-            return f"was not closed: {readable}; {self.unfinished.missing}"
-        lost = "" if self.messages_lost is None else f"{_counted(self.messages_lost, 'message')}, "
+        if self._only_unclosed:
+            missing = f"; {self.unfinished.missing}" if self.unfinished else ""
+            return f"was not closed: {readable}{missing}"
         more = f", and {len(others):,} more" if others else ""
         unfinished = f"; {self.unfinished}" if self.unfinished else ""
         return (
-            f"is damaged: {readable}, "
-            f"{lost}{_counted(self.bytes_lost, 'byte')} {_are(self.bytes_lost)} lost "
+            f"is damaged: {readable}, {self._lost} lost "
             f"(byte {first.start:,}: {first.reason}{more}){unfinished}"
         )
+
+    @property
+    def _lost(self) -> str:
+        """How much is lost, in words."""
+        count = self.messages_lost
+        least = "at least " if count is None else ""
+        count = self._counted_lost if count is None else count
+        size = _counted(self.bytes_lost, "byte")
+        if not count and (least or self.bytes_lost):
+            return f"{size} {_are(self.bytes_lost)}"
+        parts = [f"{least}{_counted(count, 'message')}", *([size] if self.bytes_lost else [])]
+        return f"{' and '.join(parts)} {_are(count if len(parts) == 1 else 2)}"
 
     @property
     def _readable(self) -> str:
@@ -152,7 +183,7 @@ class Account:
 
 
 class DamageWarning(UserWarning):
-    """A log was read although part of it is lost; `account` tells what.
+    """A log was read although part of it is lost; `account` says what.
 
     Parameters
     ----------
@@ -165,7 +196,7 @@ class DamageWarning(UserWarning):
         self.file = file
         self.account = account
         super().__init__(
-            f"{file}: {account.sentence}; 'trainlog check' tells all, "
+            f"{file}: {account.sentence}; 'trainlog check' lists what is lost, "
             "'trainlog recover' rebuilds the file"
         )
 

@@ -23,8 +23,8 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.errors import shown
 from trainlog.mcap.schemas import UNIT, WireField, axles_of, is_location_fix, wire_fields
+from trainlog.mcap.source import shown
 from trainlog.topics import EVENTS, TOPICS, Topic
 
 MESSAGE = struct.Struct("<BQHIQQ")

@@ -19,10 +19,10 @@ from trainlog.formats.parquet import (
     time_span,
     trip_index,
 )
-from trainlog.mcap.describe import LogDescription, describe
-from trainlog.mcap.errors import nothing_of
+from trainlog.mcap.description import LogDescription, describe
 from trainlog.mcap.foreign import frames_of
-from trainlog.mcap.stream import stream_log
+from trainlog.mcap.reader import stream_log
+from trainlog.mcap.source import nothing_of
 from trainlog.mcap.writer import LogWriter
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from trainlog.errors import LogError
 from trainlog.mcap.account import Account
 from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
-from trainlog.mcap.contents import contents_of
-from trainlog.mcap.errors import in_file, shown
 from trainlog.mcap.foreign_decoders import (
     DEEPEST,
     LONG_ARRAY,
@@ -34,12 +32,11 @@ from trainlog.mcap.foreign_decoders import (
     Unexpanded,
     decoder_of,
 )
-from trainlog.mcap.places import ChunkPlace, Contents
+from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched
 from trainlog.mcap.reader import check_data_section, report_losses
 from trainlog.mcap.records import Index, index_of, opened
-from trainlog.mcap.source import Source
-from trainlog.mcap.stored import MisplacedError, fetched
-from trainlog.mcap.walk import contents_by_walk
+from trainlog.mcap.scan import contents_used
+from trainlog.mcap.source import Source, in_file, shown
 
 MOST_COLUMNS = 2_000
 """Columns of a topic; names that are made up message by message must not fill the memory."""
@@ -151,16 +148,17 @@ def frames_of(path: str | Path, topics: Iterable[str] | None = None) -> ForeignF
     (True, ())
     """
     with Source(path) as source, in_file(path):
-        contents = contents_of(source)
-        try:
-            found = _frames(source, contents, _wanted(contents, topics))
-            if topics is None:
-                check_data_section(source, contents)
-        except MisplacedError:
-            contents = contents_by_walk(source)
-            found = _frames(source, contents, _wanted(contents, topics))
+        contents, found = contents_used(source, lambda contents: _read(source, contents, topics))
     report_losses(path, contents)
     return replace(found, account=contents.account)
+
+
+def _read(source: Source, contents: Contents, topics: Iterable[str] | None) -> ForeignFrames:
+    """The frames of the topics; if all are asked for, the rest of the file is verified, too."""
+    found = _frames(source, contents, _wanted(contents, topics))
+    if topics is None:
+        check_data_section(source, contents)
+    return found
 
 
 def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:

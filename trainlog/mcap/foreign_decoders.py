@@ -25,7 +25,7 @@ from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from trainlog.extras import load
-from trainlog.mcap.errors import shown
+from trainlog.mcap.source import shown
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict

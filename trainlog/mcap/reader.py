@@ -1,47 +1,56 @@
-"""Reading a trip, or a part of one, from an MCAP file."""
+"""Reading a trip, or a part of one, from an MCAP file: at once, or piece by piece."""
 
 from __future__ import annotations
 
 import json
 import re
 import warnings
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from isal import isal_zlib
+import pandas as pd
 from mcap.records import Metadata
+from numpy.typing import NDArray
 
-from trainlog.errors import LogError
+from trainlog.errors import InputError, LogError
 from trainlog.mcap.account import Account, DamageWarning, Loss
-from trainlog.mcap.contents import contents_of
-from trainlog.mcap.errors import in_file, shown, unusable
-from trainlog.mcap.filling import frames_in, topic_channels
-from trainlog.mcap.located import spans_in_log
-from trainlog.mcap.names import (
+from trainlog.mcap.index import (
+    AttachmentPlace,
+    ChunkPlace,
+    Contents,
+    MisplacedError,
+    attachment_data,
+    checksum_of,
+)
+from trainlog.mcap.positions import spans_in_log
+from trainlog.mcap.records import (
     FORMAT_RECORD,
     PROVENANCE_RECORD,
     RECORDING_RECORD,
     RECOVERY_RECORD,
     TRIP_RECORD,
 )
-from trainlog.mcap.places import AttachmentPlace, Contents
-from trainlog.mcap.selection import Selection, Topics, chunks_within, selection_of
-from trainlog.mcap.source import Source
-from trainlog.mcap.stored import MisplacedError, attachment_data
-from trainlog.mcap.tables import TopicChannel
-from trainlog.mcap.walk import contents_by_walk
-from trainlog.mcap.workers import threads_of
-from trainlog.spans import Spans
-from trainlog.topics import SCHEMA_VERSION
+from trainlog.mcap.scan import contents_used, scanned
+from trainlog.mcap.source import Source, in_file, shown, threads_of, unusable
+from trainlog.mcap.tables import TopicChannel, Wanted, frames_in, topic_channels
+from trainlog.spans import ALWAYS, Spans, position_limits, time_limits
+from trainlog.topics import SCHEMA_VERSION, TOPICS, Topic, column_field
 from trainlog.trip import Trip
 
-_PIECE = 2**22
-"""Read at once for the checksum of the data section [bytes]."""
+Topics = Iterable[str] | Mapping[str, Iterable[str] | None]
+"""Names of topics, or the columns asked for by topic, None for all."""
 
 _MOST_NAMED = 8
 """Topics of a foreign file that an error names."""
+
+_LARGEST_GROUP = 2**26
+"""Chunks are read together up to this length when decompressed [bytes]."""
+
+_Frames = dict[str, pd.DataFrame]
+_T = TypeVar("_T")
 
 
 def read_log(
@@ -90,16 +99,166 @@ def read_log(
     """
     selection = selection_of(topics, time, position)
     with Source(path) as source, in_file(path):
-        contents = contents_of(source)
-        try:
-            trip = trip_of(source, contents, selection, threads_of(threads))
-        except MisplacedError:
-            # The summary is not to be trusted, or a chunk is damaged: a walk tells what there is.
-            contents = contents_by_walk(source)
-            trip = trip_of(source, contents, selection, threads_of(threads))
+        contents, trip = contents_used(
+            source, lambda contents: _trip_of(source, contents, selection, threads_of(threads))
+        )
         check_readable(contents.account)
     report_losses(path, contents)
     return with_losses(trip, contents)
+
+
+def stream_log(
+    path: str | Path,
+    topics: Topics | None = None,
+    *,
+    time: tuple[Any, Any] | None = None,
+    position: tuple[float | None, float | None] | None = None,
+    rows: int = 1_000_000,
+) -> Iterator[Trip]:
+    """Read a trip, or a part of one, piece by piece in the order of time.
+
+    The pieces one after the other are what `read_log` gives. The memory in use does not grow with
+    the log, unless its chunks overlap in time, as some writers' do: messages wait for their turn.
+
+    Parameters
+    ----------
+    path, topics, time, position
+        As for `read_log`.
+    rows : int
+        Most rows of a piece, over all topics.
+
+    Yields
+    ------
+    Trip
+        With every topic, without rows perhaps, and the metadata, provenance and attachments of the
+        whole; the provenance of the last says what is lost. There is at least one. Messages of the
+        same instant are in the same piece, if they are no more than `rows`.
+
+    Raises
+    ------
+    LogError, InputError
+        As `read_log`, when the first piece is asked for; here if `rows` is not positive.
+
+    Warns
+    -----
+    DamageWarning
+        Behind the last piece, if something is lost.
+    """
+    if rows < 1:
+        raise InputError(f"rows is {rows}", remedy="give the most rows of a piece, at least 1")
+    return _pieces(path, selection_of(topics, time, position), rows)
+
+
+# ------------------------------------------------------------------------- what is asked for
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A part of a log.
+
+    Attributes
+    ----------
+    columns : Wanted
+    time : (Any, Any) or None
+        As given; checked.
+    span : (int, int)
+        The same [ns since 1970 UTC].
+    position : (float, float) or None
+        As given; checked.
+    whole : bool
+        Whether it leaves out nothing.
+    """
+
+    columns: Wanted
+    time: tuple[Any, Any] | None
+    span: tuple[int, int]
+    position: tuple[float | None, float | None] | None
+    whole: bool
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """The position's limits [m]; infinite where open."""
+        return position_limits(*(self.position or (None, None)))
+
+
+def selection_of(
+    topics: Topics | None,
+    time: tuple[Any, Any] | None,
+    position: tuple[float | None, float | None] | None,
+) -> Selection:
+    """The part of a log that is asked for, checked.
+
+    Raises
+    ------
+    LogError
+        If there is no such topic or column.
+    InputError
+        If a limit is no time or no position, or the limits are in the wrong order.
+    """
+    ends = _pair("time", time)
+    stretch = _pair("position", position)
+    span = ALWAYS if ends is None else time_limits(*ends)
+    if stretch is not None:
+        position_limits(*stretch)
+    whole = topics is None and ends is None and stretch is None
+    return Selection(_columns(topics), ends, span, stretch, whole)
+
+
+def _pair(name: str, limits: Sequence[Any] | None) -> tuple[Any, Any] | None:
+    if limits is None:
+        return None
+    if isinstance(limits, str) or not hasattr(limits, "__len__") or len(limits) != 2:
+        raise InputError(f"{name} is {limits!r}, not two limits", remedy=f"give {name}=(from, to)")
+    return limits[0], limits[1]
+
+
+def _columns(topics: Topics | None) -> Wanted:
+    if topics is None:
+        return dict.fromkeys(TOPICS)
+    if isinstance(topics, str):
+        topics = [topics]
+    asked = topics if isinstance(topics, Mapping) else dict.fromkeys(topics)
+    for name in asked:
+        if name not in TOPICS:
+            raise LogError(f"there is no topic {name}", remedy=f"topics are {', '.join(TOPICS)}")
+    return {
+        name: None if names is None else _known(TOPICS[name], names)
+        for name, names in asked.items()
+    }
+
+
+def _known(topic: Topic, names: Iterable[str]) -> frozenset[str]:
+    names = frozenset([names] if isinstance(names, str) else names)
+    for name in sorted(names):
+        try:
+            column_field(topic, name)
+        except KeyError:
+            raise LogError(
+                f"{topic.name} has no column {name}",
+                remedy=f"its fields are {', '.join(item.name for item in topic.fields)}; a field "
+                "with one value for each axle has columns such as wheel_speed_1",
+            ) from None
+    return names
+
+
+def chunks_within(chunks: Iterable[ChunkPlace], spans: Spans) -> list[ChunkPlace]:
+    """The chunks that can hold messages in any of the spans of time."""
+    listed = list(chunks)
+    if len(spans) == 1 and tuple(spans[0]) == ALWAYS:
+        return listed
+    if not len(spans) or not listed:
+        return []
+    highest = np.iinfo(np.int64).max
+    first = np.array([min(place.start, highest) for place in listed], dtype=np.int64)
+    last = np.array([min(place.end, highest) for place in listed], dtype=np.int64)
+    # The first span that ends at or after the chunk's start must begin before its end.
+    number = np.searchsorted(spans[:, 1], first)
+    begins = np.append(spans[:, 0], highest)[number]
+    held = (number < len(spans)) & (begins <= last)
+    return [listed[index] for index in np.flatnonzero(held)]
+
+
+# ------------------------------------------------------------------------------- the file's part
 
 
 def report_losses(path: str | Path, contents: Contents) -> None:
@@ -110,13 +269,13 @@ def report_losses(path: str | Path, contents: Contents) -> None:
 
 
 def with_losses(trip: Trip, contents: Contents) -> Trip:
-    """The trip, its provenance telling what of its file is lost, if anything is."""
+    """The trip, its provenance saying what of its file is lost, if anything is."""
     if not contents.losses:
         return trip
     return trip.with_step("read damaged log", account=contents.account.details())
 
 
-def trip_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Trip:
+def _trip_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Trip:
     """The part of a trip that is asked for; what turns out damaged is dropped from `contents`.
 
     Raises
@@ -170,7 +329,7 @@ def bare_trip(source: Source, contents: Contents) -> Trip:
     return Trip(
         topics={},
         metadata=metadata.get(TRIP_RECORD, {}),
-        provenance=_provenance(metadata),
+        provenance=_provenance(metadata, damaged=bool(contents.losses)),
         attachments={place.name: data for place, data in attachments_of(source, contents)},
     )
 
@@ -181,18 +340,15 @@ def check_data_section(source: Source, contents: Contents) -> None:
     Raises
     ------
     MisplacedError
-        If it fails, or an attachment has, and the contents were found by the summary; a walk
-        tells more.
+        If it fails, or an attachment has, and the contents were found by the summary; a scan
+        finds more.
     """
     if contents.data_section is None or not contents.indexed:
         return
     if contents.losses:
         raise MisplacedError(contents.losses[0].reason, place=f"byte {contents.losses[0].start}")
     end, expected = contents.data_section
-    checksum = 0
-    for at in range(0, end if expected else 0, _PIECE):
-        checksum = isal_zlib.crc32(source.read(at, min(_PIECE, end - at)), checksum)
-    if checksum != expected:
+    if expected and checksum_of(source, 0, end) != expected:
         raise MisplacedError("the data section fails its checksum", place=f"byte {end}")
 
 
@@ -218,35 +374,46 @@ def metadata_of(contents: Contents) -> dict[str, dict[str, str]]:
     return found
 
 
-def _provenance(metadata: dict[str, dict[str, str]]) -> tuple[dict[str, Any], ...]:
-    """The processing steps that a file's metadata records tell, oldest first.
+def _provenance(
+    metadata: dict[str, dict[str, str]], *, damaged: bool
+) -> tuple[dict[str, Any], ...]:
+    """The processing steps of a file's metadata records, oldest first.
 
-    How a recording ended is told behind its last sample, and what was lost when a log was rebuilt
-    in a record of its own. Both belong to the trip: whatever is made of it says so, too.
+    How a recording ended stands behind its last sample, and what was lost when a log was rebuilt in
+    a record of its own. Both belong to the trip: whatever is made of it says so, too.
     """
-    steps = _steps(metadata, PROVENANCE_RECORD)
+    steps = _steps(metadata, PROVENANCE_RECORD, damaged=damaged)
     ended = metadata.get(RECORDING_RECORD, {})
     recorded = [number for number, step in enumerate(steps) if step.get("step") == "record"]
     if ended and recorded:
         steps[recorded[-1]] |= ended
-    for step in _steps(metadata, RECOVERY_RECORD):
+    for step in _steps(metadata, RECOVERY_RECORD, damaged=damaged):
         account = step.get("account")
         if isinstance(account, dict) and account.get("losses"):
             steps.append({"step": "recover"} | step)
     return tuple(steps)
 
 
-def _steps(metadata: dict[str, dict[str, str]], name: str) -> list[dict[str, Any]]:
+def _steps(
+    metadata: dict[str, dict[str, str]], name: str, *, damaged: bool
+) -> list[dict[str, Any]]:
     steps = []
     for key, text in sorted(metadata.get(name, {}).items()):
-        try:
-            step = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise unusable(f"step {shown(key)} of the provenance is not JSON") from error
-        if not isinstance(step, dict):
-            raise unusable(f"step {shown(key)} of the provenance is not an object")
-        steps.append(step)
+        step = step_of(text)
+        if step is not None:
+            steps.append(step)
+        elif not damaged:
+            raise unusable(f"step {shown(key)} of the provenance is not a JSON object")
     return steps
+
+
+def step_of(text: str) -> dict[str, Any] | None:
+    """A step of the provenance as it stands in a file; None if it is not a JSON object."""
+    try:
+        step = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return step if isinstance(step, dict) else None
 
 
 def _check_version(
@@ -279,3 +446,137 @@ def check_readable(account: Account) -> None:
         place=f"byte {first.start}",
         remedy="copy or record it again",
     )
+
+
+# ---------------------------------------------------------------------------------- in pieces
+
+
+def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]:
+    with Source(path) as source, in_file(path):
+        stream = _Stream(source, selection)
+        last = None
+        for frames in stream.groups(rows):
+            for part in _cut(frames, rows):
+                last = stream.bare
+                yield replace(last, topics=part)
+        if last is None or last.provenance != stream.bare.provenance:
+            # What is lost shows in a piece without rows, too.
+            yield replace(stream.bare, topics=stream.none)
+        check_readable(stream.contents.account)
+    report_losses(path, stream.contents)
+
+
+class _Stream:
+    """The state of one reading: what of the file is still to come."""
+
+    def __init__(self, source: Source, selection: Selection) -> None:
+        self._source = source
+        self._selection = selection
+        self.contents, (self._bare, self._spans) = contents_used(source, self._begin)
+        self.none = frames_in(source, self.contents, [], selection.columns, threads=1)
+
+    def _begin(self, contents: Contents) -> tuple[Trip, Spans]:
+        selection = self._selection
+        bare = bare_trip(self._source, contents)
+        bare = bare.with_slice(time=selection.time, position=selection.position)
+        return bare, spans_of(self._source, contents, selection, threads=1)
+
+    @property
+    def bare(self) -> Trip:
+        """The trip without its topics; its provenance has the losses met so far."""
+        return with_losses(self._bare, self.contents)
+
+    def groups(self, rows: int) -> Iterator[_Frames]:
+        """The rows of all topics that come before all that follow, some chunks at a time."""
+        selection = self._selection
+        done: set[int] = set()
+        waiting: _Frames = {}
+        chunks = self._chunks(done)
+        while chunks:
+            group = self._group(chunks, rows)
+            try:
+                frames = frames_in(self._source, self.contents, group, selection.columns, threads=2)
+            except MisplacedError:
+                # What was yielded stays; a scan finds what of the rest there is.
+                self.contents = scanned(self._source)
+                chunks = self._chunks(done)
+                continue
+            done.update(place.offset for place in group)
+            chunks = chunks[len(group) :]
+            if selection.time is not None or selection.position is not None:
+                frames = replace(self._bare, topics=frames).cut(self._spans).topics
+            waiting = {name: _joined(waiting.get(name), frame) for name, frame in frames.items()}
+            if not chunks:
+                break
+            until = min(place.start for place in chunks)
+            ready = {
+                name: frame.iloc[: _times(frame).searchsorted(until)]
+                for name, frame in waiting.items()
+            }
+            waiting = {name: frame.iloc[len(ready[name]) :] for name, frame in waiting.items()}
+            yield ready
+        yield waiting
+
+    def _chunks(self, done: set[int]) -> list[ChunkPlace]:
+        """The chunks that are still to be read, in the order of time."""
+        self._channels = {
+            each.channel.id
+            for each in topic_channels(self.contents)
+            if each.topic.name in self._selection.columns
+        }
+        wanted = [
+            place
+            for place in chunks_within(self.contents.chunks, self._spans)
+            if place.offset not in done and not self._channels.isdisjoint(place.counts)
+        ]
+        return sorted(wanted, key=lambda place: (place.start, place.offset))
+
+    def _group(self, chunks: Sequence[ChunkPlace], rows: int) -> list[ChunkPlace]:
+        """The first of the chunks, as many as make a piece."""
+        held = size = 0
+        group: list[ChunkPlace] = []
+        for place in chunks:
+            held += sum(count for number, count in place.counts.items() if number in self._channels)
+            size += place.size
+            if group and (held > rows or size > _LARGEST_GROUP):
+                break
+            group.append(place)
+        return group
+
+
+def _joined(waiting: pd.DataFrame | None, frame: pd.DataFrame) -> pd.DataFrame:
+    """The rows that wait and those that follow, in the order of time."""
+    if waiting is None or waiting.empty:
+        return frame
+    if frame.empty:
+        return waiting
+    joined = pd.concat([waiting, frame])
+    if not joined.index.is_monotonic_increasing:
+        joined = joined.sort_index(kind="stable")
+    joined.attrs = frame.attrs
+    return joined
+
+
+def _times(frame: pd.DataFrame) -> NDArray[np.int64]:
+    return pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+
+
+def _cut(frames: _Frames, rows: int) -> Iterator[_Frames]:
+    """The frames in pieces of at most `rows` rows over all of them, in the order of time."""
+    while True:
+        times = {name: _times(frame) for name, frame in frames.items()}
+        count = sum(len(each) for each in times.values())
+        if count <= rows:
+            if count:
+                yield frames
+            return
+        merged = np.sort(np.concatenate(list(times.values())))
+        ends = {name: int(each.searchsorted(merged[rows])) for name, each in times.items()}
+        if not any(ends.values()):
+            # More messages of one instant than a piece may have.
+            left = rows
+            for name, each in times.items():
+                ends[name] = min(left, int(each.searchsorted(merged[0], side="right")))
+                left -= ends[name]
+        yield {name: frame.iloc[: ends[name]] for name, frame in frames.items()}
+        frames = {name: frame.iloc[ends[name] :] for name, frame in frames.items()}

@@ -1,4 +1,4 @@
-"""Records of an MCAP file, taken apart with every length checked.
+"""Records of an MCAP file, taken apart with every length checked, and the names of ours.
 
 The official package reads records from a stream and trusts their lengths; here a length that
 leads out of the file, or a content that does not parse, is a `LogError` at a byte offset.
@@ -12,32 +12,53 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
 from isal import isal_zlib
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
-from trainlog.mcap.errors import damaged, shown
+from trainlog.mcap.source import damaged, shown
+
+FORMAT_RECORD = "trainlog.format"
+"""Metadata record that says which version of the table of topics the file follows."""
+
+TRIP_RECORD = "trainlog"
+"""Metadata record that holds the trip's metadata."""
+
+RECORDING_RECORD = "trainlog.recording"
+"""Metadata record of a live recording: ``flush`` is the period [s] after which what it was given is
+in the file, so the most that a crash costs. A second one, at the end, says how it ended."""
+
+PROVENANCE_RECORD = "trainlog.provenance"
+"""Metadata record that holds one JSON object a processing step, under ``0001``, ``0002`` ..."""
+
+RECOVERY_RECORD = "trainlog.recovery"
+"""Metadata record of a recovered file: one JSON object a recovery, under ``0001``, ``0002`` ...,
+with the account of what was lost."""
+
+POSITIONS_RECORD = "trainlog.positions"
+"""Metadata record that holds the positions in each chunk, see `trainlog.mcap.positions`."""
 
 Index = dict[int, NDArray[np.uint64]]
 """Log time and offset in the chunk, shape (n, 2), of the messages by channel id."""
 
+DECLARATIONS: dict[int, Any] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+}
+"""What explains messages, by opcode."""
+
 _LARGEST_CHUNK = 2**30
-"""Larger chunks are not believed [bytes]; a forged length must not exhaust the memory."""
-
-_ALWAYS_ALLOWED = 2**24
-"""A chunk may have this length when decompressed, however short its file is [bytes]."""
-
-_MOST_EXPANDED = 4
-"""A longer chunk may have this many times its file's length."""
+"""Larger chunks are refused: a damaged length must not exhaust the memory [bytes]."""
 
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
@@ -66,8 +87,6 @@ class StoredChunk:
         Length of its content when decompressed, as the record says [bytes].
     checksum : int
         CRC-32 of its content when decompressed; 0 if the file does not have it.
-    limit : int
-        Largest size that is believed [bytes].
     """
 
     offset: int
@@ -75,7 +94,6 @@ class StoredChunk:
     data: memoryview
     size: int
     checksum: int
-    limit: int = _LARGEST_CHUNK
 
 
 def records(data: memoryview, start: int = 0) -> Iterator[tuple[int, int, memoryview]]:
@@ -104,6 +122,16 @@ def records(data: memoryview, start: int = 0) -> Iterator[tuple[int, int, memory
         at = behind
 
 
+class _Exact(ReadDataStream):  # type: ignore[misc]
+    """A stream that ends with an error: the package's own gives what is left instead."""
+
+    def read(self, length: int) -> bytes:
+        data: bytes = super().read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data
+
+
 def parsed(kind: _Readable[_R_co], content: memoryview, offset: int) -> _R_co:
     """The record whose content this is, as a class of the mcap package.
 
@@ -112,8 +140,17 @@ def parsed(kind: _Readable[_R_co], content: memoryview, offset: int) -> _R_co:
     LogError
         If the content does not parse.
     """
+    return measured(kind, content, offset)[0]
+
+
+def measured(kind: _Readable[_R_co], content: memoryview, offset: int) -> tuple[_R_co, int]:
+    """The record as `parsed`, and how much of the content its fields take [bytes].
+
+    What is behind them belongs to a later version of the format, and is passed over.
+    """
+    stream = _Exact(BytesIO(content))
     try:
-        return kind.read(ReadDataStream(BytesIO(content)))
+        return kind.read(stream), stream.count
     except (McapError, struct.error, ValueError, OverflowError, MemoryError) as error:
         name = getattr(kind, "__name__", "record").lower()
         raise damaged(offset, f"the {name} record cannot be read") from error
@@ -148,7 +185,7 @@ def opened(chunk: StoredChunk, *, check: bool = False) -> bytes:
     LogError
         If it cannot be decompressed, has another length than declared, or fails the check.
     """
-    if chunk.size > chunk.limit:
+    if chunk.size > _LARGEST_CHUNK:
         raise damaged(chunk.offset, f"a chunk claims to hold {chunk.size:,} bytes")
     try:
         content = _decompressed(chunk)
@@ -200,8 +237,9 @@ def stored_index(content: memoryview, offset: int) -> tuple[int, NDArray[np.uint
     """Channel and entries of the message index record whose content this is."""
     if len(content) >= 6:
         channel, length = struct.unpack_from("<HI", content)
-        if length == len(content) - 6 and length % 16 == 0:
-            return channel, np.frombuffer(content, dtype="<u8", offset=6).reshape(-1, 2)
+        if length <= len(content) - 6 and length % 16 == 0:
+            entries = np.frombuffer(content, dtype="<u8", offset=6, count=length // 8)
+            return channel, entries.reshape(-1, 2)
     raise damaged(offset, "the message index record cannot be read")
 
 
@@ -237,7 +275,7 @@ def gone_through(content: bytes, offset: int) -> tuple[Index, list[tuple[int, me
                 if channel not in entries:
                     entries[channel] = array("Q")
                 entries[channel].extend((time, at))
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            elif opcode in DECLARATIONS:
                 declared.append((opcode, body))
     except (LogError, struct.error) as error:
         raise damaged(offset, "the records in a chunk cannot be told apart") from error
@@ -246,15 +284,6 @@ def gone_through(content: bytes, offset: int) -> tuple[Index, list[tuple[int, me
         for channel, pairs in entries.items()
     }
     return index, declared
-
-
-def largest_chunk(file_size: int) -> int:
-    """How long a chunk of a file may claim to be when decompressed [bytes].
-
-    A few bytes can claim, and even hold, a gigabyte; the memory must stay in proportion to the
-    file.
-    """
-    return min(_LARGEST_CHUNK, max(_ALWAYS_ALLOWED, _MOST_EXPANDED * file_size))
 
 
 def message_data(content: bytes, offset: int, channel: int) -> tuple[int, bytes] | None:

@@ -28,7 +28,7 @@ from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from trainlog.mcap.errors import shown, unusable
+from trainlog.mcap.source import shown, unusable
 from trainlog.topics import TOPICS, Topic
 
 UNIT, MEANING, AXLES = "unit.", "meaning.", "axles."

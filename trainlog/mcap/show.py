@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from trainlog.mcap.describe import LogDescription, TopicDescription
+from trainlog.mcap.description import LogDescription, TopicDescription
 from trainlog.topics import EVENTS, TOPICS
 
 _LONGEST = 160

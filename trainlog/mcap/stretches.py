@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from trainlog.mcap.contents import contents_of
-from trainlog.mcap.errors import in_file
-from trainlog.mcap.filling import topic_channels
 from trainlog.mcap.reader import read_log
-from trainlog.mcap.source import Source
+from trainlog.mcap.scan import contents_of
+from trainlog.mcap.source import Source, in_file
+from trainlog.mcap.tables import topic_channels
 from trainlog.spans import ALWAYS
 from trainlog.trip import Trip
 

@@ -1,28 +1,45 @@
-"""A topic's columns while they are being filled from the chunks of a log, by several threads."""
+"""From the chunks of a log to the frames of its topics, by several threads.
+
+Messages that fit the layout of their channel go to the columns of a table as arrays; others (of
+other programs, and events) are decoded one by one by the official decoder and joined to it.
+"""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from google.protobuf.message import DecodeError
+from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
+from mcap_protobuf.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from trainlog.mcap.codec import LOG_TIME, Codec, Columns, SampleCodec, codec_of, gather
-from trainlog.mcap.decode import Decoder, columns_of, decoder_of
-from trainlog.mcap.errors import unusable
-from trainlog.mcap.records import message_data
-from trainlog.mcap.stored import MisplacedError
-from trainlog.topics import EVENTS, Topic, column_field
+from trainlog.errors import LogError
+from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather
+from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
+from trainlog.mcap.records import Index, index_of, message_data, opened
+from trainlog.mcap.schemas import topic_of
+from trainlog.mcap.source import Source, unusable
+from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, column_field
 from trainlog.trip import frame_of
 
-COMPILED_FROM = 4_000_000
-"""Messages from which on loading the compiled loop is sooner done than reading with numpy."""
+_AT_ONCE = 4
+"""Chunks that a thread is given at a time."""
+
+Wanted = Mapping[str, frozenset[str] | None]
+"""Columns to read by topic; None for all."""
+
+_Offsets = NDArray[np.uint64] | None
+"""Where in a chunk messages begin; None where they follow each other and fill the chunk."""
 
 
 @dataclass
@@ -53,23 +70,23 @@ class TopicChannel:
         return list(self.codec.columns(self.codec.layout.rows(0)) or {})
 
     @cached_property
-    def places(self) -> dict[str, int] | None:
-        """Where each column's value stands in a message; None if a column is computed."""
-        if not isinstance(self.codec, SampleCodec):
-            return None
-        found = {}
-        for name in self.columns:
-            item = column_field(self.topic, name) if _knows(self.topic, name) else None
-            if item is not None and item.per_axle:
-                axle = int(name.rpartition("_")[2]) - 1
-                found[name] = self.codec.layout.place(item.name) + 8 * axle
-            elif item is not None:
-                found[name] = self.codec.layout.place(name)
-        return found
+    def _decoder(self) -> Callable[[bytes], Any]:
+        return _decoder_of(self.channel, self.schema)
 
-    @cached_property
-    def _decoder(self) -> Decoder:
-        return decoder_of(self.channel, self.schema)
+    def arrays(
+        self, content: bytes, offsets: _Offsets
+    ) -> tuple[NDArray[np.uint64], Columns] | None:
+        """Times and columns of messages of a chunk; None if they do not fit the layout."""
+        if self.codec is None:
+            return None
+        form = self.codec.layout
+        if offsets is not None:
+            rows = gather(content, offsets, form)
+        else:
+            every = np.frombuffer(content, dtype=form.record)
+            rows = every if form.matches(every) else None
+        columns = None if rows is None else self.codec.columns(rows)
+        return None if rows is None or columns is None else (rows[LOG_TIME], columns)
 
     def decoded(
         self, content: bytes, offsets: NDArray[np.uint64], chunk: int
@@ -93,95 +110,69 @@ class TopicChannel:
                 )
             times.append(found[0])
             messages.append(self._decoder(found[1]))
-        return np.array(times, dtype=np.uint64), columns_of(self.topic, messages)
+        return np.array(times, dtype=np.uint64), _columns_of(self.topic, messages)
+
+
+def topic_channels(contents: Contents) -> list[TopicChannel]:
+    """The channels that carry topics of trainlog."""
+    found = []
+    for channel in contents.channels.values():
+        schema = contents.schema(channel)
+        topic = topic_of(channel, schema)
+        if topic is not None and schema is not None:
+            found.append(TopicChannel(channel, schema, topic))
+    return found
 
 
 @dataclass(frozen=True)
-class Apart:
-    """Messages of one channel in one chunk that do not stand in the table's arrays."""
+class _Apart:
+    """Rows of a table that do not stand in its arrays: `count` from `start` on.
 
-    time: NDArray[np.uint64]
-    columns: Columns
+    `time` and `columns` are None where nothing could be read.
+    """
 
-
-@dataclass(frozen=True)
-class Route:
-    """Where the values of one channel's messages go: for each its place, and its column."""
-
-    places: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    absent: NDArray[np.int64]
+    start: int
+    count: int
+    time: NDArray[np.uint64] | None = None
+    columns: Columns | None = None
 
 
 @dataclass
-class Table:
+class _Table:
     """The rows of one topic, in the order in which their messages stand in the file.
 
     Attributes
     ----------
     topic : Topic
-    wanted : set of str or None
+    wanted : frozenset of str or None
         Columns asked for; None for all.
     names : list of str
         Columns, in the order of the frame.
     time : (n,) uint64
     columns : (columns, n) float64
         Not of events, whose texts are kept apart.
-    routes : dict of int to Route
-        By channel id, for the channels that the compiled loop reads.
-    apart : dict of int to (int, Apart or None)
-        By first row: how many rows stand elsewhere, and where; None if nothing could be read.
+    apart : list of _Apart
     """
 
     topic: Topic
-    wanted: set[str] | None
+    wanted: frozenset[str] | None
     names: list[str]
     time: NDArray[np.uint64]
     columns: NDArray[np.float64]
-    routes: dict[int, Route]
-    apart: dict[int, tuple[int, Apart | None]] = field(default_factory=dict)
+    apart: list[_Apart] = dataclass_field(default_factory=list)
 
-    def fill(
-        self, source: TopicChannel, content: bytes, offsets: NDArray[np.uint64], start: int
-    ) -> bool:
-        """Take messages to the rows from `start` on; False if they do not fit the layout.
+    def fill(self, start: int, count: int, time: NDArray[np.uint64], columns: Columns) -> bool:
+        """Take messages to the rows from `start` on; False if the table has no place for them.
 
         Safe to be called from several threads, each for its own rows.
         """
-        codec = source.codec
-        if codec is None:
+        if len(time) != count:
             return False
-        part = slice(start, start + len(offsets))
-        route = self.routes.get(source.channel.id)
-        if route is not None:
-            from trainlog.mcap.compiled import gather_columns
-
-            self.columns[route.absent, part] = np.nan
-            return bool(
-                gather_columns(
-                    np.frombuffer(content, dtype=np.uint8),
-                    offsets,
-                    codec.layout.size,
-                    codec.layout.masks,
-                    route.places,
-                    self.time,
-                    self.columns,
-                    route.rows,
-                    start,
-                )
-            )
-        rows = gather(content, offsets, codec.layout)
-        columns = None if rows is None else codec.columns(rows)
-        if rows is None or columns is None:
-            return False
-        self.time[part] = rows[LOG_TIME]
+        part = slice(start, start + count)
+        self.time[part] = time
         for number, name in enumerate(self.names):
             self.columns[number, part] = columns.get(name, np.nan)
         return True
-
-    def set_apart(self, start: int, count: int, found: Apart | None) -> None:
-        """Say that the `count` rows from `start` on are replaced by `found`, or lost."""
-        self.apart[start] = (count, found)
 
     def frame(self) -> pd.DataFrame:
         """The topic's frame, in the order of time.
@@ -208,7 +199,7 @@ class Table:
             frame = pd.DataFrame(columns.T, index=index, columns=names, copy=False)
         else:
             frame = frame_of(self.topic, index, columns)
-            frame = frame[self._wanted(frame.columns)]
+            frame = frame[self.in_order(frame.columns)]
         units = {name: column_field(self.topic, name).unit for name in frame.columns}
         frame.attrs = {"topic": self.topic.name, "units": units}
         return frame
@@ -217,105 +208,324 @@ class Table:
         self,
     ) -> tuple[NDArray[np.uint64], list[str], NDArray[np.float64] | dict[str, Any]]:
         """Times and columns with what stands apart in its place."""
-        if not self.apart and self.topic is not EVENTS:
+        events = self.topic is EVENTS
+        if not self.apart and not events:
             return self.time, self.names, self.columns
         parts: list[tuple[NDArray[np.uint64], Columns]] = []
         at = 0
-        for start, (count, found) in [*sorted(self.apart.items()), (len(self.time), (0, None))]:
-            if at < start and self.topic is not EVENTS:
-                stands = dict(zip(self.names, self.columns[:, at:start], strict=True))
-                parts.append((self.time[at:start], stands))
-            if found is not None:
-                parts.append((found.time, found.columns))
-            at = start + count
+        rows = len(self.time)
+        for each in [*sorted(self.apart, key=lambda each: each.start), _Apart(rows, 0)]:
+            if at < each.start and not events:
+                held = dict(zip(self.names, self.columns[:, at : each.start], strict=True))
+                parts.append((self.time[at : each.start], held))
+            if each.time is not None and each.columns is not None:
+                parts.append((each.time, each.columns))
+            at = each.start + each.count
         time = np.concatenate([np.empty(0, np.uint64), *(each for each, _ in parts)])
-        if self.topic is EVENTS:
-            texts = [columns for _, columns in parts] or [columns_of(EVENTS, [])]
+        if events:
+            texts = [columns for _, columns in parts] or [_columns_of(EVENTS, [])]
             joined = {
                 name: pd.concat([pd.Series(each[name]) for each in texts], ignore_index=True).array
                 for name in texts[0]
             }
             return time, self.names, joined
-        # A number of axles that no message has is not believed.
-        names = self._wanted(
+        names = self.in_order(
             {item.name for item in self.topic.fields if not item.per_axle}
             | {name for _, each in parts for name in each}
         )
         table = np.full((len(names), len(time)), np.nan)
         at = 0
-        for times, each in parts:
+        for times, values in parts:
             for number, name in enumerate(names):
-                if name in each:
-                    table[number, at : at + len(times)] = each[name]
+                if name in values:
+                    table[number, at : at + len(times)] = values[name]
             at += len(times)
         return time, names, table
 
-    def _wanted(self, names: Iterable[str]) -> list[str]:
-        ordered = in_order(self.topic, names)
+    def in_order(self, names: Iterable[str]) -> list[str]:
+        """Those of the names that are columns of the topic and asked for, in the frame's order."""
+        numbers = {item.name: number for number, item in enumerate(self.topic.fields)}
+        places = {}
+        for name in names:
+            with suppress(KeyError):
+                item = column_field(self.topic, name)
+                axle = int(name.rpartition("_")[2]) if item.per_axle else 0
+                places[name] = (numbers[item.name], axle)
+        ordered = sorted(places, key=places.__getitem__)
         return [name for name in ordered if self.wanted is None or name in self.wanted]
 
 
-def table_of(
-    topic: Topic, sources: Mapping[int, TopicChannel], rows: int, wanted: Iterable[str] | None
-) -> Table:
-    """An empty table for the messages of a topic's channels.
+@dataclass(frozen=True)
+class _Target:
+    """Where the messages of one channel in a chunk go: `count` rows of a table from `start` on."""
 
-    Parameters
-    ----------
-    topic : Topic
-    sources : dict of int to TopicChannel
-        By channel id, those whose layout the messages can have.
-    rows : int
-        How many messages of the topic there are.
-    wanted : iterable of str, optional
-        Columns; the others are left out. Default: all.
+    source: TopicChannel
+    table: _Table
+    start: int
+    count: int
+
+
+@dataclass
+class _Outcome:
+    """What became of a chunk."""
+
+    place: ChunkPlace
+    targets: list[_Target]
+    damage: str | None = None
+    apart: list[tuple[_Target, _Apart]] = dataclass_field(default_factory=list)
+
+
+def frames_in(
+    source: Source,
+    contents: Contents,
+    chunks: Sequence[ChunkPlace],
+    columns: Wanted,
+    threads: int,
+) -> dict[str, pd.DataFrame]:
+    """The frames of some topics as far as the chunks hold them, in the order of the table.
+
+    Damaged chunks are dropped from `contents`.
+
+    Raises
+    ------
+    LogError
+        If messages are not what their channel says.
+    MisplacedError
+        If something is not as the summary says by which `contents` was found.
     """
-    table = Table(
-        topic,
-        None if wanted is None else set(wanted),
-        [],
-        np.empty(rows, dtype=np.uint64),
-        np.empty((0, 0)),
-        {},
-    )
-    if topic is EVENTS:
-        return table
-    held = {name for source in sources.values() for name in source.columns}
-    table.names = table._wanted(held | {item.name for item in topic.fields if not item.per_axle})
-    table.columns = np.empty((len(table.names), rows))
-    # Compiling is not worth its time for few messages; once another part has loaded the compiler,
-    # only for very few.
-    if rows >= COMPILED_FROM or (rows >= COMPILED_FROM // 1000 and "numba" in sys.modules):
-        for number, source in sources.items():
-            if source.places is not None:
-                table.routes[number] = _route(table.names, source.places)
+    channels = {
+        each.channel.id: each for each in topic_channels(contents) if each.topic.name in columns
+    }
+    tables = _tables(channels.values(), chunks, columns)
+    for outcome in _outcomes(source, chunks, channels, tables, threads):
+        if outcome.damage is not None:
+            if contents.indexed:
+                raise MisplacedError(outcome.damage, place=f"byte {outcome.place.offset}")
+            contents.drop(outcome.place, outcome.damage)
+        for target in outcome.targets if outcome.damage is not None else ():
+            target.table.apart.append(_Apart(target.start, target.count))
+        for target, apart in outcome.apart:
+            target.table.apart.append(apart)
+    return {name: tables[name].frame() for name in TOPICS if name in tables}
+
+
+def _tables(
+    channels: Iterable[TopicChannel],
+    chunks: Sequence[ChunkPlace],
+    wanted: Wanted,
+) -> dict[str, _Table]:
+    """An empty table for each topic that has a channel."""
+    counts: Counter[int] = Counter()
+    sizes: Counter[int] = Counter()
+    for place in chunks:
+        counts.update(place.counts)
+        sizes.update(dict.fromkeys(place.counts, place.size))
+    by_topic: dict[str, list[TopicChannel]] = {}
+    for each in channels:
+        by_topic.setdefault(each.topic.name, []).append(each)
+    tables = {}
+    for name, sources in by_topic.items():
+        # A layout whose messages would not fit into the chunks has another number of axles.
+        columns = {
+            column
+            for each in sources
+            if each.codec is not None
+            and each.codec.layout.size * counts[each.channel.id] <= sizes[each.channel.id]
+            for column in each.columns
+        }
+        rows = sum(counts[each.channel.id] for each in sources)
+        tables[name] = _empty_table(TOPICS[name], columns, rows, wanted[name])
+    return tables
+
+
+def _empty_table(topic: Topic, held: set[str], rows: int, wanted: frozenset[str] | None) -> _Table:
+    """A table for so many messages of a topic, whose channels hold these columns."""
+    table = _Table(topic, wanted, [], np.empty(rows, dtype=np.uint64), np.empty((0, 0)))
+    if topic is not EVENTS:
+        table.names = table.in_order(
+            held | {item.name for item in topic.fields if not item.per_axle}
+        )
+        table.columns = np.empty((len(table.names), rows))
     return table
 
 
-def _route(names: list[str], places: dict[str, int]) -> Route:
-    known = [name for name in names if name in places]
-    return Route(
-        np.array([places[name] for name in known], dtype=np.int64),
-        np.array([names.index(name) for name in known], dtype=np.int64),
-        np.array([n for n, name in enumerate(names) if name not in places], dtype=np.int64),
-    )
+def _outcomes(
+    source: Source,
+    chunks: Sequence[ChunkPlace],
+    channels: dict[int, TopicChannel],
+    tables: dict[str, _Table],
+    threads: int,
+) -> Iterator[_Outcome]:
+    """Read the chunks that hold any of the channels, and say what became of each, in order."""
+    filled = dict.fromkeys(tables, 0)
+    work = []
+    for place in chunks:
+        targets = []
+        for number, count in place.counts.items():
+            if number in channels:
+                each = channels[number]
+                start = filled[each.topic.name]
+                targets.append(_Target(each, tables[each.topic.name], start, count))
+                filled[each.topic.name] += count
+        if targets:
+            work.append(_Outcome(place, targets))
+    if threads == 1 or len(work) == 1:
+        for outcome in work:
+            _read(source, outcome)
+            yield outcome
+        return
+    batches = [work[at : at + _AT_ONCE] for at in range(0, len(work), _AT_ONCE)]
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for batch in pool.map(lambda batch: [_read(source, each) for each in batch], batches):
+                yield from batch
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
-def in_order(topic: Topic, names: Iterable[str]) -> list[str]:
-    """Those of the names that are columns of the topic, in the order of its frame."""
-    numbers = {item.name: number for number, item in enumerate(topic.fields)}
-    places = {}
-    for name in names:
-        if _knows(topic, name):
-            item = column_field(topic, name)
-            axle = int(name.rpartition("_")[2]) if item.per_axle else 0
-            places[name] = (numbers[item.name], axle)
-    return sorted(places, key=places.__getitem__)
-
-
-def _knows(topic: Topic, column: str) -> bool:
+def _read(source: Source, outcome: _Outcome) -> _Outcome:
+    """Fill the tables from one chunk."""
+    place = outcome.place
     try:
-        column_field(topic, column)
-    except KeyError:
-        return False
-    return True
+        chunk = fetched(source, place)
+        content = opened(chunk, check=True)
+    except LogError as error:
+        outcome.damage = error.problem
+        return outcome
+    try:
+        with suppress(LogError):
+            _fill(content, _offsets(source, place, content, outcome.targets), outcome)
+            return outcome
+        # An index that does not fit the chunk is made again from the chunk's records.
+        _fill(content, _starts(index_of(content, place.offset)), outcome)
+    except LogError as error:
+        if chunk.checksum and not isinstance(error, MisplacedError):
+            # These are the bytes that were written.
+            raise
+        outcome.damage = error.problem
+    return outcome
+
+
+def _starts(index: Index) -> dict[int, _Offsets]:
+    return {channel: entries[:, 1] for channel, entries in index.items()}
+
+
+def _offsets(
+    source: Source, place: ChunkPlace, content: bytes, targets: list[_Target]
+) -> dict[int, _Offsets]:
+    """Where in the chunk the messages of the targets begin, by channel id."""
+    sole = targets[0]
+    size = sole.source.codec.layout.size if sole.source.codec is not None else 0
+    if len(place.counts) == 1 and size * sole.count == len(content):
+        return {sole.source.channel.id: None}
+    if place.indexes:
+        index = _starts(
+            fetched_index(source, place, [target.source.channel.id for target in targets])
+        )
+        # An index that leads to one message twice leaves out another.
+        if all(bool(np.all(each[1:] > each[:-1])) for each in index.values() if each is not None):
+            return index
+    return _starts(index_of(content, place.offset))
+
+
+def _fill(content: bytes, index: dict[int, _Offsets], outcome: _Outcome) -> None:
+    """Take the messages of a chunk to their tables, or apart where they do not fit."""
+    outcome.apart = []
+    for target in outcome.targets:
+        offsets = index.get(target.source.channel.id, np.empty(0, dtype=np.uint64))
+        found = target.source.arrays(content, offsets)
+        if found is not None and target.table.fill(target.start, target.count, *found):
+            continue
+        if found is None and offsets is None:
+            index = _starts(index_of(content, outcome.place.offset))
+            offsets = index.get(target.source.channel.id)
+        if found is None:
+            each = np.empty(0, dtype=np.uint64) if offsets is None else offsets
+            found = target.source.decoded(content, each, outcome.place.offset)
+        outcome.apart.append((target, _Apart(target.start, target.count, *found)))
+
+
+def _decoder_of(channel: Channel, schema: Schema) -> Callable[[bytes], Any]:
+    """The protobuf decoder of a channel.
+
+    Raises
+    ------
+    LogError
+        If the schema is broken.
+    """
+    try:
+        decoder = DecoderFactory().decoder_for(channel.message_encoding, schema)
+    except (McapError, DecodeError, KeyError, TypeError, ValueError) as error:
+        raise unusable(f"the schema of {channel.topic} cannot be used") from error
+    if decoder is None:
+        raise unusable(f"channel {channel.topic} does not hold protobuf messages")
+
+    def decode(data: bytes) -> Any:
+        try:
+            return decoder(data)
+        except DecodeError as error:
+            raise unusable(f"a message of {channel.topic} is not a {schema.name}") from error
+
+    return decode
+
+
+def _columns_of(topic: Topic, messages: Sequence[Any]) -> Columns:
+    """The columns that decoded messages of a topic hold; absent values are NaN.
+
+    Raises
+    ------
+    LogError
+        If the messages have other kinds of fields than the topic.
+    """
+    read = {EVENTS.name: _events, GNSS_FIX.name: _fixes}.get(topic.name)
+    try:
+        return read(messages) if read else _samples(topic, messages)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise unusable(
+            f"messages of {topic.name} do not have the fields of {topic.message}"
+        ) from error
+
+
+def _samples(topic: Topic, messages: Sequence[Any]) -> Columns:
+    found: Columns = {}
+    declared = messages[0].DESCRIPTOR.fields_by_name if messages else {}
+    for field in topic.fields:
+        if field.name not in declared:
+            continue
+        if field.per_axle:
+            lists = [getattr(message, field.name) for message in messages]
+            table = np.full((len(lists), max(len(values) for values in lists)), np.nan)
+            for row, values in zip(table, lists, strict=True):
+                row[: len(values)] = values
+            found |= {f"{field.name}_{axle + 1}": column for axle, column in enumerate(table.T)}
+        else:
+            optional = declared[field.name].has_presence
+            found[field.name] = np.array(
+                [
+                    getattr(message, field.name)
+                    if not optional or message.HasField(field.name)
+                    else np.nan
+                    for message in messages
+                ],
+                dtype=np.float64,
+            )
+    return found
+
+
+def _fixes(messages: Sequence[Any]) -> Columns:
+    table = np.full((len(messages), 7), np.nan)
+    for row, fix in zip(table, messages, strict=True):
+        row[:4] = fix.latitude, fix.longitude, fix.altitude, fix.position_covariance_type
+        if len(fix.position_covariance) == 9:
+            row[4:] = fix.position_covariance[::4]
+    latitude, longitude, altitude, kind, east, north, up = table.T
+    found: Columns = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
+    return found | accuracies(kind, east, north, up)
+
+
+def _events(messages: Sequence[Any]) -> Columns:
+    return {
+        "level": np.array([message.level for message in messages], dtype=np.int64),
+        "message": pd.array([message.message for message in messages], dtype="str"),
+        "name": pd.array([message.name for message in messages], dtype="str"),
+    }

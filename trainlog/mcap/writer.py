@@ -44,16 +44,15 @@ from mcap.writer import MCAP0_MAGIC
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write, writing_error
 from trainlog.mcap.chunks import PackedChunk, Plan, Stream, packed, plan_of, stream_of, topics_of
-from trainlog.mcap.errors import in_file
-from trainlog.mcap.names import (
+from trainlog.mcap.positions import Entry, encoded
+from trainlog.mcap.records import (
     FORMAT_RECORD,
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
     RECORDING_RECORD,
     TRIP_RECORD,
 )
-from trainlog.mcap.positions import Entry, encoded
-from trainlog.mcap.workers import threads_of
+from trainlog.mcap.source import in_file, threads_of
 from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import Trip
 

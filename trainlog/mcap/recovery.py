@@ -8,31 +8,40 @@ from pathlib import Path
 
 import numpy as np
 from isal import isal_zlib
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Header
-from mcap.writer import MCAP0_MAGIC
+from mcap.records import Attachment
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write
 from trainlog.mcap.account import Account
 from trainlog.mcap.chunks import PackedChunk, RawChunk, packed
 from trainlog.mcap.codec import RECORD_HEAD
-from trainlog.mcap.errors import in_file
-from trainlog.mcap.names import POSITIONS_RECORD, RECOVERY_RECORD
-from trainlog.mcap.places import AttachmentPlace, ChunkPlace, Contents
-from trainlog.mcap.records import Index, opened, parsed
-from trainlog.mcap.source import Source
-from trainlog.mcap.stored import attachment_data, fetched, fetched_index
-from trainlog.mcap.tally import tally
-from trainlog.mcap.walk import check_is_mcap, contents_by_walk
+from trainlog.mcap.index import (
+    AttachmentPlace,
+    ChunkPlace,
+    Contents,
+    attachment_data,
+    fetched,
+    fetched_index,
+)
+from trainlog.mcap.reader import step_of, stream_log
+from trainlog.mcap.records import (
+    POSITIONS_RECORD,
+    PROVENANCE_RECORD,
+    RECOVERY_RECORD,
+    Index,
+    opened,
+)
+from trainlog.mcap.scan import check_is_mcap, scanned, tally
+from trainlog.mcap.source import Source, in_file
+from trainlog.mcap.tables import topic_channels
 from trainlog.mcap.writer import Sink
 
-_LONGEST_HEADER = 4096
-"""Longer headers are not believed [bytes]."""
+_ROWS = 100_000
+"""Rows read at a time where what was rebuilt is verified."""
 
 
 def account_of(path: str | Path) -> Account:
-    """Read a whole MCAP file, verify every checksum, and tell what is readable and what is lost.
+    """Read a whole MCAP file, verify every checksum, and say what is readable and what is lost.
 
     Raises
     ------
@@ -43,7 +52,7 @@ def account_of(path: str | Path) -> Account:
     """
     with Source(path) as source, in_file(path):
         check_is_mcap(source)
-        return contents_by_walk(source).account
+        return scanned(source).account
 
 
 def recover(path: str | Path, output: str | Path) -> Account:
@@ -69,7 +78,8 @@ def recover(path: str | Path, output: str | Path) -> Account:
     Raises
     ------
     LogError
-        If it is not an MCAP file, or nothing of it is readable.
+        If it is not an MCAP file, nothing of it is readable, or `read_log` would refuse what can be
+        rebuilt of a log of trainlog.
     InputError
         If there is no such file, or `output` cannot be written.
     """
@@ -83,15 +93,30 @@ def recover(path: str | Path, output: str | Path) -> Account:
             )
         with in_file(path):
             check_is_mcap(source)
-            contents = contents_by_walk(source)
+            contents = scanned(source)
             account = contents.account
             _check_readable(contents, account)
         with atomic_write(output) as temporary, temporary.open("wb") as stream:
-            sink = Sink(stream, profile=_profile(source))
+            sink = Sink(stream, profile=contents.profile)
             with in_file(path):
                 _rebuild(source, contents, _recoveries(contents, path, source.size), sink)
             sink.finish()
+            stream.flush()
+            if topic_channels(contents):
+                with in_file(path):
+                    _check_reads(temporary)
     return account
+
+
+def _check_reads(path: Path) -> None:
+    """Raise a LogError if a rebuilt log of trainlog cannot be read."""
+    try:
+        for _ in stream_log(path, rows=_ROWS):
+            pass
+    except LogError as error:
+        raise LogError(
+            f"what is readable of it makes no log: {error.problem}", remedy=error.remedy
+        ) from error
 
 
 def _check_readable(contents: Contents, account: Account) -> None:
@@ -105,7 +130,7 @@ def _check_readable(contents: Contents, account: Account) -> None:
     )
 
 
-def _rebuild(source: Source, contents: Contents, told: dict[str, str], sink: Sink) -> None:
+def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Sink) -> None:
     """Write everything that was found, in the order in which a log has it."""
     for schema in contents.schemas.values():
         sink.declare(schema)
@@ -114,8 +139,11 @@ def _rebuild(source: Source, contents: Contents, told: dict[str, str], sink: Sin
     for record in contents.metadata:
         # Chunks have moved; where the train was in each is found without that record, too.
         if record.name not in (RECOVERY_RECORD, POSITIONS_RECORD):
-            sink.put_metadata(record.name, record.metadata)
-    sink.put_metadata(RECOVERY_RECORD, told)
+            values = record.metadata
+            if record.name == PROVENANCE_RECORD:
+                values = {key: text for key, text in values.items() if step_of(text) is not None}
+            sink.put_metadata(record.name, values)
+    sink.put_metadata(RECOVERY_RECORD, steps)
     for place in contents.attachments:
         sink.put_attachment(_attachment(source, place))
     for chunk in contents.chunks:
@@ -124,10 +152,11 @@ def _rebuild(source: Source, contents: Contents, told: dict[str, str], sink: Sin
 
 def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, str]:
     """What the metadata record is to hold: earlier recoveries, and the present one behind them."""
-    told: dict[str, str] = {}
+    steps: dict[str, str] = {}
     for record in contents.metadata:
         if record.name == RECOVERY_RECORD:
-            told |= record.metadata
+            values = record.metadata.items()
+            steps |= {key: text for key, text in values if step_of(text) is not None}
     step = {
         "software": "trainlog",
         "file": Path(path).name,
@@ -135,10 +164,10 @@ def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, st
         "account": contents.account.details(),
     }
     number = 1
-    while f"{number:04d}" in told:
+    while f"{number:04d}" in steps:
         number += 1
     text = json.dumps(step, ensure_ascii=True, sort_keys=True)
-    return told | {f"{number:04d}": text}
+    return steps | {f"{number:04d}": text}
 
 
 def _attachment(source: Source, place: AttachmentPlace) -> Attachment:
@@ -194,17 +223,3 @@ def _only(content: bytes, index: Index) -> RawChunk:
         max((time for _, time, _ in listed), default=0),
         {channel: np.array(pairs, dtype=np.uint64) for channel, pairs in moved.items()},
     )
-
-
-def _profile(source: Source) -> str:
-    """The profile that the file's header names; empty if the header is damaged."""
-    at = len(MCAP0_MAGIC)
-    head = source.read(at, RECORD_HEAD + _LONGEST_HEADER)
-    if len(head) < RECORD_HEAD or head[0] != Opcode.HEADER:
-        return ""
-    length = int.from_bytes(head[1:RECORD_HEAD], "little")
-    try:
-        header = parsed(Header, memoryview(head)[RECORD_HEAD : RECORD_HEAD + length], at)
-    except LogError:
-        return ""
-    return str(header.profile)

@@ -1,0 +1,383 @@
+"""What is in a log, found without reading more of it than that takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from mcap.records import Channel
+from numpy.typing import NDArray
+
+from trainlog.errors import LogError
+from trainlog.formats.files import sha256
+from trainlog.mcap.account import Account
+from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, index_in
+from trainlog.mcap.positions import position_span
+from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of
+from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD
+from trainlog.mcap.scan import contents_used
+from trainlog.mcap.schemas import UNIT, axles_of
+from trainlog.mcap.source import Source, in_file
+from trainlog.topics import TOPICS, TRAIN_STATE, Topic
+from trainlog.trip import Trip
+
+GAP = 3.0
+"""An interval longer than this many median intervals is a gap."""
+
+_AT_ONCE = 2**20
+"""Messages whose times are held at a time."""
+
+_MOST_DIFFERENT = 2**20
+"""Intervals of so many different lengths are kept to the nanosecond; of more, only the first
+twelve binary digits, 0.02 %, are kept apart."""
+
+
+@dataclass(frozen=True)
+class TopicDescription:
+    """One channel of a log.
+
+    Attributes
+    ----------
+    name, message, encoding : str
+        Channel name, name of the schema, encoding of the messages.
+    count : int
+        Number of messages.
+    rate : float
+        Mean number of messages a second [Hz]; NaN for fewer than two.
+    first, last : Timestamp or None
+    median_interval, largest_gap : float
+        Time between messages [s]; NaN for fewer than two.
+    gaps : int
+        Number of intervals longer than `GAP` median intervals.
+    units : dict of str to str
+        SI unit by field, as the file says.
+    axles : dict of str to int
+        Number of axles by field, for the fields that have one value for each.
+    """
+
+    name: str
+    message: str
+    encoding: str
+    count: int
+    rate: float
+    first: pd.Timestamp | None
+    last: pd.Timestamp | None
+    median_interval: float
+    largest_gap: float
+    gaps: int
+    units: dict[str, str]
+    axles: dict[str, int]
+
+
+@dataclass(frozen=True)
+class AttachmentDescription:
+    """A file that a log carries; `size` in bytes."""
+
+    name: str
+    media_type: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class LogDescription:
+    """What is in a log.
+
+    Attributes
+    ----------
+    path : Path
+    size : int
+        Of the file [bytes].
+    account : Account
+        What is readable and what is lost, as far as that shows without reading the messages;
+        `account_of` reads them all.
+    problem : str or None
+        What is lost first, or why `read_log` refuses the file: foreign, of a later version; None
+        if it reads.
+    schema_version : str or None
+        Version of the table of topics; None in files that trainlog did not write.
+    topics : tuple of TopicDescription
+    metadata : dict of str to str
+        The trip's; in foreign files that of all records, as ``record/key``.
+    provenance : tuple of dict
+    attachments : tuple of AttachmentDescription
+    position_span : tuple of float or None
+        Least and greatest position of the train's front [m].
+    chunks : int
+    compression : tuple of str
+        Kinds in use, ``""`` for none.
+    stored_size, content_size : int
+        Length of the messages as stored and when decompressed [bytes].
+    """
+
+    path: Path
+    size: int
+    account: Account
+    problem: str | None
+    schema_version: str | None
+    topics: tuple[TopicDescription, ...]
+    metadata: dict[str, str]
+    provenance: tuple[dict[str, Any], ...]
+    attachments: tuple[AttachmentDescription, ...]
+    position_span: tuple[float, float] | None
+    chunks: int
+    compression: tuple[str, ...]
+    stored_size: int
+    content_size: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is known to be lost."""
+        return self.account.whole
+
+    @property
+    def count(self) -> int:
+        """Number of messages of all topics."""
+        return sum(topic.count for topic in self.topics)
+
+    @property
+    def first(self) -> pd.Timestamp | None:
+        """Time of the first message of all topics."""
+        return min((topic.first for topic in self.topics if topic.first), default=None)
+
+    @property
+    def last(self) -> pd.Timestamp | None:
+        """Time of the last message of all topics."""
+        return max((topic.last for topic in self.topics if topic.last), default=None)
+
+
+def describe(path: str | Path) -> LogDescription:
+    """Describe what is in an MCAP file, whoever wrote it, and what is readable of a damaged one.
+
+    Times and gaps come from the message indexes, positions from the file's own record of them:
+    messages are decompressed only where a file does not have these. A damaged message is therefore
+    not noticed; `account_of` reads and verifies everything.
+
+    Raises
+    ------
+    LogError
+        If it is not an MCAP file at all.
+    InputError
+        If there is no such file.
+    """
+    with Source(path) as source, in_file(path):
+        contents, (span, refusal) = contents_used(source, lambda found: _span(source, found))
+        trip, problem = _trip(source, contents)
+        records = metadata_of(contents)
+        found = _intervals(source, contents)
+        topics = tuple(
+            _topic(contents, channel, found[number])
+            for number, channel in contents.channels.items()
+        )
+        attachments = tuple(
+            AttachmentDescription(place.name, place.media_type, place.size, sha256(data))
+            for place, data in attachments_of(source, contents)
+        )
+    account = contents.account
+    problem = problem or refusal
+    if not account.whole:
+        first = account.losses[0]
+        problem = f"byte {first.start}: {first.reason}"
+    return LogDescription(
+        path=Path(path),
+        size=source.size,
+        account=account,
+        problem=problem,
+        schema_version=records.get(FORMAT_RECORD, {}).get("schema_version"),
+        topics=topics,
+        metadata=_metadata(records),
+        provenance=trip.provenance if trip else (),
+        attachments=attachments,
+        position_span=span if trip else None,
+        chunks=len(contents.chunks),
+        compression=tuple(sorted({chunk.compression for chunk in contents.chunks})),
+        stored_size=sum(chunk.stored for chunk in contents.chunks),
+        content_size=sum(chunk.size for chunk in contents.chunks),
+    )
+
+
+def _span(source: Source, contents: Contents) -> tuple[tuple[float, float] | None, str | None]:
+    """Least and greatest position [m], or why they cannot be read."""
+    try:
+        return position_span(source, contents, TRAIN_STATE.name), None
+    except MisplacedError:
+        raise
+    except LogError as error:
+        return None, str(error)
+
+
+def _trip(source: Source, contents: Contents) -> tuple[Trip | None, str | None]:
+    """The trip without its topics, or the problem that reading the file meets."""
+    try:
+        return bare_trip(source, contents), None
+    except LogError as error:
+        return None, str(error)
+
+
+def _metadata(records: dict[str, dict[str, str]]) -> dict[str, str]:
+    if FORMAT_RECORD in records or TRIP_RECORD in records:
+        return records.get(TRIP_RECORD, {})
+    return {
+        f"{name}/{key}": value
+        for name, values in records.items()
+        if name != PROVENANCE_RECORD
+        for key, value in values.items()
+    }
+
+
+def _topic(contents: Contents, channel: Channel, intervals: _Intervals) -> TopicDescription:
+    schema = contents.schema(channel)
+    span = (intervals.last - intervals.first) * 1e-9
+    median = intervals.median
+    return TopicDescription(
+        name=channel.topic,
+        message=schema.name if schema else "",
+        encoding=channel.message_encoding,
+        count=intervals.count,
+        rate=(intervals.count - 1) / span if span > 0 else np.nan,
+        first=_timestamp(intervals.first) if intervals.count else None,
+        last=_timestamp(intervals.last) if intervals.count else None,
+        median_interval=median,
+        largest_gap=intervals.largest,
+        gaps=intervals.longer_than(GAP * median),
+        units={
+            key.removeprefix(UNIT): value
+            for key, value in channel.metadata.items()
+            if key.startswith(UNIT)
+        },
+        axles=axles_of(channel),
+    )
+
+
+def _timestamp(time: int) -> pd.Timestamp | None:
+    """The time as a time stamp; None beyond those that pandas has."""
+    return None if time > pd.Timestamp.max.value else pd.Timestamp(time, tz="UTC")
+
+
+@dataclass
+class _Intervals:
+    """The times of one channel's messages.
+
+    Attributes
+    ----------
+    count : int
+    first, last : int
+        [ns]; zero without messages.
+    lengths, numbers : (k,) uint64 and int64 arrays
+        Lengths of the intervals between messages [ns], increasing, and how many have each.
+    """
+
+    count: int = 0
+    first: int = 0
+    last: int = 0
+    lengths: NDArray[np.uint64] = field(default_factory=lambda: np.empty(0, np.uint64))
+    numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def add(self, time: NDArray[np.uint64]) -> None:
+        """Go on with times that are not before those added so far."""
+        time = np.sort(time)
+        if self.count:
+            time = np.concatenate([np.array([self.last], dtype=np.uint64), time])
+        # Chunks that claim another time than their messages have are out of order.
+        time = np.maximum.accumulate(time)
+        self.first = self.first if self.count else int(time[0])
+        self.count += len(time) - bool(self.count)
+        self.last = int(time[-1])
+        lengths, numbers = np.unique(np.diff(time), return_counts=True)
+        self.lengths, self.numbers = _merged(
+            np.concatenate([self.lengths, lengths]), np.concatenate([self.numbers, numbers])
+        )
+        if len(self.lengths) > _MOST_DIFFERENT:
+            digits = np.frexp(self.lengths.astype(np.float64))[1]
+            shift = np.maximum(digits - 12, 0).astype(np.uint64)
+            self.lengths, self.numbers = _merged(self.lengths >> shift << shift, self.numbers)
+
+    @property
+    def median(self) -> float:
+        """Median interval [s]; NaN for fewer than two messages."""
+        count = int(self.numbers.sum())
+        if not count:
+            return np.nan
+        middle = np.searchsorted(np.cumsum(self.numbers), [(count - 1) // 2, count // 2], "right")
+        return float(self.lengths[middle].astype(np.float64).mean() * 1e-9)
+
+    @property
+    def largest(self) -> float:
+        """Largest interval [s]; NaN for fewer than two messages."""
+        return float(self.lengths[-1]) * 1e-9 if len(self.lengths) else np.nan
+
+    def longer_than(self, interval: float) -> int:
+        """How many intervals are longer [s]."""
+        return int(self.numbers[self.lengths.astype(np.float64) * 1e-9 > interval].sum())
+
+
+def _intervals(source: Source, contents: Contents) -> dict[int, _Intervals]:
+    """How the messages of every channel follow each other, by the message indexes.
+
+    Chunks whose records cannot be read are dropped. The times are gone through in groups of
+    chunks, so that the memory does not grow with the log.
+    """
+    found = {number: _Intervals() for number in contents.channels}
+    for group in _groups(contents):
+        times: dict[int, list[NDArray[np.uint64]]] = {}
+        for place in group:
+            try:
+                index = index_in(source, place)
+            except LogError as error:
+                contents.drop(place, error.problem)
+                continue
+            for number, entries in index.items():
+                # Messages of a channel that is not declared are among the losses.
+                if number in found and len(entries):
+                    times.setdefault(number, []).append(entries[:, 0].copy())
+        for number, parts in times.items():
+            found[number].add(np.concatenate(parts))
+    return found
+
+
+def _groups(contents: Contents) -> Iterator[list[ChunkPlace]]:
+    """The chunks in groups that do not overlap in time, in its order."""
+    group: list[ChunkPlace] = []
+    held = end = 0
+    for place in sorted(contents.chunks, key=lambda place: (place.start, place.offset)):
+        if held > _AT_ONCE and place.start >= end:
+            yield group
+            group, held = [], 0
+        group.append(place)
+        held += place.messages
+        end = max(end, place.end)
+    yield group
+
+
+def _merged(
+    lengths: NDArray[np.uint64], numbers: NDArray[np.int64]
+) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """Each length once, with how many there are."""
+    different, place = np.unique(lengths, return_inverse=True)
+    merged = np.bincount(place, weights=numbers, minlength=len(different))
+    return different, merged.astype(np.int64)
+
+
+def topics_table() -> str:
+    """Every topic with its fields, units, meanings and interpolation, as Markdown."""
+    return "\n".join(_section(topic) for topic in TOPICS.values())
+
+
+def _section(topic: Topic) -> str:
+    rows = [
+        f"### `{topic.name}`",
+        "",
+        f"{topic.meaning} Message `{topic.message}`.",
+        "",
+        "| field | unit | meaning | between samples |",
+        "|---|---|---|---|",
+    ]
+    for item in topic.fields:
+        name = f"`{item.name}`, one for each {item.each}" if item.each else f"`{item.name}`"
+        meaning = item.meaning.replace("|", "\\|")
+        rows.append(f"| {name} | {item.unit or '–'} | {meaning} | {item.interpolation} |")
+    return "\n".join(rows) + "\n"
