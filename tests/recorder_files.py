@@ -13,7 +13,7 @@ SECOND = 1_000_000_000
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive over smooth ground: what a receiver with no errors would tell."""
+    """A drive over smooth ground: what a receiver with no errors would give."""
 
     time: np.ndarray
     latitude: np.ndarray
@@ -86,10 +86,10 @@ def gpx_text(
 ) -> str:
     """A GPX file; `parts` are the indexes of the points of each segment of each track."""
     version = "1.0" if speed == "1.0" else "1.1"
-    told = stamps(run.time, offset)
+    stated = stamps(run.time, offset)
     points = [
         f'<trkpt lat="{run.latitude[i]:.7f}" lon="{run.longitude[i]:.7f}">'
-        f"<ele>{run.altitude[i]:.3f}</ele><time>{told[i]}</time>"
+        f"<ele>{run.altitude[i]:.3f}</ele><time>{stated[i]}</time>"
         + (f"<speed>{run.speed[i]:.2f}</speed>" if speed == "1.0" else "")
         + f"<sat>{run.satellites[i]}</sat><hdop>{run.hdop[i]:.1f}</hdop><vdop>1.5</vdop>"
         + (EXTENSIONS[speed].format(v=f"{run.speed[i]:.2f}") if speed != "1.0" else "")

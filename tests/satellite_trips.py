@@ -124,9 +124,9 @@ def drive(
     topics = {"/gnss/fix": fix, "/gnss/motion": doppler}
     index = pd.DatetimeIndex(START + (time * 1e9).astype(np.int64), tz="UTC")
     if receiver.wheels:
-        told = np.maximum(1.008 * speed + 0.05 * generator.standard_normal(time.size), 0.0)
-        told = np.where(speed > 0.0, told, 0.0)
-        topics["/train/state"] = frame_of(TRAIN_STATE, index, {"speed": told})
+        stated = np.maximum(1.008 * speed + 0.05 * generator.standard_normal(time.size), 0.0)
+        stated = np.where(speed > 0.0, stated, 0.0)
+        topics["/train/state"] = frame_of(TRAIN_STATE, index, {"speed": stated})
     name = f"trip-{seed:02d}"
     return Trip(topics, {"trip": name}), pd.DataFrame(
         {"position": position, "speed": speed}, index=index
@@ -138,9 +138,9 @@ def errors(estimate: pd.DataFrame, truth: pd.DataFrame, name: str) -> tuple[np.n
     index = estimate.index.as_unit("ns").asi8
     even = np.arange(index[0], index[-1], 1_000_000_000)
     at = (even - index[0]) / 1e9
-    told = [
+    stated = [
         np.interp(at, (index - index[0]) / 1e9, estimate[column])
         for column in (name, f"{name}_std")
     ]
     known = (truth.index.as_unit("ns").asi8 - index[0]) / 1e9
-    return told[0] - np.interp(at, known, truth[name]), told[1]
+    return stated[0] - np.interp(at, known, truth[name]), stated[1]

@@ -114,7 +114,7 @@ def test_a_further_trip_finds_its_chainage_on_the_line_built(survey: Survey) -> 
     assert "gradients, stations, tunnels: not known" in line.source
 
 
-def test_stretches_without_fixes_are_told() -> None:
+def test_stretches_without_fixes_are_reported() -> None:
     """All trips are blind at the same place: a tunnel."""
     found = []
     for seed in range(3):
@@ -135,7 +135,7 @@ def test_stretches_without_fixes_are_told() -> None:
     assert abs(end - 4_800.0) < 60.0
     inside = (survey.geometry.positions > begin) & (survey.geometry.positions < end)
     assert not inside.any()
-    assert any("no fixes from km 4." in told for told in survey.lines())
+    assert any("no fixes from km 4." in stated for stated in survey.lines())
 
 
 def test_trips_over_parts_of_a_line_are_put_together() -> None:
@@ -153,7 +153,7 @@ def test_trips_over_parts_of_a_line_are_put_together() -> None:
     assert len(survey.used) == 2
 
 
-def test_a_trip_elsewhere_is_told_and_not_used() -> None:
+def test_a_trip_elsewhere_is_reported_and_not_used() -> None:
     away, _ = drive(curve_of(np.zeros(1_000), heading=2.0), Receiver(), 7)
     survey = geometry_of([*trips(2), away])
     assert [name for name, _ in survey.refused] == ["trip-07"]

@@ -110,18 +110,21 @@ def test_good_files_are_good(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", GOOD)
-def test_a_file_of_another_format_is_told_so(kind: str) -> None:
-    told = refused(kind, setting("format", "trainlog/other"))
-    assert told.startswith("f.json, format: is a file of format 'trainlog/other', expected 'trai")
-    told = refused(kind, lambda content: content.pop("format"))
-    assert "has no key 'format'; bring foreign files in with 'trainlog import'" in told
+def test_a_file_of_another_format_is_reported(kind: str) -> None:
+    complaint = refused(kind, setting("format", "trainlog/other"))
+    assert complaint.startswith(
+        "f.json, format: is a file of format 'trainlog/other', expected 'trai"
+    )
+    complaint = refused(kind, lambda content: content.pop("format"))
+    assert "has no key 'format'; bring foreign files in with 'trainlog import'" in complaint
 
 
 @pytest.mark.parametrize("kind", GOOD)
-def test_a_newer_version_is_told_so(kind: str) -> None:
-    told = refused(kind, setting("version", 2))
+def test_a_newer_version_is_reported(kind: str) -> None:
+    complaint = refused(kind, setting("version", 2))
     assert (
-        told == "f.json, version: version 2 is newer than this trainlog knows (1); update trainlog"
+        complaint
+        == "f.json, version: version 2 is newer than this trainlog knows (1); update trainlog"
     )
     assert "version None is not one that" in refused(kind, lambda content: content.pop("version"))
     assert "version True is not one that" in refused(kind, setting("version", True))
@@ -129,8 +132,8 @@ def test_a_newer_version_is_told_so(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", GOOD)
 def test_an_unknown_key_is_named(kind: str) -> None:
-    told = refused(kind, setting("colour", "red"))
-    assert told == "f.json, colour: unknown key 'colour'; correct its spelling or remove it"
+    complaint = refused(kind, setting("colour", "red"))
+    assert complaint == "f.json, colour: unknown key 'colour'; correct its spelling or remove it"
 
 
 @pytest.mark.parametrize("kind", GOOD)
@@ -332,16 +335,18 @@ CONSIST_CASES = [
     ],
 )
 def test_nonsense_is_refused_at_its_place(kind: str, path: str, value: Any, message: str) -> None:
-    told = refused(kind, setting(path, value))
-    assert told.startswith(message), told
+    complaint = refused(kind, setting(path, value))
+    assert complaint.startswith(message), complaint
 
 
 def test_a_misspelt_key_is_named_before_the_missing_one() -> None:
     def misspell(content: Any) -> None:
         content["gradeints"] = content.pop("gradients")
 
-    told = refused("line", misspell)
-    assert told.startswith("f.json, gradeints: unknown key 'gradeints' (and 1 more problem); corr")
+    complaint = refused("line", misspell)
+    assert complaint.startswith(
+        "f.json, gradeints: unknown key 'gradeints' (and 1 more problem); corr"
+    )
 
 
 @pytest.mark.parametrize("number", [b"NaN", b"Infinity", b"-Infinity"])

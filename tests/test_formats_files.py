@@ -106,7 +106,9 @@ def test_a_read_only_folder_is_named_with_its_remedy(tmp_path: Path) -> None:
         (errno.EROFS, "cannot be written: read-only file system; choose a folder you may write"),
     ],
 )
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, number: int, message: str) -> None:
+def test_a_full_disk_is_reported_and_leaves_nothing(
+    tmp_path: Path, number: int, message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         write_half(tmp_path / "a.json", OSError(number, os.strerror(number)))
     assert list(tmp_path.iterdir()) == []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_worlds import (
+from format_examples import (
     CONSISTS,
     PARAMETER_SETS,
     TRAINS,

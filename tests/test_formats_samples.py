@@ -64,10 +64,10 @@ def test_the_line_restates_the_library_s_track() -> None:
 def test_the_sources_are_named() -> None:
     line = read_line(samples.sample(samples.DEFAULT_LINE))
     train = read_train(samples.sample(samples.DEFAULT_TRAIN))
-    for told in (line.source, train.source):
-        assert "TTOBench v1." in told
-        assert "Dimitris Kouzoupis" in told
-        assert "BSD 2-Clause" in told
+    for source in (line.source, train.source):
+        assert "TTOBench v1." in source
+        assert "Dimitris Kouzoupis" in source
+        assert "BSD 2-Clause" in source
     assert "approximate" in line.source
     assert "Assumed, not published" in train.source
     assert train.assumed == ("max_load", "axles", "brake")
@@ -114,7 +114,7 @@ def test_samples_are_found_in_a_checkout_and_inside_a_package(
     assert samples.sample(samples.DEFAULT_LINE) == inside / samples.DEFAULT_LINE
 
 
-def test_a_missing_sample_is_told_with_those_that_there_are(
+def test_a_missing_sample_is_reported_with_those_that_there_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(InputError, match=r"there is no sample 'x'; there are .*FLIRT"):

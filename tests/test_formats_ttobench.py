@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from format_worlds import TRAINS, assert_same, journeys, lines
+from format_examples import TRAINS, assert_same, journeys, lines
 from hypothesis import HealthCheck, assume, given, settings
 
 from trainlog.errors import InputError
@@ -245,7 +245,7 @@ def test_nonsense_is_refused_at_its_place(
     assert "\n" not in str(caught.value)
 
 
-def test_files_of_no_kind_or_of_another_kind_are_told_so(tmp_path: Path) -> None:
+def test_files_of_no_kind_or_of_another_kind_are_reported(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is neither a track nor a train nor a journey"):
         ttobench.detect(written(tmp_path, {"a": 1}))
     with pytest.raises(InputError, match="is neither a track nor a train nor a journey"):

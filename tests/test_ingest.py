@@ -101,7 +101,7 @@ def test_the_same_file_gives_the_same_bytes(tmp_path: Path, driven: Trip) -> Non
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
-def test_what_was_done_is_told_in_metadata_and_provenance(tmp_path: Path, driven: Trip) -> None:
+def test_what_was_done_is_reported_in_metadata_and_provenance(tmp_path: Path, driven: Trip) -> None:
     path = tmp_path / "recorder.csv"
     write_recorder_csv(driven, path)
     trip = ingest(

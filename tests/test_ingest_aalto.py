@@ -1,4 +1,4 @@
-"""Phones' fixes with a hand-kept log: each ride by rail is a trip, or it is told why not."""
+"""Phones' fixes with a hand-kept log: each ride by rail is a trip, or the reason is listed."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def fixes(device: int, begin: str, end: str, *, moves: bool = True) -> list[str]
 
 def ride(device: int, kind: str, line: str, begin: str, end: str) -> str:
     day = "2016-08-26 "
-    told = [f'"{day + time}"' if time else "" for time in (begin, end)]
-    return f'{device},,,{kind},{line},{told[0]},"Kamppi, (M)",{told[1]},Pasila,,,"two\nlines"'
+    shown = [f'"{day + time}"' if time else "" for time in (begin, end)]
+    return f'{device},,,{kind},{line},{shown[0]},"Kamppi, (M)",{shown[1]},Pasila,,,"two\nlines"'
 
 
 def both(folder: Path, rows: list[str], rides: list[str]) -> Path:
@@ -134,7 +134,7 @@ def test_the_published_rides() -> None:
         assert fix["latitude"].dropna().between(60.1, 60.4).all()
 
 
-def test_what_the_file_holds_besides_is_told_once(
+def test_what_the_file_holds_besides_is_reported_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = fixes(1, "09:00:00", "09:30:00")
@@ -147,6 +147,6 @@ def test_what_the_file_holds_besides_is_told_once(
     monkeypatch.setattr("sys.argv", words)
     with pytest.raises(SystemExit):
         cli.main()
-    told = capsys.readouterr().out
-    assert told.count("wrote") == 2
-    assert told.count("not used: rides not by rail: 1") == 1
+    shown = capsys.readouterr().out
+    assert shown.count("wrote") == 2
+    assert shown.count("not used: rides not by rail: 1") == 1

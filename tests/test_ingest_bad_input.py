@@ -22,11 +22,11 @@ def refused(path: Path, message: str, **options: object) -> str:
     options = {"profile": plain_profile(), **options}
     with pytest.raises(InputError, match=message) as caught:
         ingest(path, **options)
-    told = str(caught.value)
-    assert told.startswith(str(path))
-    assert "\n" not in told
-    assert "; " in told, "no remedy"
-    return told
+    complaint = str(caught.value)
+    assert complaint.startswith(str(path))
+    assert "\n" not in complaint
+    assert "; " in complaint, "no remedy"
+    return complaint
 
 
 @pytest.mark.parametrize(
@@ -121,8 +121,8 @@ def test_units_that_contradict_each_other(
 
 def test_an_impossible_unit_is_doubted(tmp_path: Path) -> None:
     rows = [row.replace("Z,", "Z,3") for row in plain_rows(30)]
-    told = refused(write(tmp_path / "run.csv", rows), "values are impossible")
-    assert re.search(r"row \d+: /train/state.speed: \d+ of 30.*check the unit", told)
+    complaint = refused(write(tmp_path / "run.csv", rows), "values are impossible")
+    assert re.search(r"row \d+: /train/state.speed: \d+ of 30.*check the unit", complaint)
 
 
 def test_position_against_the_direction_of_travel(tmp_path: Path) -> None:
@@ -181,14 +181,14 @@ def test_random_damage_never_gives_anything_but_our_error(
     path.write_bytes(damaged)
     time = {"column": "t", "format": "elapsed", "start": "2024-05-01T00:00:00Z"}
     profile = plain_profile(time=time) if kind == "parquet" else plain_profile()
-    told = None
+    complaint = None
     try:
         trip = ingest(path, profile=profile, format=kind)
     except InputError as error:
-        told = str(error)
-    if told is None:
+        complaint = str(error)
+    if complaint is None:
         report = report_of(trip)
         assert 2 <= report.rows_kept <= report.rows_read
     else:
-        assert told.startswith(str(path))
-        assert "\n" not in told
+        assert complaint.startswith(str(path))
+        assert "\n" not in complaint

@@ -43,7 +43,7 @@ def shifted(run: Run, rows: slice, seconds: float) -> list[str]:
 @FILES
 @given(st.data())
 def test_a_clock_that_was_set_costs_nothing(tmp_path: Path, data: st.DataObject) -> None:
-    """Every row comes back at its instant, and is told as moved, whatever part was off."""
+    """Every row comes back at its instant, and is reported as moved, whatever part was off."""
     step = data.draw(st.sampled_from([0.1, 0.5, 1.0]))
     run = clean_run(data.draw(st.integers(200, 300)), step, data.draw(st.floats(0.0, 3.0)))
     where = data.draw(st.sampled_from(["begin", "end", "middle"]))
@@ -67,8 +67,10 @@ def test_a_clock_that_was_set_costs_nothing(tmp_path: Path, data: st.DataObject)
     trip = read(tmp_path, shifted(run, rows, size))
     report = report_of(trip)
     assert report.counts == {"clock_step": count}
-    told = "-1024 weeks" if size == WEEKS else "+1024 weeks" if size == -WEEKS else f"{-size:+d} s"
-    assert report.findings[0].note == f"moved by {told}"
+    stated = (
+        "-1024 weeks" if size == WEEKS else "+1024 weeks" if size == -WEEKS else f"{-size:+d} s"
+    )
+    assert report.findings[0].note == f"moved by {stated}"
     state = trip["/train/state"]
     np.testing.assert_array_equal(state.index.as_unit("ns").asi8, run.time)
     np.testing.assert_array_equal(state["speed"], run.speed)
@@ -81,7 +83,7 @@ def test_a_clock_that_was_set_costs_nothing(tmp_path: Path, data: st.DataObject)
 @FILES
 @given(st.data())
 def test_blocks_written_late_or_twice_are_no_steps(tmp_path: Path, data: st.DataObject) -> None:
-    """What looks like a leap second, but tells its times once, or twice with the same values."""
+    """What looks like a leap second, but gives its times once, or twice with the same values."""
     run = clean_run(200, 1.0, data.draw(st.floats(0.0, 3.0)))
     rows = run.rows()
     length = data.draw(st.integers(2, 5))
@@ -122,8 +124,8 @@ UNITS = {"m/s": 1.0, "km/h": 3.6, "mph": 2.236936, "knot": 1.943844}
 
 @FILES
 @given(st.data())
-def test_wrong_units_are_refused_or_told(tmp_path: Path, data: st.DataObject) -> None:
-    """Beyond a factor of 2 refused, beyond 1.15 told with the factor, within it nothing."""
+def test_wrong_units_are_refused_or_reported(tmp_path: Path, data: st.DataObject) -> None:
+    """Beyond a factor of 2 refused, beyond 1.15 reported with the factor, within it nothing."""
     written = data.draw(st.sampled_from(list(UNITS)))
     taken = data.draw(st.sampled_from(list(UNITS)))
     run = clean_run(120, 1.0, data.draw(st.floats(0.0, 3.0)))
@@ -209,10 +211,10 @@ def test_a_satellite_speed_that_the_fixes_contradict(
 
 @FILES
 @given(st.floats(0.0, 3.0), st.sampled_from([0.5, 1.0, 1.0 / 3.6]))
-def test_quantised_columns_are_told_with_their_step(
+def test_quantised_columns_are_reported_with_their_step(
     tmp_path: Path, phase: float, step: float
 ) -> None:
-    """The values stay as they are, and lie within half of the step that is told."""
+    """The values stay as they are, and lie within half of the step that is reported."""
     run = clean_run(1200, 0.1, phase)
     coarse = np.round(run.speed / step) * step
     rows = Run(run.time, coarse, run.position).rows()
@@ -223,9 +225,9 @@ def test_quantised_columns_are_told_with_their_step(
         "/train/state.speed",
         1200,
     )
-    told = float(finding.note.split()[2])
-    assert told == pytest.approx(step, rel=0.01)
-    assert np.abs(trip["/train/state"]["speed"] - run.speed).max() <= 0.5 * told + 0.002
+    stated = float(finding.note.split()[2])
+    assert stated == pytest.approx(step, rel=0.01)
+    assert np.abs(trip["/train/state"]["speed"] - run.speed).max() <= 0.5 * stated + 0.002
     assert len(repairs_of(trip)) == 0, "nothing was changed"
 
 
@@ -246,7 +248,7 @@ def test_fine_columns_are_not_called_quantised(seed: int) -> None:
 @FILES
 @given(st.data())
 def test_many_kinds_of_damage_at_once(tmp_path: Path, data: st.DataObject) -> None:
-    """What is left is true: right instants, right values; what is missing was lost and is told."""
+    """What is left has right instants and values; what is missing was lost and is reported."""
     run = clean_run(300, 0.5, data.draw(st.floats(0.0, 3.0)))
     rows = shifted(run, slice(0, 90), data.draw(st.sampled_from([0, 3600, -WEEKS])))
     rows = [[row] for row in rows]

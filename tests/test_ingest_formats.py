@@ -351,18 +351,18 @@ def test_lines_of_a_recorder_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_every_rule_has_its_row_in_the_page() -> None:
-    told = re.findall(r"^\| `(\w+)` \| .* \| (keeps|refuses)[^|]* \|$", PAGE, re.M)
+    stated = re.findall(r"^\| `(\w+)` \| .* \| (keeps|refuses)[^|]* \|$", PAGE, re.M)
     expected = [(rule.name, "keeps" if rule.off == "keep" else "refuses") for rule in RULES]
-    assert told == expected
+    assert stated == expected
 
 
 def test_every_limit_has_its_row_in_the_page() -> None:
-    told = re.findall(r"^\| `(/\S+)` \| (\S+) to (\S+) (\S+) \| (.*) \|$", PAGE, re.M)
+    stated = re.findall(r"^\| `(/\S+)` \| (\S+) to (\S+) (\S+) \| (.*) \|$", PAGE, re.M)
     expected = []
     for name, limit in LIMITS.items():
         rate = f"{limit.rate:g} a second, {limit.tolerance:g}" if limit.rate else ""
         expected.append((name, f"{limit.min:g}", f"{limit.max:g}", limit.unit, rate))
-    assert told == expected
+    assert stated == expected
 
 
 @pytest.mark.parametrize("options", [FileOptions, TimeOptions])

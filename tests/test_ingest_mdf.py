@@ -113,7 +113,7 @@ def test_fields_of_a_topic_may_have_clocks_of_their_own(tmp_path: Path) -> None:
     np.testing.assert_allclose(state["position"].dropna(), SLOW * 20.0)
 
 
-def test_a_clock_that_runs_back_is_repaired_and_told(tmp_path: Path) -> None:
+def test_a_clock_that_runs_back_is_repaired_and_reported(tmp_path: Path) -> None:
     seconds = FAST.copy()
     seconds[[100, 101]] = seconds[[101, 100]]
     groups = [[signal(speed(seconds), seconds, "v", "km/h")]]

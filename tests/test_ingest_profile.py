@@ -142,7 +142,7 @@ def test_profiles_are_utf8(tmp_path: Path, data: bytes) -> None:
         read_profile(path)
 
 
-def test_a_missing_profile_is_told(tmp_path: Path) -> None:
+def test_a_missing_profile_is_reported(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.toml: does not exist"):
         read_profile(tmp_path / "none.toml")
 

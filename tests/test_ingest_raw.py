@@ -54,13 +54,13 @@ def assert_restored(trip: Trip, raw: pd.DataFrame) -> None:
         entries["row"], entries["column"], entries["raw_value"], strict=True
     ):
         first_raw.setdefault((row, column), value)
-    for row, told in raw.to_dict("index").items():
-        now, dropped = told.pop("time"), False
+    for row, stated in raw.to_dict("index").items():
+        now, dropped = stated.pop("time"), False
         for entry in by_row.get(row, ()):
             if entry.column == "" and entry.rule != "truncated_rows":
                 assert entry.raw_time == now or (pd.isna(entry.raw_time) and pd.isna(now))
                 now, dropped = entry.new_time, pd.isna(entry.new_time)
-        for column, value in told.items():
+        for column, value in stated.items():
             if (row, column) in first_raw:
                 found = first_raw[row, column]
             elif dropped:
@@ -74,16 +74,16 @@ def assert_restored(trip: Trip, raw: pd.DataFrame) -> None:
 
 def plain_raw(rows: list[str]) -> pd.DataFrame:
     """What a file of `plain_text` says, cell by cell; rows that are cut short are left out."""
-    told = {}
+    stated = {}
     for number, row in enumerate(rows, start=2):
         words = row.split(",")
         if len(words) == 3:
-            told[number] = {
+            stated[number] = {
                 "time": pd.to_datetime(words[0], utc=True, errors="coerce"),
                 "/train/state.speed": pd.to_numeric(words[1].strip(), errors="coerce"),
                 "/train/state.position": pd.to_numeric(words[2].strip(), errors="coerce"),
             }
-    return pd.DataFrame.from_dict(told, orient="index").replace([np.inf, -np.inf], np.nan)
+    return pd.DataFrame.from_dict(stated, orient="index").replace([np.inf, -np.inf], np.nan)
 
 
 @FILES
@@ -127,14 +127,14 @@ def test_rows_without_sub_seconds_fix_or_sense_are_found_again(
     path.write_text("\n".join(rows) + "\n", "ascii")
     table = pd.read_csv(path, index_col=False)
     parts = table[["Year", "Month", "Day", "Hour", "Minute", "Second"]]
-    told = {
+    stated = {
         "time": pd.to_datetime(parts, utc=True).astype("datetime64[ns, UTC]"),
         "/gnss/fix.latitude": table["Lat"] / 1e7,
         "/gnss/fix.longitude": table["Lon"] / 1e7,
         "/gnss/motion.speed": table["speed"] / 1e3,
         "/gnss/motion.satellites": table["nSAT"].astype(float),
     }
-    raw = pd.DataFrame(told)
+    raw = pd.DataFrame(stated)
     raw.index = pd.Index(np.arange(2, 2 + len(raw)))
     assert_restored(ingest(path), raw)
 

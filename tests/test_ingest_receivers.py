@@ -109,7 +109,7 @@ def test_damaged_sentences_are_counted_and_kept(tmp_path: Path) -> None:
     entries = repairs_of(trip)
     assert list(entries["row"]) == [11, 22, 42]
     assert list(entries["raw_text"]) == list(bad.values())
-    assert len(trip["/gnss/fix"]) == 60, "the other sentence of the second tells the position"
+    assert len(trip["/gnss/fix"]) == 60, "the other sentence of the second gives the position"
     assert trip["/gnss/motion"]["speed"].isna().sum() == 2
 
 
@@ -176,7 +176,7 @@ def test_hex_lines_come_back(tmp_path: Path, seed: int) -> None:
     imu = trip["/imu"]
     assert len(imu) == len(made.words)
     late = imu.index.as_unit("ns").asi8 - made.utc
-    # 20 ppm over half a minute are 0.6 ms, of which the offset of a minute bears half.
+    # 20 ppm over half a minute are 0.6 ms, of half of which the offset of a minute takes up.
     assert np.abs(late).max() < 400_000
     for i, column in enumerate(("angular_rate_x", "angular_rate_y", "angular_rate_z")):
         np.testing.assert_allclose(imu[column], made.words[:, i] * np.radians(0.00437), rtol=1e-12)
@@ -202,10 +202,10 @@ def test_damaged_hex_lines_are_counted_and_kept(tmp_path: Path) -> None:
     assert report.count("truncated_rows") == 2
     kept = repairs_of(trip)
     kept = kept[kept["rule"].isin(["damaged_messages", "truncated_rows"])]
-    told = dict(zip(kept["row"], kept["raw_text"], strict=True))
-    for row, text in told.items():
+    stated = dict(zip(kept["row"], kept["raw_text"], strict=True))
+    for row, text in stated.items():
         assert lines[row - 1].endswith(text)
-    assert set(told) == {
+    assert set(stated) == {
         1 + place for place in (*(samples[i] for i in (50, 90, 200, 300)), fixes[9], len(lines) - 1)
     }
     assert len(trip["/imu"]) == len(made.words) - 4

@@ -60,13 +60,13 @@ def test_damage_gives_trips_or_our_error(tmp_path: Path, kind: str) -> None:
     profile = measured.profile({"/train/state.speed": {"column": "v"}}) if kind == "mdf" else None
     for _ in range(40):
         path.write_bytes(damaged(draw, data))
-        told, trips = "", []
+        message, trips = "", []
         try:
             trips.extend(ingest_each(path, format=kind, profile=profile))
         except TrainlogError as error:
-            told = str(error)
-        assert told.startswith(str(path.parent)) if told else trips
-        assert "\n" not in told
+            message = str(error)
+        assert message.startswith(str(path.parent)) if message else trips
+        assert "\n" not in message
         for trip in trips:
             report = report_of(trip)
             assert 0 < report.rows_kept <= report.rows_read

@@ -191,7 +191,7 @@ def test_an_mtk_log_without_any_fix_is_refused(tmp_path: Path) -> None:
         read(tmp_path, "run.csv", f"{MTK_HEADER}\n{rows}\n")
 
 
-def test_a_profiles_columns_that_are_not_used_are_told(tmp_path: Path) -> None:
+def test_a_profiles_columns_that_are_not_used_are_reported(tmp_path: Path) -> None:
     from ingest_logs import plain_profile
 
     trip = read(tmp_path, "run.csv", mtk(5, before=0).text, profile=plain_profile())

@@ -131,8 +131,8 @@ def test_a_wrong_unit_of_time_leaves_no_time(column: str, options: dict[str, obj
         found = read([column, column], **options)
     except InputError as error:
         found = [str(error)]
-    told = str(found[0])
-    assert set(found) == {NO_TIME} or ("time reads as 1" in told and "unit" in told)
+    message = str(found[0])
+    assert set(found) == {NO_TIME} or ("time reads as 1" in message and "unit" in message)
 
 
 def test_large_columns_keep_their_gaps() -> None:

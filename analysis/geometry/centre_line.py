@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
+from trainlog.display import as_html, picture
 from trainlog.errors import InputError
 from trainlog.ingest.chainage import Fixes, Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
@@ -98,6 +99,15 @@ class Survey:
     def length(self) -> float:
         """Of the line [m]."""
         return float(self.geometry.positions[-1])
+
+    def __repr__(self) -> str:
+        return "\n  ".join(["Survey", *self.lines()[:9]])
+
+    def _repr_html_(self) -> str:
+        known = np.where(self.support > 0, 1.0, np.nan)
+        curves = {"curvature [1/km]": 1e3 * self.curvature * known, "trips": self.support}
+        rows = {str(number): line for number, line in enumerate(self.lines(), 1)}
+        return as_html("Survey", rows, picture(self.position, curves, steps=("trips",)))
 
     def lines(self) -> list[str]:
         """What was found, in words."""

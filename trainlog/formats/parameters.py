@@ -12,12 +12,13 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, JsonValue
 
+from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
 from trainlog.formats.files import plain, read_bytes, shortest, write_bytes
 from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
 from trainlog.railway.configuration import Configuration, ParameterSet
 from trainlog.railway.resistance import RunningResistance
-from trainlog.units import factor
+from trainlog.units import KMH, factor
 
 _Mass = Annotated[float, Quantity("kg", "kg")]
 _Power = Annotated[float, Quantity("W", "W")]
@@ -257,6 +258,9 @@ class DragCurve:
     low: FloatArray
     high: FloatArray
 
+    def __repr__(self) -> str:
+        return f"DragCurve: {span(self.speeds, KMH)} km/h, {span(self.deceleration, 1e3)} mm/s²"
+
 
 @dataclass(frozen=True, eq=False)
 class CoastDownResult:
@@ -295,6 +299,31 @@ class CoastDownResult:
             if quantity.name == name:
                 return quantity
         raise KeyError(name)
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title, self._summary())
+
+    @property
+    def _title(self) -> str:
+        train = f" of '{self.train}'" if self.train else ""
+        return f"Coast-down{train}, {len(self.trips)} trips, gradient: {self.gradient}"
+
+    def _summary(self) -> dict[str, str]:
+        """Each quantity with its standard deviation, or why it is not identified."""
+        rows = {each.name: _in_words(each) for each in self.quantities}
+        if self.curve is not None:
+            rows["drag curve"] = f"{span(self.curve.speeds, KMH)} km/h"
+        return rows
+
+
+def _in_words(quantity: Identified) -> str:
+    if quantity.value is None:
+        return f"not identified: {quantity.reason}"
+    std = "" if quantity.std is None else f" ± {quantity.std:.2g}"
+    return f"{quantity.value:.5g}{std} {quantity.unit}"
 
 
 class _QuantityPart(Part):

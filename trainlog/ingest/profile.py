@@ -18,6 +18,7 @@ import numpy as np
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
+from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.schema import must_be
@@ -450,6 +451,27 @@ class Profile(_Strict):
         if self.lines is not None:
             _check_lines(self.lines, self.columns)
         return self
+
+    def __repr__(self) -> str:
+        return as_text(f"Profile '{self.name}'", self._summary())
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return as_html(f"Profile '{self.name}'", self._summary())
+
+    def _summary(self) -> dict[str, str]:
+        rows = {"format": self.file.format or "detected"}
+        if self.time is not None:
+            rows["time"] = f"{' '.join(self.time.names)} ({self.time.format}, {self.time.timezone})"
+        by_topic: dict[str, list[str]] = {}
+        for name in self.columns:
+            topic, _, item = name.rpartition(".")
+            by_topic.setdefault(topic, []).append(item)
+        rows |= {topic: ", ".join(items) for topic, items in by_topic.items()}
+        if self.repair.switched_off:
+            rows["switched off"] = ", ".join(self.repair.switched_off)
+        return rows
 
     def recognises(self, head: bytes) -> bool:
         """Whether a file that begins with `head` is of this layout, by its [detect]."""

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.topics import TOPICS, Field, Topic, column_field
 
@@ -83,6 +84,9 @@ class Table:
 
     def __len__(self) -> int:
         return int(self.time.size)
+
+    def __repr__(self) -> str:
+        return f"Table: {len(self)} rows of {', '.join([*self.signals, *self.texts])}"
 
     def take(self, index: IntArray | BoolArray) -> Table:
         """The table with the rows that `index` selects, in its order."""
@@ -199,6 +203,10 @@ class Recording:
     inputs: tuple[Path, ...] = ()
     attachments: dict[str, bytes] = field(default_factory=dict)
     raw: tuple[Raw, ...] = ()
+
+    def __repr__(self) -> str:
+        rows = {f"table {number}": repr(table) for number, table in enumerate(self.tables)}
+        return as_text(f"Recording: {self.rows_read} rows read", rows)
 
 
 def field_of(name: str) -> tuple[Topic, str, Field]:

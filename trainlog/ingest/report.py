@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from trainlog.display import as_html, as_text
 from trainlog.errors import LogError
 from trainlog.ingest.clock import longest_nondecreasing
 from trainlog.ingest.recording import (
@@ -117,6 +118,26 @@ class Report:
             "raw_kept": self.raw_kept,
             "raw_beyond": self.raw_beyond,
         }
+
+    def __repr__(self) -> str:
+        return as_text(*self._summary(8))
+
+    def _repr_html_(self) -> str:
+        return as_html(*self._summary(100))
+
+    def _summary(self, most: int) -> tuple[str, dict[str, str]]:
+        """The first of the lines, and up to `most` others by what they are about."""
+        first, *others = self.lines()
+        rows: dict[str, str] = {}
+        for number, line in enumerate(others[:most]):
+            column = self.findings[number].column if number < len(self.findings) else ""
+            about, _, what = line.replace(f" in {column}", "", 1).partition(": ")
+            if about == "not used":
+                about, _, what = line.rpartition(": ")
+            rows[f"{about} {column}".rstrip()] = what
+        if len(others) > most:
+            rows["more"] = f"{len(others) - most} lines; see lines()"
+        return f"Report: {first}", rows
 
     def lines(self) -> list[str]:
         """The report in words, one line a finding."""
