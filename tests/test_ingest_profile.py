@@ -292,3 +292,19 @@ def test_speed_and_a_start_make_an_estimated_position(tmp_path: Path) -> None:
     assert np.abs(error).max() < 0.5
     assert np.all(np.abs(error) < 4.0 * estimate["position_std"] + 0.02)
     assert np.all(np.diff(estimate["position"]) >= 0.0)
+
+
+def test_a_profile_and_a_report_are_printed_in_a_few_lines(tmp_path: Path) -> None:
+    profile = read_profile(SAMPLE)
+    assert "Vehicle recorder" in str(profile)
+    assert "/train/axles" in repr(profile)
+    rows = [f"{row},{'' if i % 5 else 'x'}" for i, row in enumerate(clean_run(40, 1).rows())]
+    columns = {
+        f"/train/controls.{name}": {"column": "e", "unit": "1"} for name in ("lever",)
+    } | plain_profile().model_dump(exclude_defaults=True)["columns"]
+    trip = ingest(write(tmp_path / "run.csv", rows, "t,v,s,e"), profile=plain_profile(columns=columns))
+    report = report_of(trip)
+    assert 2 <= len(repr(report).splitlines()) <= 10
+    assert "40 rows read" in repr(report)
+    assert "<table>" in report._repr_html_()
+    assert "<table>" in profile._repr_html_()

@@ -47,8 +47,7 @@ class _Layer(Part):
     @staticmethod
     def of(layer: ConditionLayer) -> _Layer:
         """The part that describes a layer."""
-        fields = {name: getattr(layer, name) for name in _Layer.model_fields}
-        return _Layer.model_construct(**fields | {"observed": layer.observed.tolist()})
+        return _Layer.holding(layer, observed=layer.observed.tolist())
 
 
 class _MapFile(File):
@@ -83,11 +82,8 @@ class _MapFile(File):
     @staticmethod
     def of(condition: TrackConditionMap) -> _MapFile:
         """The file that describes a map."""
-        return _MapFile.model_construct(
-            line=condition.line,
-            length=condition.length,
-            bin_length=condition.bin_length,
-            levels=condition.levels,
+        return _MapFile.holding(
+            condition,
             layers={name: _Layer.of(layer) for name, layer in condition.layers.items()},
             settings=plain(condition.settings, "settings"),
             trips=plain(condition.trips, "trips"),

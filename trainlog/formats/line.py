@@ -78,14 +78,6 @@ class _Survey(Part):
     gradient_std: Annotated[float, Quantity("permil", "1")]
     correlation_length: _Length | None = None
 
-    @staticmethod
-    def of(survey: Survey | None) -> _Survey | None:
-        if survey is None:
-            return None
-        return _Survey.model_construct(
-            gradient_std=survey.gradient_std, correlation_length=survey.correlation_length
-        )
-
 
 class _LineFile(File):
     FORMAT: ClassVar[str] = "trainlog/line"
@@ -127,22 +119,19 @@ class _LineFile(File):
     def of(line: Line) -> _LineFile:
         """The file that describes a line."""
         curves, geometry, limits = line.curvatures, line.geometry, line.speed_limits
-        return _LineFile.model_construct(
-            name=line.name,
-            source=line.source,
-            length=line.length,
-            altitude=line.altitude,
+        return _LineFile.holding(
+            line,
             stations=([s.name for s in line.stations], [s.position for s in line.stations]),
             speed_limits=(limits.positions, limits.values),
             gradients=(line.gradients.positions, line.gradients.values),
-            survey=_Survey.of(line.survey),
+            survey=None if line.survey is None else _Survey.holding(line.survey),
             curvatures=None if curves is None else radii(curves),
             tunnels=tunnel_columns(line.tunnels),
             braking_parameters=line.braking_parameters or None,
             geometry=None
             if geometry is None
-            else _Geometry.model_construct(
-                quality=geometry.quality,
+            else _Geometry.holding(
+                geometry,
                 track=(geometry.positions, geometry.latitudes, geometry.longitudes),
             ),
         )
@@ -296,12 +285,7 @@ class _JourneyFile(File):
     @staticmethod
     def of(journey: Journey) -> _JourneyFile:
         """The file that describes a journey."""
-        return _JourneyFile.model_construct(
-            name=journey.name,
-            source=journey.source,
-            line=journey.line,
-            timing_points=timing_columns(journey.points),
-        )
+        return _JourneyFile.holding(journey, timing_points=timing_columns(journey.points))
 
 
 def timing_points(table: tuple[Any, ...]) -> tuple[TimingPoint, ...]:

@@ -42,7 +42,7 @@ class ResistancePart(Part):
     @staticmethod
     def of(resistance: RunningResistance) -> ResistancePart:
         """The part that describes a running resistance."""
-        return ResistancePart.model_construct(r0=resistance.r0, r1=resistance.r1, r2=resistance.r2)
+        return ResistancePart.holding(resistance)
 
 
 class ConfigurationPart(Part):
@@ -62,13 +62,8 @@ class ConfigurationPart(Part):
     @staticmethod
     def of(configuration: Configuration) -> ConfigurationPart:
         """The part that describes a configuration."""
-        return ConfigurationPart.model_construct(
-            name=configuration.name,
-            mass=configuration.mass,
-            rotating_mass=configuration.rotating_mass,
-            max_power=configuration.max_power,
-            running_resistance=ResistancePart.of(configuration.resistance),
-        )
+        resistance = ResistancePart.of(configuration.resistance)
+        return ConfigurationPart.holding(configuration, running_resistance=resistance)
 
 
 class _CoefficientUnits(Part):
@@ -143,8 +138,8 @@ class _ParametersFile(File):
         """The file that describes a parameter set."""
         lowest, highest = parameters.speed_range
         common, covariance = parameters.common, parameters.common_covariance
-        return _ParametersFile.model_construct(
-            train=parameters.train,
+        return _ParametersFile.holding(
+            parameters,
             speed_range=_Range.model_construct(lowest=lowest, highest=highest),
             configurations=[ConfigurationPart.of(item) for item in parameters.configurations],
             common=None if common is None else ResistancePart.of(common),
@@ -366,14 +361,9 @@ class _CoastDownFile(File):
         return CoastDownResult(
             train=self.train,
             gradient=self.gradient,
-            quantities=tuple(
-                Identified(part.name, part.unit, part.value, part.std, part.reason)
-                for part in self.quantities
-            ),
+            quantities=tuple(Identified(**dict(part)) for part in self.quantities),
             covariance=np.array(self.covariance, dtype=np.float64).reshape(len(known), len(known)),
-            curve=None
-            if curve is None
-            else DragCurve(curve.speeds, curve.deceleration, curve.low, curve.high),
+            curve=None if curve is None else DragCurve(**dict(curve)),
             trips=self.trips,
             pieces=self.pieces,
             provenance=self.provenance,
@@ -383,28 +373,11 @@ class _CoastDownFile(File):
     def of(result: CoastDownResult) -> _CoastDownFile:
         """The file that describes a result."""
         curve = result.curve
-        return _CoastDownFile.model_construct(
-            train=result.train,
-            gradient=result.gradient,
-            quantities=[
-                _QuantityPart.model_construct(
-                    name=each.name,
-                    unit=each.unit,
-                    value=each.value,
-                    std=each.std,
-                    reason=each.reason,
-                )
-                for each in result.quantities
-            ],
+        return _CoastDownFile.holding(
+            result,
+            quantities=[_QuantityPart.holding(each) for each in result.quantities],
             covariance=shortest(result.covariance.tolist()),
-            curve=None
-            if curve is None
-            else _CurvePart.model_construct(
-                speeds=curve.speeds,
-                deceleration=curve.deceleration,
-                low=curve.low,
-                high=curve.high,
-            ),
+            curve=None if curve is None else _CurvePart.holding(curve),
             trips=plain(result.trips, "trips"),
             pieces=plain(result.pieces, "pieces"),
             provenance=plain(result.provenance, "provenance"),

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,12 @@ class Part(BaseModel):
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, arbitrary_types_allowed=True
     )
+
+    @classmethod
+    def holding(cls, value: Any, **others: Any) -> Self:
+        """The part with the attributes of `value` by the same names; `others` go before these."""
+        same = {n: getattr(value, n) for n in cls.model_fields if n not in others}
+        return cast(Self, cls.model_construct(**same, **others))
 
 
 class File(Part):

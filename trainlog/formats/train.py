@@ -131,20 +131,20 @@ class _TrainFile(File):
     @staticmethod
     def of(train: Train) -> _TrainFile:
         """The file that describes a train."""
-        given = {name: getattr(train, name) for name in _SAME}
         curves = train.braking_curves
-        return _TrainFile.model_construct(
-            **given,
+        return _TrainFile.holding(
+            train,
             length=train.length or None,
             max_load=train.max_load or None,
             assumed=list(train.assumed) or None,
-            running_resistance=_part(_Resistance, train.resistance),
+            running_resistance=_Resistance.holding(train.resistance),
             tunnel_resistance=columns(train.tunnel_resistance),
-            axles=_part(_Axles, train.axles),
-            brake=_part(_Brake, train.brake),
+            axles=_Axles.holding(train.axles),
+            brake=_Brake.holding(train.brake),
             braking_curves=None
             if curves is None
-            else _BrakingCurves.model_construct(
+            else _BrakingCurves.holding(
+                curves,
                 emergency=columns(curves.emergency),
                 service=columns(curves.service),
                 parameters=curves.parameters or None,
@@ -172,10 +172,6 @@ def pairs(table: tuple[NDArray[np.float64], ...] | None) -> tuple[tuple[float, f
 def columns(rows: tuple[tuple[float, float], ...]) -> tuple[tuple[float, ...], ...] | None:
     """The two columns of a table, or None if it has no rows."""
     return tuple(zip(*rows, strict=True)) or None
-
-
-def _part(model: type[Part], value: Any) -> Any:
-    return model.model_construct(**{name: getattr(value, name) for name in model.model_fields})
 
 
 def _check_parts(train: Train) -> None:
@@ -278,16 +274,11 @@ class _Vehicle(Part):
 
     @staticmethod
     def of(vehicle: Vehicle, count: int) -> _Vehicle:
-        resistance, power = vehicle.resistance, vehicle.max_traction_power
-        return _Vehicle.model_construct(
-            name=vehicle.name,
+        power = vehicle.max_traction_power
+        return _Vehicle.holding(
+            vehicle,
             count=count,
-            mass=vehicle.mass,
-            rotating_mass=vehicle.rotating_mass,
-            length=vehicle.length,
-            running_resistance=_Resistance.model_construct(
-                r0=resistance.r0, r1=resistance.r1, r2=resistance.r2
-            ),
+            running_resistance=_Resistance.holding(vehicle.resistance),
             max_tractive_effort=vehicle.max_tractive_effort or None,
             max_traction_power=power if np.isfinite(power) else None,
             max_braking_effort=vehicle.max_braking_effort or None,
@@ -308,8 +299,7 @@ class _Coupler(Part):
 
     @staticmethod
     def of(coupler: Coupler, count: int) -> _Coupler:
-        given = {name: getattr(coupler, name) for name in _Coupler.model_fields if name != "count"}
-        return _Coupler.model_construct(count=count, **given)
+        return _Coupler.holding(coupler, count=count)
 
 
 class _ConsistBrake(_Brake):
@@ -343,14 +333,11 @@ class _ConsistFile(File):
     def of(consist: Consist) -> _ConsistFile:
         """The file that describes a consist; equal neighbours share an entry."""
         brake, propagation = consist.brake, consist.brake_propagation
-        return _ConsistFile.model_construct(
-            name=consist.name,
-            source=consist.source,
+        return _ConsistFile.holding(
+            consist,
             assumed=list(consist.assumed) or None,
-            brake=_ConsistBrake.model_construct(
-                dead_time=brake.dead_time,
-                lag=brake.lag,
-                propagation=propagation if np.isfinite(propagation) else None,
+            brake=_ConsistBrake.holding(
+                brake, propagation=propagation if np.isfinite(propagation) else None
             ),
             vehicles=[_Vehicle.of(*run) for run in _runs(consist.vehicles)],
             couplers=[_Coupler.of(*run) for run in _runs(consist.couplers)],

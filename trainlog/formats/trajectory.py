@@ -40,21 +40,8 @@ class _TrajectoryFile(File):
     def trajectory(self) -> Trajectory:
         """The trajectory that the file describes."""
         self.check()
-        return Trajectory(
-            line=self.line,
-            train=self.train,
-            positions=self.positions,
-            configurations=tuple(part.configuration() for part in self.configurations),
-            speeds=self.speeds,
-            times=self.times,
-            tractive_effort=self.tractive_effort,
-            tractive_effort_fall=self.tractive_effort_fall,
-            braking_effort=self.braking_effort,
-            running_time=self.running_time,
-            direction=self.direction,
-            certificate=self.certificate,
-            provenance=self.provenance,
-        )
+        configurations = tuple(part.configuration() for part in self.configurations)
+        return Trajectory(**dict(self) | {"configurations": configurations})
 
     def check(self) -> None:
         """Refuse what no train can do."""
@@ -81,18 +68,9 @@ class _TrajectoryFile(File):
     @staticmethod
     def of(trajectory: Trajectory) -> _TrajectoryFile:
         """The file that describes a trajectory."""
-        file = _TrajectoryFile.model_construct(
-            line=trajectory.line,
-            train=trajectory.train,
-            direction=trajectory.direction,
-            running_time=trajectory.running_time,
+        file = _TrajectoryFile.holding(
+            trajectory,
             configurations=[ConfigurationPart.of(item) for item in trajectory.configurations],
-            positions=trajectory.positions,
-            tractive_effort=trajectory.tractive_effort,
-            tractive_effort_fall=trajectory.tractive_effort_fall,
-            braking_effort=trajectory.braking_effort,
-            speeds=trajectory.speeds,
-            times=trajectory.times,
             certificate=plain(trajectory.certificate, "certificate"),
             provenance=plain(trajectory.provenance, "provenance"),
         )
