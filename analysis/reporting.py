@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group
+from rich.table import Table
 
 from analysis.adhesion.condition_map import summary
-from analysis.comparison.cost import punctuality, savings
-from analysis.comparison.table import running_times, total_saved
-from analysis.tables import excess, kwh, new_table
+from analysis.comparison.cost import compare, punctuality
+from analysis.comparison.table import running_times
+from analysis.tables import as_page, excess, kwh, new_table
 from analysis.truth import Truth, curve_error, map_error, truth_of
+from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
 from trainlog.formats.parameters import read_parameters
@@ -22,16 +24,51 @@ from trainlog.mcap.convert import span_of
 from trainlog.units import KMH
 
 
-def results_table(folder: Path) -> Group:
-    """What a folder of results says: the fit, the map, the trajectory, the energy saved.
+@dataclass(frozen=True, slots=True, repr=False)
+class Report:
+    """What a folder of results holds.
+
+    Attributes
+    ----------
+    folder : Path
+    rows : tuple of (str, str, str)
+        Subject, result in words, and where it stands.
+    """
+
+    folder: Path
+    rows: tuple[tuple[str, str, str], ...]
+
+    def __repr__(self) -> str:
+        return as_text(f"Results in {self.folder}", {row[0]: row[1] for row in self.rows})
+
+    def _repr_html_(self) -> str:
+        return as_page(report_table(self))
+
+
+def report(folder: str | Path) -> Report:
+    """Sum up a folder of results: the fit, the map, the trajectory, the energy saved.
 
     Simulated trips are judged against their truth.
+
+    Parameters
+    ----------
+    folder : path
+        As ``trainlog demo`` leaves it: logs in ``trips`` and ``driven``, ``parameters.json``,
+        ``map.json``, ``trajectory.json``; whatever there is of them.
 
     Raises
     ------
     InputError
         If the folder holds no results.
+
+    Examples
+    --------
+    >>> import shutil
+    >>> _ = shutil.copy("sample_logs/CH_StGallen_Wil.map.json", "map.json")
+    >>> print(report(".").rows[0][0])
+    track condition
     """
+    folder = Path(folder)
     if not folder.is_dir():
         raise InputError(
             "is a file" if folder.exists() else "does not exist",
@@ -42,7 +79,6 @@ def results_table(folder: Path) -> Group:
     # What a simulation knows is attached: no topic has to be read for it.
     found_truths = (truth_of(read_log(log, topics=[])) for log in logs)
     truths = [truth for truth in found_truths if truth is not None]
-    table = new_table(f"Results in {folder}", "", "result", "in")
     rows = [
         _recorded(folder, logs),
         _fitted(folder / "parameters.json", truths),
@@ -59,9 +95,15 @@ def results_table(folder: Path) -> Group:
             remedy="they are looked for as 'trainlog demo' leaves them: logs in trips/ and driven/,"
             " parameters.json, map.json, trajectory.json",
         )
-    for row in found:
+    return Report(folder, tuple(found))
+
+
+def report_table(found: Report) -> Table:
+    """The report as a table."""
+    table = new_table(f"Results in {found.folder}", "", "result", "in")
+    for row in found.rows:
         table.add_row(*row)
-    return Group(table)
+    return table
 
 
 def _recorded(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
@@ -125,11 +167,11 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
     followed = sorted(folder.glob("*.mcap"))
     if not (followed and logs):
         return None
-    pairs = savings(logs, followed)
-    driver, saved = total_saved(pairs)
+    found = compare(logs, followed)
+    pairs, (driver, saved) = found.pairs, found.total_saved
     words = (
         f"{kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"
-        f" ({len(pairs)} trips, {running_times(pairs)})"
+        f" ({len(pairs)} trips, {running_times(found)})"
     )
     return "energy saved", words, str(folder)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from analysis.adhesion.condition_map import update_logs
+from analysis.adhesion.condition_map import adhesion_map
 from trainlog.formats.condition import write_map
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
@@ -44,7 +44,7 @@ def make(output: Path) -> None:
         if scenario.name == RECORDED:
             write_recorder_csv(trip, output / "recorder.csv")
             write_ublox_csv(trip, output / "gnss.csv")
-    track, _ = update_logs(None, logs)
+    track = adhesion_map(logs).track
     write_map(track, output / "CH_StGallen_Wil.map.json")
     for log in logs:
         if log.name not in LOGS.values():

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.comparison import cost as compare
-from analysis.comparison.cost import punctuality, savings, trip_cost
+from analysis.comparison import cost
+from analysis.comparison.cost import compare, punctuality, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
@@ -77,7 +77,7 @@ def test_savings_pair_the_same_configuration_only() -> None:
         trip("driven-b", 40_000.0, configuration="b"),
         trip("driven-c", 40_000.0, configuration="c"),
     ]
-    (pair,) = savings(drivers, followed)
+    (pair,) = compare(drivers, followed).pairs
     assert pair.driver.name == "a"
     assert pair.traction == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
 
@@ -90,7 +90,7 @@ def test_a_log_in_pieces_costs_what_the_trip_costs(
     expected = trip_cost(whole)
     assert expected.stops == 1
     for rows in (1, 7, 100, 10**6):
-        monkeypatch.setattr(compare, "ROWS", 20 * rows)
+        monkeypatch.setattr(cost, "ROWS", 20 * rows)
         found = trip_cost(tmp_path / "trip.mcap")
         assert (found.name, found.direction) == (expected.name, expected.direction)
         assert (found.slips, found.late) == (expected.slips, expected.late)
@@ -155,7 +155,7 @@ def test_nothing_comparable_is_told() -> None:
     ):
         words = f"comparable trip by a driver: {nearest}; needs one non-stop trip"
         with pytest.raises(LogError, match=words):
-            savings(drivers, followed)
+            compare(drivers, followed)
     stopping = trip("driven-b", stop=True, configuration="b")
     with pytest.raises(LogError, match="driver: 'b' stopped 1x and 'driven-b' stopped 1x; needs"):
-        savings([backwards, trip("b", stop=True)], [*followed, stopping])
+        compare([backwards, trip("b", stop=True)], [*followed, stopping])

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.adhesion.condition_map import update_logs
+from analysis.adhesion.condition_map import adhesion_map
 from analysis.estimates import estimate_log, with_estimates
 from analysis.resistance.logs import TOPICS, fit_log
 from tests.mcap_trips import assert_same, trip_of
@@ -110,10 +110,10 @@ def test_what_was_recorded_stays_as_it_was(estimated: tuple[Trip, Trip], log: Pa
 
 
 def test_the_map_is_nearly_that_of_the_whole(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, _ = update_logs(None, [log])
+    whole = adhesion_map(log).track
     monkeypatch.setattr(module, "ROWS", PARTS)
     monkeypatch.setattr(module, "FINER", 1)
-    parts, _ = update_logs(None, [log])
+    parts = adhesion_map(log).track
     assert [trip["trip"] for trip in parts.trips] == [trip["trip"] for trip in whole.trips]
     for name, layer in whole.layers.items():
         other = parts.layers[name]

@@ -18,17 +18,14 @@ from simulated_line import flirt, hilly_line, level_line
 from analysis.adhesion.condition_map import (
     LEVELS,
     SETTINGS,
-    Evidence,
+    adhesion_map,
     empty_map,
-    evidence,
-    evidence_of,
     merge,
     prior_of,
     summary,
     update,
-    update_logs,
 )
-from analysis.adhesion.evidence import Prior, solve_field
+from analysis.adhesion.evidence import Evidence, Prior, evidence, evidence_of, solve_field
 from analysis.adhesion.plot import draw_map
 from analysis.adhesion.slip import SlipAnalysis, slip
 from trainlog.errors import InputError, LogError
@@ -260,7 +257,7 @@ class TestMerging:
 
 class TestObserved:
     def spotted(self) -> TrackConditionMap:
-        """Onsets at 500 m only; adhesion borne without slip everywhere."""
+        """Onsets at 500 m only; adhesion used without slip everywhere."""
         weight = NOTHING.copy()
         weight[20] = 70.0
         censored = NO_LEVELS.copy()
@@ -277,7 +274,7 @@ class TestObserved:
             for i in range(2, 8)
         ])[0]  # fmt: skip
 
-    def test_what_was_only_borne_is_not_observed(self) -> None:
+    def test_what_was_used_without_slip_is_not_observed(self) -> None:
         """However many trips bore 0.12 without slip: the maximum was not seen."""
         layer = self.spotted().layer("dry")
         assert layer.observed[20]
@@ -353,13 +350,15 @@ def trip() -> Trip:
 class TestTrips:
     def test_logs_become_a_map(self, trip: Trip, tmp_path: Path) -> None:
         write_log(trip, tmp_path / "a.mcap")
-        track, skipped = update_logs(None, [tmp_path / "a.mcap"])
-        assert skipped == ()
+        found = adhesion_map([tmp_path / "a.mcap"])
+        track = found.track
+        assert found.skipped == ()
         assert track.line == "hilly"
         assert track.layer("dry").events.sum() > 0
-        again, skipped = update_logs(track, [tmp_path / "a.mcap"])
-        assert skipped == (trip.name,)
-        assert map_to_bytes(again) == map_to_bytes(track)
+        again = adhesion_map(tmp_path, track)
+        assert again.skipped == (trip.name,)
+        assert map_to_bytes(again.track) == map_to_bytes(track)
+        assert trip.name in repr(again)
 
     def test_evidence_of_a_trip_is_one_entry_a_bin(self, trip: Trip) -> None:
         found = evidence(trip, empty_map(hilly_line()))
@@ -396,12 +395,12 @@ class TestTrips:
         topics = {n: f for n, f in trip.topics.items() if n != "/train/axles"}
         write_log(replace(trip, topics=topics), tmp_path / "b.mcap")
         with pytest.raises(LogError, match=r"b\.mcap: .* no topic /train/axles") as refused:
-            update_logs(None, [tmp_path / "b.mcap"])
+            adhesion_map([tmp_path / "b.mcap"])
         assert refused.value.file == tmp_path / "b.mcap"
 
     def test_no_logs(self) -> None:
-        with pytest.raises(InputError, match="no log was given"):
-            update_logs(None, [])
+        with pytest.raises(InputError, match="no trip was given"):
+            adhesion_map([])
 
 
 class TestPicture:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.adhesion.condition_map import empty_map, evidence, update
+from analysis.adhesion.condition_map import empty_map, update
+from analysis.adhesion.evidence import evidence
 from analysis.truth import Truth, true_adhesion, truth_of
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

@@ -20,13 +20,12 @@ from analysis.adhesion.evidence import (
     Prior,
     check_line,
     condition_of,
-    evidence,
-    evidence_of,
     evidence_of_parts,
     setting,
     solve_field,
 )
-from analysis.adhesion.slip import SlipAnalysis, slip
+from analysis.adhesion.slip import TOPICS, SlipAnalysis, slip
+from analysis.given import Given, each_given
 from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
@@ -39,23 +38,6 @@ from trainlog.railway.line import Line
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]
-
-__all__ = [
-    "Evidence",
-    "LayerSummary",
-    "Spot",
-    "empty_map",
-    "evidence",
-    "evidence_of",
-    "merge",
-    "prior_of",
-    "summary",
-    "update",
-    "update_logs",
-]
-
-TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/estimates/state")
-"""What is read of each log."""
 
 LEVELS = np.round(np.arange(0.02, 0.601, 0.01), 2)
 """Adhesion levels of the censoring histograms."""
@@ -73,8 +55,8 @@ SETTINGS: dict[str, float] = {
 """How a map is made; every map records its own.
 
 prior_dry, prior_wet, prior_other
-    Maximum adhesion expected of a layer before any evidence (paper 003, table 1; between the two
-    for layers of any other name).
+    Maximum adhesion expected of a layer before any evidence (Zhao et al., 2025, table 1; between
+    the two for layers of any other name).
 prior_std, correlation_length [m]
     Of the logarithm of the maximum adhesion along a line.
 trip_std
@@ -174,48 +156,86 @@ def update(
     return _solved(track, sums, trips), tuple(skipped)
 
 
-def update_logs(
-    known: TrackConditionMap | None, logs: Iterable[Path], layer: str | None = None
-) -> tuple[TrackConditionMap, tuple[str, ...]]:
-    """Add log files to a map; None begins a new one on the line of the first log.
+@dataclass(frozen=True, eq=False, repr=False)
+class UpdatedMap:
+    """A track-condition map to which trips were added.
 
-    A log is told from others by the SHA-256 of its file. One too long for the memory is analysed
-    in stretches: what is taken from a whole trip, the sizes of the noise and the wheel diameters,
-    is then that of the stretch.
+    Attributes
+    ----------
+    track : TrackConditionMap
+    skipped : tuple of str
+        Names of the trips that the map held already; they were not counted again.
+    """
+
+    track: TrackConditionMap
+    skipped: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        skipped = ", ".join(self.skipped[:4]) + (" and more" if len(self.skipped) > 4 else "")
+        return repr(self.track) + (f"\n  held already: {skipped}" if skipped else "")
+
+    def _repr_html_(self) -> str:
+        from analysis.adhesion.table import map_table
+        from analysis.tables import as_page
+
+        return self.track._repr_html_() + as_page(map_table(self.track))
+
+    @property
+    def layers(self) -> tuple[LayerSummary, ...]:
+        """What each layer amounts to, with its lowest spots."""
+        return summary(self.track)
+
+
+def adhesion_map(
+    trips: Given | Iterable[Given],
+    known: TrackConditionMap | None = None,
+    layer: str | None = None,
+) -> UpdatedMap:
+    """Learn maximum adhesion along a line from trips, or add trips to a map.
+
+    A log is identified by the SHA-256 of its file, a trip at hand by its name. A log too long for
+    the memory is analysed in stretches: what is taken from a whole trip, the sizes of the noise and
+    the wheel diameters, is then that of the stretch.
 
     Parameters
     ----------
-    known : TrackConditionMap or None
-    logs : iterable of path
+    trips : Trip, path, or iterable of them
+        Trips at hand, logs and folders of logs.
+    known : TrackConditionMap, optional
+        Default: a new one, on the line of the first trip.
     layer : str, optional
-        Rail condition of all of them; default: what each log says.
-
-    Returns
-    -------
-    track : TrackConditionMap
-    skipped : tuple of str
-        Names of the trips that the map held already.
+        Rail condition of all trips; default: what each states (metadata ``weather``).
 
     Raises
     ------
     TrainlogError
-        If a log cannot be used; the message names its file.
+        If a trip cannot be used; the message names the file of a log.
+
+    Examples
+    --------
+    >>> found = adhesion_map("sample_logs/nonstop.mcap")
+    >>> [(each.layer, each.trips) for each in found.layers]
+    [('dry', 1)]
     """
     track = known
     pieces = []
-    for path in logs:
-        trip = read_log(path, topics=[])
+    for given in each_given(trips):
+        path = None if isinstance(given, Trip) else given
+        trip = given if isinstance(given, Trip) else read_log(given, topics=[])
         try:
             if track is None:
                 track = empty_map(_own_line(trip))
             condition = condition_of(trip, track, layer)
-            parts = _analysed(path)
-            pieces.append(evidence_of_parts(parts, track, condition, sha256=sha256_of(path)))
+            parts = [slip(trip)] if path is None else _analysed(path)
+            digest = "" if path is None else sha256_of(path)
+            pieces.append(evidence_of_parts(parts, track, condition, sha256=digest))
         except TrainlogError as error:
+            if path is None:
+                raise
             raise type(error)(error.problem, file=path, remedy=error.remedy) from error
     if track is None:
-        raise InputError("no log was given", remedy="name logs to build the map from")
-    return update(track, pieces)
+        raise InputError("no trip was given", remedy="name trips or logs to build the map from")
+    return UpdatedMap(*update(track, pieces))
 
 
 def _analysed(path: Path) -> Iterator[SlipAnalysis]:

@@ -1,8 +1,8 @@
 """Adhesion that a controller may count on, bin by bin, and how the map came by it.
 
-Slip shows the maximum where it is met. Everywhere else a trip only shows that the rail bore what
-was asked of it; and where little was asked the map tells nothing, so that what is counted on there
-is an assumption, and is called one.
+Slip shows the maximum where it is met. Everywhere else a trip only demonstrates the adhesion that
+it used without slip; and where little was used the map knows nothing, so that what is counted on
+there is an assumption, and is called one.
 
 This is right for what is planned ahead and must hold: trajectories, references, the guarantees of
 studies. A driver on the way, who sees slip and eases off, expects the likely where the map was not
@@ -26,7 +26,7 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class AssuredAdhesion:
+class UsableAdhesion:
     """What may be counted on along a line; (n,) arrays by bin of the map.
 
     Attributes
@@ -36,19 +36,19 @@ class AssuredAdhesion:
         Infinite where nothing is known and nothing is assumed.
     seen : (n,) bool array
         From the maximum itself, which slip in or near the bin has shown.
-    borne : (n,) bool array
-        From what the rail bore without slip, more than would have been assumed.
+    demonstrated : (n,) bool array
+        From what trips used without slip, more than would have been assumed.
     """
 
     bin_length: float
     values: FloatArray
     seen: BoolArray
-    borne: BoolArray
+    demonstrated: BoolArray
 
     @property
     def assumed(self) -> BoolArray:
         """Bins in which only an assumption is counted on; (n,)."""
-        return np.asarray(~self.seen & ~self.borne)
+        return np.asarray(~self.seen & ~self.demonstrated)
 
     @property
     def profile(self) -> StepProfile:
@@ -57,14 +57,14 @@ class AssuredAdhesion:
         return StepProfile(starts, self.values)
 
 
-def assured_adhesion(
+def usable_adhesion(
     track: TrackConditionMap, layer: str, *, sigmas: float = 1.0, assumed: float = np.inf
-) -> AssuredAdhesion:
+) -> UsableAdhesion:
     """What a map lets a controller count on.
 
     Where the map observed the maximum, its estimate less `sigmas` standard deviations; what was
-    borne without slip is part of that estimate. Elsewhere the more of what was borne
-    (`borne_adhesion`) and of what is assumed.
+    used without slip is part of that estimate. Elsewhere the more of what was demonstrated
+    (`demonstrated_adhesion`) and of what is assumed.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def assured_adhesion(
     sigmas : float
         How cautious.
     assumed : float
-        Where the map tells nothing; by default there is no limit.
+        Where the map knows nothing; by default there is no limit.
 
     Raises
     ------
@@ -87,22 +87,27 @@ def assured_adhesion(
         )
     known = track.lower_bound(layer, track.centres, sigmas)
     seen = np.isfinite(known)
-    # Where nothing limits anything, nothing borne can be more.
-    borne = borne_adhesion(track, layer, sigmas) if np.isfinite(assumed) else np.zeros(track.bins)
-    return AssuredAdhesion(
+    # Where nothing limits anything, nothing demonstrated can be more.
+    demonstrated = (
+        demonstrated_adhesion(track, layer, sigmas)
+        if np.isfinite(assumed)
+        else np.zeros(track.bins)
+    )
+    return UsableAdhesion(
         track.bin_length,
-        np.where(seen, known, np.maximum(borne, assumed)),
+        np.where(seen, known, np.maximum(demonstrated, assumed)),
         seen,
-        ~seen & (borne > assumed),
+        ~seen & (demonstrated > assumed),
     )
 
 
-def borne_adhesion(track: TrackConditionMap, layer: str, sigmas: float = 1.0) -> FloatArray:
-    """Cautious bound of the maximum adhesion from what each bin bore without slip; 0 where nothing.
+def demonstrated_adhesion(track: TrackConditionMap, layer: str, sigmas: float = 1.0) -> FloatArray:
+    """Cautious bound of the maximum adhesion that trips demonstrated in each bin; 0 if none.
 
     The maximum of one trip scatters about that of the place by ``trip_std``, and what the model
-    leaves out adds ``model_std``. Where n trips bore a level, it is therefore lowered by `sigmas`
-    times ``sqrt(trip_std²/n + model_std²)`` of its logarithm; the best of all levels counts.
+    leaves out adds ``model_std``. Where n trips used a level without slip, it is therefore
+    lowered by `sigmas` times ``sqrt(trip_std²/n + model_std²)`` of its logarithm; the best of all
+    levels counts.
 
     Parameters
     ----------

@@ -96,14 +96,14 @@ def _draw_layer(
     )
     if truth is not None:
         axes.stairs(truth, edges, baseline=None, color=INK, linewidth=0.8, label="truth")
-    borne = np.fmax.reduce(np.where(layer.censored > 0.0, track.levels, np.nan), axis=1)
+    used = np.fmax.reduce(np.where(layer.censored > 0.0, track.levels, np.nan), axis=1)
     axes.stairs(
-        borne,
+        used,
         edges,
         baseline=None,
         color=GREY,
         linewidth=0.8,
-        label="borne without slip",
+        label="used without slip",
     )
     # Bins are narrow on a long line: the estimate is drawn as points with bars.
     seen = layer.observed

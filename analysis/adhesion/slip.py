@@ -1,13 +1,14 @@
 """Slip of the powered axles over a trip: speeds, adhesion in use, and slip events.
 
 Of a slip event only the onset measures the maximum adhesion: while the slip grows the force
-between wheel and rail rises to its maximum and falls beyond it (paper 003, eq. 10). Every other
-sample says that the maximum is at least what is in use.
+between wheel and rail rises to its maximum and falls beyond it (Zhao et al., 2025, eq. 10). Every
+other sample shows that the maximum is at least what is in use.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,10 @@ from estimators.slip import (
     impulse,
     train_speed,
 )
+from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
+from trainlog.mcap import read_log
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans
@@ -35,6 +38,9 @@ from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/estimates/state")
+"""What is read of a log."""
 
 ADHESION_RATE = 0.12
 """How fast adhesion in use may wander, for the observer [1/s^0.5]: from nothing to the maximum in
@@ -78,7 +84,7 @@ CUT = 0.7
 """Effort over the effort at peak slip, half a second later, below which slip protection acted."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SlipAnalysis:
     """What the powered axles did on one trip, at the axles' own samples.
 
@@ -115,6 +121,33 @@ class SlipAnalysis:
     slipping: BoolArray
     wheel_factor: FloatArray
     events: pd.DataFrame
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        time = (self.time - self.time[0]).total_seconds().to_numpy()
+        most = np.abs(self.adhesion).max(axis=1)
+        curves = {"speed [m/s]": self.speed, "adhesion in use, greatest of the axles": most}
+        return as_html(self._title, self._summary(), picture(time, curves))
+
+    @property
+    def _title(self) -> str:
+        minutes = (self.time[-1] - self.time[0]).total_seconds() / 60.0
+        return f"Slip of {self.adhesion.shape[1]} axles on trip '{self.trip}', {minutes:.1f} min"
+
+    def _summary(self) -> dict[str, str]:
+        events = self.events
+        traction = int(np.count_nonzero(events["kind"] == "traction"))
+        onsets = events.loc[events["measured"], "adhesion"].to_numpy(np.float64)
+        measured = f"{onsets.size} show the maximum adhesion"
+        return {
+            "events": f"{len(events)}, {traction} in traction and {len(events) - traction} in"
+            " braking",
+            "of these": measured + (f", {span(onsets, digits=3)}" if onsets.size else ""),
+            "adhesion in use": f"up to {np.nanmax(np.abs(self.adhesion)):.3f}",
+            "wheels": f"measure {span(self.wheel_factor, digits=4)} times the speed",
+        }
 
     def part(self, span: tuple[int, int]) -> SlipAnalysis:
         """The samples from one instant to another [ns since 1970 UTC], and what began then."""
@@ -205,15 +238,27 @@ class SlipAnalysis:
         )
 
 
-def slip(trip: Trip) -> SlipAnalysis:
+def slip(trip: Trip | str | Path) -> SlipAnalysis:
     """Slip, adhesion in use and slip events of a trip that carries its line and its train.
+
+    Parameters
+    ----------
+    trip : Trip or path
+        A trip at hand, or a log, with ``/train/axles`` and a position.
 
     Raises
     ------
     LogError
         If the trip has no axles, fewer or more than its train, no position, a load that is no
         number, or lacks line or train.
+
+    Examples
+    --------
+    >>> found = slip("sample_logs/nonstop.mcap")
+    >>> found.adhesion.shape[1], found.events["kind"].unique().tolist()
+    (4, ['traction', 'braking'])
     """
+    trip = trip if isinstance(trip, Trip) else read_log(trip, TOPICS)
     train, line = train_of(trip), line_of(trip)
     frame = trip["/train/axles"]
     wheels, efforts = _recorded(trip, frame, train)

@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.given import Given, each_given
+from trainlog.display import as_text
 from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
 from trainlog.mcap import read_log
@@ -320,21 +322,84 @@ class Saving:
         return self.driver.line - self.trajectory.line
 
 
-def savings(drivers: Sequence[Recorded], followed: Sequence[Recorded]) -> tuple[Saving, ...]:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """Drivers' trips beside trips that followed a trajectory.
+
+    Attributes
+    ----------
+    pairs : tuple of Saving
+    """
+
+    pairs: tuple[Saving, ...]
+
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        from analysis.comparison.table import savings_table
+        from analysis.tables import as_page
+
+        return as_page(savings_table(self))
+
+    @property
+    def _title(self) -> str:
+        return f"Drivers beside the trajectory: {len(self.pairs)} pairs of trips"
+
+    def _summary(self) -> dict[str, str]:
+        spent, saved = self.total_saved
+        driver, own = self.running_times
+        return {
+            "tractive energy": f"{saved / 3.6e6:.2f} of {spent / 3.6e6:.2f} kWh saved,"
+            f" {saved / spent:.1%}",
+            "running time": f"{own:.0f} s on the trajectory, {driver:.0f} s by the drivers",
+        }
+
+    @property
+    def total_saved(self) -> tuple[float, float]:
+        """Tractive work of the drivers, and what the trajectory saved of it [J]."""
+        spent = sum(pair.driver.traction for pair in self.pairs)
+        return spent, sum(pair.traction for pair in self.pairs)
+
+    @property
+    def running_times(self) -> tuple[float, float]:
+        """Mean running time of the drivers and on the trajectory [s]."""
+        times = [(each.driver.running_time, each.trajectory.running_time) for each in self.pairs]
+        driver, trajectory = np.mean(times, axis=0).tolist()
+        return driver, trajectory
+
+
+def compare(drivers: Given | Iterable[Given], followed: Given | Iterable[Given]) -> Comparison:
     """Pair drivers' trips with trips that followed a trajectory, configuration by configuration.
 
     A pair is comparable when the followed trip was driven with the configuration observed on the
     driver's trip (metadata ``configuration``), in the same direction, over the same distance,
     and neither stopped on the way.
 
+    Parameters
+    ----------
+    drivers, followed : Trip, path, or iterable of them
+        Trips at hand, logs and folders of logs.
+
     Raises
     ------
     LogError
         If no pair is comparable.
+
+    Examples
+    --------
+    A trip beside itself, as if it had followed a trajectory with its own configuration:
+
+    >>> from dataclasses import replace
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap")
+    >>> same = replace(trip, metadata={**trip.metadata, "configuration": trip.name})
+    >>> compare(trip, same).pairs[0].traction
+    0.0
     """
-    by_name = {_described(trip).name: trip for trip in drivers}
+    by_name = {_described(trip).name: trip for trip in each_given(drivers)}
     pairs, unlike = [], list[tuple[int, str]]()
-    for trip in followed:
+    for trip in each_given(followed):
         observed = by_name.get(_described(trip).metadata.get("configuration", ""))
         if observed is None:
             name = _described(trip).name
@@ -352,7 +417,7 @@ def savings(drivers: Sequence[Recorded], followed: Sequence[Recorded]) -> tuple[
             f"no trip that followed the trajectory has a comparable trip by a driver: {nearest}",
             remedy="needs one non-stop trip of the same configuration, direction and distance",
         )
-    return tuple(pairs)
+    return Comparison(tuple(pairs))
 
 
 def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.adhesion.demonstrated import assured_adhesion
+from analysis.adhesion.demonstrated import usable_adhesion
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
@@ -290,7 +290,7 @@ class TrajectoryProblem:
                 remedy="give 0 or more",
             )
         lower = self.condition_map.lower_bound(self.layer, self.condition_map.centres, self.sigmas)
-        wrong = np.flatnonzero(~((lower > 0.0) & (self._assured > 0.0)))
+        wrong = np.flatnonzero(~((lower > 0.0) & (self._usable > 0.0)))
         if wrong.size:
             raise InputError(
                 f"{where}: the track-condition map holds no adhesion at"
@@ -334,11 +334,11 @@ class TrajectoryProblem:
         return np.unique(np.concatenate(([self.start], inside, [self.end])))
 
     @cached_property
-    def _assured(self) -> FloatArray:
+    def _usable(self) -> FloatArray:
         """Adhesion to count on in each bin of the map; infinite where nothing limits."""
         if self.condition_map is None:
             return np.zeros(0)
-        return assured_adhesion(
+        return usable_adhesion(
             self.condition_map, self.layer, sigmas=self.sigmas, assumed=self.assumed_adhesion
         ).values
 
@@ -347,7 +347,7 @@ class TrajectoryProblem:
         if self.condition_map is None:
             return np.full(positions.shape, np.inf)
         own = self.line.length - positions if self.direction == "reverse" else positions
-        return np.asarray(self._assured[self.condition_map.bin_of(own)])
+        return np.asarray(self._usable[self.condition_map.bin_of(own)])
 
     def adhesion(self, positions: FloatArray) -> FloatArray:
         """Cautious maximum adhesion in each cell between `positions`; infinite where unknown."""
@@ -358,7 +358,7 @@ class TrajectoryProblem:
             # The map is counted in the line's own direction.
             turned = replace(self, direction="forward")
             return turned.adhesion(self.line.length - positions[::-1])[::-1]
-        bins = self._assured
+        bins = self._usable
         first = self.condition_map.bin_of(positions[:-1])
         last = self.condition_map.bin_of(np.nextafter(positions[1:], -np.inf))
         spans = np.column_stack((first, last + 1)).ravel()

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.adhesion.condition_map import Evidence, empty_map, evidence, update
+from analysis.adhesion.condition_map import empty_map, update
+from analysis.adhesion.evidence import Evidence, evidence
 from analysis.resistance import TripFit, combine, fit_trip
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.errors import NotIdentifiableError

@@ -14,7 +14,8 @@ import argparse
 
 import numpy as np
 
-from analysis.adhesion.condition_map import empty_map, evidence_of, update
+from analysis.adhesion.condition_map import empty_map, update
+from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.truth import Truth, true_adhesion, truth_of
 from estimators.slip import SlipDetector

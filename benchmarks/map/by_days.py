@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from analysis.adhesion.condition_map import update_logs
+from analysis.adhesion.condition_map import adhesion_map
 from analysis.studies.hauck_2023 import scenarios as study
 from analysis.studies.hauck_2023.days import (
     LAYER,
@@ -56,7 +56,7 @@ def caution(known: study.World, sigmas: Sequence[float], folder: Path) -> None:
     """A second day, by how cautiously its map is read."""
     rail = known.rails["bad"]
     day = first_day(known.plan, rail, study.drawn_masses(1, 3).tolist(), folder, 1)
-    track, _ = update_logs(None, day.logs, LAYER)
+    track = adhesion_map(day.logs, layer=LAYER).track
     rails = {level: StepProfile(rail.positions, level * rail.values) for level in LEVELS}
     blind = with_map(known.plan, NO_MAP)
     for level, met in rails.items():

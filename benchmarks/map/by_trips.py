@@ -18,7 +18,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.adhesion.condition_map import empty_map, evidence_of, update
+from analysis.adhesion.condition_map import empty_map, update
+from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import slip
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

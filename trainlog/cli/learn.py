@@ -69,7 +69,9 @@ def fit(
     shown = destination(picture or output.with_suffix(".png"), ".png")
     kept = destination(output.with_suffix(SUFFIX), SUFFIX)
     if not 0.0 < cover < 100.0:
-        raise InputError(f"--cover {cover:g} makes no sense", remedy="give a share in %, below 100")
+        raise InputError(
+            f"--cover {cover:g} must be above 0 and below 100", remedy="give a share in %"
+        )
     drawn = None if per_trip is None else made_folder(per_trip)
     # Summaries first: the logs that they hold need not be read.
     paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
@@ -107,8 +109,8 @@ def estimate(
                 raise InputError("would be overwritten", file=log, remedy="name another folder")
             made_folder(output)
             for refusal in estimate_log(log, output / log.name):
-                told = f"  not estimated: {refusal}"
-                progress.console.print(told, highlight=False, markup=False, soft_wrap=True)
+                words = f"  not estimated: {refusal}"
+                progress.console.print(words, highlight=False, markup=False, soft_wrap=True)
             wrote(output / log.name)
 
 
@@ -118,7 +120,7 @@ def map_update(
     condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
     layer: Annotated[
         Literal["dry", "wet"] | None,
-        typer.Option(help="Rail condition; default: the weather that each log tells."),
+        typer.Option(help="Rail condition; default: the weather that each log states."),
     ] = None,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
@@ -127,7 +129,7 @@ def map_update(
 
     Example: trainlog map update results/trips --map results/map.json
     """
-    from analysis.adhesion.condition_map import update_logs
+    from analysis.adhesion.condition_map import adhesion_map
     from analysis.adhesion.plot import draw_map
     from analysis.adhesion.table import map_table
     from trainlog.formats.condition import read_map, write_map
@@ -136,14 +138,14 @@ def map_update(
     known = read_map(condition) if condition.exists() else None
     with progress_bar() as progress:
         every = progress.track(logs_in(logs), description="mapping")
-        updated, told = update_logs(known, every, layer)
-    for trip in told:
+        found = adhesion_map(every, known, layer)
+    for trip in found.skipped:
         console.print(
             f"  {trip}: in the map already, not counted again", highlight=False, markup=False
         )
-    write_map(updated, condition)
-    draw_map(updated, condition.with_suffix(".png"))
-    console.print(map_table(updated))
+    write_map(found.track, condition)
+    draw_map(found.track, condition.with_suffix(".png"))
+    console.print(map_table(found.track))
     wrote(condition, condition.with_suffix(".png"))
 
 

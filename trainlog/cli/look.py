@@ -132,13 +132,13 @@ def compare(
 
     Example: trainlog compare results/trips --with results/driven
     """
-    from analysis.comparison.cost import savings
+    from analysis.comparison.cost import compare as compare_trips
     from analysis.comparison.table import savings_table
 
     for each in followed:
         if len(followed) > 1:
             console.print(f"with {each}", highlight=False)
-        console.print(savings_table(savings(logs_in(logs), logs_in([each]))))
+        console.print(savings_table(compare_trips(logs_in(logs), logs_in([each]))))
 
 
 @app.command(rich_help_panel="Look")
@@ -149,6 +149,6 @@ def report(
 
     Example: trainlog report results
     """
-    from analysis.reporting import results_table
+    from analysis import reporting
 
-    console.print(results_table(results))
+    console.print(reporting.report_table(reporting.report(results)))

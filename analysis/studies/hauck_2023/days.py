@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.adhesion.condition_map import update_logs
-from analysis.adhesion.demonstrated import AssuredAdhesion, assured_adhesion, typical_adhesion
+from analysis.adhesion.condition_map import adhesion_map
+from analysis.adhesion.demonstrated import UsableAdhesion, typical_adhesion, usable_adhesion
 from analysis.studies.hauck_2023.reference import reference
 from analysis.studies.hauck_2023.run import NO_MAP, SHORTEST_DWELL, Plan, Run, run, with_map
 from analysis.studies.hauck_2023.section import PLANNING, Section, fastest, section_of
@@ -49,7 +49,7 @@ class Day:
     number : int
     track : TrackConditionMap or None
         Made of the logs of all days before; None on the first.
-    known : AssuredAdhesion or None
+    known : UsableAdhesion or None
         What the controllers counted on.
     plan : tuple of Reference
         That they followed.
@@ -62,7 +62,7 @@ class Day:
 
     number: int
     track: TrackConditionMap | None
-    known: AssuredAdhesion | None
+    known: UsableAdhesion | None
     plan: Plan
     rail: StepProfile
     runs: tuple[Run, ...]
@@ -116,12 +116,12 @@ class Days:
         return np.array([each.late for each in day.runs])
 
 
-Counting = Callable[[TrackConditionMap], AssuredAdhesion]
+Counting = Callable[[TrackConditionMap], UsableAdhesion]
 """What a day's controllers count on when they have a map."""
 
 
-def cautious(track: TrackConditionMap, sigmas: float = SIGMAS) -> AssuredAdhesion:
-    """The map's cautious estimate; elsewhere what was borne, or what is typical of the line.
+def cautious(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion:
+    """The map's cautious estimate; elsewhere what was demonstrated, or what is typical of the line.
 
     Raises
     ------
@@ -129,12 +129,12 @@ def cautious(track: TrackConditionMap, sigmas: float = SIGMAS) -> AssuredAdhesio
         If no maximum was seen anywhere.
     """
     typical = typical_adhesion(track, LAYER, sigmas)
-    return assured_adhesion(track, LAYER, sigmas=sigmas, assumed=typical)
+    return usable_adhesion(track, LAYER, sigmas=sigmas, assumed=typical)
 
 
-def trying(track: TrackConditionMap) -> AssuredAdhesion:
+def trying(track: TrackConditionMap) -> UsableAdhesion:
     """The map's cautious estimate; elsewhere whatever the train can ask for, to see what holds."""
-    return assured_adhesion(track, LAYER, sigmas=SIGMAS, assumed=float(NO_MAP.values[0]))
+    return usable_adhesion(track, LAYER, sigmas=SIGMAS, assumed=float(NO_MAP.values[0]))
 
 
 def first_day(
@@ -177,7 +177,7 @@ def next_day(
     counting : callable
     """
     number = before.number + 1
-    track, _ = update_logs(before.track, before.logs, LAYER)
+    track = adhesion_map(before.logs, before.track, LAYER).track
     known = counting(track)
     made = replanned(plan, known.profile, before.plan if before.known else ())
     asked = timetable_of(plan)

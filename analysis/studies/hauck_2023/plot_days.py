@@ -81,7 +81,7 @@ def _draw_rail(axes: Axes, day: Day) -> None:
     axes.plot(km, day.rail(track.centres), color=GREY, linewidth=0.7, label="the rail as it is")
     for where, colour, mark, size, label in (
         (known.assumed, ORANGE, "_", 4.0, "assumed"),
-        (known.borne, GREEN, "o", 3.0, "borne without slip"),
+        (known.demonstrated, GREEN, "o", 3.0, "used without slip"),
         (known.seen, BLUE, "o", 4.0, "seen: slip has shown the maximum"),
     ):
         if not where.any():

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.adhesion.demonstrated import assured_adhesion
+from analysis.adhesion.demonstrated import usable_adhesion
 from analysis.control.route import GRID, value
 from analysis.studies.hauck_2023 import dynamics as dynamics
 from analysis.studies.hauck_2023.dynamics import Tables
@@ -393,7 +393,7 @@ def adhesion_profile(
     sigmas : float
         How cautious: standard deviations below the estimate.
     unobserved : float, optional
-        What to count on where the map tells nothing and no more was borne without slip; without
+        What to count on where the map tells nothing and no more was used without slip; without
         it a map with holes is refused. See `analysis.adhesion.demonstrated`.
 
     Raises
@@ -404,7 +404,7 @@ def adhesion_profile(
     if unobserved is not None and not 0.0 < unobserved < 1.0:
         raise InputError(f"an adhesion of {unobserved} is not between 0 and 1")
     assumed = np.inf if unobserved is None else unobserved
-    known = assured_adhesion(track, layer, sigmas=sigmas, assumed=assumed)
+    known = usable_adhesion(track, layer, sigmas=sigmas, assumed=assumed)
     holes = ~np.isfinite(known.values)
     if np.any(holes):
         first = track.bin_length * int(np.argmax(holes))

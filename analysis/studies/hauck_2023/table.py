@@ -175,7 +175,7 @@ def days_table(days: Days) -> Table:
         "latest s",
         "mean s",
         "farthest from a stop m",
-        "bins seen / borne / assumed",
+        "bins seen / demonstrated / assumed",
         "map's error % (bias, rms)",
     )
     for day in days.days:
@@ -213,7 +213,7 @@ def _bins(day: Day) -> str:
     if known is None:
         return "-"
     return " / ".join(
-        f"{np.count_nonzero(each)}" for each in (known.seen, known.borne, known.assumed)
+        f"{np.count_nonzero(each)}" for each in (known.seen, known.demonstrated, known.assumed)
     )
 
 

@@ -12,7 +12,7 @@ from simulated_line import flirt, level_line
 from trajectory_cases import observed
 
 from analysis.adhesion.condition_map import SETTINGS
-from analysis.adhesion.demonstrated import assured_adhesion, borne_adhesion, typical_adhesion
+from analysis.adhesion.demonstrated import demonstrated_adhesion, typical_adhesion, usable_adhesion
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
@@ -22,13 +22,13 @@ BINS = 40
 
 
 def made(
-    seen: dict[int, float] | None = None, borne: dict[tuple[int, int], float] | None = None
+    seen: dict[int, float] | None = None, demonstrated: dict[tuple[int, int], float] | None = None
 ) -> TrackConditionMap:
     """A map with estimates of 10 per cent where seen, and trips that bore levels."""
     observed, mean, censored = np.zeros(BINS, bool), np.zeros(BINS), np.zeros((BINS, LEVELS.size))
     for index, adhesion in (seen or {}).items():
         observed[index], mean[index] = True, np.log(adhesion)
-    for place, trips in (borne or {}).items():
+    for place, trips in (demonstrated or {}).items():
         censored[place] = trips
     nothing = np.zeros(BINS)
     layer = ConditionLayer(
@@ -39,25 +39,27 @@ def made(
     )
 
 
-def test_each_bin_is_seen_borne_or_assumed() -> None:
+def test_each_bin_is_seen_demonstrated_or_assumed() -> None:
     track = made({3: 0.07}, {(8, 3): 4.0, (9, 0): 4.0})
-    found = assured_adhesion(track, "wet", assumed=0.05)
+    found = usable_adhesion(track, "wet", assumed=0.05)
     assert np.flatnonzero(found.seen).tolist() == [3]
-    assert np.flatnonzero(found.borne).tolist() == [8]
-    assert np.all(found.seen.astype(int) + found.borne + found.assumed == 1)
+    assert np.flatnonzero(found.demonstrated).tolist() == [8]
+    assert np.all(found.seen.astype(int) + found.demonstrated + found.assumed == 1)
     assert found.values[3] == pytest.approx(0.07 * np.exp(-0.1))
     assert np.all(found.values[found.assumed] == 0.05)
     assert found.profile(210.0) == found.values[8] > 0.05
 
 
 def test_where_nothing_is_known_there_is_no_limit_unless_one_is_assumed() -> None:
-    found = assured_adhesion(made({3: 0.07}, {(8, 3): 1.0}), "wet")
+    found = usable_adhesion(made({3: 0.07}, {(8, 3): 1.0}), "wet")
     assert np.flatnonzero(np.isfinite(found.values)).tolist() == [3]
-    assert not found.borne.any()
+    assert not found.demonstrated.any()
 
 
 def test_a_level_is_trusted_the_more_the_more_trips_it_bore() -> None:
-    bound = borne_adhesion(made(borne={(1, 2): 1.0, (2, 2): 4.0, (3, 2): 1e6}), "wet", 1.0)
+    bound = demonstrated_adhesion(
+        made(demonstrated={(1, 2): 1.0, (2, 2): 4.0, (3, 2): 1e6}), "wet", 1.0
+    )
     once = 0.08 * np.exp(-np.hypot(SETTINGS["trip_std"], SETTINGS["model_std"]))
     assert bound[1] == pytest.approx(once)
     assert once < bound[2] < bound[3] == pytest.approx(0.08 * np.exp(-SETTINGS["model_std"]))
@@ -69,15 +71,15 @@ def test_a_level_is_trusted_the_more_the_more_trips_it_bore() -> None:
     st.floats(0.0, 3.0),
     st.integers(0, 3),
 )
-def test_no_more_is_counted_on_than_was_borne_and_further_trips_take_nothing_away(
+def test_no_more_is_counted_on_than_was_demonstrated_and_further_trips_take_nothing_away(
     trips: list[int], sigmas: float, further: int
 ) -> None:
-    borne = {(5, k): float(count) for k, count in enumerate(trips)}
-    before = borne_adhesion(made(borne=borne), "wet", sigmas)[5]
+    demonstrated = {(5, k): float(count) for k, count in enumerate(trips)}
+    before = demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5]
     highest = max((LEVELS[k] for k, count in enumerate(trips) if count), default=0.0)
     assert before <= highest
-    borne[5, further] += 1.0
-    assert borne_adhesion(made(borne=borne), "wet", sigmas)[5] >= before
+    demonstrated[5, further] += 1.0
+    assert demonstrated_adhesion(made(demonstrated=demonstrated), "wet", sigmas)[5] >= before
 
 
 def test_a_long_slippery_spot_counts_as_one_place() -> None:
@@ -87,17 +89,17 @@ def test_a_long_slippery_spot_counts_as_one_place() -> None:
 
 def test_nothing_is_typical_of_a_line_on_which_no_maximum_was_seen() -> None:
     with pytest.raises(InputError, match="no trip has shown the maximum adhesion of layer 'wet'"):
-        typical_adhesion(made(borne={(8, 3): 1.0}), "wet")
+        typical_adhesion(made(demonstrated={(8, 3): 1.0}), "wet")
 
 
 def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -> None:
     with pytest.raises(InputError, match=r"assumed adhesion of 0\.0 is not positive"):
-        assured_adhesion(made(), "wet", assumed=0.0)
+        usable_adhesion(made(), "wet", assumed=0.0)
     with pytest.raises(InputError, match="lacks the setting 'trip_std'"):
-        assured_adhesion(replace(made(), settings={}), "wet", assumed=0.05)
+        usable_adhesion(replace(made(), settings={}), "wet", assumed=0.05)
 
 
-def test_a_trajectory_counts_on_what_the_map_has_seen_what_was_borne_and_what_it_is_told() -> None:
+def test_a_trajectory_counts_on_what_was_seen_demonstrated_or_assumed() -> None:
     track = made({3: 0.07}, {(8, 3): 1.0})
     line = replace(level_line(track.length), name=track.line)
     run = TrajectoryProblem(
@@ -106,7 +108,7 @@ def test_a_trajectory_counts_on_what_the_map_has_seen_what_was_borne_and_what_it
     cells = np.linspace(0.0, 1_000.0, BINS + 1)
     assert np.flatnonzero(np.isfinite(run.adhesion(cells))).tolist() == [3]
     told = replace(run, assumed_adhesion=0.05)
-    counted = assured_adhesion(track, "wet", assumed=0.05)
+    counted = usable_adhesion(track, "wet", assumed=0.05)
     assert np.array_equal(told.adhesion(cells), counted.values)
     assert np.array_equal(told.adhesion_at(track.centres), counted.values)
     backwards = replace(told, direction="reverse")
