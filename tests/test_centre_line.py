@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from satellite_trips import Receiver, curve_of, drive, errors, winding
 
-from analysis.geometry.centre_line import Survey, geometry_of, line_of
+from analysis.geometry.centre_line import CentreLine, geometry_of, line_of
 from estimators.centre_line import CURVATURE_CHANGE, fitted_curve
 from trainlog.cli.main import run
 from trainlog.errors import InputError
@@ -38,15 +38,15 @@ def trips(count: int, track: Geometry | None = None, **options: object) -> list[
     return found
 
 
-def across(survey: Survey, track: Geometry) -> np.ndarray:
-    """Distance between the survey and the true track where trips support it [m]."""
+def across(centre_line: CentreLine, track: Geometry) -> np.ndarray:
+    """Distance between the centre_line and the true track where trips support it [m]."""
     true = track_of(track)
-    points = true.plane(survey.latitude, survey.longitude)
+    points = true.plane(centre_line.latitude, centre_line.longitude)
     return beside(true, points, nearest_on(true, points)[0])[1]
 
 
 @pytest.fixture(scope="module")
-def survey() -> Survey:
+def centre_line() -> CentreLine:
     return geometry_of(trips(4))
 
 
@@ -81,31 +81,31 @@ def test_the_deviations_of_a_curve_are_its_errors() -> None:
     assert 0.85 < np.std(bend) < 1.15
 
 
-def test_a_line_lies_where_its_trips_ran(survey: Survey) -> None:
-    error = across(survey, winding())
+def test_a_line_lies_where_its_trips_ran(centre_line: CentreLine) -> None:
+    error = across(centre_line, winding())
     assert np.sqrt(np.mean(error**2)) < 1.2
-    assert np.mean(np.abs(error) < 1.96 * survey.std) > 0.9
-    assert abs(survey.length - 12_000.0) < 10.0
-    assert survey.unsupported == ()
-    assert survey.support.max() == 4
-    assert survey.rejected > 15
-    middle = (survey.position > 100.0) & (survey.position < survey.length - 100.0)
-    true = -np.clip(3.0 * np.sin(survey.position / 450.0), -1.0, 1.0) / 400.0
-    backwards = survey.latitude[0] > survey.latitude[-1]
+    assert np.mean(np.abs(error) < 1.96 * centre_line.std) > 0.9
+    assert abs(centre_line.length - 12_000.0) < 10.0
+    assert centre_line.unsupported == ()
+    assert centre_line.support.max() == 4
+    assert centre_line.rejected > 15
+    middle = (centre_line.position > 100.0) & (centre_line.position < centre_line.length - 100.0)
+    true = -np.clip(3.0 * np.sin(centre_line.position / 450.0), -1.0, 1.0) / 400.0
+    backwards = centre_line.latitude[0] > centre_line.latitude[-1]
     if backwards:
         true = -true[::-1]
-    assert np.sqrt(np.mean((survey.curvature - true)[middle] ** 2)) < 0.3e-3
+    assert np.sqrt(np.mean((centre_line.curvature - true)[middle] ** 2)) < 0.3e-3
 
 
-def test_more_trips_make_a_better_line(survey: Survey) -> None:
+def test_more_trips_make_a_better_line(centre_line: CentreLine) -> None:
     one = geometry_of(trips(1))
-    assert np.std(across(survey, winding())) < 0.8 * np.std(across(one, winding()))
-    assert np.median(survey.std) < np.median(one.std)
+    assert np.std(across(centre_line, winding())) < 0.8 * np.std(across(one, winding()))
+    assert np.median(centre_line.std) < np.median(one.std)
 
 
-def test_a_further_trip_finds_its_chainage_on_the_line_built(survey: Survey) -> None:
-    line = line_of(survey, "built")
-    backwards = survey.latitude[0] > survey.latitude[-1]
+def test_a_further_trip_finds_its_chainage_on_the_line_built(centre_line: CentreLine) -> None:
+    line = line_of(centre_line, "built")
+    backwards = centre_line.latitude[0] > centre_line.latitude[-1]
     trip, truth = drive(winding(), Receiver(), 9, reverse=backwards)
     frame = estimated_state(trip, line, PLAIN).frame
     assert frame is not None
@@ -129,13 +129,13 @@ def test_stretches_without_fixes_are_reported() -> None:
         for name, frame in frames.items():
             frame.attrs = trip[name].attrs
         found.append(Trip(frames, trip.metadata))
-    survey = geometry_of(found)
-    ((begin, end),) = survey.unsupported
+    centre_line = geometry_of(found)
+    ((begin, end),) = centre_line.unsupported
     assert abs(begin - 4_200.0) < 60.0
     assert abs(end - 4_800.0) < 60.0
-    inside = (survey.geometry.positions > begin) & (survey.geometry.positions < end)
+    inside = (centre_line.geometry.positions > begin) & (centre_line.geometry.positions < end)
     assert not inside.any()
-    assert any("no fixes from km 4." in stated for stated in survey.lines())
+    assert any("no fixes from km 4." in stated for stated in centre_line.lines())
 
 
 def test_trips_over_parts_of_a_line_are_put_together() -> None:
@@ -148,17 +148,17 @@ def test_trips_over_parts_of_a_line_are_put_together() -> None:
         for name, frame in frames.items():
             frame.attrs = trip[name].attrs
         parts.append(Trip(frames, trip.metadata))
-    survey = geometry_of(parts)
-    assert abs(survey.length - 12_000.0) < 30.0
-    assert len(survey.used) == 2
+    centre_line = geometry_of(parts)
+    assert abs(centre_line.length - 12_000.0) < 30.0
+    assert len(centre_line.used) == 2
 
 
 def test_a_trip_elsewhere_is_reported_and_not_used() -> None:
     away, _ = drive(curve_of(np.zeros(1_000), heading=2.0), Receiver(), 7)
-    survey = geometry_of([*trips(2), away])
-    assert [name for name, _ in survey.refused] == ["trip-07"]
-    assert "m from the line that the others make" in survey.refused[0][1]
-    assert len(survey.used) == 2
+    centre_line = geometry_of([*trips(2), away])
+    assert [name for name, _ in centre_line.refused] == ["trip-07"]
+    assert "m from the line that the others make" in centre_line.refused[0][1]
+    assert len(centre_line.used) == 2
 
 
 def test_trips_without_fixes_make_no_line() -> None:
@@ -192,21 +192,21 @@ METRO = ("007", "015", "016", "017", "024", "026", "034", "035", "036", "038", "
 def test_phones_on_a_metro_make_its_line() -> None:
     """Real movement: a fix every 11 s, good to 20 m, none in the tunnels and no speed."""
     rides = {ride.name.split("-")[1]: ride for ride in ingest_each(AALTO)}
-    survey = geometry_of([rides[number] for number in METRO])
-    assert len(survey.used) == len(METRO)
+    centre_line = geometry_of([rides[number] for number in METRO])
+    assert len(centre_line.used) == len(METRO)
     # Where it ends under the city is one phone's word.
-    assert 14_800.0 < survey.length < 16_800.0
-    known = survey.support > 0
+    assert 14_800.0 < centre_line.length < 16_800.0
+    known = centre_line.support > 0
     # No metro bends sharper than this, and none stands on its head.
-    assert np.abs(survey.curvature[known]).max() < 1.0 / 150.0
-    assert 1_000.0 < sum(end - begin for begin, end in survey.unsupported) < 5_000.0
+    assert np.abs(centre_line.curvature[known]).max() < 1.0 / 150.0
+    assert 1_000.0 < sum(end - begin for begin, end in centre_line.unsupported) < 5_000.0
     # A ride that took no part, by the phone with the best fixes.
     fix = rides["098"]["/gnss/fix"].dropna(subset=["latitude"])
-    track = track_of(survey.geometry)
+    track = track_of(centre_line.geometry)
     points = track.plane(fix["latitude"].to_numpy(), fix["longitude"].to_numpy())
     assert np.median(nearest_on(track, points)[1]) < 12.0
-    line = line_of(survey, "metro")
-    backwards = survey.longitude[0] > survey.longitude[-1]
+    line = line_of(centre_line, "metro")
+    backwards = centre_line.longitude[0] > centre_line.longitude[-1]
     frame = estimated_state(rides["098"], line.reversed() if backwards else line, PLAIN).frame
     assert frame is not None
     assert frame["position"].iloc[-1] - frame["position"].iloc[0] > 10_000.0

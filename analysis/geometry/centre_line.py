@@ -53,7 +53,7 @@ GAP = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
+class CentreLine:
     """A line's geometry, and what it rests on; arrays are (n,), one value a `STEP`.
 
     Attributes
@@ -101,13 +101,13 @@ class Survey:
         return float(self.geometry.positions[-1])
 
     def __repr__(self) -> str:
-        return "\n  ".join(["Survey", *self.lines()[:9]])
+        return "\n  ".join(["CentreLine", *self.lines()[:9]])
 
     def _repr_html_(self) -> str:
         known = np.where(self.support > 0, 1.0, np.nan)
         curves = {"curvature [1/km]": 1e3 * self.curvature * known, "trips": self.support}
         rows = {str(number): line for number, line in enumerate(self.lines(), 1)}
-        return as_html("Survey", rows, picture(self.position, curves, steps=("trips",)))
+        return as_html("CentreLine", rows, picture(self.position, curves, steps=("trips",)))
 
     def lines(self) -> list[str]:
         """What was found, in words."""
@@ -138,7 +138,7 @@ class _Pass:
     reason: str = ""
 
 
-def geometry_of(trips: Sequence[Trip]) -> Survey:
+def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     """The centre line of the track from the fixes of trips along it, in either direction.
 
     The longest trip gives a rough line, its gaps and ends filled from the others. Then, in turns,
@@ -159,8 +159,8 @@ def geometry_of(trips: Sequence[Trip]) -> Survey:
     Examples
     --------
     >>> from trainlog.mcap import read_log
-    >>> survey = geometry_of([read_log("sample_logs/nonstop.mcap")])
-    >>> bool(abs(survey.length - 29_556.0) < 100.0)
+    >>> centre_line = geometry_of([read_log("sample_logs/nonstop.mcap")])
+    >>> bool(abs(centre_line.length - 29_556.0) < 100.0)
     True
     """
     passes = _passes(trips)
@@ -180,10 +180,10 @@ def geometry_of(trips: Sequence[Trip]) -> Survey:
                 remedy="give trips along one line, each in one direction",
             )
         curve = _refitted(used)
-    return _survey(curve, used, [p for p in passes if p.matched is None], origin)
+    return _centre_line(curve, used, [p for p in passes if p.matched is None], origin)
 
 
-def line_of(survey: Survey, name: str) -> Line:
+def line_of(centre_line: CentreLine, name: str) -> Line:
     """A line with the surveyed geometry and curvature; its source names what is not known.
 
     A line needs speed limits and gradients: it gets the highest speed driven, rounded up to
@@ -192,25 +192,25 @@ def line_of(survey: Survey, name: str) -> Line:
     Examples
     --------
     >>> from trainlog.mcap import read_log
-    >>> survey = geometry_of([read_log("sample_logs/nonstop.mcap")])
-    >>> line_of(survey, "from fixes").source.endswith("gradients, stations, tunnels: not known")
+    >>> centre_line = geometry_of([read_log("sample_logs/nonstop.mcap")])
+    >>> line_of(centre_line, "from fixes").source.endswith("tunnels: not known")
     True
     """
-    limit = 5.0 / 3.6 * np.ceil(max(survey.fastest, 1.0) * 3.6 / 5.0)
-    missing = sum(end - start for start, end in survey.unsupported)
+    limit = 5.0 / 3.6 * np.ceil(max(centre_line.fastest, 1.0) * 3.6 / 5.0)
+    missing = sum(end - start for start, end in centre_line.unsupported)
     source = (
-        f"{survey.geometry.quality}; chainage counts along the fitted curve;"
+        f"{centre_line.geometry.quality}; chainage counts along the fitted curve;"
         f" {missing:.0f} m without fixes; speed limit: highest speed driven;"
         " gradients, stations, tunnels: not known"
     )
     return Line(
         name=name,
-        length=survey.length,
-        stations=(Station("start", 0.0), Station("end", survey.length)),
+        length=centre_line.length,
+        stations=(Station("start", 0.0), Station("end", centre_line.length)),
         speed_limits=StepProfile(np.zeros(1), np.array([limit])),
         gradients=StepProfile(np.zeros(1), np.zeros(1)),
-        curvatures=survey.curvatures,
-        geometry=survey.geometry,
+        curvatures=centre_line.curvatures,
+        geometry=centre_line.geometry,
         source=source,
     )
 
@@ -331,10 +331,10 @@ def _std_in_fit(one: _Pass) -> FloatArray:
     return np.asarray(one.fixes.std * np.sqrt(count[number]))
 
 
-def _survey(
+def _centre_line(
     curve: Curve, used: list[_Pass], refused: list[_Pass], origin: tuple[float, float]
-) -> Survey:
-    """The survey that the fitted curve gives."""
+) -> CentreLine:
+    """The centre line that the fitted curve gives."""
     at = np.linspace(curve.start, curve.end, int((curve.end - curve.start) / STEP) + 2)
     position = _length_along(curve, at)
     points = curve.at(at)
@@ -349,7 +349,7 @@ def _survey(
     kept = thinned(position, points, TOLERANCE)
     kept = kept[(support[kept] > 0) | (kept == 0) | (kept == at.size - 1)]
     bend = curve.curvature(at)
-    return Survey(
+    return CentreLine(
         geometry=Geometry(position[kept], latitude[kept], longitude[kept], quality),
         curvatures=_profile(position, bend),
         position=position,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.geometry.centre_line import Survey
+from analysis.geometry.centre_line import CentreLine
 from analysis.plotting import (
     BLUE,
     GREY,
@@ -26,12 +26,12 @@ from trainlog.trip import Trip
 KILOMETRE = 1e3
 
 
-def draw_survey(survey: Survey, trips: Sequence[Trip], path: str | Path) -> None:
+def draw_centre_line(centre_line: CentreLine, trips: Sequence[Trip], path: str | Path) -> None:
     """Draw a surveyed line: plan with the fixes, curvature with its band, support.
 
     Parameters
     ----------
-    survey : Survey
+    centre_line : CentreLine
     trips : sequence of Trip
         That it was made from.
     path : path
@@ -39,14 +39,14 @@ def draw_survey(survey: Survey, trips: Sequence[Trip], path: str | Path) -> None
     """
     figure = new_figure(11.0, 7.5)
     grid = figure.add_gridspec(3, 1, height_ratios=(4, 2, 1))
-    _plan(figure.add_subplot(grid[0]), survey, trips)
+    _plan(figure.add_subplot(grid[0]), centre_line, trips)
     bend = figure.add_subplot(grid[1])
-    _curvature(bend, survey)
-    _support(figure.add_subplot(grid[2], sharex=bend), survey)
-    refused = f", {len(survey.refused)} refused" if survey.refused else ""
+    _curvature(bend, centre_line)
+    _support(figure.add_subplot(grid[2], sharex=bend), centre_line)
+    refused = f", {len(centre_line.refused)} refused" if centre_line.refused else ""
     figure.suptitle(
-        f"{survey.length / KILOMETRE:.3f} km from {len(survey.used)} trips{refused},"
-        f" {survey.fixes} fixes, {survey.rejected} of them set aside",
+        f"{centre_line.length / KILOMETRE:.3f} km from {len(centre_line.used)} trips{refused},"
+        f" {centre_line.fixes} fixes, {centre_line.rejected} of them set aside",
         x=0.01,
         ha="left",
         fontsize=11,
@@ -55,19 +55,19 @@ def draw_survey(survey: Survey, trips: Sequence[Trip], path: str | Path) -> None
     write_figure(figure, path)
 
 
-def _plan(axes: Axes, survey: Survey, trips: Sequence[Trip]) -> None:
-    origin = (float(survey.latitude.mean()), float(survey.longitude.mean()))
-    for number, trip in enumerate(t for t in trips if t.name in survey.used):
+def _plan(axes: Axes, centre_line: CentreLine, trips: Sequence[Trip]) -> None:
+    origin = (float(centre_line.latitude.mean()), float(centre_line.longitude.mean()))
+    for number, trip in enumerate(t for t in trips if t.name in centre_line.used):
         fix = trip["/gnss/fix"]
         points = to_plane(fix["latitude"].to_numpy(), fix["longitude"].to_numpy(), origin)
         name = "fixes" if number == 0 else None
         axes.plot(
             points.real / KILOMETRE, points.imag / KILOMETRE, ".", color=GREY, ms=2, label=name
         )
-    line = to_plane(survey.latitude, survey.longitude, origin) / KILOMETRE
+    line = to_plane(centre_line.latitude, centre_line.longitude, origin) / KILOMETRE
     axes.plot(line.real, line.imag, color=BLUE, lw=1.2, label="line")
-    for number, (start, end) in enumerate(survey.unsupported):
-        bridged = (survey.position >= start) & (survey.position <= end)
+    for number, (start, end) in enumerate(centre_line.unsupported):
+        bridged = (centre_line.position >= start) & (centre_line.position <= end)
         name = "no fixes" if number == 0 else None
         axes.plot(line[bridged].real, line[bridged].imag, color=RED, lw=2.5, label=name)
     axes.plot(line[0].real, line[0].imag, "o", color=ORANGE, ms=7, label="km 0")
@@ -76,18 +76,23 @@ def _plan(axes: Axes, survey: Survey, trips: Sequence[Trip]) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def _curvature(axes: Axes, survey: Survey) -> None:
-    at = survey.position / KILOMETRE
-    known = np.where(survey.support > 0, 1.0, np.nan) * KILOMETRE
-    bend, std = survey.curvature * known, survey.curvature_std * known
+def _curvature(axes: Axes, centre_line: CentreLine) -> None:
+    at = centre_line.position / KILOMETRE
+    known = np.where(centre_line.support > 0, 1.0, np.nan) * KILOMETRE
+    bend, std = centre_line.curvature * known, centre_line.curvature_std * known
     axes.fill_between(at, bend - 1.96 * std, bend + 1.96 * std, color=SKY, alpha=0.4, lw=0)
     axes.plot(at, bend, color=BLUE, lw=0.9)
     dress(axes, x="", y="curvature [1/km]", title="Curvature, to the right positive; 95 % band")
 
 
-def _support(axes: Axes, survey: Survey) -> None:
+def _support(axes: Axes, centre_line: CentreLine) -> None:
     axes.fill_between(
-        survey.position / KILOMETRE, survey.support, step="mid", color=SKY, lw=0, alpha=0.7
+        centre_line.position / KILOMETRE,
+        centre_line.support,
+        step="mid",
+        color=SKY,
+        lw=0,
+        alpha=0.7,
     )
     axes.set_ylim(bottom=0.0)
     dress(axes, x="chainage [km]", y="trips")

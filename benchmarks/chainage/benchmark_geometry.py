@@ -31,24 +31,24 @@ def compared(path: Path, receiver: Receiver, count: int, first: int):
         for seed in range(first, first + count)
     ]
     start = time.process_time()
-    survey = geometry_of(trips)
+    centre_line = geometry_of(trips)
     spent = time.process_time() - start
     line = read_line(path)
     true = track_of(line.geometry)
-    points = true.plane(survey.latitude, survey.longitude)
+    points = true.plane(centre_line.latitude, centre_line.longitude)
     near, _ = nearest_on(true, points)
     at, aside = beside(true, points, near)
-    known = survey.support > 0
+    known = centre_line.support > 0
     backwards = at[-1] < at[0]
     sign = -1.0 if backwards else 1.0
     # The true line's chainage is not quite its length on the earth.
     length = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(true.points)))))
     stretch = abs(np.diff(np.interp(at[[0, -1]], true.positions, length))[0])
-    bend = survey.curvature[known] - sign * line.curvature(at[known])
-    # A further trip, in the direction of the survey, against the truth on the line built.
+    bend = centre_line.curvature[known] - sign * line.curvature(at[known])
+    # A further trip, in the direction of the centre_line, against the truth on the line built.
     truth = driven(path, 101)
     trip = received(truth, receiver, 101)
-    built = line_of(survey, "built")
+    built = line_of(centre_line, "built")
     forward = not backwards
     same = forward == (101 % 2 == 0)
     frame = estimated_state(trip, built if same else built.reversed(), PROFILE).frame
@@ -61,15 +61,15 @@ def compared(path: Path, receiver: Receiver, count: int, first: int):
     given = frame["position"].to_numpy() - position
     return {
         "aside": rms(aside[known]),
-        "band": np.mean(np.abs(aside[known]) < 1.96 * survey.std[known]),
-        "unsupported": sum(e - s for s, e in survey.unsupported),
-        "length": (survey.length - stretch) / stretch * 1e3,
+        "band": np.mean(np.abs(aside[known]) < 1.96 * centre_line.std[known]),
+        "unsupported": sum(e - s for s, e in centre_line.unsupported),
+        "length": (centre_line.length - stretch) / stretch * 1e3,
         "curvature": rms(bend),
-        "curvature_band": np.mean(np.abs(bend) < 1.96 * survey.curvature_std[known]),
+        "curvature_band": np.mean(np.abs(bend) < 1.96 * centre_line.curvature_std[known]),
         "chainage": np.std(error),
         "given": np.std(given),
         "spent": spent,
-        "rejected": survey.rejected,
+        "rejected": centre_line.rejected,
     }
 
 

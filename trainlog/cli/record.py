@@ -201,29 +201,36 @@ def ingest(
             metadata=metadata,
         )
         for target, trip in _named(recording, output, trips):
-            if target in written:
-                raise InputError(
-                    f"would write {target.name} twice",
-                    file=recording,
-                    remedy="ingest the files into different folders",
-                )
-            if any(one.exists() and target.exists() and one.samefile(target) for one in recordings):
-                raise InputError(
-                    "would be overwritten by the log that is made of it",
-                    file=target,
-                    remedy="name another folder",
-                )
+            _check_target(target, recording, recordings, written)
             written.add(target)
             made_folder(output)
             write_log(trip, target)
             console.print(about(trip), highlight=False, markup=False)
-            for finding in report_of(trip).lines():
-                # What the file holds besides its trips is shown with the first of them.
-                if finding not in shown:
-                    console.print(f"    {finding}", highlight=False, markup=False)
-                if finding.startswith("not used: "):
-                    shown.add(finding)
+            lines = [line for line in report_of(trip).lines() if line not in shown]
+            console.print(
+                *(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False
+            )
+            # What the file holds besides its trips is shown with the first of them.
+            shown.update(line for line in lines if line.startswith("not used: "))
             wrote(target)
+
+
+def _check_target(
+    target: Path, recording: Path, recordings: list[Path], written: set[Path]
+) -> None:
+    """Refuse a log that another recording gave, or that is one of the recordings."""
+    if target in written:
+        raise InputError(
+            f"would write {target.name} twice",
+            file=recording,
+            remedy="ingest the files into different folders",
+        )
+    if any(one.exists() and target.exists() and one.samefile(target) for one in recordings):
+        raise InputError(
+            "would be overwritten by the log that is made of it",
+            file=target,
+            remedy="name another folder",
+        )
 
 
 def _named(recording: Path, output: Path, trips: Iterator[Trip]) -> Iterator[tuple[Path, Trip]]:
@@ -317,7 +324,7 @@ def line_build(
     Example: trainlog line build results/recorded -o results/line.json
     """
     from analysis.geometry.centre_line import geometry_of, line_of
-    from analysis.geometry.plot import draw_survey
+    from analysis.geometry.plot import draw_centre_line
     from trainlog.formats.line import write_line
     from trainlog.mcap import read_log
 
@@ -329,9 +336,9 @@ def line_build(
             read_log(log, topics) for log in progress.track(logs_in(logs), description="reading")
         ]
     with working("fitting"):
-        survey = geometry_of(trips)
-    write_line(line_of(survey, name or output.stem), output)
-    draw_survey(survey, trips, shown)
-    for told in survey.lines():
-        console.print(told, highlight=False)
+        centre_line = geometry_of(trips)
+    write_line(line_of(centre_line, name or output.stem), output)
+    draw_centre_line(centre_line, trips, shown)
+    for sentence in centre_line.lines():
+        console.print(sentence, highlight=False)
     wrote(output, shown)
