@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile import WORDS, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
+    DAY,
     NO_TIME,
     SHOWN_ROWS,
     TIME_CELL,
@@ -267,8 +268,6 @@ EARLIEST = pd.Timestamp("1980-01-06", tz="UTC").value
 LATEST = pd.Timestamp("2100-01-01", tz="UTC").value
 
 NANOSECONDS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
-
-DAY = 86_400 * 1_000_000_000
 
 _WITH_OFFSET = r":\d\d.*(Z|z|[+-]\d\d(:?\d\d)?)$"
 

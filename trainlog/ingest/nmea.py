@@ -24,6 +24,7 @@ from trainlog.extras import load
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.recording import (
+    DAY,
     HORIZONTAL_PER_HDOP,
     NO_TIME,
     FloatArray,
@@ -35,8 +36,6 @@ from trainlog.ingest.recording import (
 
 KNOT = 1852.0 / 3600.0
 """Metres a second in one knot."""
-
-DAY = 86_400 * 1_000_000_000
 
 COLUMNS = {
     "latitude": "/gnss/fix.latitude",

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.topics import TOPICS, Field, Topic, column_field
+from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -24,6 +25,12 @@ NO_TIME = int(np.iinfo(np.int64).min)
 
 TIME_CELL = "time"
 """Column of a `Raw` that holds times which could not be read."""
+
+DAY = 86_400 * NANOSECONDS
+"""Nanoseconds in a day."""
+
+METRES_PER_DEGREE = 111_195.0
+"""Length of a degree of latitude [m]."""
 
 SHOWN_ROWS = 5
 """How many of the rows concerned a finding names."""

@@ -23,6 +23,7 @@ from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.profile import Profile, RideOptions
 from trainlog.ingest.recording import (
+    METRES_PER_DEGREE,
     NO_TIME,
     BoolArray,
     Finding,
@@ -35,8 +36,6 @@ from trainlog.ingest.tabular import open_text
 
 RIDES_ATTACHMENT = "rides.csv"
 """Attachment that lists what became of every ride."""
-
-METRES_PER_DEGREE = 111_195.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,15 @@ from trainlog.errors import InputError
 from trainlog.ingest import clock
 from trainlog.ingest.clock import Result, gap_threshold, has_fix
 from trainlog.ingest.profile import Limit, Limits, Repair
-from trainlog.ingest.recording import BoolArray, Finding, FloatArray, Table, base_name, field_of
+from trainlog.ingest.recording import (
+    METRES_PER_DEGREE,
+    BoolArray,
+    Finding,
+    FloatArray,
+    Table,
+    base_name,
+    field_of,
+)
 from trainlog.ingest.report import Change, changes
 from trainlog.units import factor
 
@@ -54,9 +62,6 @@ LIMITS: dict[str, Limit] = {
 
 FIX_RATE, FIX_TOLERANCE = 150.0, 50.0
 """How fast a satellite position can move [m/s], and by how much it may err [m]."""
-
-METRES_PER_DEGREE = 111_195.0
-"""Length of a degree of latitude [m]."""
 
 WINDOW = 7
 """Samples in the median that spikes are measured against: up to three in a row are found."""
