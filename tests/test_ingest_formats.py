@@ -15,7 +15,7 @@ from ingest_logs import PLAIN, clean_run, plain_profile, ublox, write
 
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, formats, ingest, report_of
-from trainlog.ingest.profile import FileOptions, TimeOptions
+from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions
 from trainlog.ingest.rules import LIMITS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "ingest.md").read_text("utf-8")
@@ -347,7 +347,7 @@ def test_lines_of_a_recorder_of_ones_own(tmp_path: Path) -> None:
         parse_profile(TAGGED.replace(">u2", ">x2").encode(), file="mine.toml")
 
 
-# ------------------------------------------------------------------ the page holds
+# ------------------------------------------------------------------ the page is complete
 
 
 def test_every_rule_has_its_row_in_the_page() -> None:
@@ -365,7 +365,7 @@ def test_every_limit_has_its_row_in_the_page() -> None:
     assert stated == expected
 
 
-@pytest.mark.parametrize("options", [FileOptions, TimeOptions])
+@pytest.mark.parametrize("options", [FileOptions, TimeOptions, Column, Detection])
 def test_every_key_is_in_the_page(options: type) -> None:
     for key in options.model_fields:
         assert f"`{key}`" in PAGE

@@ -88,9 +88,21 @@ def format_by_profile(name: str, profile: Profile) -> Format:
 
     Of a profile that the user gives beside it [trip], [metadata], [limits] and [repair] are used,
     in place of its own.
+
+    Raises
+    ------
+    InputError
+        If there is no such reader.
     """
     general = {item.name: item for item in GENERAL}
-    reader = general[profile.file.format or "csv"]
+    chosen = profile.file.format or "csv"
+    if chosen not in general:
+        raise InputError(
+            f"profile '{profile.name}': no general format '{chosen}'",
+            place="file.format",
+            remedy=suggestion(chosen, general, "formats"),
+        )
+    reader = general[chosen]
     known = dict(profile.metadata)
     if profile.trip.clock is not None:
         known["clock"] = profile.trip.clock
