@@ -124,7 +124,8 @@ def slipping_wheels(
     slipping = held(apart / unit, fixes.seconds, GATE, HOLD)
     known = np.flatnonzero(np.isfinite(fixes.wheel_speed))
     speeds, time = fixes.wheel_speed[known], fixes.seconds[known]
-    spans = (_feasible(time, speeds), _feasible(-time[::-1], speeds[::-1])[::-1])
+    back = np.ascontiguousarray(speeds[::-1])  # one layout, one compiled version
+    spans = (_feasible(time, speeds), _feasible(-time[::-1], back)[::-1])
     unit = np.maximum(fixes.wheel_speed_std[known], WHEEL_GATE / GATE)
     for feasible in spans:
         slipping[known] |= held(np.abs(speeds - feasible) / unit, time, GATE, HOLD)
