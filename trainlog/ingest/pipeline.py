@@ -20,7 +20,7 @@ from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Limits, Profile, TripOptions, parse_profile
 from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
 from trainlog.ingest.registry import Format, format_of, own_profile
-from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, read_as_text
+from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report
 from trainlog.ingest.rules import LIMITS, refuse_switched_off, repaired
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
@@ -344,7 +344,7 @@ def _trip(
     tables: list[Table] = []
     least = 2 if len(recording.tables) == 1 else 0
     repairs = Repairs()
-    repairs.add(0, read_as_text(recording.raw))
+    repairs.add(0, recording.raw)
     for number, table in enumerate(recording.tables):
         kept, found, changed = repaired(table, limits, profile.repair, least)
         repairs.add(number, changed)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -127,27 +128,42 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Raw:
-    """What stood in the file where a reader could not read it.
+    """What stood in rows or cells before a rule dealt with them.
 
     Attributes
     ----------
     rule : str
-        Name of the rule that deals with it.
+        Name of the rule.
     column : str
         ``"/topic.column"``, `TIME_CELL`, or empty for whole rows.
     rows : (n,) int64 array
         Rows of the file.
-    text : (n,) object array
-        What stood there.
-    time : (n,) int64 array [ns], optional
-        Time of the rows, where it could be read.
+    text : (n,) object array, optional
+        What stood there, where it could not be read.
+    time, new_time : (n,) int64 array [ns], optional
+        Of the rows before and after the rule, by default the same, `NO_TIME` where it could not be
+        read; `NO_TIME` after the rule, but not before: the row was dropped.
+    value, new_value : (n,) array, optional
+        Before and after the rule, in SI; NaN: absent.
     """
 
     rule: str
     column: str
     rows: IntArray
-    text: NDArray[np.object_]
+    text: NDArray[np.object_] | None = None
     time: IntArray | None = None
+    new_time: IntArray | None = None
+    value: FloatArray | None = None
+    new_value: FloatArray | None = None
+
+    def take(self, index: slice | BoolArray) -> Raw:
+        """The entries that `index` selects."""
+        arrays: dict[str, Any] = {
+            name: values[index]
+            for name, values in vars(self).items()
+            if isinstance(values, np.ndarray)
+        }
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
-from numpy.typing import NDArray
 
 from trainlog.display import as_html, as_text
 from trainlog.errors import LogError
@@ -218,35 +217,7 @@ SCHEMA = pa.schema(
 """Columns of the attachment; values in SI."""
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What one rule did to one column, or to whole rows.
-
-    Attributes
-    ----------
-    rule : str
-    column : str
-        ``"/topic.column"``; empty for whole rows.
-    rows : (n,) int64 array
-        Rows of the file.
-    raw_time, new_time : (n,) int64 array [ns]
-        Before and after the rule; `NO_TIME` after it: the row was dropped.
-    raw_value, new_value : (n,) array, optional
-        In SI; NaN: absent.
-    raw_text : (n,) object array, optional
-    """
-
-    rule: str
-    column: str
-    rows: IntArray
-    raw_time: IntArray
-    new_time: IntArray
-    raw_value: FloatArray | None = None
-    new_value: FloatArray | None = None
-    raw_text: NDArray[np.object_] | None = None
-
-
-def changes(rule: str, before: Table, after: Table) -> list[Change]:
+def changes(rule: str, before: Table, after: Table) -> list[Raw]:
     """What `rule` did to a table."""
     if before is after:
         return []
@@ -262,52 +233,36 @@ def changes(rule: str, before: Table, after: Table) -> list[Change]:
         out_of_order = ~longest_nondecreasing(before.time)
         moved |= out_of_order[source]
     if moved.any():
-        found.append(Change(rule, "", rows[moved], old[moved], new[moved]))
+        found.append(Raw(rule, "", rows[moved], None, old[moved], new[moved]))
     for name, values in after.signals.items():
         if values is before.signals[name]:
             continue
         raw = before.signals[name][source]
         cells = (raw != values) & ~(np.isnan(raw) & np.isnan(values))
         if cells.any():
-            found.append(
-                Change(rule, name, rows[cells], old[cells], new[cells], raw[cells], values[cells])
-            )
+            times = None, old[cells], new[cells]
+            found.append(Raw(rule, name, rows[cells], *times, raw[cells], values[cells]))
     return found
 
 
-def _dropped(rule: str, before: Table, dropped: BoolArray) -> list[Change]:
+def _dropped(rule: str, before: Table, dropped: BoolArray) -> list[Raw]:
     """The rows that a rule dropped, and every value in them."""
     if not dropped.any():
         return []
     time = before.time[dropped]
     none = np.full(time.size, NO_TIME)
-    found = [Change(rule, "", before.rows[dropped], time, none)]
+    found = [Raw(rule, "", before.rows[dropped], None, time, none)]
     for name, values in before.signals.items():
         cells = dropped & np.isfinite(values)
         if cells.any():
             rows, time = before.rows[cells], before.time[cells]
-            found.append(Change(rule, name, rows, time, none[: rows.size], values[cells]))
+            found.append(Raw(rule, name, rows, None, time, none[: rows.size], values[cells]))
     for name, texts in before.texts.items():
         cells = dropped & np.asarray(texts != "", dtype=np.bool_)
         if cells.any():
             rows, time = before.rows[cells], before.time[cells]
-            found.append(Change(rule, name, rows, time, none[: rows.size], raw_text=texts[cells]))
+            found.append(Raw(rule, name, rows, texts[cells], time, none[: rows.size]))
     return found
-
-
-def read_as_text(raws: Iterable[Raw]) -> list[Change]:
-    """What a format's reader met as text where it expected a number, a time or a whole row."""
-    return [
-        Change(
-            raw.rule,
-            raw.column,
-            raw.rows,
-            np.full(raw.rows.size, NO_TIME) if raw.time is None else raw.time,
-            np.full(raw.rows.size, NO_TIME) if raw.time is None else raw.time,
-            raw_text=raw.text,
-        )
-        for raw in raws
-    ]
 
 
 @dataclass
@@ -322,10 +277,10 @@ class Repairs:
 
     most: int = MOST_ENTRIES
     beyond: int = 0
-    kept: list[tuple[int, Change]] = field(default_factory=list)
+    kept: list[tuple[int, Raw]] = field(default_factory=list)
     by_rule: dict[str, int] = field(default_factory=dict)
 
-    def add(self, table: int, found: Iterable[Change]) -> None:
+    def add(self, table: int, found: Iterable[Raw]) -> None:
         """Take in what was done to the table of that number."""
         for change in found:
             already = self.by_rule.get(change.rule, 0)
@@ -333,7 +288,7 @@ class Repairs:
             self.beyond += max(0, change.rows.size - left)
             self.by_rule[change.rule] = already + min(left, change.rows.size)
             if left:
-                self.kept.append((table, _first(change, left)))
+                self.kept.append((table, change.take(slice(left))))
 
     def __len__(self) -> int:
         return sum(change.rows.size for _, change in self.kept)
@@ -353,36 +308,21 @@ class Repairs:
         return sink.getvalue()
 
 
-def _first(change: Change, count: int) -> Change:
-    """The first entries of a change."""
-    if change.rows.size <= count:
-        return change
-    return Change(
-        change.rule,
-        change.column,
-        change.rows[:count],
-        change.raw_time[:count],
-        change.new_time[:count],
-        None if change.raw_value is None else change.raw_value[:count],
-        None if change.new_value is None else change.new_value[:count],
-        None if change.raw_text is None else change.raw_text[:count],
-    )
-
-
-def _arrow(number: int, change: Change) -> pa.Table:
-    count = change.rows.size
+def _arrow(number: int, raw: Raw) -> pa.Table:
+    count = raw.rows.size
     text = pa.nulls(count, pa.string())
-    if change.raw_text is not None:
-        text = pa.array([str(word)[:LONGEST_TEXT] for word in change.raw_text], pa.string())
+    if raw.text is not None:
+        text = pa.array([str(word)[:LONGEST_TEXT] for word in raw.text], pa.string())
+    time = np.full(count, NO_TIME) if raw.time is None else raw.time
     columns = [
-        pa.array(change.rows, pa.int64()),
+        pa.array(raw.rows, pa.int64()),
         pa.array(np.full(count, number), pa.int32()),
-        pa.array(np.full(count, change.column, dtype=object), pa.string()),
-        pa.array(np.full(count, change.rule, dtype=object), pa.string()),
-        _stamps(change.raw_time),
-        _stamps(change.new_time),
-        _values(change.raw_value, count),
-        _values(change.new_value, count),
+        pa.array(np.full(count, raw.column, dtype=object), pa.string()),
+        pa.array(np.full(count, raw.rule, dtype=object), pa.string()),
+        _stamps(time),
+        _stamps(time if raw.new_time is None else raw.new_time),
+        _values(raw.value, count),
+        _values(raw.new_value, count),
         text,
     ]
     return pa.table(columns, schema=SCHEMA)

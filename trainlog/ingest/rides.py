@@ -228,9 +228,9 @@ def _movement(fixes: Table) -> float:
 def _recording(ride: _Ride, fixes: Table, every: Recording, options: RideOptions) -> Recording:
     """The recording of a ride, with what was met in its cells."""
     raw = tuple(
-        replace(item, rows=item.rows[mine], text=item.text[mine], time=item.time[mine])
+        item.take(mine)
         for item in every.raw
-        if item.column and item.time is not None and (mine := np.isin(item.rows, fixes.rows)).any()
+        if item.column and (mine := np.isin(item.rows, fixes.rows)).any()
     )
     findings: list[Finding] = []
     for name, values in fixes.signals.items():

@@ -21,11 +21,12 @@ from trainlog.ingest.recording import (
     BoolArray,
     Finding,
     FloatArray,
+    Raw,
     Table,
     base_name,
     field_of,
 )
-from trainlog.ingest.report import Change, changes
+from trainlog.ingest.report import changes
 from trainlog.units import factor
 
 LIMITS: dict[str, Limit] = {
@@ -519,7 +520,7 @@ def refuse_switched_off(findings: tuple[Finding, ...], repair: Repair) -> None:
 
 def repaired(
     table: Table, limits: Limits, repair: Repair, least: int = 2
-) -> tuple[Table, list[Finding], list[Change]]:
+) -> tuple[Table, list[Finding], list[Raw]]:
     """Apply the rules, one after the other.
 
     Parameters
@@ -529,7 +530,7 @@ def repaired(
 
     Returns
     -------
-    Table, list of Finding, list of Change
+    Table, list of Finding, list of Raw
         What is left, what was met, and how what was changed stood before.
 
     Raises
@@ -538,7 +539,7 @@ def repaired(
         If a defect cannot be repaired, or its rule is switched off and it cannot stay.
     """
     findings: list[Finding] = []
-    changed: list[Change] = []
+    changed: list[Raw] = []
     for rule in RULES:
         if rule.apply is None:
             continue
