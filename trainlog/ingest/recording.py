@@ -78,6 +78,12 @@ class Table:
         The same for the fields that are words; empty where absent.
     samples : (n,) int64 array
         Number of each sample in the table as it was read; set by the table itself.
+
+    Examples
+    --------
+    >>> time = 1_714_543_200_000_000_000 + 1_000_000_000 * np.arange(3)
+    >>> Table(time, np.arange(1, 4), {"/train/state.speed": np.array([0.0, 0.4, 0.9])})
+    Table: 3 rows of /train/state.speed
     """
 
     time: IntArray
@@ -215,6 +221,13 @@ class Recording:
         Files to be carried along with the trip.
     raw : tuple of Raw
         What stood where the reader met no number, no time or no whole row.
+
+    Examples
+    --------
+    >>> table = Table(np.arange(2), np.arange(1, 3), {"/train/state.speed": np.zeros(2)})
+    >>> Recording((table,), rows_read=2)
+    Recording: 2 rows read
+      table 0  Table: 2 rows of /train/state.speed
     """
 
     tables: tuple[Table, ...]

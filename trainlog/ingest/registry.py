@@ -61,6 +61,12 @@ class Format:
     layout : {"profile", "own"}
         What says which column is what: [time] and [columns] of a profile, or the format itself,
         which then has no use for those sections; the report states if they are given.
+
+    Examples
+    --------
+    >>> from trainlog.ingest import formats
+    >>> formats()["gpx"].recognises(b'<?xml version="1.0"?><gpx version="1.1">')
+    True
     """
 
     name: str
@@ -93,6 +99,12 @@ def format_by_profile(name: str, profile: Profile) -> Format:
     ------
     InputError
         If there is no such reader.
+
+    Examples
+    --------
+    >>> profile = read_profile(Path(__file__).with_name("profiles") / "ublox.toml")
+    >>> format_by_profile("mine", profile).recognises(b"Year,Month,Day,Hour,Minute,Second,nSAT")
+    True
     """
     general = {item.name: item for item in GENERAL}
     chosen = profile.file.format or "csv"
