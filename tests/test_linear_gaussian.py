@@ -1,0 +1,140 @@
+"""The one linear-Gaussian filter and smoother: filterpy's numbers, known answers, gates, series."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from estimators.linear_gaussian import LinearGaussian, wandering_slope
+
+Array = NDArray[np.float64]
+
+
+def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple[Array, ...]:
+    """A stable model with steps of its own, known inputs, measurements, some missing."""
+    rng = np.random.default_rng(seed)
+    transition = np.eye(rank) + 0.2 * rng.standard_normal((count, rank, rank))
+    transition /= 1.0 + np.abs(np.linalg.eigvals(transition)).max()
+    roots = 0.3 * rng.standard_normal((count, rank, rank))
+    noise = roots @ roots.transpose(0, 2, 1)
+    observation = rng.standard_normal((count, channels, rank))
+    shift = rng.standard_normal((count, 1, rank))
+    measured = rng.standard_normal((count, channels))
+    measured[rng.uniform(size=measured.shape) < 0.3] = np.nan
+    variances = rng.uniform(0.1, 2.0, measured.shape)
+    return transition, noise, observation, shift, measured, variances
+
+
+def by_filterpy(
+    drawn: tuple[Array, ...], mean: Array, covariance: Array
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Filtered and smoothed means and covariances of the same model."""
+    transition, noise, observation, shift, measured, variances = drawn
+    peer = KalmanFilter(dim_x=mean.size, dim_z=1)
+    peer.x, peer.P = mean.copy(), covariance.copy()
+    means, covariances = np.empty((len(measured), mean.size)), np.empty((len(measured), 3, 3))
+    for k, row in enumerate(measured):
+        peer.predict(u=1.0, B=shift[k, 0], F=transition[k], Q=noise[k])
+        for i in np.flatnonzero(~np.isnan(row)):
+            peer.update(row[i], R=variances[k, i], H=observation[k, i : i + 1])
+        means[k], covariances[k] = peer.x, peer.P
+    # Its smoother has no inputs: Rauch, Tung and Striebel's step with the input in the prediction.
+    smooth, spread = means.copy(), covariances.copy()
+    for k in range(len(measured) - 2, -1, -1):
+        ahead = transition[k + 1] @ means[k] + shift[k + 1, 0]
+        predicted = transition[k + 1] @ covariances[k] @ transition[k + 1].T + noise[k + 1]
+        gain = covariances[k] @ transition[k + 1].T @ np.linalg.inv(predicted)
+        smooth[k] += gain @ (smooth[k + 1] - ahead)
+        spread[k] += gain @ (spread[k + 1] - predicted) @ gain.T
+    return (means, covariances), (smooth, spread)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_filter_and_smoother_give_filterpys_and_rauch_tung_striebels_numbers(seed: int) -> None:
+    given_ = drawn(seed)
+    transition, noise, observation, shift, measured, variances = given_
+    mean, covariance = np.ones(3), np.diag([1.0, 4.0, 0.5])
+    model = LinearGaussian(transition, noise, observation, shift=shift)
+    filtered, smoothed = by_filterpy(given_, mean, covariance)
+    for found, expected in (
+        (model.filter(measured, variances, mean, covariance), filtered),
+        (model.smooth(measured, variances, mean, covariance), smoothed),
+    ):
+        np.testing.assert_allclose(found.means, expected[0], atol=1e-9)
+        np.testing.assert_allclose(found.covariances, expected[1], atol=1e-9)
+    np.testing.assert_array_equal(np.isnan(found.used), np.isnan(measured))
+
+
+def test_the_smoother_is_the_regression_over_all_samples() -> None:
+    """A line without process noise: least squares, whose covariance no smoother can invert."""
+    time = np.arange(20.0)
+    measured = 3.0 + 0.5 * time + np.random.default_rng(1).standard_normal(20)
+    transition, noise = wandering_slope(np.diff(time, prepend=0.0), rate=0.0)
+    model = LinearGaussian(transition, noise, np.array([[[1.0, 0.0]]]))
+    found = model.smooth(measured[:, None], 1.0, np.zeros(2), 1e8 * np.eye(2))
+    rows = np.column_stack([np.ones(20), time])
+    beta = np.linalg.lstsq(rows, measured, rcond=None)[0]
+    np.testing.assert_allclose(found.means[:, 0], rows @ beta, atol=1e-5)
+    np.testing.assert_allclose(found.means[:, 1], beta[1], atol=1e-6)
+    spread = np.einsum("ni,ij,nj->n", rows, np.linalg.inv(rows.T @ rows), rows)
+    np.testing.assert_allclose(found.covariances[:, 0, 0], spread, atol=1e-5)
+
+
+def test_the_noise_of_a_wandering_slope_adds_up() -> None:
+    """Two steps of 1 s are one of 2 s, whatever the factor."""
+    (one, q_one), (two, q_two) = (wandering_slope(np.array([s]), 0.7, -3.0) for s in (1.0, 2.0))
+    np.testing.assert_allclose(one[0] @ one[0], two[0])
+    np.testing.assert_allclose(one[0] @ q_one[0] @ one[0].T + q_one[0], q_two[0])
+
+
+def test_series_of_one_model_are_filtered_each_for_itself() -> None:
+    transition, noise, observation, _, measured, variances = drawn(5)
+    shift = np.random.default_rng(1).standard_normal((len(measured), 2, 3))
+    both = np.stack([measured, measured[::-1]], axis=1)
+    spread = np.stack([variances, variances[::-1]], axis=1)
+    start, wide = np.zeros((2, 3)), np.stack([np.eye(3), 2.0 * np.eye(3)])
+    model = LinearGaussian(transition, noise, observation, shift=shift)
+    together = model.smooth(both, spread, start, wide)
+    for s in range(2):
+        alone = LinearGaussian(transition, noise, observation, shift=shift[:, s : s + 1])
+        found = alone.smooth(both[:, s], spread[:, s], start[s], wide[s])
+        np.testing.assert_array_equal(together.means[:, s], found.means)
+        np.testing.assert_array_equal(together.covariances[:, s], found.covariances)
+
+
+@pytest.mark.parametrize(("limit", "deviations", "kept"), [(5.0, 0.0, False), (5.0, 8.0, True)])
+def test_a_gate_leaves_out_what_is_too_far_off(limit: float, deviations: float, kept: bool) -> None:
+    """The further of a distance and of standard deviations of the prediction decides."""
+    model = LinearGaussian(
+        np.ones((1, 1, 1)), np.zeros((1, 1, 1)), np.ones((1, 1, 1)), step=np.zeros(2, np.int64),
+        gate=np.array([[limit, deviations]]),
+    )  # fmt: skip
+    measured = np.array([[6.0], [1.0]])
+    found = model.smooth(measured, 1.0, [0.0], [[1.0]])
+    assert np.isnan(found.used[0, 0]) != kept
+    assert measured[0, 0] == 6.0
+    without = model.smooth([[np.nan], [1.0]], 1.0, [0.0], [[1.0]])
+    assert np.array_equal(found.means, without.means) != kept
+
+
+def test_blocks_go_on_where_the_last_one_ended() -> None:
+    transition, noise, observation, shift, measured, variances = drawn(9)
+    whole = LinearGaussian(transition, noise, observation, shift=shift)
+    expected = whole.filter(measured, variances, np.zeros(3), np.eye(3))
+    mean, covariance = np.zeros(3), np.eye(3)
+    for part in (slice(0, 7), slice(7, 8), slice(8, None)):
+        model = LinearGaussian(transition[part], noise[part], observation[part], shift=shift[part])
+        found = model.filter(measured[part], variances[part], mean, covariance)
+        mean, covariance = found.means[-1], found.covariances[-1]
+    np.testing.assert_array_equal(mean, expected.means[-1])
+    np.testing.assert_array_equal(covariance, expected.covariances[-1])
+
+
+def test_nothing_in_nothing_out() -> None:
+    model = LinearGaussian(np.empty((0, 1, 1)), np.empty((0, 1, 1)), np.ones((1, 1, 1)))
+    assert model.smooth(np.empty((0, 1)), 1.0, [0.0], [[1.0]]).means.shape == (0, 1)
