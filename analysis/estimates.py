@@ -31,10 +31,10 @@ CHAINAGE_TIME = 30.0
 """Time over which an error of recorded chainage lasts [s]: the way from balise to balise."""
 
 LEAST_BALISES = 3
-"""Corrections of the chainage from which on they tell balises."""
+"""Corrections of the chainage from which on they are taken for those of balises."""
 
 LEAST_JUMP = 0.5
-"""Correction of the chainage [m] that is told from its noise."""
+"""Correction of the chainage [m] that stands out from its noise."""
 
 LONGEST_STEP = 1.0
 """Time between two samples [s] over which their chainage may be compared with their speed."""
@@ -60,6 +60,15 @@ def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
     ------
     LogError
         If nothing could be estimated.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip, refusals = with_estimates(trainlog.read("sample_logs/stopping.mcap"))
+    >>> [topic for topic in trip.topics if topic.startswith("/estimates/")]
+    ['/estimates/state', '/estimates/running_resistance', '/estimates/adhesion']
+    >>> refusals
+    ()
     """
     return _estimated(trip, lambda: estimated_resistance(fit_trip(trip)))
 
@@ -111,6 +120,14 @@ def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
         nothing could is written as it was recorded.
     InputError
         If the output cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     estimate_log("sample_logs/stopping.mcap", Path(folder) / "estimated.mcap")
+    ()
     """
     refusals: list[str] = []
     resistance_of = cache(lambda: _outcome(lambda: estimated_resistance(fit_log(Path(log)))))
@@ -127,12 +144,12 @@ def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
                 trip, refused = stretch.trip, (str(error),)
             writer.add(stretch.core(trip))
             where = "" if stretch.count == 1 else f"part {stretch.number} of {stretch.count}: "
-            refusals += [f"{where}{told}" for told in refused]
+            refusals += [f"{where}{reason}" for reason in refused]
     return tuple(refusals)
 
 
 def _outcome(estimate: Callable[[], pd.DataFrame]) -> pd.DataFrame | TrainlogError:
-    """What an estimate gives, or why it gives nothing: to be told to every stretch."""
+    """What an estimate gives, or why it gives nothing, for every stretch alike."""
     try:
         return estimate()
     except TrainlogError as error:
@@ -209,7 +226,19 @@ def without_wheel_error(
     Returns
     -------
     (n,) array [m]
-        The chainage as recorded where fewer than `LEAST_BALISES` set it right.
+        The chainage as recorded where fewer than `LEAST_BALISES` corrected it.
+
+    Examples
+    --------
+    An odometer that counts 1 % too much is corrected every 20 s:
+
+    >>> import numpy as np
+    >>> time = np.arange(0.0, 100.0, 0.5)
+    >>> true, since = 20.0 * time, 20.0 * (time % 20.0)
+    >>> recorded = true + 0.01 * since
+    >>> corrected = without_wheel_error(time, np.full(time.size, 20.2), recorded, factor=1.01)
+    >>> [float(np.abs(each - true).max().round(1)) for each in (recorded, corrected)]
+    [3.9, 0.0]
     """
     known = np.isfinite(speed) & np.isfinite(position)
     v, s, steps = speed[known], position[known], np.diff(time[known])

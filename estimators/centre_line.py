@@ -108,6 +108,17 @@ def fitted_curve(
     ------
     InputError
         If the points lie all at one place.
+
+    Examples
+    --------
+    Points on a right-hand curve of a radius of 500 m:
+
+    >>> import numpy as np
+    >>> position = np.linspace(0.0, 600.0, 200)
+    >>> points = 500.0 * (1.0 - np.exp(-1j * position / 500.0))
+    >>> curve, weight = fitted_curve(position, points, np.full(200, 0.5))
+    >>> print(f"{1.0 / curve.curvature(np.array([300.0]))[0]:.0f} m")
+    500 m
     """
     start, end = float(position.min()), float(position.max())
     if end - start < KNOTS:

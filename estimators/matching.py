@@ -80,6 +80,20 @@ def best_chain(nodes: Nodes, way: float) -> tuple[float, IntArray]:
     worth : float
     chosen : (n,) int array
         Number of the candidate of each fix, -1 for fixes left out.
+
+    Examples
+    --------
+    Three fixes 20 m apart; the second may lie on a track that comes close 5 km ahead:
+
+    >>> import numpy as np
+    >>> nodes = Nodes(
+    ...     seconds=np.array([0.0, 1.0, 2.0]), east=np.array([0.0, 20.0, 40.0]), north=np.zeros(3),
+    ...     std=np.full(3, 3.0), driven=np.array([0.0, 20.0, 40.0]), driven_variance=np.zeros(3),
+    ...     first=np.array([0, 1, 3, 4]), chainage=np.array([100.0, 5_120.0, 120.0, 140.0]),
+    ...     distance=np.array([1.0, 0.5, 1.0, 1.0]),
+    ... )
+    >>> best_chain(nodes, way=1.0)[1]
+    array([0, 2, 3])
     """
     n = nodes
     worth, before = _viterbi(

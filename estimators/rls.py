@@ -110,7 +110,7 @@ class RecursiveLeastSquares(Estimator):
     >>> recursion = RecursiveLeastSquares(prior_std=[1e4, 1e3, 10.0])
     >>> _ = recursion.update(rows, rows @ [2_000.0, 40.0, 0.7], variance=1.0)
     >>> recursion.result().estimate.round(1)
-    array([2.0e+03, 4.0e+01, 7.0e-01])
+    array([2.e+03, 4.e+01, 7.e-01])
     """
 
     kind, version = "trainlog/rls", 3
@@ -414,6 +414,17 @@ def record_with_resets(
     ------
     InputError
         If shapes do not fit or a sample cannot be used.
+
+    Examples
+    --------
+    A constant that jumps after the third sample:
+
+    >>> recursion = RecursiveLeastSquares(prior_std=[10.0])
+    >>> estimates, _ = record_with_resets(
+    ...     recursion, np.arange(6) == 3, np.ones((6, 1)), [1.0, 1.0, 1.0, 4.0, 4.0, 4.0]
+    ... )
+    >>> estimates[:, 0].round(1)
+    array([1., 1., 1., 4., 4., 4.])
     """
     rows = np.atleast_2d(np.asarray(regressors))
     values = np.atleast_1d(np.asarray(measurements))

@@ -24,7 +24,7 @@ LEAST_SPREAD = 0.02
 """The set is taken to be no narrower than this, relative."""
 
 SURPRISE = 5.0
-"""Standard deviations from which on a sample does not tell what the train is: wheels may slip."""
+"""Standard deviations from which on a sample shows nothing of the train: wheels may slip."""
 
 
 class Observer:
@@ -76,7 +76,8 @@ class Observer:
         if abs(surprise) <= reach:
             x.update(value, noise, row)
             return
-        # Wheels that slip show nothing of the train: all of it is drift, which starts anew.
-        x.x[2] += spread[2] / variance * np.clip(surprise, -reach, reach)
-        x.P[2], x.P[:, 2] = 0.0, 0.0
-        x.P[2, 2] = DRIFT**2
+        # Wheels that slip show nothing of the train: what they show is drift, up to a limit.
+        gain = np.array([0.0, 0.0, spread[2] / variance])
+        change = np.eye(3) - np.outer(gain, row)
+        x.x = x.x + gain * np.clip(surprise, -reach, reach)
+        x.P = change @ x.P @ change.T + noise * np.outer(gain, gain)
