@@ -18,7 +18,7 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
     "#8e5ea2",
     "#56b4e9",
 )
-"""Colours that colour-blind readers can tell apart (Okabe and Ito)."""
+"""Colours that colour-blind readers can distinguish (Okabe and Ito)."""
 
 INK, GREY, PALE = "#222222", "#7f7f7f", "#d0d0d0"
 """Text and lines; data in the background; grids."""

@@ -178,13 +178,13 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
 
 def _followed(folder: Path) -> tuple[str, str, str] | None:
     """How punctual the trips on the trajectory were, with the map and without."""
-    told = []
+    words = []
     for name, how in (("driven", "with the map"), ("driven-blind", "without")):
         logs = sorted((folder / name).glob("*.mcap"))
         if logs:
             found = punctuality(logs)
-            told.append(
+            words.append(
                 f"{how} at most {abs(found.late):.1f} s from the trajectory on arrival, slip"
                 f" protection acts {found.slips} times on {found.trips} trips"
             )
-    return ("following", "; ".join(told), str(folder / "driven")) if told else None
+    return ("following", "; ".join(words), str(folder / "driven")) if words else None

@@ -1,4 +1,4 @@
-"""A table whose names and words stay whole for as long as the page has room for them."""
+"""A table whose names and words stay whole for as long as the page is wide enough."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class WordTable(Table):
     """A table that narrows its columns where that costs least.
 
     Headings are broken between their words first, then the rows but for the names in the first
-    column, then those; inside words only where the page has no room for the longest. Rich narrows
+    column, then those; inside words only where the page is narrower than the longest. Rich narrows
     the widest columns until all are alike, and so folds names inside words.
     """
 
@@ -44,20 +44,20 @@ class WordTable(Table):
             for word, cells in zip(words, rows, strict=True)
         ]
         wishes = [max(each.maximum, row) for each, row in zip(headings, whole, strict=True)]
-        room = options.max_width - _PADDING * len(words) - 1
+        width = options.max_width - _PADDING * len(words) - 1
         leasts = (whole, [*whole[:1], *words[1:]], words)
-        least = next((each for each in leasts if sum(each) <= room), None)
+        least = next((each for each in leasts if sum(each) <= width), None)
         more = 0 if least is None else sum(wishes) - sum(least)
         for number, column in enumerate(self.columns):
             column.width = None
-            if least is not None and sum(wishes) > room:
-                part = (room - sum(least)) * (wishes[number] - least[number]) // more
+            if least is not None and sum(wishes) > width:
+                part = (width - sum(least)) * (wishes[number] - least[number]) // more
                 column.width = least[number] + part
         yield from super().__rich_console__(console, options)
 
 
 def new_table(title: str, *columns: str, **options: Any) -> Table:
-    """An empty table in the house's form."""
+    """An empty table in the common form."""
     table = WordTable(
         title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options
     )

@@ -60,14 +60,14 @@ def truth_of(trip: Trip) -> Truth | None:
         return None
     from trainlog.formats.attached import line_of
 
-    told = json.loads(data)
-    profile = told["maximum_adhesion"]
+    stated = json.loads(data)
+    profile = stated["maximum_adhesion"]
     return Truth(
         trip=trip.name,
-        weather=told["weather"],
-        mass=told["mass"],
-        resistance=RunningResistance(told["r0"], told["r1"], told["r2"]),
-        max_power=told["max_power"],
+        weather=stated["weather"],
+        mass=stated["mass"],
+        resistance=RunningResistance(stated["r0"], stated["r1"], stated["r2"]),
+        max_power=stated["max_power"],
         maximum_adhesion=StepProfile(np.array(profile["positions"]), np.array(profile["values"])),
         top_speed=min(float(line_of(trip).speed_limits.values.max()), train_of(trip).max_speed),
     )

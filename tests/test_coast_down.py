@@ -83,7 +83,7 @@ def test_closed_form_of_coasting_down_is_found_again(curve: tuple[float, float, 
     assert inside(found, curve)
     z = (found.curve.theta[1:] - curve) / np.sqrt(np.diag(found.curve.covariance)[1:])
     assert np.all(np.abs(z) < 4.0)
-    # On level track the rotating mass makes no difference and cannot be told.
+    # On level track the rotating mass makes no difference and cannot be identified.
     assert found.ratio.source == "any train"
     assert found.ratio.std == pytest.approx(0.02, rel=0.01)
 
@@ -205,11 +205,11 @@ def test_knowing_the_rotating_mass_sharpens_what_goes_with_it() -> None:
     covariance = np.diag([0.04, 1e-4, 1e-8, 1e-10])
     covariance[0, 1] = covariance[1, 0] = 1e-3
     theta = np.array([0.8, 0.01, 1e-3, 1e-5])
-    told, left, ratio = with_ratio(theta, covariance, MassRatio(0.92, 0.01, "train file"))
+    stated, left, ratio = with_ratio(theta, covariance, MassRatio(0.92, 0.01, "train file"))
     assert ratio.source == "train file"
     assert ratio.value == pytest.approx(0.92, abs=1e-3)
     assert left[1, 1] < covariance[1, 1]
-    assert told[1] == pytest.approx(0.01 + 1e-3 / 0.0401 * 0.12)
+    assert stated[1] == pytest.approx(0.01 + 1e-3 / 0.0401 * 0.12)
 
 
 def test_doubt_about_segments_widens_the_band_and_moves_nothing() -> None:
@@ -310,8 +310,8 @@ def test_the_command_writes_result_and_picture(
 ) -> None:
     output = tmp_path / "coast-down.json"
     assert run(["coast-down", str(sample("nonstop.mcap")), "-o", str(output)]) == 0
-    told = capsys.readouterr().out
-    assert "Running resistance of the coasting train" in told
+    stated = capsys.readouterr().out
+    assert "Running resistance of the coasting train" in stated
     assert read_coast_down(output).gradient == "line"
     assert output.with_suffix(".png").stat().st_size > 20_000
 
@@ -340,13 +340,13 @@ def coasting_over(
         turned = both and number % 2 == 1
         line, start = (back, HILLY.length - 47_000.0) if turned else (HILLY, 40_000.0)
         speed = (38.0, 33.0, 28.0, 24.0)[(number // 2 if both else number) % 4]
-        time, position, told, _ = driven(
+        time, position, stated, _ = driven(
             line, CURVE, [(200.0, 0.0)], start=start + 90.0 * number, speed=speed
         )
         trip = recorded(
             time,
             position,
-            told,
+            stated,
             seed=number,
             name=f"trip-{number}",
             direction="reverse" if turned else "forward",
@@ -364,10 +364,10 @@ def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more()
     assert "merged with the gradient" in result["c0"].reason
     assert result.curve is None
     change = np.array([33.0 - 20.0, 33.0**2 - 20.0**2])
-    told = change @ [result["c1"].value, result["c2"].value]
+    stated = change @ [result["c1"].value, result["c2"].value]
     std = np.sqrt(change @ result.covariance @ change)
     true = change @ CURVE[1:]
-    assert abs(told - true) < 3.0 * std < 0.3 * true
+    assert abs(stated - true) < 3.0 * std < 0.3 * true
     sums = np.array([piece["deceleration"] for piece in result.pieces])
     stds = np.array([piece["std"] for piece in result.pieces])
     ends = np.array([piece["position"] for piece in result.pieces])
@@ -462,6 +462,6 @@ def test_phones_that_tell_no_speed_are_refused_with_the_reason() -> None:
     trips = [
         trip for _, trip in zip(range(3), ingest_each(AALTO / "device_data.csv"), strict=False)
     ]
-    for told in (coast_down, coast_down_without_gradient):
+    for stated in (coast_down, coast_down_without_gradient):
         with pytest.raises(NotIdentifiableError, match=r"2 more trips .* no speed was recorded"):
-            told(trips)
+            stated(trips)

@@ -98,19 +98,19 @@ def test_a_log_in_pieces_costs_what_the_trip_costs(
             assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9), name
 
 
-def test_slip_protection_and_lateness_are_told_where_the_log_tells_them() -> None:
+def test_slip_protection_and_lateness_are_reported_where_the_log_tells_them() -> None:
     plain = trip()
     assert trip_cost(plain).slips is None
     assert trip_cost(plain).late is None
     with pytest.raises(LogError, match="'t' followed no trajectory"):
         punctuality([plain])
-    told = [
+    stated = [
         followed("slip protection active in traction", "departure from A", late=late)
         for late in (0.2, -0.7)
     ]
-    assert trip_cost(told[0]).slips == 1
-    assert trip_cost(told[0]).late == pytest.approx(0.2)
-    found = punctuality(told)
+    assert trip_cost(stated[0]).slips == 1
+    assert trip_cost(stated[0]).late == pytest.approx(0.2)
+    found = punctuality(stated)
     assert (found.trips, found.slips) == (2, 2)
     assert found.late == pytest.approx(-0.7)
 
@@ -144,7 +144,7 @@ def simulated(**options: bool) -> Trip:
     return whole.with_topic(controls).with_topic(state)
 
 
-def test_nothing_comparable_is_told() -> None:
+def test_nothing_comparable_is_reported() -> None:
     backwards = replace(trip("a"), metadata={**trip("a").metadata, "direction": "reverse"})
     followed = [trip("driven-a", configuration="a"), trip("driven-c", configuration="c")]
     for drivers, nearest in (

@@ -1,4 +1,4 @@
-"""Residuals that are not what they are taken for are told; refusals say why in a word."""
+"""Residuals that are not what they are taken for are reported; refusals give their reason."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_good_residuals_raise_no_doubt() -> None:
     assert doubtful <= 4
 
 
-def test_each_defect_is_told() -> None:
+def test_each_defect_is_reported() -> None:
     noise = np.random.default_rng(1).standard_normal(300)
     wind = np.convolve(noise, np.ones(5) / np.sqrt(5.0), mode="same")
     assert "err together" in " ".join(diagnosed(residuals(wind)).doubts)

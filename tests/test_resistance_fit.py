@@ -279,12 +279,12 @@ def test_unrecorded_brakes_are_masked_by_their_demand_or_by_deceleration() -> No
     unknown = changed(
         made, "/train/controls", dynamic_braking_effort=np.nan, pneumatic_braking_effort=np.nan
     )
-    told = changed(unknown, "/train/controls", braking_effort_demand=braking)
+    stated = changed(unknown, "/train/controls", braking_effort_demand=braking)
     line, train = line_of(made), train_of(made)
-    by_demand = prepare(told, line, train)
+    by_demand = prepare(stated, line, train)
     hard = braking.to_numpy() > 5000.0
     assert not by_demand.recording.usable[hard].any()
-    assert in_band(fit_trip(told), RESISTANCE)
+    assert in_band(fit_trip(stated), RESISTANCE)
     by_deceleration = prepare(unknown, line, train)
     harder = braking.to_numpy() > 0.3 * 142e3
     assert not by_deceleration.recording.usable[harder].any()
@@ -375,9 +375,9 @@ def test_speeds_that_chainage_contradicts_are_refused(simulated: list[Trip], fac
     made = replace(simulated[0], topics={name: simulated[0][name] for name in kept})
     wrong = changed(made, "/train/state", speed=factor * made["/train/state"]["speed"].to_numpy())
     said = f"the recorded speed is {factor:.1f}. times that of the chainage"
-    with pytest.raises(TripRefusedError, match=said) as told:
+    with pytest.raises(TripRefusedError, match=said) as stated:
         fit_trip(wrong)
-    assert told.value.reason == "contradiction"
+    assert stated.value.reason == "contradiction"
     with pytest.raises(LogError, match=f"nothing can be estimated; state: .*{said}"):
         with_estimates(wrong)
     with pytest.raises(NotIdentifiableError, match=said):

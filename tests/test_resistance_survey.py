@@ -82,24 +82,26 @@ def distance(fit: TripFit) -> float:
     return float(off @ np.linalg.solve(fit.covariance[:3, :3], off)) / 3.0
 
 
-def test_errors_that_reach_over_several_elements_are_told_by_the_lines_file() -> None:
-    told = [on_wrong_map(1000.0, Survey(2e-4, 1000.0), seed) for seed in range(16)]
-    untold = [on_wrong_map(1000.0, None, seed) for seed in range(16)]
-    assert np.mean([distance(fit) for fit in told]) < 1.3
-    assert np.median([fit.noise["gradient"] for fit in told]) == pytest.approx(2e-4, rel=0.2)
+def test_errors_that_reach_over_several_elements_are_reported_by_the_lines_file() -> None:
+    stated = [on_wrong_map(1000.0, Survey(2e-4, 1000.0), seed) for seed in range(16)]
+    unstated = [on_wrong_map(1000.0, None, seed) for seed in range(16)]
+    assert np.mean([distance(fit) for fit in stated]) < 1.3
+    assert np.median([fit.noise["gradient"] for fit in stated]) == pytest.approx(2e-4, rel=0.2)
     curve = powers(20.0) @ TRUE
     better, worse = (
         np.sqrt(np.mean([(fit.resistance(20.0) - curve) ** 2 for fit in fits]))
-        for fits in (told, untold)
+        for fits in (stated, unstated)
     )
     assert better < 0.85 * worse
 
 
-def test_a_survey_that_is_told_is_known_before_the_trip() -> None:
-    told = on_wrong_map(100.0, Survey(2e-4), seed=1)
-    untold = on_wrong_map(100.0, None, seed=1)
-    assert told.freedom > untold.freedom
-    assert abs(np.log(told.noise["gradient"] / 2e-4)) < abs(np.log(untold.noise["gradient"] / 2e-4))
+def test_a_survey_that_is_reported_is_known_before_the_trip() -> None:
+    stated = on_wrong_map(100.0, Survey(2e-4), seed=1)
+    unstated = on_wrong_map(100.0, None, seed=1)
+    assert stated.freedom > unstated.freedom
+    assert abs(np.log(stated.noise["gradient"] / 2e-4)) < abs(
+        np.log(unstated.noise["gradient"] / 2e-4)
+    )
 
 
 def test_errors_that_all_trips_share_do_not_average_out() -> None:

@@ -156,7 +156,7 @@ def test_drawing_towards_the_common_curve_helps_on_average() -> None:
     assert np.mean(better) < 0.9 * np.mean(raw)
 
 
-def test_differences_between_trips_are_found_and_told() -> None:
+def test_differences_between_trips_are_found_and_reported() -> None:
     spreads = []
     for seed in range(10):
         fits, _ = drawn(30, 0.08, (60.0, 40.0, 60.0), seed)
@@ -279,9 +279,9 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
 
 def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
     write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
-    with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as told:
+    with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as stated:
         fit([tmp_path / "dull.mcap"])
-    assert draw_each_refused(told.value.refused, tmp_path) == [tmp_path / "dull.png"]
+    assert draw_each_refused(stated.value.refused, tmp_path) == [tmp_path / "dull.png"]
     with pytest.raises(NotIdentifiableError, match="no log was given"):
         fit([])
 

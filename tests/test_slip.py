@@ -171,7 +171,7 @@ def test_no_slip_no_events() -> None:
 def test_with_less_recorded_it_still_works(
     trips: list[Seen], missing: tuple[str, ...], limit: float
 ) -> None:
-    """Without satellites the creep of the wheels, up to a metre a second, cannot be told."""
+    """Without satellites the creep of the wheels, up to a metre a second, cannot be seen."""
     found = Score()
     for each in trips:
         less = slip(without(each.trip, *missing))

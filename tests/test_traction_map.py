@@ -217,7 +217,7 @@ class TestMerging:
             update(first, [piece(3)])[0]
         )
 
-    def test_the_same_log_is_counted_once_and_told(self) -> None:
+    def test_the_same_log_is_counted_once_and_reported(self) -> None:
         first, _ = update(empty_map(LINE), [piece(1)])
         again, skipped = update(first, [replace(piece(1), trip="renamed"), piece(2), piece(2)])
         assert skipped == ("renamed", "trip-2")
@@ -299,13 +299,13 @@ class TestObserved:
         assert layer.observed[layer.events > 0].all()
 
     def test_summary(self) -> None:
-        (told,) = summary(self.spotted())
-        assert (told.layer, told.trips, told.events, told.bins) == ("dry", 7, 1, 80)
-        assert told.observed_length == 25.0 * told.observed_bins
-        assert told.lowest[0].position == 512.5
-        assert told.lowest[0].low < told.lowest[0].adhesion < told.lowest[0].high
+        (stated,) = summary(self.spotted())
+        assert (stated.layer, stated.trips, stated.events, stated.bins) == ("dry", 7, 1, 80)
+        assert stated.observed_length == 25.0 * stated.observed_bins
+        assert stated.lowest[0].position == 512.5
+        assert stated.lowest[0].low < stated.lowest[0].adhesion < stated.lowest[0].high
 
-    def test_low_spots_are_told_apart(self) -> None:
+    def test_low_spots_are_distinguished(self) -> None:
         track, _ = update(empty_map(LINE), [piece(seed) for seed in range(8)])
         spots = summary(track, spots=4)[0].lowest
         assert len(spots) == 4
@@ -384,8 +384,8 @@ class TestTrips:
         assert len(merged.trips) == 2
 
     def test_the_rail_condition_must_be_known(self, trip: Trip) -> None:
-        told = {n: v for n, v in trip.metadata.items() if n != "weather"}
-        unknown = replace(trip, metadata=told)
+        stated = {n: v for n, v in trip.metadata.items() if n != "weather"}
+        unknown = replace(trip, metadata=stated)
         track = empty_map(hilly_line())
         with pytest.raises(LogError, match="does not say whether the rail was dry or wet"):
             evidence(unknown, track)

@@ -107,9 +107,9 @@ def test_a_trajectory_counts_on_what_was_seen_demonstrated_or_assumed() -> None:
     )
     cells = np.linspace(0.0, 1_000.0, BINS + 1)
     assert np.flatnonzero(np.isfinite(run.adhesion(cells))).tolist() == [3]
-    told = replace(run, assumed_adhesion=0.05)
+    stated = replace(run, assumed_adhesion=0.05)
     counted = usable_adhesion(track, "wet", assumed=0.05)
-    assert np.array_equal(told.adhesion(cells), counted.values)
-    assert np.array_equal(told.adhesion_at(track.centres), counted.values)
-    backwards = replace(told, direction="reverse")
+    assert np.array_equal(stated.adhesion(cells), counted.values)
+    assert np.array_equal(stated.adhesion_at(track.centres), counted.values)
+    backwards = replace(stated, direction="reverse")
     assert np.array_equal(backwards.adhesion(cells), counted.values[::-1])

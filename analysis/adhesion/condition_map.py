@@ -72,7 +72,7 @@ Sums = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Events, weight, weighted logarithm and censored levels of every bin."""
 
 SPOT_SEPARATION = 250.0
-"""Two low spots are told apart when they are at least this far from each other [m]."""
+"""Two low spots count as two when they are at least this far from each other [m]."""
 
 
 def empty_map(

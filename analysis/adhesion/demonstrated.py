@@ -135,9 +135,9 @@ def demonstrated_adhesion(track: TrackConditionMap, layer: str, sigmas: float = 
 def typical_adhesion(track: TrackConditionMap, layer: str, sigmas: float = 1.0) -> float:
     """Cautious adhesion of the middle one of all places where slip has shown the maximum.
 
-    An assumption for the rest of the line. Neighbouring bins are one place, told by the lowest of
-    their cautious estimates: a long slippery spot counts no more than a short one. Slip is met
-    where the rail is worst, so that most of the line holds more; not all of it does.
+    An assumption for the rest of the line. Neighbouring bins are one place, represented by the
+    lowest of their cautious estimates: a long slippery spot counts no more than a short one.
+    Slip is met where the rail is worst, so that most of the line holds more; not all of it does.
 
     Parameters
     ----------

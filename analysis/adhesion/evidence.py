@@ -38,7 +38,7 @@ TOLERANCE = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is believed of the log maximum adhesion before any evidence.
+    """What is assumed of the log maximum adhesion before any evidence.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ FIXED_POINT = 2.0**-20
 """Weights and weighted logarithms are whole multiples of this, so that their sums are exact."""
 
 POSITION_MARGIN = 5.0
-"""Samples this close to the edge of a bin [m] bound no maximum: they may belong next door."""
+"""Samples this close to the edge of a bin [m] bound no maximum: they may belong to the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ class Evidence:
 
     @property
     def identity(self) -> str:
-        """What tells this log from others: its SHA-256, or the trip's name without one."""
+        """What identifies this log: its SHA-256, or the trip's name without one."""
         return self.sha256 or self.trip
 
 

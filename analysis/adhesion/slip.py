@@ -47,13 +47,13 @@ ADHESION_RATE = 0.12
 a few seconds of a run-up, from the maximum to little in half a second of slip."""
 
 SPEED_NOISE_FLOOR = 0.005
-"""Least noise of a wheel speed that is believed [m/s]."""
+"""Least noise of a wheel speed that is assumed [m/s]."""
 
 NOISE_SPAN = 0.4
 """Time over which differences of the observed adhesion are taken for noise [s]."""
 
 ADHESION_NOISE_FLOOR = 0.002
-"""Least noise of an observed adhesion that is believed."""
+"""Least noise of an observed adhesion that is assumed."""
 
 SATELLITE_STD = 0.1
 """Standard deviation of a satellite speed that comes without one [m/s]."""
@@ -210,7 +210,7 @@ class SlipAnalysis:
     def events_frame(self) -> pd.DataFrame:
         """The slip events as a frame of the topic ``/events``, one warning each."""
         rows = self.events.join(self.creep_curves()).sort_values(["start", "axle"])
-        told = zip(
+        columns = zip(
             rows["axle"],
             rows["kind"],
             rows["position"].to_numpy() / 1e3,
@@ -225,7 +225,7 @@ class SlipAnalysis:
             f"axle {axle} slips in {kind} at km {km:.3f}, {kmh:.0f} km/h: {peak:.1f} m/s,"
             f" adhesion {adhesion:.3f}"
             + (f", maximum {top:.3f} ± {reach:.3f}" if np.isfinite(top) else "")
-            for axle, kind, km, kmh, peak, adhesion, top, reach in told
+            for axle, kind, km, kmh, peak, adhesion, top, reach in columns
         ]
         return frame_of(
             EVENTS,
@@ -318,15 +318,15 @@ def wheel_noise(wheel_speed: FloatArray) -> float:
 
 
 def _load(trip: Trip) -> float:
-    """Load that the log tells [kg]; none told is none."""
-    told = trip.metadata.get("load") or "0"
+    """Load that the log states [kg]; 0 where it states none."""
+    stated = trip.metadata.get("load") or "0"
     try:
-        load = float(told)
+        load = float(stated)
     except ValueError:
         load = np.nan
     if not (np.isfinite(load) and load >= 0.0):
         raise LogError(
-            f"trip '{trip.name}': load '{told}' is not a mass in kg",
+            f"trip '{trip.name}': load '{stated}' is not a mass in kg",
             remedy="correct metadata 'load' when the log is made",
         )
     return load
@@ -537,8 +537,8 @@ def onset(adhesion: FloatArray, noise: float) -> tuple[NDArray[np.int64], bool]:
     Returns
     -------
     top : (k,) int array
-        Samples that noise cannot tell from the maximum. Their mean is the maximum without the
-        bias of a largest value.
+        Samples that differ from the maximum by no more than noise. Their mean is the maximum
+        without the bias of a largest value.
     fell : bool
         Whether the adhesion fell from there to the end: the maximum was passed.
     """

@@ -49,7 +49,7 @@ class TripCost:
         Energy drawn from the line less what was fed back, with the train's efficiencies.
     top_speed : float [m/s]
     slips : int or None
-        How often the slip protection acted; None if the log tells no events.
+        How often the slip protection acted; None if the log has no events.
     late : float or None [s]
         On arrival, behind the trajectory that was followed; None if there was none.
     """

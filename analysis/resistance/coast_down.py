@@ -56,8 +56,8 @@ RATIO_BETWEEN = 0.005
 
 IMPLAUSIBLE = 21.0
 """Squared distance from `TYPICAL`, in standard deviations, beyond which no train has such a curve:
-chance exceeds it once in 10,000 trains. A driver who holds one effort all day cannot be told from a
-train that coasts with another curve, unless no train has that curve."""
+chance exceeds it once in 10,000 trains. A driver who holds one effort all day cannot be
+distinguished from a train that coasts with another curve, unless no train has that curve."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,7 +67,7 @@ class CoastDown:
     Attributes
     ----------
     train : str
-        Empty where the trips do not tell.
+        Empty where the trips do not state it.
     curve : Curve
         Common to the trips; of one trip its own.
     ratio : MassRatio
@@ -347,9 +347,9 @@ def check_supported(curve: Curve, speeds: tuple[float, float] | None) -> None:
     if share[worst] <= LARGEST_STD:
         return
     at = worst if speeds is not None else best
-    told = f"{100.0 * share[at]:.0f} %" if np.isfinite(share[at]) else "the whole"
+    known = f"{100.0 * share[at]:.0f} %" if np.isfinite(share[at]) else "the whole"
     raise NotIdentifiableError(
-        f"at {KMH * speed[at]:.0f} km/h the curve is known to {told} of itself only (standard"
+        f"at {KMH * speed[at]:.0f} km/h the curve is known to {known} of itself only (standard"
         f" deviation, at most {100.0 * LARGEST_STD:.0f} %)",
         remedy="give more trips, longer coasting, or a narrower range of speeds",
     )
@@ -368,7 +368,7 @@ def _located(trip: Trip, line: Line | None) -> tuple[Motion, Line]:
 
 
 def one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:
-    """The train of all trips and its name, if they tell it; None and empty if not.
+    """The train of all trips and its name, if they state it; None and empty if not.
 
     Raises
     ------
@@ -438,12 +438,12 @@ def result_of(found: CoastDown) -> CoastDownResult:
     """The file's content; the provenance is added by whoever read the files."""
     curve = found.curve
     std = np.sqrt(np.diag(curve.covariance))
-    told = None if found.ratio.source == "data" else f"expected: {found.ratio.source}"
+    reason = None if found.ratio.source == "data" else f"expected: {found.ratio.source}"
     return CoastDownResult(
         train=found.train,
         gradient="line",
         quantities=tuple(
-            Identified(name, unit, float(value), float(deviation), told if not number else None)
+            Identified(name, unit, float(value), float(deviation), reason if not number else None)
             for number, ((name, unit), value, deviation) in enumerate(
                 zip(NAMES, curve.theta, std, strict=True)
             )

@@ -197,7 +197,7 @@ ROUNDS = 40
 """Most rounds of expectation maximisation."""
 
 MAP_STD = 0.004
-"""Standard deviation of the track's deceleration as the map tells it [m/s²]: 0.4 per mille."""
+"""Standard deviation of the track's deceleration by the map [m/s²]: 0.4 per mille."""
 
 CURVE_STD = 0.05
 """How much one trip's curve differs from the common one, over the curve: load, wind, weather."""
@@ -209,13 +209,13 @@ SHORTEST = 8.0
 """Segments shorter than this [s] are not used: a moment without effort proves nothing."""
 
 LEVELS = Levels.usual()
-"""What coasting is told from."""
+"""Levels of effort that coasting is distinguished from."""
 
 LEAST_DENSITY = 1e-6
 """Density [s²/m] of what no level explains."""
 
 EVIDENCE = 6.0
-"""Least gain in log-likelihood that coasting must bring over a world without coasting."""
+"""Least gain in log-likelihood that coasting must bring over no coasting at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,7 @@ class Detection:
     theta : (4,) array
         k, c0, c1, c2 as far as the detection needed them; not the answer.
     evidence : float
-        Gain in log-likelihood over a world without coasting.
+        Gain in log-likelihood over no coasting at all.
     """
 
     segments: tuple[tuple[Segment, ...], ...]
@@ -404,7 +404,7 @@ def _rows(blocks: Blocks) -> FloatArray:
 
 
 def _spread(blocks: Blocks, curve: FloatArray) -> FloatArray:
-    """Standard deviation (n,) of the effort that a pair of blocks tells."""
+    """Standard deviation (n,) of the effort that a pair of blocks shows."""
     return np.sqrt(blocks.noise**2 + MAP_STD**2 + (CURVE_STD * curve) ** 2)
 
 

@@ -4,7 +4,7 @@ While a train coasts,
 
     dv/dt = -k a_track(s) - c0 - c1 v - c2 v²,      k = m / (m + m_rot),   c = R / (m + m_rot):
 
-speeds alone tell accelerations, never forces. The four parameters are those of the acceleration
+speeds alone show accelerations, never forces. The four parameters are those of the acceleration
 form in `analysis.resistance` with gravity in the place of the effort: what the track does to each
 kilogramme is what drives the train, and k stands where 1/m stood. Windows, noise model, outliers
 and covariance are those of `analysis.resistance`.
@@ -39,7 +39,7 @@ SAMPLES = 5.0
 """Least number of samples of the speed in a window: with fewer, neighbouring ends err alike."""
 
 LEAST_COASTING = 60.0
-"""Less coasting than this [s] leaves no residuals to tell the noise from."""
+"""Less coasting than this [s] leaves no residuals to estimate the noise from."""
 
 SHORTEST_RANGE = 3.0
 """Speeds that differ by less than this [m/s] are one speed."""
@@ -69,7 +69,7 @@ class MassRatio:
     ----------
     value, std : float
     source : str
-        ``"train file"``, ``"any train"``, or ``"data"`` where the recording itself tells it.
+        ``"train file"``, ``"any train"``, or ``"data"`` where the recording itself determines it.
     """
 
     value: float
@@ -312,14 +312,14 @@ def with_ratio(
 ) -> tuple[FloatArray, FloatArray, MassRatio]:
     """Parameters (4,) and covariance (4, 4) once mass over inertia is expected to be something.
 
-    It is the data's if they tell it better than what was expected.
+    Its source is the data if they determine it better than what was expected.
     """
     gain = covariance[:, 0] / (covariance[0, 0] + expected.std**2)
-    told = theta + gain * (expected.value - theta[0])
+    updated = theta + gain * (expected.value - theta[0])
     left = covariance - np.outer(gain, covariance[0])
     by_data = covariance[0, 0] < expected.std**2
     source = "data" if by_data else expected.source
-    return told, left, MassRatio(float(told[0]), float(np.sqrt(left[0, 0])), source)
+    return updated, left, MassRatio(float(updated[0]), float(np.sqrt(left[0, 0])), source)
 
 
 def _check_windows(motion: Motion, windows: Windows) -> None:
@@ -396,7 +396,7 @@ def _misjudged(
     """Covariance (4, 4) that efforts bring in which were taken for coasting.
 
     With the probability that a segment was not coasting it carried the nearest level of effort, to
-    either side: least squares tells what that does to the parameters.
+    either side: least squares gives what that does to the parameters.
     """
     used = windows.select(regression.kept)
     starts = np.array([segment.start for segment in segments])

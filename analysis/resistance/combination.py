@@ -445,7 +445,7 @@ def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:
 def nearest_physical(beta: FloatArray, covariance: FloatArray) -> RunningResistance:
     """The likeliest running resistance of which no coefficient is negative.
 
-    Where r0, r1 and r2 can hardly be told apart one of them may come out negative; the nearest
+    Where r0, r1 and r2 can hardly be separated one of them may come out negative; the nearest
     physical ones, measured by the covariance, give nearly the same curve.
     """
     scale = np.sqrt(np.diag(covariance))

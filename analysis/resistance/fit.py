@@ -1,4 +1,4 @@
-"""Running resistance and mass of one trip, with the reason where it cannot be told."""
+"""Running resistance and mass of one trip, with the reason where they are not identifiable."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ on its way from or to a stop, and running resistance is small beside the efforts
 and band go down to standstill all the same."""
 
 LARGEST_CONDITION = 300.0
-"""Column-normalised condition number beyond which the parameters cannot be told apart."""
+"""Column-normalised condition number beyond which the parameters cannot be separated."""
 
 LARGEST_STD = 0.10
 """Standard deviation of the curve, over the curve, beyond which it is refused."""
@@ -477,8 +477,8 @@ def _check_curve(
     if regression.condition > LARGEST_CONDITION:
         raise TripRefusedError(
             "condition",
-            f"trip '{name}': speed and effort vary too little to tell mass and coefficients"
-            f" apart (condition number {regression.condition:.0f}, at most"
+            f"trip '{name}': speed and effort vary too little to separate mass and"
+            f" coefficients (condition number {regression.condition:.0f}, at most"
             f" {LARGEST_CONDITION:.0f})",
             remedy="a trip with starts, coasting and several speeds",
             timeline=timeline,
@@ -489,10 +489,10 @@ def _check_curve(
     share = np.where(curve > 0.0, std / np.maximum(curve, 1e-9), np.inf)
     worst = int(np.argmax(share))
     if share[worst] > LARGEST_STD:
-        told = f"{100.0 * share[worst]:.0f} %" if np.isfinite(share[worst]) else "the whole"
+        known = f"{100.0 * share[worst]:.0f} %" if np.isfinite(share[worst]) else "the whole"
         raise TripRefusedError(
             "excitation",
-            f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {told}"
+            f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {known}"
             f" of itself only (standard deviation, at most {100.0 * LARGEST_STD:.0f} %)",
             remedy="ask for a narrower range of speeds, or give a longer or more varied trip",
             timeline=timeline,

@@ -24,16 +24,16 @@ LOWEST_SPEED = 5.0
 is braked, however gently."""
 
 LEAST_NOISE = 1e-4
-"""Smallest noise of a speed [m/s] that is believed: exact data stay solvable."""
+"""Smallest noise of a speed [m/s] that is assumed: exact data stay solvable."""
 
 LONGEST_PERIOD = 2.5
-"""Longest time between two samples of the speed [s] from which coasting can be told."""
+"""Longest time between two samples of the speed [s] from which coasting can be detected."""
 
 GAP_PERIODS = 2.6
 """A pause of more than so many sampling periods is a gap."""
 
 OUTLIER = 8.0
-"""A speed that is so many standard deviations off the smoothed motion is not believed."""
+"""A speed that is so many standard deviations off the smoothed motion is not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def motion_of(trip: Trip) -> Motion:
         raise NotIdentifiableError(
             f"trip '{trip.name}': a speed every {period:.1f} s only",
             place=f"topic {topic}",
-            remedy=f"coasting can be told from speeds at most {LONGEST_PERIOD} s apart",
+            remedy=f"coasting can be detected from speeds at most {LONGEST_PERIOD} s apart",
         )
     position = _position(trip, index)
     scale = SpeedScale(1.0, 0.0, "GNSS speed")

@@ -101,7 +101,7 @@ PRIOR_WIDTH = NoiseModel(speed=0.5, gradient=1.5, position=1.5, effort=1.0)
 """Standard deviation of the natural logarithm of each size around what is expected."""
 
 SURVEYED_WIDTH = 0.2
-"""The same of a gradient error that the line's file states: believed to a fifth."""
+"""The same of a gradient error that the line's file states: trusted to a fifth."""
 
 
 @dataclass(frozen=True, slots=True)

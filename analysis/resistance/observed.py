@@ -10,8 +10,9 @@ a configuration is its features ``(1/M, R(v1)/M, R(v2)/M, R(v3)/M, p_max)``: to 
 running time and every energy is a linear function of them. The set is chosen so that, whichever
 linear function it is, the largest over the set is at least as large as that of a stated share of
 the trips. If trips come in no particular order, the next trip exceeds the k-th largest of n with
-probability ``1 - k/(n+1)``: the share is told as k/(n+1), the same for trips not yet seen. A dozen
-trips cannot promise 95 % of the next ones; then all are kept, and the level says what they can.
+probability ``1 - k/(n+1)``: the share is stated as k/(n+1), the same for trips not yet seen. A
+dozen trips cannot promise 95 % of the next ones; then all are kept, and the level states what they
+can.
 
 A trip's best estimate is drawn towards the common curve, so that estimates differ less than the
 trips do. Before the extremes are looked for they are spread out to the variance that the trips
@@ -103,14 +104,14 @@ def parameter_set(
     Parameters
     ----------
     trips : DataFrame of summaries, or sequence of TripFit
-        Refused trips are told in the details. A trip that never was at its power limit, while
+        Refused trips are listed in the details. A trip that never was at its power limit, while
         others were, has the lower power of the two next in mass: so the set has the powers that
         were seen, and a few low ones more. Where none was, the train's file gives the power.
     cover : float
         Share of trips whose running times and energies the set is to bound; as many
         configurations as that takes.
     most : int, optional
-        At most so many configurations; the level that they reach is told.
+        At most so many configurations; the level that they reach is stated.
 
     Raises
     ------
@@ -310,7 +311,7 @@ def _of_neighbours(masses: FloatArray, seen: NDArray[np.bool_], limits: FloatArr
 
 
 def _names(rows: pd.DataFrame) -> list[str]:
-    """Names of the trips; trips of one name are told apart by the digest of their logs."""
+    """Names of the trips; trips of one name are distinguished by the digest of their logs."""
     twice = rows.duplicated("trip", keep=False).to_numpy()
     if not twice.any():
         return [str(name) for name in rows["trip"]]

@@ -138,9 +138,9 @@ def _observed(axes: Axes, fits: Fits) -> None:
     )
     dress(axes, x="speed [km/h]", y="difference from the mean [%]", title=title)
     low, high = axes.get_ylim()
-    axes.set_ylim(low - 0.25 * (high - low), high)  # room for the legend
+    axes.set_ylim(low - 0.25 * (high - low), high)  # space for the legend
     low, high = axes.get_ylim()
-    axes.set_ylim(low - 0.25 * (high - low), high)  # room for the legend
+    axes.set_ylim(low - 0.25 * (high - low), high)  # space for the legend
     axes.legend(fontsize=8, frameon=False, loc="lower left")
 
 
@@ -488,7 +488,10 @@ def _curve_without_gradient(axes: Axes, result: CoastDownResult) -> None:
     curve = result.curve
     if curve is not None:
         speed, value, low, high = curve.speeds, curve.deceleration, curve.low, curve.high
-        what, title = "running resistance over inertia [m/s²]", "pieces coasted both ways tell all"
+        what, title = (
+            "running resistance over inertia [m/s²]",
+            "all of it, by pieces coasted both ways",
+        )
     else:
         c1, c2 = result["c1"].value or 0.0, result["c2"].value or 0.0
         ends = np.array([piece["speed"] for piece in result.pieces])

@@ -17,7 +17,7 @@ from trainlog.trip import Trip
 FloatArray = NDArray[np.float64]
 
 SHORTEST = 5.0
-"""Shorter time at the limit than this [s] tells nothing."""
+"""Shorter time at the limit than this [s] is not used."""
 
 LOWEST_SPEED = 8.0
 """Below this speed [m/s] effort is limited by adhesion or by the motors, not by power."""

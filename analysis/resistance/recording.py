@@ -37,7 +37,7 @@ Reason = Literal[
 ``"contradiction"``: the speed is not that of satellites or chainage. ``"gap"``,
 ``"standstill"``, ``"braking"``, ``"slip"``: most of the trip was masked for that. ``"too short"``:
 it was not, and there are too few windows all the same. ``"condition"``: speed and effort vary too
-little to tell the parameters apart. ``"excitation"``: at some speed that was asked for the curve
+little to separate the parameters. ``"excitation"``: at some speed that was asked for the curve
 is known too badly."""
 
 REASONS: tuple[Reason, ...] = get_args(Reason)
@@ -483,8 +483,8 @@ def _braking(
     demand = interpolated(controls, "braking_effort_demand", index)
     lever = interpolated(controls, "lever", index)
     asked = (np.nan_to_num(demand) > threshold) | (np.nan_to_num(lever) < -0.02)
-    untold = ~np.isfinite(demand) & ~np.isfinite(lever)
-    return np.asarray(mask | (unknown & np.where(untold, acceleration < -BRAKED, asked)))
+    unrecorded = ~np.isfinite(demand) & ~np.isfinite(lever)
+    return np.asarray(mask | (unknown & np.where(unrecorded, acceleration < -BRAKED, asked)))
 
 
 def _slipping(time: FloatArray, wheels: FloatArray, smooth: FloatArray) -> BoolArray:

@@ -48,7 +48,7 @@ def fit_table(fits: Fits) -> Group:
     )
     low, high = common.speed_range
     words = [
-        "± is the 95 % band; a power is told where a trip reached it. Supported from"
+        "± is the 95 % band; a power is given where a trip reached it. Supported from"
         f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
         " correlated: trust the curve.",
     ]
@@ -112,10 +112,10 @@ def without_gradient_table(result: CoastDownResult) -> Group:
         "Running resistance over inertia, gradient unknown", "quantity", "unit", "value", ""
     )
     for each in result.quantities:
-        told = "not identified"
+        value = "not identified"
         if each.value is not None and each.std is not None:
-            told = f"{each.value:.3g} ± {1.96 * each.std:.2g}"
-        table.add_row(each.name, each.unit, told, each.reason or "")
+            value = f"{each.value:.3g} ± {1.96 * each.std:.2g}"
+        table.add_row(each.name, each.unit, value, each.reason or "")
     words = [f"{len(result.pieces)} pieces of track were coasted more than once."]
     words += [f"refused: {trip['reason']}" for trip in result.trips if not trip["accepted"]]
     if result.curve is not None:
@@ -153,9 +153,9 @@ def _curve(found: CoastDown) -> Table:
 def _ratio(found: CoastDown) -> str:
     ratio = found.ratio
     origin = {
-        "data": "told by how the train coasts on different gradients",
-        "train file": "expected from the train's file; the data do not tell it better",
-        "any train": "assumed, as no train file is there; the data do not tell it better",
+        "data": "determined by how the train coasts on different gradients",
+        "train file": "expected from the train's file; the data do not determine it better",
+        "any train": "assumed, as no train file is there; the data do not determine it better",
     }[ratio.source]
     return (
         f"Mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f}: {origin}. The columns over"

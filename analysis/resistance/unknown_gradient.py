@@ -1,4 +1,4 @@
-"""Coasting on a line whose gradients are not known: what can be told then, and nothing else.
+"""Coasting on a line whose gradients are not known: what can be identified then, and nothing else.
 
 A held effort and a gradient look alike, so that coasting itself cannot be found: it must be known
 from the lever or from a test's protocol. Over a piece of track of length L that a trip coasted
@@ -9,9 +9,9 @@ through from end to end, whatever its gradient does,
 averages over the way, d = 1 along the line and -1 against it. Every piece has an unknown u of its
 own. Hence
 
-- the same piece coasted at different speeds tells c1 and c2, and the sum c0 + u of the piece;
+- the same piece coasted at different speeds gives c1 and c2, and the sum c0 + u of the piece;
 - pieces coasted in both directions part c0 from u. Curves, which resist both ways, stay in c0;
-- pieces coasted once tell nothing.
+- pieces coasted once give nothing.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ PLACE_STD = 0.0015
 gradient changes by 10 per mille."""
 
 FEWEST_FREE = 5
-"""Least number of passages beyond the unknowns: residuals tell the noise."""
+"""Least number of passages beyond the unknowns: residuals show the noise."""
 
 UNIDENTIFIED = 1e-6
 """Part of a parameter that no passage sees, beyond which it is not identified."""
@@ -95,7 +95,7 @@ def coast_down_without_gradient(
     line: Line | str | Path | None = None,
     spans: Mapping[str, Spans] | None = None,
 ) -> CoastDownResult:
-    """What coasting tells of running resistance where the gradient is not known.
+    """What coasting shows of running resistance where the gradient is not known.
 
     Parameters
     ----------
@@ -117,28 +117,28 @@ def coast_down_without_gradient(
     ------
     NotIdentifiableError
         If it is not known where the trips coasted, or no piece of track was coasted at different
-        speeds, or the speeds' differences do not tell the resistance to 10 %.
+        speeds, or the speeds' differences do not determine the resistance to 10 %.
     InputError
         If the trips are of different trains, or a trip appears twice.
     """
     sources = Sources.of(trips, line, (*TOPICS, "/train/controls"))
     _, train = one_train(sources.trips)
     parts: list[Passages] = []
-    told: list[dict[str, object]] = []
+    notes: list[dict[str, object]] = []
     for number, trip in enumerate(sources.trips):
         try:
             motion = motion_of(trip)
             known = lever_at_rest(trip, motion) if spans is None else spans.get(trip.name, ())
             found = passages(motion, known, number, _turned(trip, sources.line))
         except NotIdentifiableError as error:
-            told.append({"trip": trip.name, "accepted": False, "reason": str(error)})
+            notes.append({"trip": trip.name, "accepted": False, "reason": str(error)})
             continue
         parts.append(found)
-        told.append({"trip": trip.name, "accepted": True, "passages": int(found.piece.size)})
-    check_any(parts, {str(each["trip"]): str(each["reason"]) for each in told if "reason" in each})
+        notes.append({"trip": trip.name, "accepted": True, "passages": int(found.piece.size)})
+    check_any(parts, {str(each["trip"]): str(each["reason"]) for each in notes if "reason" in each})
     rows = _joined(parts)
     _check_repeated(rows)
-    return with_origin(replace(_solved(rows, told), train=train), sources.digests)
+    return with_origin(replace(_solved(rows, notes), train=train), sources.digests)
 
 
 def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:
@@ -246,7 +246,7 @@ def _check_repeated(rows: Passages) -> None:
         raise NotIdentifiableError(
             f"with the gradient unknown, {rows.piece.size} passages over {pieces.size} pieces of"
             f" {PIECE:.0f} m, {int(again.sum())} of them over a piece coasted more than once, do"
-            " not tell resistance from gradient",
+            " not separate resistance from gradient",
             remedy="give the line's gradients, or more trips that coast over the same track",
         )
 
@@ -260,7 +260,7 @@ def _whitened(rows: Passages, columns: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), columns))
 
 
-def _solved(rows: Passages, told: list[dict[str, object]]) -> CoastDownResult:
+def _solved(rows: Passages, notes: list[dict[str, object]]) -> CoastDownResult:
     pieces, member = np.unique(rows.piece, return_inverse=True)
     unknowns = np.zeros((rows.piece.size, 3 + pieces.size))
     unknowns[:, :3] = -np.column_stack([np.ones(rows.speed.size), rows.speed, rows.square])
@@ -288,7 +288,7 @@ def _solved(rows: Passages, told: list[dict[str, object]]) -> CoastDownResult:
         quantities=quantities,
         covariance=covariance[np.ix_(kept, kept)],
         curve=curve,
-        trips=told,
+        trips=notes,
         pieces=_pieces(rows, pieces, estimate, covariance, curve is not None),
     )
 
@@ -314,12 +314,12 @@ def _check_differences(
     covariance: FloatArray,
     is_seen: bool,
 ) -> None:
-    """Refuse speeds that do not differ, or differences that are not told to 10 %."""
+    """Refuse speeds that do not differ, or differences that are not known to 10 %."""
     low, high = np.quantile(rows.speed, [0.05, 0.95])
     if not is_seen:
         raise NotIdentifiableError(
-            "with the gradient unknown, resistance cannot be told: each piece of track was coasted"
-            " at one and the same speed",
+            "with the gradient unknown, resistance cannot be identified: each piece of"
+            " track was coasted at one and the same speed",
             remedy="give the line's gradients, or trips that coast over the same track at"
             " different speeds",
         )
@@ -357,7 +357,7 @@ def _quantities(
 ) -> tuple[Identified, ...]:
     std = np.sqrt(np.diag(covariance)[:3])
     merged = "merged with the gradient: no piece was coasted in both directions"
-    wide = "pieces coasted in both directions tell it to more than 10 % of the curve only"
+    wide = "pieces coasted in both directions give it to more than 10 % of the curve only"
     c0 = (
         Identified("c0", "m/s^2", float(estimate[0]), float(std[0]), "with the curves' resistance")
         if known

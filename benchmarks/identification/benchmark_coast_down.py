@@ -40,7 +40,7 @@ FloatArray = NDArray[np.float64]
 Trips = list[tuple[Scenario, Trip]]
 
 RATIO = 0.917
-"""Mass over inertia that the peer is told: that of the half-loaded train."""
+"""Mass over inertia that the peer is given: that of the half-loaded train."""
 
 
 def wheels(trip: Trip, _: int) -> Trip:

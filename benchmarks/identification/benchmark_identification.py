@@ -72,8 +72,8 @@ def cells(outcomes: list[Outcome], study: Study, estimate: Combination) -> list[
     out = []
     for size in SIZES:
         errors = [error(estimate(group), study) for group in grouped(outcomes, size)]
-        told = f"{np.median(errors):.2f}" if errors else "-"
-        out.append(told + (f" ({np.quantile(errors, 0.9):.1f})" if len(errors) > 9 else ""))
+        shown = f"{np.median(errors):.2f}" if errors else "-"
+        out.append(shown + (f" ({np.quantile(errors, 0.9):.1f})" if len(errors) > 9 else ""))
     return out
 
 
@@ -138,11 +138,11 @@ def show_coverage(outcomes: list[Outcome], study: Study) -> list[tuple[int, floa
 
 
 def show_refusals(outcomes: list[Outcome], constant: list[Outcome], study: Study) -> None:
-    told = {one.refused for one in constant if one.refused}
+    reasons = {one.refused for one in constant if one.refused}
     print(
         f"refused, asked from {KMH * ASKED[0]:.0f} to {KMH * ASKED[1]:.0f} km/h:"
         f" {sum(bool(o.refused) for o in constant)} of {len(constant)} at one speed"
-        f" ({', '.join(sorted(told))}),"
+        f" ({', '.join(sorted(reasons))}),"
         f" {sum(bool(o.refused) for o in outcomes)} of {len(outcomes)} varied"
     )
     kept = [one for one in outcomes if not one.refused]

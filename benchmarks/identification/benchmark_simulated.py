@@ -57,8 +57,8 @@ def mapped(line: Line) -> Change:
     """Another map: each gradient 0.5 per mille off, each change of gradient up to 20 m."""
     generator = np.random.default_rng(1)
     edges = line.gradients.positions.copy()
-    room = 0.45 * np.minimum(np.diff(edges), np.append(np.diff(edges)[1:], 1e3))
-    edges[1:] += generator.uniform(-1.0, 1.0, room.size) * np.minimum(20.0, room)
+    free = 0.45 * np.minimum(np.diff(edges), np.append(np.diff(edges)[1:], 1e3))
+    edges[1:] += generator.uniform(-1.0, 1.0, free.size) * np.minimum(20.0, free)
     slopes = line.gradients.values + 0.5e-3 * generator.standard_normal(edges.size)
     data = line_to_bytes(replace(line, gradients=StepProfile(edges, slopes)))
     return lambda trip: replace(trip, attachments={**trip.attachments, LINE_ATTACHMENT: data})

@@ -1,4 +1,4 @@
-"""Errors of the line that trips share: whether their mean is known as well as is told.
+"""Errors of the line that trips share: whether their mean is known as well as is stated.
 
     python benchmarks/identification/benchmark_survey.py [--series 24]
 

@@ -1,7 +1,7 @@
 """How well any unbiased estimator can do on a drawn trip: the Cramér-Rao bound.
 
-Everything is told: the true pieces of gradient, the true sizes of all errors, the true mass's
-range. What is not told is drawn, and normal: one offset for each piece, one shift for each change
+Everything is given: the true pieces of gradient, the true sizes of all errors, the true mass's
+range. What is not given is drawn, and normal: one offset for each piece, one shift for each change
 of gradient, the noise of each sample. Speed itself is the observation, at every second, and every
 stretch between two brakings begins at a speed of its own, so that nothing is shared with the
 windows of the product but the equation of motion.

@@ -3,7 +3,7 @@
 A train of paper 004 (350 t, eq. 35 without its slow variation) runs 60 km on lines and at speeds
 drawn anew for each trip, holding speed or powering and coasting, braking for lower limits.
 Recorded at 10 Hz: speed with 0.03 m/s of noise in steps of 0.01 m/s, effort, chainage summed up
-from that speed, and satellites' speed. What the estimator is told is wrong as in practice: each
+from that speed, and satellites' speed. What the estimator is given is wrong as in practice: each
 gradient of the map by 0.5 per mille, each change of gradient by up to 20 m, the mass by up to 10 %.
 """
 
@@ -39,7 +39,7 @@ class Study:
     Attributes
     ----------
     mass : float [kg]
-        What the estimator is told; the true one is up to 10 % off.
+        What the estimator is given; the true one is up to 10 % off.
     resistance : RunningResistance
     max_effort, max_power : float [N], [W]
     length : float [m]
@@ -82,7 +82,7 @@ PERFECT = replace(Study(), map_error=0.0, edge_error=0.0, mass_error=0.0)
 """Map and mass known; only the speed is noisy."""
 
 CONSTANT = replace(Study(), speeds=(30.0, 30.0), coasting=0.0)
-"""One speed throughout: nothing can be told."""
+"""One speed throughout: nothing can be identified."""
 
 
 @dataclass(frozen=True)

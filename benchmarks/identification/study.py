@@ -199,7 +199,7 @@ def _one(task: tuple[Study, int, bool, bool]) -> Outcome:
 
 
 def _differenced(trip: Drawn, study: Study) -> FloatArray:
-    """Paper 004, eqs. (21)-(24), with the mass as told and the map's gradient taken off."""
+    """Amirhosseini et al. (2024), eqs. (21)-(24), with the given mass, less the map's gradient."""
     speed = trip.speed
     known = trip.braking[:-1] == 0.0
     track = trip.line.track_acceleration(trip.position[:-1])

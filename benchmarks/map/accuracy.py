@@ -32,15 +32,15 @@ def spans(flags):
 
 
 def counted(found: SlipAnalysis, slip_speed, margin: float):
-    """Slips that truly were and were missed; that were told and were not."""
+    """Slips that truly were and were missed; that were reported and were not."""
     truly = SlipDetector(slip_speed.shape[1], 0.0).update(slip_speed)
     counts = np.zeros(4, dtype=int)
     for axle in range(slip_speed.shape[1]):
-        size, told = np.abs(slip_speed[:, axle]), found.slipping[:, axle]
+        size, reported = np.abs(slip_speed[:, axle]), found.slipping[:, axle]
         for a, b in spans(truly[:, axle]):
             if size[a:b].max() > 1.5 + margin:
-                counts[:2] += (1, not told[a:b].any())
-        for a, b in spans(told):
+                counts[:2] += (1, not reported[a:b].any())
+        for a, b in spans(reported):
             counts[2:] += (1, size[max(a - 1, 0) : b + 1].max() < 1.5 - margin)
     return counts
 
@@ -96,14 +96,14 @@ def main() -> None:
             errors.setdefault(name, []).append(error)
             inside.setdefault(name, []).append(np.abs(score) < 1.96)
             together.append(error)
-            told(f"{seed:4d}  {name:5s}", error, inside[name][-1])
-        told(f"{seed:4d}  both ", np.concatenate(together), None)
+            reported(f"{seed:4d}  {name:5s}", error, inside[name][-1])
+        reported(f"{seed:4d}  both ", np.concatenate(together), None)
         slips += sum(each[2] for each in trips)
         onsets += [each[3] for each in trips]
         speeds += [each[4] for each in trips]
     for name in errors:
-        told(f" all  {name:5s}", np.concatenate(errors[name]), np.concatenate(inside[name]))
-    told(
+        reported(f" all  {name:5s}", np.concatenate(errors[name]), np.concatenate(inside[name]))
+    reported(
         " all  both ",
         np.concatenate([e for each in errors.values() for e in each]),
         np.concatenate([e for each in inside.values() for e in each]),
@@ -111,7 +111,7 @@ def main() -> None:
     off, wrong = np.concatenate(onsets), np.concatenate(speeds)
     print(
         f"slips: {slips[0]} true, recall {1 - slips[1] / slips[0]:.4f};"
-        f" {slips[2]} told, precision {1 - slips[3] / slips[2]:.4f}\n"
+        f" {slips[2]} reported, precision {1 - slips[3] / slips[2]:.4f}\n"
         f"onsets: {off.size}, error median {np.median(np.abs(off)):.4f},"
         f" RMS {np.sqrt(np.mean(off**2)):.4f}, mean {off.mean():+.4f}\n"
         f"train speed: error RMS {np.sqrt(np.mean(wrong**2)):.3f} m/s,"
@@ -119,7 +119,7 @@ def main() -> None:
     )
 
 
-def told(what: str, error, inside) -> None:
+def reported(what: str, error, inside) -> None:
     band = "" if inside is None else f"{np.mean(inside):9.3f}"
     print(
         f"{what}  {error.size:16d}  {np.sqrt(np.mean(error**2)):5.3f}"

@@ -41,7 +41,7 @@ LEVELS = (1.0, 0.95, 0.9, 0.8)
 """Of the second day's rail over the first's."""
 
 
-def told(name: str, level: float, found: Run) -> None:
+def reported(name: str, level: float, found: Run) -> None:
     """One line a trip."""
     print(
         f"{name:12} rail x {level:.2f}: {found.slip_events:4d} slips,"
@@ -60,7 +60,7 @@ def caution(known: study.World, sigmas: Sequence[float], folder: Path) -> None:
     rails = {level: StepProfile(rail.positions, level * rail.values) for level in LEVELS}
     blind = with_map(known.plan, NO_MAP)
     for level, met in rails.items():
-        told("no map", level, run("day 2", blind, met, PUBLISHED_TRAIN.mass))
+        reported("no map", level, run("day 2", blind, met, PUBLISHED_TRAIN.mass))
     for each in sigmas:
         counted = cautious(track, each)
         above = np.count_nonzero(counted.values > rail(track.centres))
@@ -71,7 +71,7 @@ def caution(known: study.World, sigmas: Sequence[float], folder: Path) -> None:
         plan = replanned(known.plan, counted.profile)
         for level, met in rails.items():
             stops = timetable_of(known.plan)
-            told(
+            reported(
                 f"{each:g} sigmas",
                 level,
                 run("day 2", plan, met, PUBLISHED_TRAIN.mass, timetable=stops),

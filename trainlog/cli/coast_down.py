@@ -22,7 +22,7 @@ def coast_down(
     ] = None,
     gradient: Annotated[
         Literal["line", "unknown"],
-        typer.Option(help="'unknown': trust no gradients; the lever tells where the train coasts."),
+        typer.Option(help="'unknown': trust no gradients; the lever shows where the train coasts."),
     ] = "line",
     picture: Annotated[
         Path | None, typer.Option(help="Picture; default: beside the output, .png.")
@@ -30,8 +30,8 @@ def coast_down(
 ) -> None:
     """Learn running resistance from where the train coasts; no efforts are needed.
 
-    Finds the coasting by itself from speed, chainage and the line's gradient, and tells the
-    resistance over the train's inertia, with its band. With the gradient unknown it tells what is
+    Finds the coasting by itself from speed, chainage and the line's gradient, and reports the
+    resistance over the train's inertia, with its band. With the gradient unknown it reports what is
     left: mostly how resistance grows with speed. Recordings that do not show it are refused with
     the reason.
 
