@@ -219,9 +219,9 @@ def _judged(data: bytes, whole: Specimen, path: Path, *, rebuild: bool) -> Itera
         with Source(path) as source:
             check_is_mcap(source)
             contents = scanned(source)
-            account, walked = contents.account, messages_in(source, contents)
-            if account.whole and messages_in(source, contents_of(source)) != walked:
-                yield "the index gives other messages than the walk"
+            account, in_scan = contents.account, messages_in(source, contents)
+            if account.whole and messages_in(source, contents_of(source)) != in_scan:
+                yield "the index gives other messages than the scan"
     except LogError:
         if any(chunk in data for chunk, _ in whole.groups):
             yield "a file that holds whole chunks is refused"
@@ -230,17 +230,17 @@ def _judged(data: bytes, whole: Specimen, path: Path, *, rebuild: bool) -> Itera
                 read(path)
             except TrainlogError:
                 continue
-            yield f"{read.__name__} reads what the walk refuses"
+            yield f"{read.__name__} reads what the scan refuses"
         return
     yield from _account(data, account)
-    yield from _messages(data, whole, walked, account)
+    yield from _messages(data, whole, in_scan, account)
     yield from _trip(path, whole, account)
     if rebuild:
         if account_of(path) != account:
-            yield "account_of gives another account than the walk"
+            yield "account_of gives another account than the scan"
         if account.whole and not describe(path).complete:
             yield "describe calls a whole file incomplete"
-        yield from _recovered(path, walked, account)
+        yield from _recovered(path, in_scan, account)
 
 
 def messages_in(source: Source, contents) -> Counter[Message]:
@@ -299,13 +299,13 @@ def _messages(
         if not read <= written:
             yield "messages come back that were not written, or twice"
         if account.messages_lost is not None:
-            told = account.messages + account.messages_lost
-            # Of what comes twice, damaged otherwise each time, nothing tells that it is the same.
+            accounted = account.messages + account.messages_lost
+            # Of what comes twice, damaged otherwise each time, nothing says that it is the same.
             twice = any(word in loss.reason for loss in account.losses for word in _TWICE)
-            if told > whole.messages.total() and not twice and read != written:
-                yield f"{told} messages are accounted for, {whole.messages.total()} were written"
-    told = " ".join(loss.reason for loss in account.losses)
-    if "declared" not in told and all(each in data for each in whole.declarations):
+            if accounted > whole.messages.total() and not twice and read != written:
+                yield f"{accounted} messages are accounted for, not {whole.messages.total()}"
+    reasons = " ".join(loss.reason for loss in account.losses)
+    if "declared" not in reasons and all(each in data for each in whole.declarations):
         for chunk, messages in whole.groups:
             if chunk in data and not _nameless(messages) <= _nameless(found):
                 yield "a whole chunk does not come back"
@@ -370,17 +370,17 @@ def _reads(path: Path) -> bool:
     return True
 
 
-def _recovered(path: Path, walked: Counter[Message], account: Account) -> Iterator[str]:
+def _recovered(path: Path, in_scan: Counter[Message], account: Account) -> Iterator[str]:
     """What is rebuilt is whole, by the official reader's checks, and holds the same."""
     output = path.with_name("recovered.mcap")
     output.unlink(missing_ok=True)
     try:
-        told = recover(path, output)
+        recovered = recover(path, output)
     except LogError as error:
         if account.messages and _reads(path):
             yield f"recover refuses a file with messages: {error}"
         return
-    if told != account:
+    if recovered != account:
         yield "recover accounts otherwise than account_of"
     again = account_of(output)
     if not again.whole or again.messages != account.messages:
@@ -390,5 +390,5 @@ def _recovered(path: Path, walked: Counter[Message], account: Account) -> Iterat
     found: Counter[Message] = Counter()
     for _, channel, message in SeekingReader(BytesIO(data), validate_crcs=True).iter_messages():
         found[channels[channel.id], message.log_time, message.data] += 1
-    if found != walked:
+    if found != in_scan:
         yield "the official reader finds other messages in what is rebuilt"

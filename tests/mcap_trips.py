@@ -59,7 +59,7 @@ def assert_same(trip: Trip, other: Trip) -> None:
         assert frame.attrs == other[name].attrs
         assert other[name].index.name == "time"
     assert trip.metadata == other.metadata
-    # What a damaged log lost is told in a step of its own.
+    # What a damaged log lost stands in a step of its own.
     steps, others = (
         [step for step in each.provenance if step.get("step") != "read damaged log"]
         for each in (trip, other)

@@ -21,7 +21,7 @@ from mcap.records import Chunk
 from mcap_trips import assert_same, trip_of
 
 from trainlog.errors import LogError
-from trainlog.mcap import Account, DamageWarning, describe, read_log, write_log
+from trainlog.mcap import Account, DamageWarning, account_of, describe, read_log, write_log
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -334,7 +334,7 @@ def test_a_wrong_summary_is_noticed(trip: Trip, data: bytes, tmp_path: Path) -> 
 def test_statistics_that_contradict_the_indexes_do_not_hide_messages(
     trip: Trip, data: bytes, tmp_path: Path
 ) -> None:
-    """A message index that lists fewer messages than there are is not believed."""
+    """A message index that lists fewer messages than there are is not followed."""
     forged = without_checksums(data)
     at = forged.index(bytes([0x07]), 0)
     summary = SeekingReader(BytesIO(data)).get_summary()
@@ -376,6 +376,23 @@ def test_files_that_are_no_log(content: bytes, said: str, tmp_path: Path) -> Non
             read(tmp_path / "trip.mcap")
 
 
+@pytest.mark.parametrize(
+    ("conversion", "old", "new"),
+    [("CRLF to LF", b"\r\n", b"\n"), ("LF to CRLF", b"\n", b"\r\n")],
+)
+def test_converted_line_ends_are_named(
+    conversion: str, old: bytes, new: bytes, data: bytes, tmp_path: Path
+) -> None:
+    """As git or a transfer in text mode does it; no byte behind the first is where it was."""
+    path = tmp_path / "trip.mcap"
+    path.write_bytes(data.replace(old, new))
+    for read in (read_log, describe, account_of):
+        with pytest.raises(LogError, match=f"line ends were converted from {conversion}") as caught:
+            read(path)
+        assert "binary mode" in caught.value.remedy
+        assert ".gitattributes" in caught.value.remedy
+
+
 @pytest.mark.skipif(not FOREIGN.is_dir(), reason="the foreign MCAP files are not there")
 def test_foreign_files_cut_or_flipped(tmp_path: Path) -> None:
     random = np.random.default_rng(6)
@@ -401,7 +418,7 @@ def test_the_checksum_is_that_of_the_whole_data_section(data: bytes) -> None:
     assert stored == zlib.crc32(data[: summary_start - 13])
 
 
-def test_an_index_that_leads_to_a_message_twice_is_not_believed(
+def test_an_index_that_leads_to_a_message_twice_is_not_followed(
     trip: Trip, data: bytes, tmp_path: Path
 ) -> None:
     """Reading a part does not verify the whole file: the chunk's own records are asked instead."""

@@ -1,4 +1,4 @@
-"""What `describe` tells of a log, and how it is shown."""
+"""What `describe` finds in a log, and how it is shown."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from mcap.writer import Writer
+from mcap_mutations import CHUNK, records_of
 from mcap_trips import ATTACHMENTS, METADATA, PROVENANCE, START, trip_of
 from rich.console import Console
 
+import trainlog
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import LogDescription, describe, read_log, write_log
 from trainlog.mcap.show import render
@@ -35,7 +37,7 @@ def printed(description: LogDescription) -> str:
     return console.file.getvalue()
 
 
-def test_everything_in_a_log_is_told(tmp_path: Path) -> None:
+def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
     trip = trip_of(rows=120, axles=3)
     found = described(trip, tmp_path)
     data = (tmp_path / "trip.mcap").read_bytes()
@@ -187,6 +189,19 @@ def test_a_damaged_log_is_described_as_far_as_it_goes(tmp_path: Path) -> None:
     kept = trip[TRAIN_STATE.name].iloc[: found.topics[0].count]["position"]
     assert found.position_span == (kept.min(), kept.max())
     assert "damaged" in printed(found)
+
+
+def test_a_recording_that_was_not_closed_is_not_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "live.mcap"
+    with trainlog.record(path, flush=0.5) as log:
+        log.write(TRAIN_STATE.name, 10**18, speed=1.0)
+    data = path.read_bytes()
+    end = next(each.end for each in reversed(records_of(data)) if each.opcode == CHUNK)
+    path.write_bytes(data[:end])
+    text = " ".join(printed(describe(path)).split())
+    assert "was not closed: 1 message is readable; its last sample is of 2001-09-09" in text
+    assert "damaged" not in text
+    assert "1 in 1 chunk," in text
 
 
 def test_missing_file(tmp_path: Path) -> None:

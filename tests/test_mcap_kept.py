@@ -70,7 +70,7 @@ def time_of(topic: str) -> np.ndarray:
 
 
 def column_of(topic: str, column: str) -> np.ndarray:
-    """Eighths that tell topic, column and row apart; the third row is absent."""
+    """Eighths that differ by topic, column and row; the third row is absent."""
     number = COLUMNS[topic].split().index(column)
     values = list(COLUMNS).index(topic) * 100 + number * 10 + np.arange(ROWS) / 8
     values[2] = np.nan

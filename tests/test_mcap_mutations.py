@@ -96,10 +96,10 @@ def test_the_same_seed_gives_the_same_damage(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", sorted(KEPT.glob("*.mcap")), ids=lambda path: path.stem)
 def test_files_that_were_once_judged_badly(path: Path, tmp_path: Path) -> None:
     """Each gives the account that the list beside it holds, and is rebuilt."""
-    told = json.loads((KEPT / "accounts.json").read_text("utf-8"))[path.name]
+    expected = json.loads((KEPT / "accounts.json").read_text("utf-8"))[path.name]
     with time_limit(20):
         account = account_of(path)
-        assert [account.messages, account.messages_lost, len(account.losses)] == told
+        assert [account.messages, account.messages_lost, len(account.losses)] == expected
         with suppress(LogError), warnings.catch_warnings():
             warnings.simplefilter("ignore", DamageWarning)
             read_log(path)

@@ -8,8 +8,10 @@ import shutil
 import subprocess
 import sys
 import tracemalloc
+from collections import Counter
 from io import BytesIO
 from pathlib import Path
+from random import Random
 
 import pytest
 from mcap.reader import SeekingReader
@@ -67,9 +69,9 @@ def assert_cuts(one: Specimen, path: Path, step: int = 1) -> None:
             file.truncate(length)
             account = account_of(path)
             expected = sum(count for count, end in zip(counts, ends, strict=True) if end <= length)
-            told = [loss for loss in account.losses if "nowhere declared" in loss.reason]
-            assert account.messages + sum(loss.messages or 0 for loss in told) == expected
-            assert not (told and one.trip)
+            undeclared = [loss for loss in account.losses if "nowhere declared" in loss.reason]
+            assert account.messages + sum(loss.messages or 0 for loss in undeclared) == expected
+            assert not (undeclared and one.trip)
             assert not account.whole
             assert account.losses[-1].end == length
 
@@ -128,6 +130,47 @@ def test_damage_in_the_middle_costs_only_what_it_touches(whole: Specimen, tmp_pa
         (loss,) = account.losses
         assert loss.start == start
         assert loss.end >= end
+
+
+def test_random_byte_flips_are_accounted_for_to_the_message(tmp_path: Path) -> None:
+    """420 flips: what comes back was written, and the account knows how many messages do not."""
+    accounted = 0
+    for number, one in enumerate(specimens(tmp_path)):
+        if not one.groups:
+            continue
+        random = Random(number)
+        for _ in range(84):
+            data = bytearray(one.data)
+            data[random.randrange(len(data))] ^= random.randrange(1, 256)
+            path = put(tmp_path, bytes(data))
+            with Source(path) as source:
+                contents = scanned(source)
+                found = Counter(message[1:] for message in messages_in(source, contents).elements())
+            account = contents.account
+            assert not account.whole
+            assert found <= Counter(message[1:] for message in one.messages.elements())
+            assert account.messages == found.total()
+            assert account.messages_lost == one.messages.total() - found.total()
+            accounted += 1
+    assert accounted == 420
+
+
+def test_a_flipped_byte_of_a_log_without_chunks_is_reported(tmp_path: Path) -> None:
+    """Messages outside of chunks have no checksum of their own: which one it is, nothing says."""
+    one = specimens(tmp_path)[5]
+    random = Random(5)
+    for _ in range(84):
+        data = bytearray(one.data)
+        data[random.randrange(len(data))] ^= random.randrange(1, 256)
+        assert not account_of(put(tmp_path, bytes(data))).whole
+
+
+def test_statistics_count_what_is_lost_with_its_chunks(whole: Specimen, tmp_path: Path) -> None:
+    """Two chunks and their indexes are gone, and the summary's offsets are wrong."""
+    groups = chunk_groups(whole.data)
+    account = account_of(put(tmp_path, whole.data[: groups[0][0]] + whole.data[groups[2][0] :]))
+    assert (account.messages, account.messages_lost, account.expected) == (40, 80, 120)
+    assert "80 messages are lost" in account.sentence
 
 
 def test_bytes_removed_and_inserted_shift_nothing_out_of_reach(
@@ -194,7 +237,7 @@ def test_a_lost_beginning_is_noticed_and_the_rest_read(whole: Specimen, tmp_path
 
 
 def test_a_recording_that_was_not_closed(tmp_path: Path) -> None:
-    """The account tells the last sample, and the most that can be missing."""
+    """The account has the last sample, and the most that can be missing."""
     path = tmp_path / "live.mcap"
     with trainlog.record(path, flush=0.5) as log:
         for row in range(30):
@@ -226,9 +269,7 @@ def test_the_account_in_words_and_as_json() -> None:
 
 
 @pytest.mark.parametrize("compression", ["", "zstd"])
-def test_forged_chunks_inside_of_each_other_are_walked_in_bounded_time(
-    compression: str, tmp_path: Path
-) -> None:
+def test_chunks_inside_of_each_other_take_bounded_time(compression: str, tmp_path: Path) -> None:
     """Each claims everything that follows; to try them all would take hours."""
     size = 4_000_000
     head = len(chunk_bytes(compression, b"", 0, 1, bytes(16)))
@@ -243,7 +284,7 @@ def test_forged_chunks_inside_of_each_other_are_walked_in_bounded_time(
         assert account_of(put(tmp_path, bytes(data[:size]))).messages == 0
 
 
-def test_records_without_sense_are_walked_in_bounded_time(tmp_path: Path) -> None:
+def test_nonsense_takes_bounded_time(tmp_path: Path) -> None:
     head = b"\x89MCAP0\r\n"
     for unit in (b"\x05\x16" + bytes(7), b"\x0c\x08" + bytes(15), b"\x06" + bytes(8), bytes(9)):
         data = head + b"\x00" + unit * (500_000 // len(unit)) + head
@@ -251,7 +292,7 @@ def test_records_without_sense_are_walked_in_bounded_time(tmp_path: Path) -> Non
             account_of(put(tmp_path, data))
 
 
-def test_what_is_made_of_a_recovered_log_tells_what_was_lost(
+def test_what_is_made_of_a_recovered_log_says_what_was_lost(
     whole: Specimen, tmp_path: Path
 ) -> None:
     start = chunk_groups(whole.data)[1][0]
@@ -320,11 +361,11 @@ def test_the_account_stays_with_the_recovered_log(whole: Specimen, tmp_path: Pat
     recover(tmp_path / "once.mcap", tmp_path / "twice.mcap")
     with Source(tmp_path / "twice.mcap") as source:
         metadata = {each.name: each.metadata for each in scanned(source).metadata}
-    told = {key: json.loads(text) for key, text in metadata[RECOVERY_RECORD].items()}
-    assert list(told) == ["0001", "0002"]
-    assert told["0001"]["account"] == json.loads(json.dumps(account.details()))
-    assert told["0001"]["file"] == "damaged.mcap"
-    assert told["0002"]["account"]["losses"] == []
+    steps = {key: json.loads(text) for key, text in metadata[RECOVERY_RECORD].items()}
+    assert list(steps) == ["0001", "0002"]
+    assert steps["0001"]["account"] == json.loads(json.dumps(account.details()))
+    assert steps["0001"]["file"] == "damaged.mcap"
+    assert steps["0002"]["account"]["losses"] == []
 
 
 @pytest.mark.parametrize("number", range(6))
@@ -383,6 +424,29 @@ def test_what_cannot_be_recovered_is_refused(tmp_path: Path) -> None:
         assert not (tmp_path / "again.mcap").exists()
 
 
+def test_what_is_recovered_can_be_read(whole: Specimen, tmp_path: Path) -> None:
+    """Text of the provenance is zeroed: the step is left out, and the rest is a log."""
+    at = whole.data.index(b'"step": "fit"')
+    data = whole.data[:at] + bytes(10) + whole.data[at + 10 :]
+    path = put(tmp_path, data)
+    with pytest.warns(DamageWarning):
+        damaged = read_log(path)
+    recover(path, tmp_path / "again.mcap")
+    again = read_log(tmp_path / "again.mcap")
+    assert [step["step"] for step in again.provenance][:1] == ["simulate"]
+    assert "fit" not in [step["step"] for step in again.provenance]
+    assert sum(map(len, again.topics.values())) == sum(map(len, damaged.topics.values())) == 120
+
+
+def test_what_could_not_be_read_is_not_written(whole: Specimen, tmp_path: Path) -> None:
+    """All copies of a channel declare a unit that the table of topics does not have."""
+    data = whole.data[:-100].replace(b"m/s^2", b"m/s^3")
+    with pytest.raises(LogError, match="what is readable of it makes no log") as caught:
+        recover(put(tmp_path, data), tmp_path / "again.mcap")
+    assert caught.value.file == tmp_path / "damaged.mcap"
+    assert not (tmp_path / "again.mcap").exists()
+
+
 def test_messages_found_are_those_that_were_written(whole: Specimen, tmp_path: Path) -> None:
     with Source(put(tmp_path, whole.data)) as source:
         assert messages_in(source, scanned(source)) == whole.messages
@@ -397,8 +461,8 @@ def run(
     monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
     with pytest.raises(SystemExit) as caught:
         main()
-    told = capsys.readouterr()
-    return int(caught.value.code or 0), told.out, told.err
+    printed = capsys.readouterr()
+    return int(caught.value.code or 0), printed.out, printed.err
 
 
 def test_check_and_recover_from_the_command_line(
@@ -411,16 +475,16 @@ def test_check_and_recover_from_the_command_line(
     logs.mkdir()
     (logs / "cut.mcap").write_bytes(whole.data[:-50])
     (logs / "whole.mcap").write_bytes(whole.data)
-    status, told, _ = run(monkeypatch, capsys, "check", logs)
+    status, printed, _ = run(monkeypatch, capsys, "check", logs)
     assert status == 1
-    assert "cut.mcap: is damaged: 120 messages are readable" in told
-    assert "whole.mcap: is whole: 120 messages in 3 chunks" in told
-    status, told, _ = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
+    assert "cut.mcap: is damaged: 120 messages are readable" in printed
+    assert "whole.mcap: is whole: 120 messages in 3 chunks" in printed
+    status, printed, _ = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
     assert status == 0
-    assert "wrote" in told
-    status, told, _ = run(monkeypatch, capsys, "check", tmp_path / "again")
+    assert "wrote" in printed
+    status, printed, _ = run(monkeypatch, capsys, "check", tmp_path / "again")
     assert status == 0
-    assert told.count("is whole") == 2
+    assert printed.count("is whole") == 2
     single = tmp_path / "one.mcap"
     status, _, _ = run(monkeypatch, capsys, "recover", logs / "cut.mcap", "-o", single)
     assert status == 0
@@ -434,11 +498,11 @@ def test_one_file_that_is_no_log_does_not_keep_the_others_from_being_rebuilt(
     logs.mkdir()
     (logs / "a.mcap").write_bytes(b"")
     write_log(trip_of(rows=30), logs / "b.mcap")
-    status, told, complaint = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
+    status, printed, complaint = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
     assert status == 2
     assert "a.mcap" in complaint
     assert "is empty" in complaint
-    assert "b.mcap" in told
+    assert "b.mcap" in printed
     assert read_log(tmp_path / "again" / "b.mcap")
     assert [path.name for path in (tmp_path / "again").iterdir()] == ["b.mcap"]
     status, _, complaint = run(

@@ -323,7 +323,9 @@ def flipped(path: Path, number: int, folder: Path) -> tuple[Path, int]:
     return folder / "flipped.mcap", place.messages
 
 
-def test_damage_is_told_behind_the_last_piece(logs: Callable[[int], Path], tmp_path: Path) -> None:
+def test_damage_is_reported_behind_the_last_piece(
+    logs: Callable[[int], Path], tmp_path: Path
+) -> None:
     path, lost = flipped(logs(2), 5, tmp_path)
     pieces = []
     with pytest.warns(DamageWarning) as caught:

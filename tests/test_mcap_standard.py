@@ -331,6 +331,37 @@ def test_mixed_messages_of_several_channels_and_out_of_order(tmp_path: Path) -> 
     pd.testing.assert_frame_equal(frame, expected, check_freq=False)
 
 
+def test_columns_that_a_file_does_not_have_are_nan(tmp_path: Path) -> None:
+    """Of two channels of a topic one lacks a field: NaN in its rows, not what the memory held."""
+
+    def without_speed(message: Any) -> None:
+        del message.field[1]
+
+    rows = 5_000
+    with (tmp_path / "trip.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for offset, schema in ((0, descriptor_set(TRAIN_STATE)), (1, edited(without_speed))):
+            number = writer.register_schema(TRAIN_STATE.message, "protobuf", schema)
+            channel = writer.register_channel(TRAIN_STATE.name, "protobuf", number)
+            for row in range(rows):
+                value = np.float64(row).tobytes()
+                data = b"".join([b"\x09", value, *([b"\x11", value] if not offset else [])])
+                time = START + 2 * row + offset
+                writer.add_message(channel, time, data + b"\x19" + value, time)
+        writer.finish()
+    for _ in range(3):
+        # Memory that was used before is not zero.
+        used = np.full(6 * rows, 7.0)
+        del used
+        frame = read_log(tmp_path / "trip.mcap")[TRAIN_STATE.name]
+        values = np.repeat(np.arange(float(rows)), 2)
+        np.testing.assert_array_equal(frame["position"], values)
+        np.testing.assert_array_equal(frame["acceleration"], values)
+        np.testing.assert_array_equal(frame["speed"][::2], values[::2])
+        assert frame["speed"][1::2].isna().all()
+
+
 def test_foreign_location_fixes(tmp_path: Path) -> None:
     fix = message_class(GNSS_FIX)
     unknown = fix(latitude=47.0, longitude=9.0, position_covariance=[0.0] * 9)
@@ -477,7 +508,7 @@ def test_a_later_version_is_refused(version: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("axles", ["9" * 5000, "-1", "two", "4096", "0"])
-def test_a_wrong_number_of_axles_is_not_believed(axles: str, tmp_path: Path) -> None:
+def test_a_wrong_number_of_axles_is_not_followed(axles: str, tmp_path: Path) -> None:
     message = message_class(TRAIN_AXLES)(wheel_speed=[1.0, 2.0], wheel_effort=[3.0, 4.0])
     with (tmp_path / "trip.mcap").open("wb") as stream:
         writer = Writer(stream)

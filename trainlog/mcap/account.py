@@ -118,7 +118,7 @@ class Account:
         return sum(loss.messages or 0 for loss in self.losses)
 
     @property
-    def _only_unclosed(self) -> bool:
+    def only_unclosed(self) -> bool:
         """Whether nothing is wrong but that the file was not closed."""
         ended = self.unfinished is not None or self.losses[-1].reason == NOT_CLOSED
         return ended and self.bytes_lost == 0 and self.messages_lost in (0, None)
@@ -128,40 +128,40 @@ class Account:
         """The account in one sentence."""
         if self.whole:
             return f"is whole: {self._readable}"
-        readable = f"{_counted(self.messages, 'message')} {_are(self.messages)} readable"
+        readable = f"{counted(self.messages, 'message')} {_are(self.messages)} readable"
         first, *others = self.losses
-        if self._only_unclosed:
+        if self.only_unclosed:
             missing = f"; {self.unfinished.missing}" if self.unfinished else ""
             return f"was not closed: {readable}{missing}"
         more = f", and {len(others):,} more" if others else ""
         unfinished = f"; {self.unfinished}" if self.unfinished else ""
         return (
-            f"is damaged: {readable}, {self._lost} lost "
+            f"is damaged: {readable}{self._lost} "
             f"(byte {first.start:,}: {first.reason}{more}){unfinished}"
         )
 
     @property
     def _lost(self) -> str:
         """How much is lost, in words."""
-        count = self.messages_lost
-        least = "at least " if count is None else ""
-        count = self._counted_lost if count is None else count
-        size = _counted(self.bytes_lost, "byte")
-        if not count and (least or self.bytes_lost):
-            return f"{size} {_are(self.bytes_lost)}"
-        parts = [f"{least}{_counted(count, 'message')}", *([size] if self.bytes_lost else [])]
-        return f"{' and '.join(parts)} {_are(count if len(parts) == 1 else 2)}"
+        count = self._counted_lost if self.messages_lost is None else self.messages_lost
+        parts = [counted(count, "message")] if count else []
+        parts += [counted(self.bytes_lost, "byte")] if self.bytes_lost else []
+        if not parts:
+            return ""
+        one = len(parts) == 1 and 1 in (count, self.bytes_lost)
+        least = "at least " if count and self.messages_lost is None else ""
+        return f", {least}{' and '.join(parts)} {'is' if one else 'are'} lost"
 
     @property
     def _readable(self) -> str:
-        return f"{_counted(self.messages, 'message')} in {_counted(self.chunks, 'chunk')}"
+        return f"{counted(self.messages, 'message')} in {counted(self.chunks, 'chunk')}"
 
     def lines(self) -> list[str]:
         """The account in words: what is readable, then one line a loss."""
         shown = [f"{self._readable} {_are(self.messages)} readable"]
         for loss in self.losses:
-            held = "" if loss.messages is None else f", {_counted(loss.messages, 'message')}"
-            size = _counted(loss.end - loss.start, "byte")
+            held = "" if loss.messages is None else f", {counted(loss.messages, 'message')}"
+            size = counted(loss.end - loss.start, "byte")
             shown.append(
                 f"lost: bytes {loss.start:,} to {loss.end:,} ({size}{held}): {loss.reason}"
             )
@@ -201,7 +201,7 @@ class DamageWarning(UserWarning):
         )
 
 
-def _counted(number: int, noun: str) -> str:
+def counted(number: int, noun: str) -> str:
     """A number and its noun, in the plural unless there is one."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 

@@ -81,7 +81,7 @@ class ChunkPlace(NamedTuple):
     size : int
         Length of its content when decompressed, as the record says [bytes].
     start, end : int
-        Log time of its first and last message, as the record says [ns]; zero if nothing tells.
+        Log time of its first and last message, as the record says [ns]; zero if nothing says so.
     indexes : dict of int to int
         Where the message index of each channel stands in the file; empty if they have to be found
         by going through the chunk's records.
@@ -115,7 +115,7 @@ class ChunkPlace(NamedTuple):
 
 
 class AttachmentPlace(NamedTuple):
-    """Where an attachment stands; `data` and `size` tell of its content.
+    """Where an attachment stands; `data` and `size` are those of its content.
 
     Attributes
     ----------
@@ -278,10 +278,9 @@ def _summary(source: Source) -> Summary | None:
     stored = memoryview(data)[head:]
     if footer.summary_crc and isal_zlib.crc32(stored) != footer.summary_crc:
         return None
-    if data[:RECORD_HEAD] != struct.pack("<BQ", Opcode.DATA_END, _DATA_END_LENGTH):
-        return None
-    end = parsed(DataEnd, memoryview(data)[RECORD_HEAD:head], found.data_end)
-    found.contents.data_section = (found.data_end, end.data_section_crc)
+    if data[:RECORD_HEAD] == struct.pack("<BQ", Opcode.DATA_END, _DATA_END_LENGTH):
+        end = parsed(DataEnd, memoryview(data)[RECORD_HEAD:head], found.data_end)
+        found.contents.data_section = (found.data_end, end.data_section_crc)
     for at, opcode, content in records(stored[: footer_at - found.start]):
         _collect(opcode, content, found.start + at, found)
     found.contents.chunks.sort()
@@ -356,6 +355,8 @@ def contents_by_summary(source: Source) -> Contents | None:
 def _complete(source: Source, summary: Summary) -> bool:
     """Whether a summary leaves out nothing; metadata and attachments are collected meanwhile."""
     found, data_end = summary.contents, summary.data_end
+    if found.data_section is None:
+        return False
     spans = [(chunk.offset, chunk.behind) for chunk in found.chunks]
     limits = [(0, len(MAGIC)), *spans, (data_end, data_end)]
     for (_, start), (end, _) in pairwise(limits):

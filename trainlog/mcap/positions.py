@@ -1,6 +1,6 @@
 """Where the train was in each chunk: the index that finds a stretch of the line in a long log.
 
-A metadata record holds it, `POSITIONS_RECORD`: for each topic that tells the train's position, one
+A metadata record holds it, `POSITIONS_RECORD`: for each topic with the train's position, one
 entry a chunk that has messages of the topic. An entry is four little-endian words of eight bytes:
 where the chunk begins in the file and the log time of its first message, as integers, and the
 least and the greatest position, as doubles, NaN if none is known. The entries follow each other,
@@ -116,7 +116,7 @@ def spans_in_log(
 
 
 def position_span(source: Source, contents: Contents, topic: str) -> tuple[float, float] | None:
-    """Least and greatest position that a topic tells [m]; None if it tells none.
+    """Least and greatest position by a topic [m]; None if it has none.
 
     Raises
     ------

@@ -329,7 +329,7 @@ def bare_trip(source: Source, contents: Contents) -> Trip:
     return Trip(
         topics={},
         metadata=metadata.get(TRIP_RECORD, {}),
-        provenance=_provenance(metadata, damaged=bool(contents.losses)),
+        provenance=_provenance(metadata, contents),
         attachments={place.name: data for place, data in attachments_of(source, contents)},
     )
 
@@ -375,19 +375,19 @@ def metadata_of(contents: Contents) -> dict[str, dict[str, str]]:
 
 
 def _provenance(
-    metadata: dict[str, dict[str, str]], *, damaged: bool
+    metadata: dict[str, dict[str, str]], contents: Contents
 ) -> tuple[dict[str, Any], ...]:
     """The processing steps of a file's metadata records, oldest first.
 
     How a recording ended stands behind its last sample, and what was lost when a log was rebuilt in
     a record of its own. Both belong to the trip: whatever is made of it says so, too.
     """
-    steps = _steps(metadata, PROVENANCE_RECORD, damaged=damaged)
+    steps = _steps(metadata, PROVENANCE_RECORD, contents)
     ended = metadata.get(RECORDING_RECORD, {})
     recorded = [number for number, step in enumerate(steps) if step.get("step") == "record"]
     if ended and recorded:
         steps[recorded[-1]] |= ended
-    for step in _steps(metadata, RECOVERY_RECORD, damaged=damaged):
+    for step in _steps(metadata, RECOVERY_RECORD, contents):
         account = step.get("account")
         if isinstance(account, dict) and account.get("losses"):
             steps.append({"step": "recover"} | step)
@@ -395,15 +395,18 @@ def _provenance(
 
 
 def _steps(
-    metadata: dict[str, dict[str, str]], name: str, *, damaged: bool
+    metadata: dict[str, dict[str, str]], name: str, contents: Contents
 ) -> list[dict[str, Any]]:
+    """The steps in a metadata record; of a damaged file without those that cannot be read."""
     steps = []
     for key, text in sorted(metadata.get(name, {}).items()):
         step = step_of(text)
         if step is not None:
             steps.append(step)
-        elif not damaged:
-            raise unusable(f"step {shown(key)} of the provenance is not a JSON object")
+        elif not contents.losses:
+            problem = f"step {shown(key)} of the provenance is not a JSON object"
+            # Whether the file is damaged shows a scan.
+            raise MisplacedError(problem) if contents.indexed else unusable(problem)
     return steps
 
 

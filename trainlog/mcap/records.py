@@ -218,7 +218,7 @@ def _decompressed(chunk: StoredChunk) -> bytes:
             chunk.data, max_output_size=chunk.size, allow_extra_data=False
         )
     if chunk.compression == "lz4":
-        # One byte more than declared tells that there is more.
+        # One byte more than declared shows that there is more.
         decompressor = lz4.frame.LZ4FrameDecompressor()
         content: bytes = decompressor.decompress(chunk.data, chunk.size + 1)
         if not decompressor.eof or decompressor.unused_data:
@@ -278,7 +278,7 @@ def gone_through(content: bytes, offset: int) -> tuple[Index, list[tuple[int, me
             elif opcode in DECLARATIONS:
                 declared.append((opcode, body))
     except (LogError, struct.error) as error:
-        raise damaged(offset, "the records in a chunk cannot be told apart") from error
+        raise damaged(offset, "a chunk does not hold one record after the other") from error
     index = {
         channel: np.frombuffer(pairs, dtype=np.uint64).reshape(-1, 2)
         for channel, pairs in entries.items()

@@ -276,7 +276,7 @@ class _Scan:
         places = []
         if self._summary is not None:
             places = [chunk.offset for chunk in self._summary.contents.chunks]
-            places += [*self._summary.listed, self._summary.data_end]
+            places += [*self._summary.listed, self._summary.data_end, self._summary.start]
         self._places = sorted(places)
         """Where records begin that the summary lists."""
         self._found = Contents(closed=False)
@@ -337,6 +337,8 @@ class _Scan:
                 raise damaged(at, NOT_CLOSED)
             self._found.closed = True
             return at + len(MAGIC)
+        if self._summary is not None and at == self._summary.start and self._data_end is None:
+            self._data_end = self._summary.data_end, DataEnd(data_section_crc=0)
         opcode, length = finder.head(at)
         end = at + RECORD_HEAD + length
         if opcode == Opcode.CHUNK:
@@ -542,6 +544,8 @@ class _Scan:
                 intact = checksum_of(self._source, 0, end) == expected
                 if not intact:
                     reason = "a record outside of the chunks, or their order, fails the checksum"
+                    if any(chunk.loose for chunk in self._sections[0].chunks):
+                        reason = "a message outside of chunks, or another record, is damaged"
                     self._losses.append(Loss(end, end, reason))
         for place, first in () if intact else self._repeated:
             for section in self._sections:

@@ -11,6 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from trainlog.mcap.account import Account, counted
 from trainlog.mcap.description import LogDescription, TopicDescription
 from trainlog.topics import EVENTS, TOPICS
 
@@ -28,7 +29,7 @@ def render(description: LogDescription) -> RenderableType:
     if description.provenance:
         steps = {
             f"{number} {step.get('step', '')}".strip(): ", ".join(
-                f"{key} {_told(value)}" for key, value in step.items() if key != "step"
+                f"{key} {_in_words(value)}" for key, value in step.items() if key != "step"
             )
             for number, step in enumerate(description.provenance, start=1)
         }
@@ -56,19 +57,27 @@ def _overview(description: LogDescription) -> Table:
     table.add_row("file", _size(description.size))
     if description.schema_version is not None:
         table.add_row("topics", f"version {description.schema_version} of the table of topics")
-    state = "ends properly" if description.complete else "damaged, only what is readable is listed"
-    table.add_row("state", state)
-    if description.problem is not None:
+    table.add_row("state", _state(description.account))
+    if description.problem is not None and (
+        description.complete or not description.account.only_unclosed
+    ):
         table.add_row("problem", _plain(description.problem))
     return table
 
 
+def _state(account: Account) -> str:
+    if account.whole:
+        return "ends properly"
+    if account.only_unclosed:
+        return account.sentence
+    return "damaged, only what is readable is listed"
+
+
 def _chunks(description: LogDescription) -> str:
     kinds = " and ".join(kind or "no" for kind in description.compression) or "no"
-    return (
-        f"{description.chunks:,} chunks, {_size(description.stored_size)} with {kinds} compression "
-        f"({_size(description.content_size)} without)"
-    )
+    size = f"{_size(description.stored_size)} with {kinds} compression"
+    chunks = counted(description.chunks, "chunk")
+    return f"{chunks}, {size} ({_size(description.content_size)} without)"
 
 
 def _topics(description: LogDescription) -> Table:
@@ -101,12 +110,12 @@ def _fields(description: LogDescription) -> Table:
 
 def _field(topic: TopicDescription, name: str) -> str:
     unit = topic.units[name]
-    told = name if unit in ("", "1") else f"{name} [{unit}]"
+    shown = name if unit in ("", "1") else f"{name} [{unit}]"
     if name not in topic.axles:
-        return told
+        return shown
     known = TOPICS.get(topic.name)
     each = {field.name: field.each for field in known.fields} if known else {}
-    return f"{told} of {topic.axles[name]} {each.get(name, 'axle').split()[-1]}s"
+    return f"{shown} of {counted(topic.axles[name], each.get(name, 'axle').split()[-1])}"
 
 
 def _pairs(heading: str, pairs: dict[str, str]) -> Table:
@@ -117,10 +126,10 @@ def _pairs(heading: str, pairs: dict[str, str]) -> Table:
     return table
 
 
-def _told(value: object) -> str:
+def _in_words(value: object) -> str:
     """A value of provenance in words, checksums shortened to their first digits."""
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_told(each)}" for key, each in value.items())
+        return ", ".join(f"{key} {_in_words(each)}" for key, each in value.items())
     text = str(value)
     return f"{text[:12]}…" if re.fullmatch("[0-9a-f]{64}", text) else text
 
