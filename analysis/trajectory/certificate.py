@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dptsv
 
 from analysis.trajectory.active_set import Answer, multipliers_for_all, shares_of
 from analysis.trajectory.audit import Audit
@@ -110,7 +110,7 @@ def lower_bound(
     for a in range(problem.shape[0]):
         total += _chain(
             np.clip(speeds[a], low[a], high[a]), np.maximum(square[a], 0.0), linear[a], tau[a],
-            low[a], high[a], _NEWTON_STEPS,
+            low[a], high[a],
         )  # fmt: skip
     return total
 
@@ -154,77 +154,64 @@ def _brakes(problem: DiscreteProblem, pull: FloatArray, dynamic: FloatArray) -> 
     return float(np.min(values, axis=0).sum())
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
 def _slopes(
     w: FloatArray, square: FloatArray, linear: FloatArray, tau: FloatArray
 ) -> tuple[float, FloatArray]:
     """Value and gradient of ``sum square w²/2 + linear w + 2 tau / (w + w')``."""
-    n = tau.size
-    value, gradient = 0.0, square * w + linear
-    for k in range(n + 1):
-        value += (0.5 * square[k] * w[k] + linear[k]) * w[k]
-    for k in range(n):
-        if tau[k] > 0.0:
-            both = max(w[k] + w[k + 1], 1e-12)
-            value += 2.0 * tau[k] / both
-            gradient[k] -= 2.0 * tau[k] / both**2
-            gradient[k + 1] -= 2.0 * tau[k] / both**2
-    return value, gradient
+    both = np.maximum(w[:-1] + w[1:], 1e-12)
+    times = 2.0 * tau / both
+    gradient = square * w + linear
+    gradient[:-1] -= times / both
+    gradient[1:] -= times / both
+    return float((0.5 * square * w + linear) @ w + times.sum()), gradient
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
 def _chain(
-    w: FloatArray, square: FloatArray, linear: FloatArray, tau: FloatArray,
-    low: FloatArray, high: FloatArray, steps: int,
-) -> float:  # fmt: skip
+    w: FloatArray,
+    square: FloatArray,
+    linear: FloatArray,
+    tau: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+) -> float:
     """A value that the least of the chain's function between the bounds is not below.
 
     Newton's method on the speeds that are not held by a bound; the function is convex, so its
     tangent anywhere bounds it, and the tangent's least value is what is returned.
     """
-    n = tau.size
     best = -np.inf
-    for _ in range(steps):
+    for _ in range(_NEWTON_STEPS):
         value, gradient = _slopes(w, square, linear, tau)
-        certain = value
-        for k in range(n + 1):
-            reach = low[k] - w[k] if gradient[k] > 0.0 else high[k] - w[k]
-            certain += gradient[k] * reach
+        certain = value + float(gradient @ (np.where(gradient > 0.0, low, high) - w))
         best = max(best, certain)
         if value - certain <= 1e-9 * (abs(value) + 1.0):
             break
-        diagonal, beside = square.copy(), np.zeros(n)
-        for k in range(n):
-            bend = 4.0 * tau[k] / max(w[k] + w[k + 1], 1e-12) ** 3
-            diagonal[k] += bend
-            diagonal[k + 1] += bend
-            beside[k] = bend
-        right = -gradient
-        for k in range(n + 1):
-            held = (w[k] <= low[k] and gradient[k] > 0.0) or (w[k] >= high[k] and gradient[k] < 0.0)
-            if held or high[k] <= low[k]:
-                diagonal[k], right[k] = 1.0, 0.0
-                if k > 0:
-                    beside[k - 1] = 0.0
-                if k < n:
-                    beside[k] = 0.0
-        diagonal[0] = max(diagonal[0], 1e-12)
-        for k in range(n):
-            factor = beside[k] / diagonal[k]
-            diagonal[k + 1] = max(diagonal[k + 1] - factor * beside[k], 1e-12)
-            right[k + 1] -= factor * right[k]
-        right[n] /= diagonal[n]
-        for k in range(n - 1, -1, -1):
-            right[k] = (right[k] - beside[k] * right[k + 1]) / diagonal[k]
-        size = 1.0
-        for _again in range(30):
-            trial = np.minimum(np.maximum(w + size * right, low), high)
-            reached, _g = _slopes(trial, square, linear, tau)
-            if reached <= value:
+        step = _newton_step(w, square, gradient, tau, low, high)
+        for size in 0.5 ** np.arange(30.0):
+            trial = np.clip(w + size * step, low, high)
+            if _slopes(trial, square, linear, tau)[0] <= value:
                 break
-            size *= 0.5
         w = trial
     return best
+
+
+def _newton_step(
+    w: FloatArray,
+    square: FloatArray,
+    gradient: FloatArray,
+    tau: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+) -> FloatArray:
+    """The step to where the gradient of the speeds that no bound holds is zero."""
+    bend = 4.0 * tau / np.maximum(w[:-1] + w[1:], 1e-12) ** 3
+    diagonal = square + np.append(bend, 0.0) + np.insert(bend, 0, 0.0)
+    held = ((w <= low) & (gradient > 0.0)) | ((w >= high) & (gradient < 0.0)) | (high <= low)
+    beside = np.where(held[:-1] | held[1:], 0.0, bend)
+    # A little more than it is, that speeds on which nothing depends do not make it singular.
+    diagonal = np.where(held, 1.0, diagonal * (1.0 + 1e-12) + 1e-12)
+    _, _, step, failed = dptsv(diagonal, beside, np.where(held, 0.0, -gradient))
+    return -gradient / diagonal if failed else np.asarray(step)
 
 
 def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple[float, str]:

@@ -158,10 +158,13 @@ def drive(problem: DiscreteProblem, plan: Plan) -> Plan:
     With common braking the plan's effort is applied as it is. Where a configuration does not
     brake its speed is what the traction makes it.
     """
-    z, braking = follow_plan(
-        plan.z, plan.traction, plan.braking, problem.common, problem.gain, problem.drag0,
-        problem.drag1, problem.drag2, problem.step,
-    )  # fmt: skip
+    none = np.full(plan.z.shape, np.inf)
+    if problem.common:
+        z, _ = _brake_below(problem, none, plan.traction - plan.braking)
+        braking = np.array(plan.braking)
+    else:
+        none[:, 1:][plan.braking > 0.0] = plan.z[:, 1:][plan.braking > 0.0]
+        z, braking = _brake_below(problem, none, np.tile(plan.traction, (plan.z.shape[0], 1)))
     return Plan(z, plan.traction, braking, np.minimum(plan.dynamic, braking))
 
 
@@ -202,8 +205,7 @@ def rollout(problem: DiscreteProblem, traction: FloatArray, braking: FloatArray 
         z = np.broadcast_to(problem.ceiling, (q, n + 1)).copy()
         z[:, 0] = problem.initial
         return drive(problem, Plan(z, traction, everyone, np.minimum(everyone, problem.dynamic)))
-    z, braking = rollout_below(problem, braking_curves(problem, traction), traction)
-    return Plan(z, traction, braking, dynamic_share(problem, z, braking))
+    return _rollout_below(problem, traction, braking_curves(problem, traction))
 
 
 def rollout_behind(
@@ -222,13 +224,13 @@ def rollout_behind(
     running_time : float [s]
     """
     curves = braking_curves(problem, traction)
-    found = _below(problem, traction, curves)
+    found = _rollout_below(problem, traction, curves)
     curves = _dynamic_brake_curves(problem, traction, curves)
     low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
     for turn in range(_TRIALS):
         share = low if turn == 0 else 0.5 * (low + high)
         below = np.minimum(curves, leader * (1.0 + 0.2 * share[:, None]))
-        trial = _below(problem, traction, below)
+        trial = _rollout_below(problem, traction, below)
         late = delays(problem, trial, running_time)[0] > 0.0
         found.put(~late, trial, ~late)
         if turn == 0:
@@ -249,20 +251,20 @@ def _dynamic_brake_curves(
     return np.where(able[:, None], gentle, curves)
 
 
-def _below(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> Plan:
-    """The rollout below the curves as a plan."""
-    z, braking = rollout_below(problem, curves, traction)
+def _rollout_below(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> Plan:
+    """Given traction, and the brake as late as the `curves` allow."""
+    z, braking = _brake_below(problem, curves, np.tile(traction, (problem.shape[0], 1)))
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
 
 
-def rollout_below(
-    problem: DiscreteProblem, curves: FloatArray, traction: FloatArray
+def _brake_below(
+    problem: DiscreteProblem, curves: FloatArray, effort: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """``z`` and braking under a given traction, braking as late as the `curves` allow."""
+    """``z`` under given efforts, (q, n), and what the brake adds to stay below the `curves`."""
     z, braking = in_parts(
         problem.shape[0],
-        lambda part: brake_late(
-            curves[part], traction, problem.initial, problem.gain[part], problem.drag0[part],
+        lambda part: brake_below(
+            curves[part], effort[part], problem.initial, problem.gain[part], problem.drag0[part],
             problem.drag1[part], problem.drag2[part], problem.step,
         ),
     )  # fmt: skip
@@ -413,42 +415,25 @@ def cruise(
     return z, effort, brake
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def follow_plan(
-    plan: FloatArray, traction: FloatArray, braking: FloatArray, common: bool, gain: FloatArray,
-    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Planned traction; the brake lands on the planned ``z`` where the plan brakes at all."""
-    q, n = drag2.shape
-    z, brake = np.empty((q, n + 1)), braking.copy()
-    for a in range(q):
-        z[a, 0] = plan[a, 0]
-        for k in range(n):
-            cell = (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            if brake[a, k] > 0.0 and not common:
-                met = landing(z[a, k], plan[a, k + 1], *cell) / gain[a]
-                brake[a, k] = max(traction[k] - met, 0.0)
-            z[a, k + 1], _t = advance(z[a, k], gain[a] * (traction[k] - brake[a, k]), *cell)
-            z[a, k + 1] = max(z[a, k + 1], 0.0)
-    return z, brake
-
-
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def brake_late(
-    curves: FloatArray, traction: FloatArray, initial: float, gain: FloatArray,
+def brake_below(
+    curves: FloatArray, effort: FloatArray, initial: float, gain: FloatArray,
     drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Given traction; the brake comes as late as the `curves` allow."""
+    """Given efforts, and what a brake adds not to come above the `curves`.
+
+    Returns ``z`` at the nodes, and that braking; (q, n + 1) and (q, n) arrays.
+    """
     q, n = drag2.shape
     z, brake = np.empty((q, n + 1)), np.zeros((q, n))
     for a in range(q):
         z[a, 0] = initial
         for k in range(n):
             cell = (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            reached, _t = advance(z[a, k], gain[a] * traction[k], *cell)
+            reached, _t = advance(z[a, k], gain[a] * effort[a, k], *cell)
             if reached > curves[a, k + 1]:
                 met = landing(z[a, k], curves[a, k + 1], *cell) / gain[a]
-                brake[a, k] = traction[k] - met
+                brake[a, k] = effort[a, k] - met
                 reached = curves[a, k + 1]
             z[a, k + 1] = max(reached, 0.0)
     return z, brake
