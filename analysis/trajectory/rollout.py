@@ -433,7 +433,7 @@ def brake_below(
             reached, _t = advance(z[a, k], gain[a] * effort[a, k], *cell)
             if reached > curves[a, k + 1]:
                 met = landing(z[a, k], curves[a, k + 1], *cell) / gain[a]
-                brake[a, k] = effort[a, k] - met
+                brake[a, k] = max(effort[a, k] - met, 0.0)
                 reached = curves[a, k + 1]
             z[a, k + 1] = max(reached, 0.0)
     return z, brake
