@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from tests.foreign_logs import json_log
 from tests.mcap_trips import START, assert_same, trip_of
 from trainlog.cli.main import run
-from trainlog.cli.selection import stretch, times
+from trainlog.cli.options import stretch, times
 from trainlog.errors import InputError, LogError
 from trainlog.formats.parquet import read_parquet, write_parquet
 from trainlog.mcap import DamageWarning, read_log, write_log
@@ -218,7 +218,9 @@ def test_stretches_are_kilometres() -> None:
     assert stretch("3:") == (3000.0, None)
     assert stretch(":7.5") == (None, 7500.0)
     for wrong in ("3.2", "a:b", "1:2:3", "", "nan:3", "1:inf"):
-        with pytest.raises(InputError, match="is no stretch of the line; write kilometres"):
+        with pytest.raises(
+            InputError, match="must be a section of the line in km; write kilometres"
+        ):
             stretch(wrong)
 
 

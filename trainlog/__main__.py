@@ -1,4 +1,4 @@
-"""The door of the ``trainlog`` command: light, so that Ctrl-C ends it while the rest loads."""
+"""Entry point of the ``trainlog`` command: light, so that Ctrl-C ends it while the rest loads."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Field:
     unit : str
         SI unit; ``"1"`` for pure numbers, ``""`` for text and codes.
     meaning : str
-        What it is, in the field's words.
+        What it is, in the field's terms.
     interpolation : {"linear", "previous", "none"}
     each : {"", "powered axle", "vehicle", "coupler"}
         What has a value of its own: the frame then has columns ``name_1 … name_n``, front first.
@@ -192,7 +192,7 @@ ENVIRONMENT = Topic(
 EVENTS = Topic(
     "/events",
     "foxglove.Log",
-    "What happened, in words.",
+    "What happened, as text.",
     (
         Field("level", "", "foxglove.Log level: 1 debug, 2 info, 3 warning, 4 error", "none"),
         Field("message", "", "what happened", "none"),

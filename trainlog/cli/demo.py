@@ -15,7 +15,7 @@ from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
 
 MARKER = ".trainlog-demo"
-"""File that tells the demo's own folder from others."""
+"""File by which the demo recognises a folder of its own results."""
 
 
 def commands(output: Path) -> list[list[str]]:
@@ -52,7 +52,7 @@ def commands(output: Path) -> list[list[str]]:
 
 
 def _clear(output: Path) -> None:
-    """Make room for the results: earlier ones of the demo go, a folder of other files stays."""
+    """Empty the folder of results: earlier ones of the demo go, a folder of other files stays."""
     marker = output / MARKER
     if output.exists() and not output.is_dir():
         raise InputError("is a file", file=output, remedy="name a folder with --output")
@@ -77,7 +77,7 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], object])
         Folder of the results; earlier results of the demo in it are replaced.
     console : rich Console
     run : callable
-        Runs one command, given as a list of words.
+        Runs one command, given as a list of arguments.
 
     Raises
     ------
@@ -90,8 +90,8 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], object])
     for number, step in enumerate(steps, start=1):
         passed = f"{number} of {len(steps)}, {perf_counter() - begin:.0f} s"
         console.rule(Text(passed, style="dim"), align="left")
-        told = Text(f"$ trainlog {shlex.join(step)}", style="bold")
-        console.print(told, highlight=False, soft_wrap=True)
+        shown = Text(f"$ trainlog {shlex.join(step)}", style="bold")
+        console.print(shown, highlight=False, soft_wrap=True)
         run(step)
     console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")
     console.print(f"Everything is in {output}. Next, try:", highlight=False)

@@ -8,22 +8,15 @@ from typing import Annotated
 
 import typer
 
-from trainlog.cli.options import Logs
-from trainlog.cli.selection import (
+from trainlog.cli.options import (
     FromOption,
     KilometreOption,
+    Logs,
     ToOption,
+    logs_in,
     part_of,
 )
-from trainlog.cli.terminal import (
-    complain,
-    console,
-    logs_in,
-    progress_bar,
-    tell_account,
-    working,
-    wrote,
-)
+from trainlog.cli.terminal import console, print_account, print_error, progress_bar, working, wrote
 from trainlog.errors import LogError
 
 app = typer.Typer()
@@ -38,7 +31,7 @@ PIECE = 200_000
 
 @app.command(rich_help_panel="Look")
 def info(logs: LogsOrConsists) -> None:
-    """Tell what is in a log: topics, units, rates, time and position span, gaps, provenance.
+    """List what a log holds: topics, units, rates, time and position span, gaps, provenance.
 
     Of a consist (.consist.json) its vehicles, couplers and brake.
 
@@ -73,11 +66,11 @@ def check(logs: Logs) -> None:
             try:
                 account = account_of(log)
             except LogError as error:  # one file that is no log says nothing of the others
-                complain(str(error))
+                print_error(str(error))
                 status = 2
                 continue
             status = max(status, 0 if account.whole else 1)
-            tell_account(log, account, progress.console)
+            print_account(log, account, progress.console)
     if status:
         raise typer.Exit(status)
 

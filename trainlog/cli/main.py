@@ -1,4 +1,4 @@
-"""The command line: one command a verb; the work is done in the rooms below.
+"""The command line: one command a verb; the work is done by the packages below.
 
 The commands stand in `trainlog.cli`; here are the program around them and its exit status.
 """
@@ -16,8 +16,8 @@ from typer.exceptions import TyperException
 from typer.models import CommandInfo, TyperInfo
 
 from trainlog import __version__
-from trainlog.cli import coast_down, learn, look, plan, portion, record, study
-from trainlog.cli.terminal import complain, complaints, console, wrote
+from trainlog.cli import learn, look, plan, record, study
+from trainlog.cli.terminal import console, errors, print_error, wrote
 from trainlog.errors import TrainlogError
 
 INTERRUPTED = 130
@@ -51,7 +51,7 @@ def _main(
     """
 
 
-for _panel in (record, portion, look, learn, coast_down, plan, study):
+for _panel in (record, look, learn, plan, study):
     app.add_typer(_panel.app)
 
 
@@ -92,9 +92,9 @@ def _reflow(panel: typer.Typer) -> None:
     if panel.registered_callback is not None:
         documented.append(panel.registered_callback)
     for known in documented:
-        words = inspect.getdoc(known.callback) if known.callback else None
-        if words and not known.help:
-            known.help = "\n\n".join(" ".join(part.split()) for part in words.split("\n\n"))
+        text = inspect.getdoc(known.callback) if known.callback else None
+        if text and not known.help:
+            known.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
     for group in panel.registered_groups:
         if group.typer_instance is not None:
             _reflow(group.typer_instance)
@@ -112,38 +112,38 @@ def run(arguments: list[str]) -> int:
 def main() -> None:
     """Entry point of the ``trainlog`` command.
 
-    Exit status 0: done; 2: bad input, told in one line; 130: interrupted.
+    Exit status 0: done; 2: bad input, stated in one line; 130: interrupted.
     """
     try:
         with warnings.catch_warnings():
-            # A log that a command reads twice is told of once.
+            # A log that a command reads twice is reported once.
             warnings.simplefilter("once", UserWarning)
             warnings.showwarning = _warn
             status = run(sys.argv[1:])
     except TrainlogError as error:
         status = _complain(str(error))
     except TyperException as error:
-        told = error.format_message() if hasattr(error, "format_message") else str(error)
-        # Where a value is not one of several, its checker says "Value error" before our words.
-        told = told.replace("Value error, ", "")
-        status = _complain(f"{told.rstrip('.')}; see 'trainlog --help'")
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
+        # Where a value is not one of several, its checker puts "Value error" before our message.
+        message = message.replace("Value error, ", "")
+        status = _complain(f"{message.rstrip('.')}; see 'trainlog --help'")
     except OSError as error:
-        # The rooms below turn the errors they expect into TrainlogError; this is a full disk, a
+        # The packages below turn the errors they expect into TrainlogError; this is a full disk, a
         # lost drive, a forbidden folder met elsewhere.
         status = _complain(f"{error.filename or 'file'}: {error.strerror or error}")
     except (KeyboardInterrupt, typer.Abort):
         status = INTERRUPTED
     if status == INTERRUPTED:
-        complaints.print("trainlog: interrupted; what was finished is kept")
+        errors.print("trainlog: interrupted; what was finished is kept")
     sys.exit(status)
 
 
 def _complain(message: str) -> int:
-    complain(message)
+    print_error(message)
     return 2
 
 
 def _warn(message: Warning | str, *_: object, **__: object) -> None:
     """One yellow line for a warning, such as that a log is damaged and what of it is lost."""
-    told = " ".join(f"trainlog: warning: {message}".split())
-    complaints.print(told, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    line = " ".join(f"trainlog: warning: {message}".split())
+    errors.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)

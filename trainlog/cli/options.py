@@ -1,11 +1,23 @@
-"""Arguments and options that several commands have."""
+"""Options and arguments of the commands, and how their values are read."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from trainlog.railway import Line, Train
+    from trainlog.trip import Trip
+
 
 Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs.")]
 LineOption = Annotated[
@@ -15,3 +27,213 @@ TrainOption = Annotated[
     Path | None, typer.Option("--train", help="Train file; default: Stadler FLIRT.")
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
+
+
+TopicOption = Annotated[
+    list[str] | None, typer.Option("--topic", help="Only this topic; may be given several times.")
+]
+FromOption = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        help="Only from this time on: 2024-05-01T06:00:00Z, 10s (after the start), end-5min.",
+    ),
+]
+ToOption = Annotated[str | None, typer.Option("--to", help="Only up to this time.")]
+KilometreOption = Annotated[
+    str | None, typer.Option("--km", help="Only while the train was between: 3.2:7.5, 3.2:, :7.5.")
+]
+
+SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+_RELATIVE = re.compile(
+    r"(?:(?P<edge>start|end)|(?P<sign>(?:start\+|end-)?)(?P<number>\d+(?:\.\d+)?)(?P<unit>ms|s|min|h))"
+)
+
+
+def times(
+    start: str | None,
+    end: str | None,
+    span: Callable[[], tuple[pd.Timestamp, pd.Timestamp] | None],
+) -> tuple[Any, Any] | None:
+    """The time asked for; None if all.
+
+    Parameters
+    ----------
+    start, end : str or None
+        A time in ISO 8601, UTC unless it says otherwise, or one relative to the log: ``90s`` or
+        ``start+90s`` after its first row, ``end-5min`` before its last.
+    span : callable
+        Gives the times of the log's first and last row; asked only if a word is relative.
+
+    Raises
+    ------
+    InputError
+        If a word is no time, or relative to a log without rows.
+    """
+    if start is None and end is None:
+        return None
+    return _moment(start, span), _moment(end, span)
+
+
+def stretch(text: str | None) -> tuple[float | None, float | None] | None:
+    """The positions asked for [m], from kilometres as ``3.2:7.5``; None if all.
+
+    Raises
+    ------
+    InputError
+        If the text is not of that form.
+    """
+    if text is None:
+        return None
+    start, colon, end = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError(text)
+        limits = tuple(float(word) * 1000.0 if word.strip() else None for word in (start, end))
+        if not all(limit is None or math.isfinite(limit) for limit in limits):
+            raise ValueError(text)
+    except ValueError as error:
+        raise InputError(
+            f"'{text}' must be a section of the line in km", remedy="write kilometres as 3.2:7.5"
+        ) from error
+    return limits[0], limits[1]
+
+
+def _moment(
+    word: str | None, span: Callable[[], tuple[pd.Timestamp, pd.Timestamp] | None]
+) -> pd.Timestamp | None:
+    if word is None:
+        return None
+    from trainlog.spans import utc
+
+    found = _RELATIVE.fullmatch(word.strip())
+    if found is None:
+        try:
+            return utc(word)
+        except InputError as error:
+            raise InputError(
+                error.problem, remedy="write it as 2024-05-01T06:00:00Z, 10s, or end-5min"
+            ) from error
+    import pandas as pd
+
+    known = span()
+    if known is None:
+        raise InputError(f"'{word}' has no meaning: the log has no rows", remedy="leave it out")
+    edge = found["edge"] or ("end" if found["sign"] == "end-" else "start")
+    from_edge = float(found["number"] or 0.0) * SECONDS[found["unit"] or "s"]
+    try:
+        distance = pd.Timedelta(round(from_edge * 1e9), "ns")
+        return known[1] - distance if edge == "end" else known[0] + distance
+    except (OverflowError, pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta) as error:
+        raise InputError(
+            f"'{word}' is further than time stamps reach",
+            remedy=f"the log begins {known[0]:%Y-%m-%dT%H:%M:%SZ} and ends "
+            f"{known[1]:%Y-%m-%dT%H:%M:%SZ}",
+        ) from error
+
+
+def source_span(source: Path) -> Callable[[], tuple[pd.Timestamp, pd.Timestamp] | None]:
+    """What `times` asks for the times of a log's first and last row."""
+
+    def span() -> tuple[pd.Timestamp, pd.Timestamp] | None:
+        from trainlog.mcap.convert import span_of
+
+        return span_of(source)
+
+    return span
+
+
+def part_of(
+    log: Path, start: str | None, end: str | None, km: str | None, rows: int
+) -> Iterator[Trip]:
+    """The part of a log that is asked for, in pieces of at most `rows` rows.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read, or nothing of it is in that part.
+    """
+    from trainlog.mcap import stream_log
+    from trainlog.mcap.source import nothing_of
+
+    time, position = times(start, end, source_span(log)), stretch(km)
+    empty = True
+    for piece in stream_log(log, time=time, position=position, rows=rows):
+        empty = empty and not any(map(len, piece.topics.values()))
+        yield piece
+    if empty and (time, position) != (None, None):
+        raise nothing_of(log)
+
+
+def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
+    """Line and train from the files named, or the embedded ones."""
+    from trainlog.formats.line import read_line
+    from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+    from trainlog.formats.train import read_train
+
+    return read_line(line or sample(DEFAULT_LINE)), read_train(train or sample(DEFAULT_TRAIN))
+
+
+def logs_in(paths: list[Path]) -> list[Path]:
+    """The logs named, and those in the folders named, in order of name."""
+    found: list[Path] = []
+    for path in paths:
+        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        if not inside:
+            raise InputError("the folder holds no logs (*.mcap)", file=path)
+        found += inside
+    return found
+
+
+FACTS = ("trip", "weather", "load", "clock")
+"""What can be said of a recorded trip that its file does not state."""
+
+
+def pairs(given: list[str]) -> dict[str, str]:
+    """Metadata given as ``key=value``."""
+    found = {}
+    for word in given:
+        key, equals, value = word.partition("=")
+        if not (key and equals and value):
+            raise InputError(f"'{word}' is not of the form key=value", remedy="as in weather=wet")
+        if key not in FACTS:
+            raise InputError(f"'{key}' is no known fact", remedy=f"known: {', '.join(FACTS)}")
+        if key == "weather" and value not in ("dry", "wet"):
+            raise InputError(f"weather '{value}' is unknown", remedy="it is dry or wet")
+        if key == "load" and not _is_load(value):
+            raise InputError(f"load '{value}' is no load", remedy="give it in kg, 0 or more")
+        found[key] = value
+    return found
+
+
+def _is_load(word: str) -> bool:
+    try:
+        return 0.0 <= float(word) < math.inf
+    except ValueError:
+        return False
+
+
+def destination(path: Path, suffix: str) -> Path:
+    """A file to be written, checked before any work is done."""
+    if path.suffix != suffix:
+        raise InputError(
+            f"is not the name of a {suffix} file", file=path, remedy=f"end it in {suffix}"
+        )
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        what = "is a folder" if path.is_dir() else "cannot be written: its folder does not exist"
+        raise InputError(what, file=path, remedy="name a file in a folder that exists")
+    return path
+
+
+def distinct(names: list[str], files: list[Path]) -> None:
+    """Refuse files whose results would have the same name, so that none overwrites another."""
+    first: dict[str, Path] = {}
+    for name, file in zip(names, files, strict=True):
+        if name in first:
+            raise InputError(
+                f"has the same name as {first[name]}, and so would what is made of it",
+                file=file,
+                remedy="give them in two calls, with different folders",
+            )
+        first[name] = file

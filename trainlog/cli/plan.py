@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import LineOption, TrainOption
-from trainlog.cli.selection import stretch
-from trainlog.cli.terminal import (
-    console,
+from trainlog.cli.options import (
+    LineOption,
+    TrainOption,
     destination,
     line_and_train,
     logs_in,
-    working,
-    wrote,
+    stretch,
 )
+from trainlog.cli.terminal import console, working, wrote
 from trainlog.errors import InputError
 from trainlog.units import KMH
 

@@ -9,18 +9,30 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from trainlog.cli.options import LineOption, Logs, Seed, TrainOption
-from trainlog.cli.terminal import (
-    about,
-    complain,
-    console,
+from trainlog.cli.options import (
+    FromOption,
+    KilometreOption,
+    LineOption,
+    Logs,
+    Seed,
+    ToOption,
+    TopicOption,
+    TrainOption,
     destination,
     distinct,
     line_and_train,
     logs_in,
     pairs,
+    source_span,
+    stretch,
+    times,
+)
+from trainlog.cli.terminal import (
+    about,
+    console,
+    print_account,
+    print_error,
     progress_bar,
-    tell_account,
     working,
     wrote,
 )
@@ -31,6 +43,7 @@ from trainlog.trip import Trip
 if TYPE_CHECKING:
     from trainlog.railway import Line, Train
     from trainlog.simulation import Scenario
+
 
 app = typer.Typer()
 line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
@@ -278,13 +291,13 @@ def recover(
         for log in progress.track(found, description="recovering"):
             target = output / log.name if several else destination(output, ".mcap")
             try:
-                tell_account(log, rebuild(log, target), progress.console)
+                print_account(log, rebuild(log, target), progress.console)
             except LogError as error:
                 # One file that is no log does not keep the others from being rebuilt.
                 if not several:
                     raise
                 refused += 1
-                complain(str(error))
+                print_error(str(error))
                 continue
             wrote(target, to=progress.console)
     if refused:
@@ -342,3 +355,50 @@ def line_build(
     for sentence in centre_line.lines():
         console.print(sentence, highlight=False)
     wrote(output, shown)
+
+
+@app.command(rich_help_panel="Record")
+def convert(
+    source: Annotated[Path, typer.Argument(help="Log (.mcap), or folder of Parquet files.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Ends in .parquet (a folder) or .mcap (a log).")
+    ],
+    topic: TopicOption = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    km: KilometreOption = None,
+) -> None:
+    """Turn a log into Parquet for repeated analysis, and back; or cut a part out of it.
+
+    Nothing is lost either way. Logs may be larger than the memory. Logs of other programs become
+    Parquet, too; they are held in memory as a whole.
+
+    One Parquet file a topic, and the log again:
+
+    trainlog convert trip.mcap -o trip.parquet
+
+    trainlog convert trip.parquet -o again.mcap
+
+    The part between km 3.2 and 7.5, and two topics of the last five minutes, as logs:
+
+    trainlog convert trip.mcap -o part.mcap --km 3.2:7.5
+
+    trainlog convert trip.mcap -o last.mcap --from end-5min --topic /train/state --topic /events
+    """
+    from trainlog.mcap.convert import convert as write
+
+    time = times(start, end, source_span(source))
+    with progress_bar() as progress:
+        task = progress.add_task("converting", total=None)
+        done = write(
+            source,
+            output,
+            topics=topic or None,
+            time=time,
+            position=stretch(km),
+            progress=lambda rows: progress.update(task, completed=rows),
+        )
+    console.print(f"  {done.rows.total():,} rows in {len(done.rows)} topics", highlight=False)
+    for reason in done.left_out:
+        console.print(f"  not converted: {reason}", highlight=False, markup=False)
+    wrote(output)
