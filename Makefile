@@ -9,13 +9,19 @@ BIN := .venv/bin
 endif
 READY := .venv/ready
 
-.PHONY: demo test long check format lock clean
+.PHONY: demo test portable long check format lock clean
 
 demo: $(READY)
 	$(BIN)/trainlog demo --output results
 
 test: $(READY) check
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# The tests that compare with stored values, as an older processor rounds them.
+portable: $(READY)
+	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
+	NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4 AVX512_ICL AVX512_SPR" \
+	$(BIN)/python -m pytest -n 2 tests/test_samples.py tests/test_golden.py tests/test_formats_samples.py
 
 long: $(READY)
 	$(BIN)/python -m pytest -m long

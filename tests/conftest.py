@@ -1,8 +1,13 @@
-"""What the command line of the tests adds."""
+"""Settings of the tests, and what their command line adds."""
 
 from __future__ import annotations
 
 import pytest
+from hypothesis import settings
+
+# A slow machine, or a first call that compiles, is no failure.
+settings.register_profile("trainlog", deadline=None)
+settings.load_profile("trainlog")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
