@@ -12,8 +12,7 @@ import argparse
 from pathlib import Path
 
 from trainlog.formats.train import write_consist
-from trainlog.railway.consist import Consist, Coupler, Vehicle
-from trainlog.railway.formation import RollingVehicle
+from trainlog.railway.consist import Consist, Coupler, RollingVehicle, Vehicle
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Brake
 

@@ -46,7 +46,7 @@ from analysis.resistance.combination import (
 from analysis.resistance.fit import TripFit
 from analysis.resistance.regression import powers
 from trainlog.formats.summaries import PARAMETERS, covariances_of, ordered, parameters_of
-from trainlog.railway.configuration import Configuration, ParameterSet
+from trainlog.railway.train import Configuration, ParameterSet
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -16,8 +16,8 @@ from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
 from trainlog.formats.files import plain, read_bytes, shortest, write_bytes
 from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
-from trainlog.railway.configuration import Configuration, ParameterSet
 from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Configuration, ParameterSet
 from trainlog.units import KMH, factor
 
 _Mass = Annotated[float, Quantity("kg", "kg")]

@@ -18,7 +18,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.schema import built, checked
 from trainlog.railway import Line, Station, StepProfile
-from trainlog.railway.formation import EffortCurve, Formation, RollingVehicle
+from trainlog.railway.consist import EffortCurve, Formation, RollingVehicle
 from trainlog.units import KMH, PER_MILLE
 
 TONNE = 1e3

@@ -5,7 +5,6 @@ Pure data and pure functions on arrays; no files.
 
 from trainlog.railway.adhesion import CreepCurve
 from trainlog.railway.condition import TrackConditionMap
-from trainlog.railway.configuration import Configuration, ParameterSet
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import (
     CurvatureProfile,
@@ -17,7 +16,7 @@ from trainlog.railway.line import (
     Tunnel,
 )
 from trainlog.railway.resistance import RunningResistance
-from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
+from trainlog.railway.train import Axles, Brake, BrakingCurves, Configuration, ParameterSet, Train
 from trainlog.railway.trajectory import Trajectory
 
 __all__ = [

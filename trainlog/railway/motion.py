@@ -31,7 +31,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.railway.formation import Formation
+from trainlog.railway.consist import Formation
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError
-from trainlog.railway.configuration import Configuration
+from trainlog.railway.train import Configuration
 from trainlog.units import KMH, clock
 
 FloatArray = NDArray[np.float64]

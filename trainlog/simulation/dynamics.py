@@ -64,7 +64,7 @@ NORMAL, CUT, RECOVERING = 0, 1, 2
 """What the slip protection of an axle is doing."""
 
 
-class Parameters(NamedTuple):
+class PlantParameters(NamedTuple):
     """Constants of one train on one trip, in SI units, per powered axle where so named."""
 
     mass: float
@@ -94,7 +94,7 @@ class Parameters(NamedTuple):
     step: float
 
 
-CONSTANTS = len(Parameters._fields)
+CONSTANTS = len(PlantParameters._fields)
 
 
 @njit(cache=True, error_model="numpy")
@@ -106,7 +106,7 @@ def adhesion(slip: float, rail: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def motor_effort(lagged: float, wheel: float, p: Parameters) -> float:
+def motor_effort(lagged: float, wheel: float, p: PlantParameters) -> float:
     """Effort of one axle's motor [N] within its power limit; braking fades out at low speed."""
     if lagged >= 0.0:
         return min(lagged, p.axle_power / max(wheel, 1e-3))
@@ -116,7 +116,9 @@ def motor_effort(lagged: float, wheel: float, p: Parameters) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def holding_effort(speed: float, command: FloatArray, rail: FloatArray, p: Parameters) -> float:
+def holding_effort(
+    speed: float, command: FloatArray, rail: FloatArray, p: PlantParameters
+) -> float:
     """Effort of the holding brake [N]: applied below its speed unless a motor is to pull."""
     if speed >= p.holding_speed:
         return 0.0
@@ -128,7 +130,12 @@ def holding_effort(speed: float, command: FloatArray, rail: FloatArray, p: Param
 
 @njit(cache=True, error_model="numpy")
 def held_back(
-    y: FloatArray, v: float, command: FloatArray, track: FloatArray, rail: FloatArray, p: Parameters
+    y: FloatArray,
+    v: float,
+    command: FloatArray,
+    track: FloatArray,
+    rail: FloatArray,
+    p: PlantParameters,
 ) -> tuple[float, float, float]:
     """Running resistance, force along the track and friction braking effort on the train [N]."""
     resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
@@ -145,7 +152,7 @@ def net_force(
     track: FloatArray,
     rail: FloatArray,
     weights: FloatArray,
-    p: Parameters,
+    p: PlantParameters,
 ) -> float:
     """Net force on a train that moves or is about to [N]; rows of the tables under it."""
     pull, v = 0.0, y[1]
@@ -168,7 +175,7 @@ def stage(
     rail: FloatArray,
     moving: bool,
     weights: FloatArray,
-    p: Parameters,
+    p: PlantParameters,
 ) -> None:
     """One stage of Runge-Kutta: the right-hand side at `at`, used as it is found.
 
@@ -227,7 +234,7 @@ def runge_kutta(
     rail: FloatArray,
     moving: bool,
     weights: FloatArray,
-    p: Parameters,
+    p: PlantParameters,
     end: FloatArray,
     at: FloatArray,
 ) -> None:
@@ -249,7 +256,7 @@ def protect(
     mode: IntArray,
     memory: FloatArray,
     command: FloatArray,
-    p: Parameters,
+    p: PlantParameters,
 ) -> None:
     """Anti-slip control of every axle: the effort commanded [N], from the effort wanted.
 
@@ -290,7 +297,7 @@ def locate(table: FloatArray, position: float, index: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def dynamic_limit(speed: float, p: Parameters) -> float:
+def dynamic_limit(speed: float, p: PlantParameters) -> float:
     """Largest dynamic braking effort of one axle [N] at a speed [m/s]."""
     return -motor_effort(-p.axle_braking_effort, speed, p)
 
@@ -303,7 +310,7 @@ def move(
     track: FloatArray,
     rail: FloatArray,
     weights: FloatArray,
-    p: Parameters,
+    p: PlantParameters,
     end: FloatArray,
     at: FloatArray,
 ) -> None:
@@ -331,7 +338,7 @@ def stop(
     track: FloatArray,
     rail: FloatArray,
     weights: FloatArray,
-    p: Parameters,
+    p: PlantParameters,
     end: FloatArray,
     at: FloatArray,
 ) -> None:
@@ -368,7 +375,7 @@ def sample(
     rail: FloatArray,
     weights: FloatArray,
     modes: IntArray,
-    p: Parameters,
+    p: PlantParameters,
 ) -> None:
     """Write what `SAMPLE` lists, then wheel speeds and wheel efforts, into `out`."""
     n = command.size
@@ -428,9 +435,9 @@ def advance(
         Rows under the train in the two tables, head of the ring, and mode of each axle's slip
         protection; changed in place.
     constants : (25,) array
-        The `Parameters`: an array crosses into compiled code faster than a tuple does.
+        The `PlantParameters`: an array crosses into compiled code faster than a tuple does.
     """
-    p = Parameters(*to_fixed_tuple(constants, CONSTANTS))
+    p = PlantParameters(*to_fixed_tuple(constants, CONSTANTS))
     n = weights.size
     end, at = np.empty(y.size), np.empty(y.size)
     command = np.empty(n)

@@ -16,7 +16,7 @@ from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train
 from trainlog.railway.adhesion import DRY, creep_coefficients
 from trainlog.simulation import dynamics
-from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, Parameters
+from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, PlantParameters
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -104,7 +104,7 @@ class Plant:
     Build it with `Plant.of`; the attributes are the tables and constants of the compiled code.
     """
 
-    parameters: Parameters
+    parameters: PlantParameters
     track: FloatArray
     rail: FloatArray
     weights: FloatArray
@@ -170,7 +170,7 @@ class Plant:
             raise InputError(
                 f"train '{train.name}': adhesion of the axles needs {axles.count} positive values"
             )
-        parameters = Parameters(
+        parameters = PlantParameters(
             mass=mass,
             body_inertia=mass + rotating - axles.count * axles.rotating_mass,
             axle_inertia=axles.rotating_mass,
