@@ -65,7 +65,12 @@ NORMAL, CUT, RECOVERING = 0, 1, 2
 
 
 class PlantParameters(NamedTuple):
-    """Constants of one train on one trip, in SI units, per powered axle where so named."""
+    """A train on one trip as the compiled plant sees it, in SI units.
+
+    Efforts, powers and inertia are those of one powered axle where so named; the `trailing`
+    weight rests on the other axles. Lags, dead time and delay are in seconds, the `step` is that of
+    the integration.
+    """
 
     mass: float
     body_inertia: float
