@@ -10,12 +10,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 import zstandard
-from isal.isal_zlib import crc32
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.codec import SEQUENCE, Codec, codec_for, encode_events, scatter, table_of
+from trainlog.mcap.codec import (
+    SEQUENCE,
+    Codec,
+    checksum,
+    codec_for,
+    encode_events,
+    scatter,
+    table_of,
+)
 from trainlog.mcap.positions import Range, range_in
 from trainlog.mcap.schemas import channel_of, schema_of
 from trainlog.topics import EVENTS, TOPICS, Topic, column_field
@@ -340,7 +347,7 @@ def packed(raw: RawChunk) -> PackedChunk:
         "zstd",
         _compressor.zstd.compress(raw.data),
         len(raw.data),
-        crc32(raw.data),
+        checksum(raw.data),
         raw.start,
         raw.end,
         raw.index,

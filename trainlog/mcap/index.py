@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
-from isal import isal_zlib
 from mcap.opcode import Opcode
 from mcap.records import (
     AttachmentIndex,
@@ -30,7 +29,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
 from trainlog.mcap.account import Account, Loss, Unfinished
-from trainlog.mcap.codec import RECORD_HEAD
+from trainlog.mcap.codec import checksum, RECORD_HEAD
 from trainlog.mcap.records import (
     DECLARATIONS,
     RECORDING_RECORD,
@@ -276,7 +275,7 @@ def _summary(source: Source) -> Summary | None:
     data = source.read(found.data_end, footer_at - found.data_end) + closing[: RECORD_HEAD + 16]
     head = RECORD_HEAD + _DATA_END_LENGTH
     stored = memoryview(data)[head:]
-    if footer.summary_crc and isal_zlib.crc32(stored) != footer.summary_crc:
+    if footer.summary_crc and checksum(stored) != footer.summary_crc:
         return None
     if data[:RECORD_HEAD] == struct.pack("<BQ", Opcode.DATA_END, _DATA_END_LENGTH):
         end = parsed(DataEnd, memoryview(data)[RECORD_HEAD:head], found.data_end)
@@ -533,5 +532,5 @@ def checksum_of(source: Source, start: int, end: int) -> int:
     """CRC-32 of the file from `start` to `end`."""
     found = 0
     for at in range(start, end, _PIECE):
-        found = isal_zlib.crc32(source.read(at, min(_PIECE, end - at)), found)
+        found = checksum(source.read(at, min(_PIECE, end - at)), found)
     return found

@@ -17,7 +17,6 @@ from typing import Any, Protocol, TypeVar
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
-from isal import isal_zlib
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
@@ -25,7 +24,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
+from trainlog.mcap.codec import checksum, MESSAGE, RECORD_HEAD
 from trainlog.mcap.source import damaged, shown
 
 FORMAT_RECORD = "trainlog.format"
@@ -193,7 +192,7 @@ def opened(chunk: StoredChunk, *, check: bool = False) -> bytes:
         raise damaged(chunk.offset, "a chunk cannot be decompressed") from error
     if len(content) != chunk.size:
         raise damaged(chunk.offset, "a chunk has another length than it declares")
-    if check and chunk.checksum and isal_zlib.crc32(content) != chunk.checksum:
+    if check and chunk.checksum and checksum(content) != chunk.checksum:
         raise damaged(chunk.offset, "a chunk fails its checksum")
     return content
 

@@ -7,14 +7,13 @@ import struct
 from pathlib import Path
 
 import numpy as np
-from isal import isal_zlib
 from mcap.records import Attachment
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write
 from trainlog.mcap.account import Account
 from trainlog.mcap.chunks import PackedChunk, RawChunk, packed
-from trainlog.mcap.codec import RECORD_HEAD
+from trainlog.mcap.codec import checksum, RECORD_HEAD
 from trainlog.mcap.index import (
     AttachmentPlace,
     ChunkPlace,
@@ -192,7 +191,7 @@ def _chunk(source: Source, place: ChunkPlace) -> PackedChunk:
         compression=chunk.compression,
         data=chunk.data,
         size=chunk.size,
-        checksum=isal_zlib.crc32(content),
+        checksum=checksum(content),
         start=place.start,
         end=place.end,
         index=kept,

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from isal import isal_zlib
 from mcap.opcode import Opcode
 from mcap.records import (
     AttachmentIndex,
@@ -34,7 +33,7 @@ from numpy.typing import NDArray
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
 from trainlog.mcap.account import NOT_CLOSED, Loss
-from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
+from trainlog.mcap.codec import checksum, MESSAGE, RECORD_HEAD
 from trainlog.mcap.index import (
     MAGIC,
     ChunkPlace,
@@ -452,7 +451,7 @@ class _Scan:
             held.counts,
         )
         section.chunks.append(place)
-        known = (isal_zlib.crc32(content), len(content), held.start, held.end)
+        known = (checksum(content), len(content), held.start, held.end)
         if held.index and known in self._seen:
             self._repeated.append((place, self._seen[known]))
         self._seen.setdefault(known, at)

@@ -21,7 +21,6 @@ from types import TracebackType
 from typing import BinaryIO
 
 import numpy as np
-from isal.isal_zlib import crc32
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -44,6 +43,7 @@ from mcap.writer import MCAP0_MAGIC
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write, writing_error
 from trainlog.mcap.chunks import PackedChunk, Plan, Stream, packed, plan_of, stream_of, topics_of
+from trainlog.mcap.codec import checksum
 from trainlog.mcap.positions import Entry, encoded
 from trainlog.mcap.records import (
     FORMAT_RECORD,
@@ -531,8 +531,8 @@ class Sink:
                 summary += data
         behind = start + len(summary)
         opening = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, behind)
-        checksum = crc32(summary + offsets + opening)
-        footer = record_bytes(Footer(start, behind, checksum))
+        found = checksum(summary + offsets + opening)
+        footer = record_bytes(Footer(start, behind, found))
         self._put(end, summary, offsets, footer, MCAP0_MAGIC)
 
     def _summary(self) -> list[list[McapRecord]]:
@@ -567,7 +567,7 @@ class Sink:
         start = self.position
         for part in parts:
             self.position += len(part)
-            self._checksum = crc32(part, self._checksum)
+            self._checksum = checksum(part, self._checksum)
         return start
 
 
