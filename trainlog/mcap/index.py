@@ -29,7 +29,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
 from trainlog.mcap.account import Account, Loss, Unfinished
-from trainlog.mcap.codec import checksum, RECORD_HEAD
+from trainlog.mcap.codec import RECORD_HEAD, checksum
 from trainlog.mcap.records import (
     DECLARATIONS,
     RECORDING_RECORD,

@@ -24,7 +24,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.codec import checksum, MESSAGE, RECORD_HEAD
+from trainlog.mcap.codec import MESSAGE, RECORD_HEAD, checksum
 from trainlog.mcap.source import damaged, shown
 
 FORMAT_RECORD = "trainlog.format"

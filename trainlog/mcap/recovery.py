@@ -13,7 +13,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write
 from trainlog.mcap.account import Account
 from trainlog.mcap.chunks import PackedChunk, RawChunk, packed
-from trainlog.mcap.codec import checksum, RECORD_HEAD
+from trainlog.mcap.codec import RECORD_HEAD, checksum
 from trainlog.mcap.index import (
     AttachmentPlace,
     ChunkPlace,

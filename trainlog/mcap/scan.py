@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
 from trainlog.mcap.account import NOT_CLOSED, Loss
-from trainlog.mcap.codec import checksum, MESSAGE, RECORD_HEAD
+from trainlog.mcap.codec import MESSAGE, RECORD_HEAD, checksum
 from trainlog.mcap.index import (
     MAGIC,
     ChunkPlace,
