@@ -365,11 +365,15 @@ def plain(value: Any, place: str = "") -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist(), place)
     if isinstance(value, float) and not np.isfinite(value):
-        raise InputError(f"{place.lstrip('.') or 'value'}: {value} cannot be written to a file")
+        raise InputError(
+            f"{place.lstrip('.') or 'value'}: {value} cannot be written to a file",
+            remedy="give a finite number",
+        )
     if value is None or isinstance(value, str | bool | int | float):
         return value
     raise InputError(
-        f"{place.lstrip('.') or 'value'}: a {type(value).__name__} cannot be written to a file"
+        f"{place.lstrip('.') or 'value'}: a {type(value).__name__} cannot be written to a file",
+        remedy="give numbers, text, lists or dicts",
     )
 
 

@@ -356,6 +356,7 @@ class _CoastDownFile(File):
                 f"needs {len(known)} rows of {len(known)} numbers, one for each quantity that has"
                 " a value",
                 place="covariance",
+                remedy="give a row and a column for each of them",
             )
         curve = self.curve
         return CoastDownResult(

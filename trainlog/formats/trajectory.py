@@ -55,7 +55,9 @@ class _TrajectoryFile(File):
             )
         for name in ("tractive_effort", "braking_effort", "speeds"):
             if np.any(getattr(self, name) < -_ROUNDING):
-                raise InputError("must not be negative", place=f"{name}.values")
+                raise InputError(
+                    "must not be negative", place=f"{name}.values", remedy="correct it"
+                )
         fall = self.tractive_effort_fall
         if fall.size == self.tractive_effort.size:
             steep = np.flatnonzero(0.5 * np.abs(fall) > self.tractive_effort + _ROUNDING)
@@ -63,6 +65,7 @@ class _TrajectoryFile(File):
                 raise InputError(
                     "the tractive effort must not fall below zero within a cell",
                     place=f"tractive_effort_fall.values[{steep[0]}]",
+                    remedy="correct it",
                 )
 
     @staticmethod

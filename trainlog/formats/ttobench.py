@@ -256,7 +256,10 @@ class Etcs(Part):
         published = {str(field.alias) for field in Etcs.model_fields.values()}
         for name in curves.parameters:
             if name not in published:
-                raise InputError(f"braking parameter '{name}' is not known to TTOBench")
+                raise InputError(
+                    f"braking parameter '{name}' is not known to TTOBench",
+                    remedy=f"known are {', '.join(sorted(published))}",
+                )
         by_key: dict[str, Any] = {
             "A_brake_emergency": train_format.columns(curves.emergency),
             "A_brake_service": train_format.columns(curves.service),
@@ -640,7 +643,9 @@ def _read(model: type[_Layout], kind: Kind, path: str | Path) -> _Layout:
     content = read_json(path)
     found = _detect(content, path)
     if found != kind:
-        raise InputError(f"is a TTOBench {found}, expected a {kind}", file=path)
+        raise InputError(
+            f"is a TTOBench {found}, expected a {kind}", file=path, remedy=f"give a {kind}"
+        )
     return checked(model, content, path)
 
 
