@@ -14,8 +14,9 @@ import pytest
 from ingest_logs import PLAIN, clean_run, plain_profile, ublox, write
 
 from trainlog.errors import InputError
-from trainlog.ingest import RULES, formats, ingest, report_of
+from trainlog.ingest import RULES, formats, ingest, profile_of, report_of
 from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions
+from trainlog.ingest.registry import format_by_profile
 from trainlog.ingest.rules import LIMITS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "ingest.md").read_text("utf-8")
@@ -282,6 +283,20 @@ def test_a_damaged_profile_of_the_users_folder_is_named(
     monkeypatch.setenv("TRAINLOG_PROFILES", str(tmp_path))
     with pytest.raises(InputError, match=r"mine\.toml, fiel: unknown key 'fiel'; did you mean"):
         ingest(write(tmp_path / "run.csv", clean_run(50, 0.1).rows(), "t,v,s"))
+
+
+def test_a_folder_of_profiles_that_is_missing_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TRAINLOG_PROFILES", str(tmp_path / "absent"))
+    with pytest.raises(InputError, match=r"absent: is no folder; set TRAINLOG_PROFILES to"):
+        ingest(write(tmp_path / "run.csv", clean_run(50, 0.1).rows(), "t,v,s"))
+
+
+def test_a_profile_needs_a_general_format() -> None:
+    content = {**PLAIN, "file": {"format": "ublox"}}
+    with pytest.raises(InputError, match="'plain': no general format 'ublox'; formats: gpx"):
+        format_by_profile("mine", profile_of(content))
 
 
 def test_an_entry_point_may_name_a_profile(installed: Path) -> None:

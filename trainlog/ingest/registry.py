@@ -133,11 +133,15 @@ def own_profile(path: Path) -> Path | None:
     Raises
     ------
     InputError
-        If a profile in the folder does not fit.
+        If there is no such folder, or a profile in it does not fit.
     """
     folder = os.environ.get(FOLDER)
     if not folder:
         return None
+    if not Path(folder).is_dir():
+        raise InputError(
+            "is no folder", file=folder, remedy=f"set {FOLDER} to a folder of profiles, or unset it"
+        )
     head = _head(path)
     candidates = sorted(Path(folder).glob("*.toml"))
     return next((each for each in candidates if read_profile(each).recognises(head)), None)
