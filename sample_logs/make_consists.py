@@ -29,7 +29,7 @@ def rounded(resistance: RunningResistance) -> RunningResistance:
 
 
 def paper(count: int) -> Consist:
-    """The train of paper 004 in `count` equal vehicles; as one it is a point, as in the paper."""
+    """The train of Amirhosseini et al. (2024) in `count` equal vehicles; as one it is a point."""
     share = 1.0 / count
     wagon = Vehicle(
         "train" if count == 1 else "wagon",
@@ -41,11 +41,13 @@ def paper(count: int) -> Consist:
     )
     coupler = Coupler(stiffness=10e6, nonlinearity=200.0, damping=200e3)
     return Consist(
-        "train of paper 004" if count == 1 else f"train of paper 004, {count} wagons",
+        "train of Amirhosseini et al. (2024)"
+        if count == 1
+        else f"train of Amirhosseini et al. (2024), {count} wagons",
         (wagon,) * count,
         (coupler,) * (count - 1),
         brake=Brake(0.0, 0.0),  # acts at once in the paper's simulation
-        source="paper 004 (Amirhosseini et al., 2024), section 5"
+        source="Amirhosseini et al. (2024), section 5"
         + (": a single particle, eq. (10)" if count == 1 else ": eqs. (2)-(8), equal wagons"),
         assumed=()
         if count == 1
@@ -207,8 +209,8 @@ def multiple_unit() -> Consist:
 
 
 CONSISTS = {
-    "paper_004.consist.json": lambda: paper(1),
-    "paper_004_8_wagons.consist.json": lambda: paper(8),
+    "amirhosseini_2024.consist.json": lambda: paper(1),
+    "amirhosseini_2024_8_wagons.consist.json": lambda: paper(8),
     "freight_24_wagons.consist.json": freight,
     "passenger_8_coaches.consist.json": passenger,
     "multiple_unit_8_cars.consist.json": multiple_unit,

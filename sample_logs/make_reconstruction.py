@@ -97,10 +97,10 @@ def reconstruction() -> Line:
         gradients=gradients(),
         altitude=STATIONS[0][2],
         source=(
-            "reconstruction, not the data of paper 000, whose map is lost: kilometres and altitudes"
-            " of the stations, highest speeds and steepest gradients from the articles on the lines"
-            " 6258, 6644 and 6623 in de.wikipedia.org; where lower speeds hold and how gradients"
-            " are spread between stations is made up"
+            "reconstruction, not the data of Hauck et al. (2023), whose map is lost: kilometres and"
+            " altitudes of the stations, highest speeds and steepest gradients from the articles on"
+            " the lines 6258, 6644 and 6623 in de.wikipedia.org; where lower speeds hold and how"
+            " gradients are spread between stations is made up"
         ),
     )
 

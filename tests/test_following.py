@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.control import prediction as prediction
-from analysis.control.follow import Follower, Margin, Tuning
+from analysis.control.follow import Follower, Tuning, follow
 from analysis.control.observer import Observer
 from analysis.control.odometry import MARGIN, Odometry
-from analysis.control.pace import pace_to_arrive, rollout, sampled
 from analysis.control.plot import draw_following
-from analysis.control.prediction import TICK, TrainEstimate
+from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from analysis.control.route import (
+    Margin,
     RouteTables,
     TrainLimits,
     ceiling_square,
@@ -472,8 +472,8 @@ def test_the_train_is_found_while_it_runs() -> None:
         effort, drag = (0.6 if k % 200 < 60 else 0.05), 0.06 + 0.02 * np.sin(k / 40.0)
         true = 0.98 * effort - 1.07 * drag
         observer.update(true + 0.01 * rng.normal(), effort, drag, 0.0, 0.5)
-    assert observer.belief.gain == pytest.approx(0.98, abs=0.01)
-    assert observer.belief.drag == pytest.approx(0.07, abs=0.05)
+    assert observer.estimate.gain == pytest.approx(0.98, abs=0.01)
+    assert observer.estimate.drag == pytest.approx(0.07, abs=0.05)
 
 
 def test_wheels_that_slip_do_not_make_the_train_heavy() -> None:
@@ -481,10 +481,10 @@ def test_wheels_that_slip_do_not_make_the_train_heavy() -> None:
     observer = Observer(can)
     for _ in range(40):
         observer.update(0.6 - 0.06, 0.6, 0.06, 0.0, 0.5)
-    before = observer.belief
+    before = observer.estimate
     observer.update(0.0, 0.6, 0.06, 0.0, 0.5)
-    assert observer.belief.gain == pytest.approx(before.gain, abs=1e-9)
-    assert observer.belief.drift < before.drift
+    assert observer.estimate.gain == pytest.approx(before.gain, abs=1e-9)
+    assert observer.estimate.drift < before.drift
 
 
 # ---- bad input ------------------------------------------------------------------------------
@@ -529,3 +529,13 @@ def test_a_trajectory_without_a_driver_makes_no_scenario() -> None:
     )
     with pytest.raises(InputError, match="go together"):
         replace(scenario, follows=None)
+
+
+def test_one_function_drives_the_trips_of_the_command() -> None:
+    train, trajectory = plan()
+    trips = follow(trajectory, hilly_line(), train, seed=3)
+    driven_as = tuple(trip.metadata["configuration"] for trip in trips)
+    assert driven_as == trajectory.chosen("hardest")
+    assert all(abs(trip["/reference"]["lateness"].iloc[-1]) < 1.5 for trip in trips)
+    with pytest.raises(InputError, match="no configuration 'none'"):
+        follow(trajectory, hilly_line(), train, configurations="none")

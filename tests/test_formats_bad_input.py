@@ -46,7 +46,7 @@ LAYER = ConditionLayer(
 GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
     "line": (line_to_bytes(simple_line()), line_from_bytes),
     "train": (train_to_bytes(simple_train()), train_from_bytes),
-    "consist": (read_bytes(sample("paper_004_8_wagons.consist.json")), consist_from_bytes),
+    "consist": (read_bytes(sample("amirhosseini_2024_8_wagons.consist.json")), consist_from_bytes),
     "journey": (
         journey_to_bytes(Journey("J", "L", (TimingPoint(0.0, 0.0), TimingPoint(9.0, 5.0, 6.0)))),
         journey_from_bytes,
@@ -310,7 +310,11 @@ OTHER_CASES = [
 CONSIST_CASES = [
     ("vehicles.0.mass.value", -1, "f.json, vehicles[0]: vehicle 'wagon': mass -1000.0 is not"),
     ("vehicles.0.count", 0, "f.json, vehicles[0].count: must be greater than 0"),
-    ("vehicles.0.count", 9, "f.json: consist 'train of paper 004, 8 wagons': 9 vehicles need 8"),
+    (
+        "vehicles.0.count",
+        9,
+        "Amirhosseini et al. (2024), 8 wagons': 9 vehicles need 8",
+    ),
     ("vehicles", [], "f.json, vehicles: has too few entries; give at least 1 item"),
     (
         "vehicles.0.length.unit",
@@ -320,8 +324,12 @@ CONSIST_CASES = [
     ("couplers.0.stiffness.value", 0, "f.json, couplers[0]: coupler: stiffness 0.0 N/m is not"),
     ("couplers.0.slack.value", -3, "f.json, couplers[0]: coupler: slack -0.003 is negative"),
     ("couplers.0.stifness", 1, "f.json, couplers[0].stifness: unknown key 'stifness'"),
-    ("brake.lag.value", -1, "f.json: consist 'train of paper 004, 8 wagons': a brake with a dead"),
-    ("brake.propagation", {"value": 0, "unit": "m/s"}, "f.json: consist 'train of paper 004, 8"),
+    ("brake.lag.value", -1, "Amirhosseini et al. (2024), 8 wagons': a brake with a dead"),
+    (
+        "brake.propagation",
+        {"value": 0, "unit": "m/s"},
+        "f.json: consist 'train of Amirhosseini et",
+    ),
 ]
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023 import model as dynamics
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes, read_line
@@ -82,7 +82,7 @@ def test_the_reconstructed_line_is_made_again_byte_for_byte() -> None:
 
 def test_the_reconstructed_line_says_what_it_is_and_keeps_the_published_facts() -> None:
     line = read_line(sample(LINE))
-    assert line.source.startswith("reconstruction, not the data of paper 000")
+    assert line.source.startswith("reconstruction, not the data of Hauck et al. (2023)")
     altitudes = {each.name: float(line.altitudes(each.position)) for each in line.stations}
     assert altitudes["Zschopau"] == pytest.approx(336.0, abs=0.5)
     assert altitudes["Cranzahl"] == pytest.approx(654.0, abs=0.5)

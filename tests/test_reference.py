@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023 import model as dynamics
 from analysis.studies.hauck_2023 import reference as shooting
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import node_count, reference, references

@@ -1,4 +1,4 @@
-"""The study of paper 000, on its first section; the whole line is the long test."""
+"""The study of Hauck et al. (2023), on its first section; the whole line is the long test."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.studies.hauck_2023 import run as driving
 from analysis.studies.hauck_2023 import scenarios as study
-from analysis.studies.hauck_2023.bounds import least_lateness
-from analysis.studies.hauck_2023.days import Days, day_by_day, replanned
+from analysis.studies.hauck_2023 import simulation as driving
+from analysis.studies.hauck_2023.controller import AS_PUBLISHED
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.plot import draw_study
-from analysis.studies.hauck_2023.plot_days import draw_days
+from analysis.studies.hauck_2023.plot import draw_days, draw_study
+from analysis.studies.hauck_2023.scenarios import Days, day_by_day, least_lateness, replanned
+from analysis.studies.hauck_2023.simulation import trip_of
 from analysis.studies.hauck_2023.table import (
     counted_on,
     days_table,
+    difference_table,
     gain_table,
     lateness_table,
     references_table,
     tracking_table,
 )
-from analysis.studies.hauck_2023.trips import trip_of
+from trainlog.cli.main import run as command
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
@@ -34,13 +35,13 @@ LEAVES = StepProfile(np.array([0.0, 60.0, 200.0, 2_780.0]), np.array([0.085, 0.0
 
 
 @pytest.fixture(scope="module")
-def known() -> study.World:
+def known() -> study.Setup:
     prepared = study.prepared(seed=1, sections=1)
-    return study.World(prepared.plan, {**prepared.rails, "bad": SLIPPERY})
+    return study.Setup(prepared.plan, {**prepared.rails, "bad": SLIPPERY})
 
 
 @pytest.fixture(scope="module")
-def outcomes(known: study.World) -> dict[tuple[str, float], study.Outcome]:
+def outcomes(known: study.Setup) -> dict[tuple[str, float], study.Outcome]:
     return {
         (scenario.name, mass): study.outcome(known, scenario, mass)
         for scenario in study.SCENARIOS
@@ -49,11 +50,11 @@ def outcomes(known: study.World) -> dict[tuple[str, float], study.Outcome]:
 
 
 @pytest.fixture(scope="module")
-def days(known: study.World, tmp_path_factory: pytest.TempPathFactory) -> Days:
+def days(known: study.Setup, tmp_path_factory: pytest.TempPathFactory) -> Days:
     folder = tmp_path_factory.mktemp("days")
     each = day_by_day(known.plan, [LEAVES, LEAVES], [70e3, 85e3], folder, seed=1)
     first = next(each)
-    # It is told while the second is still to be driven.
+    # It is yielded while the second is still to be driven.
     assert [day.number for day in first.days] == [1]
     assert sorted(folder.iterdir()) == sorted(first.logs)
     (both,) = each
@@ -154,7 +155,7 @@ def test_the_second_day_beats_the_first_in_slip_and_is_punctual_to_half_a_second
 
 
 def test_a_section_that_the_rail_forbids_in_its_time_is_late_by_the_least(
-    known: study.World,
+    known: study.Setup,
 ) -> None:
     icy = StepProfile(np.zeros(1), np.array([0.04]))
     asked = known.plan[0].section.destination.arrival
@@ -180,12 +181,12 @@ def test_a_run_is_logged_with_its_levers_reference_and_truth(
     assert (tmp_path / "twice.mcap").read_bytes() == (tmp_path / "trip.mcap").read_bytes()
 
 
-def test_the_same_trip_runs_the_same(known: study.World) -> None:
+def test_the_same_trip_runs_the_same(known: study.Setup) -> None:
     runs = [driving.run("again", known.plan, known.rails["good"], 75e3) for _ in range(2)]
     assert np.array_equal(runs[0].samples, runs[1].samples)
 
 
-def test_a_mass_the_train_cannot_have_is_refused(known: study.World) -> None:
+def test_a_mass_the_train_cannot_have_is_refused(known: study.Setup) -> None:
     with pytest.raises(InputError, match="cannot weigh 60 t"):
         driving.run("light", known.plan, known.rails["good"], 60e3)
 
@@ -198,7 +199,7 @@ def test_masses_are_drawn_from_the_range() -> None:
 
 
 def test_tables_and_pictures_are_made(
-    known: study.World,
+    known: study.Setup,
     outcomes: dict[tuple[str, float], study.Outcome],
     days: Days,
     tmp_path: Path,
@@ -231,3 +232,41 @@ def test_over_the_whole_line() -> None:
 def test_more_sections_than_the_line_has_are_refused() -> None:
     with pytest.raises(InputError, match=r"has \d+ sections, not 99; ask for 1 to \d+"):
         study.prepared(seed=1, sections=99)
+
+
+def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
+    known: study.Setup,
+) -> None:
+    """On time the published controller keeps eq. (7) but for a guard's share; late it does not."""
+    on_time, _, late = study.SCENARIOS
+    good = study.outcome(known, on_time, 78_200.0, AS_PUBLISHED)
+    assert good.blind is None
+    assert np.abs(good.informed.position_error).max() <= 5.0
+    assert np.abs(good.informed.speed_error).max() < 3.0
+    assert good.informed.worst.max() < 0.05
+    found = study.outcome(known, late, 78_200.0, AS_PUBLISHED).informed
+    assert found.worst[0] > 0.5
+    assert found.late[0] < 1.0
+    table = difference_table([good, study.outcome(known, late, 78_200.0, AS_PUBLISHED)])
+    assert [column.header for column in table.columns][-1] == "78.2 t"
+
+
+def test_where_no_map_can_be_made_the_days_driven_are_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("analysis.studies.hauck_2023.run.SCENARIOS", ())
+    for name in (
+        "draw_study",
+        "difference_table",
+        "tracking_table",
+        "lateness_table",
+        "gain_table",
+    ):
+        monkeypatch.setattr(f"analysis.studies.hauck_2023.run.{name}", lambda *_: "")
+    assert command(["study", "map-mpc", "--sections", "1", "-o", str(tmp_path)]) == 0
+    report = (tmp_path / "tables.md").read_text()
+    assert "day 2 was not driven: map of line" in report
+    assert "no trip has shown the maximum adhesion" in report
+    assert "| 1 | 0 | 0 |" in report
+    assert (tmp_path / "two-days.png").stat().st_size > 10_000
+    assert len(list(tmp_path.glob("day-1-*.mcap"))) == 3

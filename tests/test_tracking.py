@@ -1,4 +1,4 @@
-"""The tracking MPC of paper 000: exact steps, a program that is solved right, constraints kept."""
+"""The tracking MPC of Hauck et al. (2023): exact steps, solved programs, constraints kept."""
 
 from __future__ import annotations
 
@@ -13,17 +13,21 @@ from scipy.linalg import expm
 
 from analysis.control.qp import SOFTNESS, solve, terminal_weight
 from analysis.control.route import value
-from analysis.studies.hauck_2023 import dynamics as dynamics
-from analysis.studies.hauck_2023 import prediction as kernels
+from analysis.studies.hauck_2023 import model as dynamics
+from analysis.studies.hauck_2023 import tracking as kernels
 from analysis.studies.hauck_2023.controller import (
+    GENTLE,
     HOLDING_SPEED,
+    Method,
     TrackingController,
     Tuning,
+    latest,
+    returning,
+    with_lead,
 )
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
 from analysis.studies.hauck_2023.section import least_time_unweighed, section_of
-from analysis.studies.hauck_2023.target import GENTLE, latest, returning, with_lead
 from trainlog.errors import InputError
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.simulation.drivers import Stop
@@ -55,7 +59,7 @@ def driven(
     plan: Reference, mass: float, about: str = "prediction", delay: float = 0.0, *, guard: bool
 ) -> np.ndarray:
     """Rows of time, position, speed, lever ten times a second of the model of eq. (3)."""
-    controller = TrackingController(plan, about)
+    controller = TrackingController(plan, Method(about))
     t, c = plan.section.tables, plan.section.constants
     p, v, now = plan.section.origin.position, 0.0, delay
     rows = []
@@ -97,7 +101,7 @@ def test_the_sampled_system_is_the_matrix_exponential(a21: float, a22: float, b2
 
 def test_the_condensed_program_is_the_sum_of_the_costs(plan: Reference) -> None:
     """Stage by stage with the linear model; the terminal cost is what the regulator would pay."""
-    controller = TrackingController(plan, "reference")
+    controller = TrackingController(plan, Method("reference"))
     program = controller.program(40.0, plan.at(40.0)[0] - 3.0, plan.at(40.0)[1] + 0.2)
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(2, program.inputs.size)) * 0.05
@@ -276,7 +280,7 @@ def test_a_tuning_that_makes_no_sense_is_refused() -> None:
 
 def test_an_unknown_linearisation_is_refused(plan: Reference) -> None:
     with pytest.raises(InputError, match="about 'nothing' is unknown"):
-        TrackingController(plan, "nothing")
+        Method("nothing")
 
 
 def test_a_late_train_that_stands_short_of_its_stop_goes_on_to_it(plan: Reference) -> None:

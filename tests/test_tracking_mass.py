@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.studies.hauck_2023 import dynamics as dynamics
-from analysis.studies.hauck_2023 import mass as tracking_mass
-from analysis.studies.hauck_2023.mass import ObservedMass, window
+from analysis.studies.hauck_2023 import controller as tracking_mass
+from analysis.studies.hauck_2023 import model as dynamics
+from analysis.studies.hauck_2023.controller import ObservedMass, window
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 
 LIGHT, HEAVY = PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass

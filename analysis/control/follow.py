@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.control import prediction as prediction
 from analysis.control.observer import Observer
-from analysis.control.pace import pace_to_arrive, sampled
-from analysis.control.prediction import TICK, TrainEstimate, Weights
+from analysis.control.odometry import MARGIN, Odometry
+from analysis.control.prediction import TICK, TrainEstimate, Weights, pace_to_arrive, sampled
 from analysis.control.qp import QPSubproblem, solve
 from analysis.control.route import (
+    Margin,
     dynamic_braking,
     free_deceleration,
     route_tables,
@@ -29,8 +31,10 @@ from analysis.control.route import (
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
+from trainlog.simulation import Scenario, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
 from trainlog.simulation.plant import HOLDING
+from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]
 
@@ -74,27 +78,6 @@ class Tuning:
         for name in ("horizon", "step", "every"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"following: {name} {getattr(self, name)} is not positive")
-
-
-@dataclass(frozen=True, slots=True)
-class Margin:
-    """Kept for what a train does not know of itself; the defaults are for the true motion.
-
-    Attributes
-    ----------
-    position : float [m]
-        Limits begin so much earlier, and end so much later.
-    speed : float [m/s]
-        Limits are so much lower.
-    """
-
-    position: float = 0.0
-    speed: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("position", "speed"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(f"following: margin of {name} {getattr(self, name)} is negative")
 
 
 class Follower:
@@ -147,9 +130,7 @@ class Follower:
         self.unsolved = 0
         self._limits = train_limits(run)
         self._margin = margin or Margin()
-        self._route = route_tables(
-            run, trajectory, self._limits, self._margin.position, self._margin.speed
-        )
+        self._route = route_tables(run, trajectory, self._limits, self._margin)
         self._arrival = DEPARTURE + float(trajectory.times[trajectory.latest, -1])
         self._departure = departure
         self._release = departure - train.brake.dead_time - 3.0 * train.brake.lag
@@ -172,9 +153,9 @@ class Follower:
         return self._arrived
 
     @property
-    def belief(self) -> TrainEstimate:
+    def estimate(self) -> TrainEstimate:
         """What the train was found to be on its way."""
-        return self._observer.belief
+        return self._observer.estimate
 
     def demand(self, observation: Observation) -> Demand:
         """The efforts wanted now."""
@@ -199,7 +180,7 @@ class Follower:
         return Demand(max(force, 0.0), max(-force, 0.0))
 
     def _passes(self, speed: float, effort: float) -> None:
-        """Keep book of what the brake will do of its own for the next tick."""
+        """Keep account of what the brake will do of its own for the next tick."""
         quick, asked = prediction.split(effort, speed, self._limits)
         waiting = np.append(self._past, asked)
         late, self._past = float(waiting[0]), waiting[1:]
@@ -233,8 +214,8 @@ class Follower:
         The first is held until the next decision; the horizon ends at the stop at the latest.
         """
         tuning, limits, route = self.tuning, self._limits, self._route
-        belief = self._observer.belief
-        p, v, lasting = seen.position, seen.speed, belief._replace(drift=0.0)
+        estimate = self._observer.estimate
+        p, v, lasting = seen.position, seen.speed, estimate._replace(drift=0.0)
         left = self._arrival - seen.time
         self._factor, time, count = pace_to_arrive(
             left, self._factor, p, v, self._rows, lasting, route, limits
@@ -243,14 +224,14 @@ class Follower:
         ticks = int(np.clip(math.ceil(time / (tuning.horizon * TICK) - 1e-9), 1, most))
         n = int(np.clip(math.ceil(time / (ticks * TICK)), SHORTEST, tuning.horizon))
         target, aim = sampled(self._rows, count, n, ticks * TICK)
-        aim = aim - belief.drift / belief.gain
+        aim = aim - estimate.drift / estimate.gain
         plan = self._guess(aim, ticks, seen.time)
         states, response, kept, low, high = prediction.linearised(
-            p, v, self._friction, self._past, plan, ticks, belief, route, limits
+            p, v, self._friction, self._past, plan, ticks, estimate, route, limits
         )
         hessian, gradient, rows, upper, lower = prediction.condensed(
             states, response, kept, low, high, target, aim, self._effort, tuning.weights,
-            ticks * TICK, belief, route,
+            ticks * TICK, estimate, route,
         )  # fmt: skip
         self._ticks = ticks
         return QPSubproblem(hessian, gradient, rows, upper, lower, kept)
@@ -259,7 +240,7 @@ class Follower:
         """The specific effort [m/s²] until the next decision."""
         if seen.speed < AT_REST and seen.position > self._route.end - MOVING_UP:
             back = prediction.expected_deceleration(
-                seen.position, 0.0, self._observer.belief, self._route, self._limits
+                seen.position, 0.0, self._observer.estimate, self._route, self._limits
             )
             return self._guarded(seen, CREEPING + max(back, 0.0))
         program = self.program(seen)
@@ -296,6 +277,101 @@ class Follower:
         middles = now - self._decided + (np.arange(aim.size) + 0.5) * ticks * TICK
         index = (middles / (self._ticks * TICK)).astype(np.int64)
         return self._plan[np.minimum(index, self._plan.size - 1)]
+
+
+def following_scenarios(
+    trajectory: Trajectory,
+    line: Line,
+    train: Train,
+    *,
+    configurations: str = "hardest",
+    weather: str = "dry",
+    condition_map: TrackConditionMap | None = None,
+    late: float = 0.0,
+    seed: int = 1,
+) -> list[Scenario]:
+    """Scenarios of the trips that `follow` drives, with the same arguments."""
+    follows = partial(
+        Follower,
+        trajectory,
+        line if trajectory.direction == "forward" else line.reversed(),
+        train,
+        condition=condition_map,
+        layer=weather,
+        departure=DEPARTURE + late,
+        margin=MARGIN,
+    )
+    names = trajectory.chosen(configurations)
+    return trajectory_scenarios(
+        trajectory, line, train, names, follows, seed=seed, weather=weather, locates=Odometry
+    )
+
+
+def follow(
+    trajectory: Trajectory,
+    line: Line,
+    train: Train,
+    *,
+    configurations: str = "hardest",
+    weather: str = "dry",
+    condition_map: TrackConditionMap | None = None,
+    late: float = 0.0,
+    seed: int = 1,
+) -> list[Trip]:
+    """Drive simulated trains along a trajectory by map-based model predictive control.
+
+    Each trip is in one configuration, which its driver does not know; position and speed are known
+    as far as the train's own instruments measure them. ``trainlog simulate --trajectory`` does the
+    same.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        From standstill to standstill.
+    line : Line
+        In its own direction.
+    train : Train
+    configurations : str
+        ``"hardest"``, ``"all"``, or names separated by commas; see `Trajectory.chosen`.
+    weather : {"dry", "wet"}
+        Of the rail, and the layer of the map.
+    condition_map : TrackConditionMap, optional
+        That the driver knows.
+    late : float [s]
+        By which the trains depart late.
+    seed : int
+        Of rail, sensors and survey.
+
+    Returns
+    -------
+    list of Trip
+        With ``/reference``, from which ``lateness`` shows how well the trajectory was followed.
+
+    Raises
+    ------
+    InputError
+        See `Follower`; or a configuration is unknown.
+
+    Examples
+    --------
+    >>> from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.railway import Configuration
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> alone = [Configuration.of(train)]
+    >>> problem = TrajectoryProblem(line, train, alone, end=2_500.0, reserve=0.2)
+    >>> trajectory = optimise(problem, OptimiserOptions(cells=80))
+    >>> (trip,) = follow(trajectory, line, train)
+    >>> bool(abs(trip["/reference"]["lateness"].iloc[-1]) < 2.0)
+    True
+    """
+    scenarios = following_scenarios(
+        trajectory, line, train, configurations=configurations, weather=weather,
+        condition_map=condition_map, late=late, seed=seed,
+    )  # fmt: skip
+    return [simulate(scenario) for scenario in scenarios]
 
 
 def run_of(

@@ -32,12 +32,12 @@ class Observer:
 
     Parameters
     ----------
-    can : TrainLimits
+    limits : TrainLimits
         The observed set, from whose spread it starts.
     """
 
-    def __init__(self, can: TrainLimits) -> None:
-        inertias, drags = can.corners[:, 1], can.corners[:, 2:] @ (1.0, 20.0, 400.0)
+    def __init__(self, limits: TrainLimits) -> None:
+        inertias, drags = limits.corners[:, 1], limits.corners[:, 2:] @ (1.0, 20.0, 400.0)
         spreads = [np.ptp(values) / values.sum() * values.size for values in (inertias, drags)]
         gain, drag = (0.5 * max(float(spread), LEAST_SPREAD) for spread in spreads)
         self._filter = KalmanFilter(dim_x=3, dim_z=1)
@@ -45,8 +45,8 @@ class Observer:
         self._filter.P = np.diag([gain**2, drag**2, DRIFT**2])
 
     @property
-    def belief(self) -> TrainEstimate:
-        """What the train is taken to be now."""
+    def estimate(self) -> TrainEstimate:
+        """What the train is estimated to be now."""
         return TrainEstimate(*self._filter.x.tolist())
 
     def update(

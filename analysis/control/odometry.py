@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from analysis.control.follow import Margin
+from analysis.control.route import Margin
 from estimators.odometry import OdometryFilter
 from trainlog.simulation.drivers import Observation
 from trainlog.simulation.sensors import Reading, Sensors

@@ -11,6 +11,7 @@ decide what is safe, and from whose middle the controller starts.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.errors import InputError
 from trainlog.railway import Trajectory
 from trainlog.units import GRAVITY
 
@@ -53,6 +55,27 @@ SETTLING, SETTLING_SHARE = 10.0, 0.75
 
 PARTS = 5
 """Of a cell, at which limits and adhesion are looked up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """Kept for what a train does not know of itself; the defaults are for the true motion.
+
+    Attributes
+    ----------
+    position : float [m]
+        Limits begin so much earlier, and end so much later.
+    speed : float [m/s]
+        Limits are so much lower.
+    """
+
+    position: float = 0.0
+    speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("position", "speed"):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"following: margin of {name} {getattr(self, name)} is negative")
 
 
 class TrainLimits(NamedTuple):
@@ -179,13 +202,11 @@ def route_tables(
     run: TrajectoryProblem,
     trajectory: Trajectory,
     limits: TrainLimits,
-    around: float = 0.0,
-    below: float = 0.0,
+    margin: Margin | None = None,
 ) -> RouteTables:
-    """Tables of a run from its start to its end.
-
-    Limits begin `around` [m] earlier and end so much later, and are `below` [m/s] lower.
-    """
+    """Tables of a run from its start to its end."""
+    margin = margin or Margin()
+    around, below = margin.position, margin.speed
     count = math.ceil((run.end - run.start) / GRID) + 1
     origin = run.end - GRID * (count - 1)  # the stop is a node
     places = np.clip(origin + GRID * np.arange(count), 0.0, run.line.length)

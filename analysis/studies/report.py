@@ -46,23 +46,36 @@ class StudyReport:
     folder: Path
     progress: Progress
     files: list[Path] = field(default_factory=list)
-    _parts: list[str] = field(default_factory=list)
+    _parts: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         made_folder(self.folder)
 
     def track(self, items: Iterable[Item], description: str) -> Iterator[Item]:
         """The items one by one, with a bar that shows how many are done."""
-        yield from self.progress.track(list(items), description=description)
+        every = list(items)
+        task = self.progress.add_task(description, total=len(every))
+        try:
+            for item in every:
+                yield item
+                self.progress.advance(task)
+        finally:
+            self.progress.remove_task(task)
 
     def show(self, *parts: Table | str) -> None:
-        """Print tables and sentences, and write all so far to `TABLES`."""
+        """Print tables and sentences, and write all so far to `TABLES`.
+
+        A table takes the place of an earlier one of the same title, which it continues.
+        """
         for part in parts:
             self.progress.console.print(part, highlight=False)
-            self._parts.append(as_markdown(part) if isinstance(part, Table) else f"{part}\n")
+            if isinstance(part, Table):
+                self._parts[str(part.title)] = as_markdown(part)
+            else:
+                self._parts[part] = f"{part}\n"
         path = self.folder / TABLES
         with atomic_write(path) as temporary:
-            temporary.write_text("\n".join(self._parts), encoding="utf-8")
+            temporary.write_text("\n".join(self._parts.values()), encoding="utf-8")
         self.keep(path)
 
     def log(self, trip: Trip) -> Path:

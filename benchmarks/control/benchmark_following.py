@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from analysis.control.follow import Follower, Margin, run_of
+from analysis.control.follow import Follower, run_of
 from analysis.control.odometry import MARGIN, Odometry
 from analysis.control.qp import QPSubproblem
+from analysis.control.route import Margin
 from analysis.trajectory import TrajectoryProblem, optimise
 from analysis.trajectory.envelope import fastest_run
 from trainlog.formats.condition import read_map

@@ -1,4 +1,4 @@
-"""One step of the tracking MPC of paper 000: dense programs and DAQP, beside CVXPY and IPOPT.
+"""One step of the tracking MPC of Hauck et al. (2023): DAQP beside CVXPY and IPOPT.
 
     python benchmarks/control/benchmark_tracking.py
 
@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.control.qp import SOFTNESS, QPSubproblem, solve
-from analysis.studies.hauck_2023.controller import TrackingController
+from analysis.studies.hauck_2023.controller import Method, TrackingController
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import Reference, reference
 from analysis.studies.hauck_2023.section import section_of
@@ -130,7 +130,9 @@ def timed(work: Callable[[], object], repeats: int) -> float:
 def main() -> None:
     plan = section()
     places = states(plan)
-    controllers = {about: TrackingController(plan, about) for about in ("reference", "prediction")}
+    controllers = {
+        about: TrackingController(plan, Method(about)) for about in ("reference", "prediction")
+    }
     table = Table("step", "ms, median", "ms, largest", "first lever differs by, at most")
     for about, controller in controllers.items():
         name = "about the reference" if about == "reference" else "real-time iteration"
@@ -138,7 +140,7 @@ def main() -> None:
         table.add_row(f"{name}, all of a step", f"{np.median(times):.3f}", f"{max(times):.3f}", "")
         guard = [timed(lambda c=controller, s=s: c.guarded(1.0, *s[1:]), REPEATS) for s in places]
     table.add_row("the guard", f"{np.median(guard):.3f}", f"{max(guard):.3f}", "")
-    fresh = TrackingController(plan, "prediction")
+    fresh = TrackingController(plan)
     programs = [fresh.program(*s) for s in places]
     answers = [own(each) for each in programs]
     for name, peer, repeats in (

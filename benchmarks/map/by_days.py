@@ -22,7 +22,8 @@ import numpy as np
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.studies.hauck_2023 import scenarios as study
-from analysis.studies.hauck_2023.days import (
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
+from analysis.studies.hauck_2023.scenarios import (
     LAYER,
     cautious,
     drive_days,
@@ -31,8 +32,7 @@ from analysis.studies.hauck_2023.days import (
     timetable_of,
     trying,
 )
-from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.run import NO_MAP, Run, run, with_map
+from analysis.studies.hauck_2023.simulation import NO_MAP, Run, run, with_map
 from analysis.studies.hauck_2023.table import days_table
 from trainlog.cli.terminal import console
 from trainlog.railway import StepProfile
@@ -52,7 +52,7 @@ def reported(name: str, level: float, found: Run) -> None:
     )
 
 
-def caution(known: study.World, sigmas: Sequence[float], folder: Path) -> None:
+def caution(known: study.Setup, sigmas: Sequence[float], folder: Path) -> None:
     """A second day, by how cautiously its map is read."""
     rail = known.rails["bad"]
     day = first_day(known.plan, rail, study.drawn_masses(1, 3).tolist(), folder, 1)

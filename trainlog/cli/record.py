@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -39,11 +39,6 @@ from trainlog.cli.terminal import (
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import made_folder
 from trainlog.trip import Trip
-
-if TYPE_CHECKING:
-    from trainlog.railway import Line, Train
-    from trainlog.simulation import Scenario
-
 
 app = typer.Typer()
 line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
@@ -101,9 +96,14 @@ def simulate(
         )
         scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
     else:
-        scenarios = _following(
-            trajectory, the_line, the_train, configurations or "hardest", seed,
-            weather or "dry", condition, late,
+        from analysis.control.follow import following_scenarios
+        from trainlog.formats.condition import read_map
+        from trainlog.formats.trajectory import read_trajectory
+
+        scenarios = following_scenarios(
+            read_trajectory(trajectory), the_line, the_train,
+            configurations=configurations or "hardest", weather=weather or "dry", late=late,
+            condition_map=None if condition is None else read_map(condition), seed=seed,
         )  # fmt: skip
     made_folder(output)
     followed = []
@@ -129,43 +129,6 @@ def _check_alone(options: dict[str, object]) -> None:
                 f"--{option} goes with --trajectory",
                 remedy=f"give a trajectory, or leave out --{option}",
             )
-
-
-def _following(
-    trajectory: Path,
-    line: Line,
-    train: Train,
-    configurations: str,
-    seed: int,
-    weather: str,
-    condition: Path | None,
-    late: float,
-) -> list[Scenario]:
-    """Scenarios of trips that follow a trajectory."""
-    from functools import partial
-
-    from analysis.control.follow import Follower
-    from analysis.control.odometry import MARGIN, Odometry
-    from trainlog.formats.condition import read_map
-    from trainlog.formats.trajectory import read_trajectory
-    from trainlog.simulation import trajectory_scenarios
-    from trainlog.simulation.drivers import DEPARTURE
-
-    plan = read_trajectory(trajectory)
-    follows = partial(
-        Follower,
-        plan,
-        line if plan.direction == "forward" else line.reversed(),
-        train,
-        condition=None if condition is None else read_map(condition),
-        layer=weather,
-        departure=DEPARTURE + late,
-        margin=MARGIN,
-    )
-    names = plan.chosen(configurations)
-    return trajectory_scenarios(
-        plan, line, train, names, follows, seed=seed, weather=weather, locates=Odometry
-    )
 
 
 @app.command(rich_help_panel="Record")

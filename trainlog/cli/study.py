@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trainlog.cli.options import Seed
-from trainlog.cli.terminal import console, progress_bar, working, wrote
-from trainlog.formats.files import made_folder
+from trainlog.cli.terminal import progress_bar, wrote
 
 if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
@@ -87,6 +86,14 @@ def map_mpc(
         int | None, typer.Option(min=1, help="Only the first sections of the line; default: all.")
     ] = None,
     days: Annotated[int, typer.Option(min=2, help="How many days the loop is driven.")] = 2,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published",
+            help="The published controller alone: linearised about the reference, R = 0.01, without"
+            " guard, lead and learning of the mass; no days.",
+        ),
+    ] = False,
     seed: Seed = 1,
 ) -> None:
     """Follow a timetable with a map of the rail, and without one (Hauck et al., 2023).
@@ -95,62 +102,15 @@ def map_mpc(
     drawn from its range and with both ends of it, by a controller that knows the map and by one
     that knows none. Then builds the map from the logs of a day without it and drives again. Writes
     the trips as logs, draws the paper's figures and prints the tables: for each mass as soon as its
-    scenarios are driven, and after each day the days so far.
+    scenarios are driven, and after each day the days so far. The whole line takes minutes; what was
+    finished before an interruption is kept.
 
     Example: trainlog study map-mpc -o results/map-mpc
     """
-    from analysis.studies.hauck_2023 import scenarios as study
-    from analysis.studies.hauck_2023.days import day_by_day
-    from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-    from analysis.studies.hauck_2023.plot import draw_study
-    from analysis.studies.hauck_2023.plot_days import draw_days
-    from analysis.studies.hauck_2023.table import (
-        counted_on,
-        days_table,
-        gain_table,
-        lateness_table,
-        published_table,
-        references_table,
-        tracking_table,
-    )
-    from analysis.studies.hauck_2023.trips import trip_of
-    from trainlog.mcap import write_log
+    from analysis.studies.hauck_2023.run import MapOptions, main
 
-    made_folder(output)
-    with progress_bar() as progress:
-        known = study.prepared(
-            seed, sections, lambda each: progress.track(each, description="references")
-        )
-        console.print(published_table(), references_table(known.plan))
-        drawn = study.drawn_masses(seed, 3)
-        plans = [
-            (scenario, float(mass))
-            for mass in (drawn[0], PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass)
-            for scenario in study.SCENARIOS
-        ]
-        outcomes = []
-        for plan in progress.track(plans, description="driving"):
-            outcomes.append(study.outcome(known, *plan))
-            if len(outcomes) % len(study.SCENARIOS) == 0:
-                of_mass = outcomes[-len(study.SCENARIOS) :]
-                for made in (tracking_table, lateness_table, gain_table):
-                    console.print(made(of_mass))
-    logs = []
-    for each in outcomes[: len(study.SCENARIOS)]:
-        weather = "dry" if each.scenario.weather == "good" else "wet"
-        for found in (each.informed, each.blind):
-            trip = trip_of(found, weather, seed)
-            logs.append(output / f"{trip.metadata['trip']}.mcap")
-            write_log(trip, logs[-1])
-    with working(f"driving {days} days"):
-        rails = [known.rails["bad"]] * days
-        for driven in day_by_day(known.plan, rails, drawn.tolist(), output, seed):
-            console.print(days_table(driven))
-    console.print(counted_on(driven))
-    pictures = draw_study(known, outcomes[: len(study.SCENARIOS)], output)
-    pictures.append(output / "two-days.png")
-    draw_days(driven, pictures[-1])
-    wrote(*logs, *driven.logs, *pictures)
+    with _reported(output) as report:
+        main(report, MapOptions(sections, days, seed, as_published))
 
 
 @study_app.command("robust-minimax")

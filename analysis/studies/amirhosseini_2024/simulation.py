@@ -286,7 +286,7 @@ def line(shift: float = 0.0) -> Line:
 
 def consist() -> Consist:
     """The paper's train as a single particle: a point, so that slopes begin at once."""
-    return read_consist(sample("paper_004.consist.json"))
+    return read_consist(sample("amirhosseini_2024.consist.json"))
 
 
 def eight_wagons(*, first_pulls: bool = False) -> Consist:
@@ -297,7 +297,7 @@ def eight_wagons(*, first_pulls: bool = False) -> Consist:
     first_pulls : bool
         Whether the first wagon gives all the traction, as a locomotive does; else each an eighth.
     """
-    train = read_consist(sample("paper_004_8_wagons.consist.json"))
+    train = read_consist(sample("amirhosseini_2024_8_wagons.consist.json"))
     if not first_pulls:
         return train
     locomotive, wagon = (

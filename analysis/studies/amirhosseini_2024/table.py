@@ -55,8 +55,8 @@ def errors_table(
 def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) -> Table:
     """How far the single coefficients are from the true ones, beside figure 6 of the paper.
 
-    The error of an estimate is its root mean square over the run after the first `SETTLED`
-    seconds, as a share of the mean true value.
+    The error of an estimate is the median of its amount after the first `SETTLED` seconds, as a
+    share of the mean true value: after each reset it is far greater for a while.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) ->
         By name of the variant; those that estimate three coefficients are listed.
     """
     table = new_table(
-        f"Estimated coefficients after {SETTLED:g} s: RMS error over the mean true value (%)",
+        f"Estimated coefficients after {SETTLED:g} s: median error over the mean true value (%)",
         "estimator",
         "speed",
         "a0 + f2",
@@ -81,13 +81,13 @@ def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) ->
 
 
 def coefficient_errors(run: Run) -> FloatArray:
-    """Relative RMS errors of a0 + f2, a1, a2 and of the sum of all resistances; (4,) array."""
+    """Relative median errors of a0 + f2, a1, a2 and of the sum of all resistances; (4,) array."""
     true = np.column_stack([run.coefficients, run.resistance])
     true[:, 0] += run.slope_force
     late = run.time > SETTLED
     error = np.column_stack([run.theta, run.estimate])[late] - true[late]
     mean = np.abs(true[late]).mean(axis=0)
-    return np.asarray(np.sqrt(np.mean(error**2, axis=0)) / mean)
+    return np.asarray(np.median(np.abs(error), axis=0) / mean)
 
 
 def eight_wagons_table(exact: Mapping[str, Run], coupled: Sequence[Run]) -> Table:

@@ -1,4 +1,4 @@
-"""The figures of paper 000, drawn from runs of `analysis.studies.hauck_2023.run`."""
+"""The figures of Hauck et al. (2023), and a picture of days in a row on a bad rail."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
-from analysis.studies.hauck_2023.run import Run
-from analysis.studies.hauck_2023.scenarios import Outcome, World
+from analysis.studies.hauck_2023.scenarios import Day, Days, Outcome, Setup
+from analysis.studies.hauck_2023.simulation import Run
+from trainlog.errors import InputError
 from trainlog.units import KMH, PER_MILLE
+
+FloatArray = NDArray[np.float64]
 
 PICTURES = (
     "figure-02-map.png",
@@ -41,35 +44,35 @@ BIN = 100.0
 """Over which the largest constraint is drawn [m]."""
 
 
-def draw_study(world: World, outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
+def draw_study(setup: Setup, outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
     """Draw the paper's figures; returns the pictures' paths.
 
     Parameters
     ----------
-    world : World
+    setup : Setup
     outcomes : sequence of Outcome
         Of the three scenarios, in their order.
     folder : path
     """
     good, bad, late = (each.informed for each in outcomes)
+    bad_blind = outcomes[1].blind
     paths = [folder / name for name in PICTURES]
-    _draw_map(world, paths[0])
+    _draw_map(setup, paths[0])
     _draw_speed(good, paths[1])
     _draw_errors(good, paths[2])
     _draw_constraints(good, "Fig. 5  Constraints, good track", paths[3])
     _draw_constraints(bad, "Fig. 6  Constraints, bad track", paths[4])
     _draw_delay(late, outcomes[2], paths[5])
-    _draw_gain(
-        outcomes[1].informed, outcomes[1].blind, ("with the map", "without the map"), paths[6]
-    )
-    return paths
+    if bad_blind is not None:
+        _draw_gain(bad, bad_blind, ("with the map", "without the map"), paths[6])
+    return [path for path in paths if bad_blind is not None or path != paths[6]]
 
 
-def _draw_map(world: World, path: Path) -> None:
+def _draw_map(setup: Setup, path: Path) -> None:
     """Fig. 2: limits, gradient and both rails."""
     figure = new_figure(10.0, 8.0)
     places = figure.subplots(3, 1, sharex=True)
-    line = world.plan[0].section.line
+    line = setup.plan[0].section.line
     s = np.arange(0.0, line.length, 25.0)
     places[0].plot(s / 1e3, line.speed_limit(s) * KMH, color=RED, drawstyle="steps-post")
     for station in line.stations:
@@ -83,7 +86,7 @@ def _draw_map(world: World, path: Path) -> None:
     places[1].plot(s / 1e3, line.gradient(s) * PER_MILLE, color=GREEN, drawstyle="steps-post")
     dress(places[1], x="", y="per mille", title="Gradient")
     for name, colour in (("good", BLUE), ("bad", ORANGE)):
-        places[2].plot(s / 1e3, world.rails[name](s), color=colour, linewidth=0.8, label=name)
+        places[2].plot(s / 1e3, setup.rails[name](s), color=colour, linewidth=0.8, label=name)
     places[2].legend(frameon=False, fontsize=8, ncols=2)
     dress(places[2], x="km", y="maximum adhesion", title="Maximum adhesion")
     places[2].set_ylim(0.0)
@@ -220,3 +223,126 @@ def _largest(
     np.maximum.at(found, index, np.where(np.isfinite(values), values, -np.inf))
     centres = (np.arange(count, dtype=np.float64) + 0.5) * BIN
     return centres, np.where(np.isfinite(found), found, np.nan)
+
+
+PIECE = 500.0
+"""Over which slips are counted [m]."""
+
+MARGIN = 0.5
+"""On either side of the line [km]."""
+
+FIRST, LAST = RED, BLUE
+"""Colours of the first and of the last day."""
+
+
+def draw_days(days: Days, path: Path) -> None:
+    """Draw the first and the last of the days above each other along the line.
+
+    Parameters
+    ----------
+    days : Days
+        Of one day alone its slips and its lateness are drawn.
+    path : path
+        PNG file.
+    """
+    shown = (days.days[0],) if len(days.days) == 1 else (days.days[0], days.days[-1])
+    figure = new_figure(11.0, 9.5 if len(shown) > 1 else 6.5)
+    if len(shown) > 1:
+        places = list(figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0)))
+        _draw_rail(places[0], shown[-1])
+    else:
+        places = list(figure.subplots(2, 1, sharex=True))
+    _draw_slips(places[-2], shown)
+    _draw_lateness(places[-1], days, shown)
+    for axes in places:
+        for stop in days.stops:
+            axes.axvline(stop.position / 1e3, color=PALE, linewidth=0.6, zorder=0)
+    places[-1].set_xlim(-MARGIN, days.stops[-1].position / 1e3 + MARGIN)
+    below = places[-1].secondary_xaxis(-0.16)
+    below.set_xticks(
+        [stop.position / 1e3 for stop in days.stops],
+        [stop.station for stop in days.stops],
+        rotation=40, ha="right", rotation_mode="anchor", fontsize=6.5, color=GREY,
+    )  # fmt: skip
+    below.tick_params(length=0)
+    below.spines["bottom"].set_visible(False)
+    write_figure(figure, path)
+
+
+def _draw_rail(axes: Axes, day: Day) -> None:
+    """The rail as it was, and what the day's controllers counted on."""
+    track, known = day.track, day.known
+    if track is None or known is None:
+        raise InputError(
+            "the last day was driven without a map", remedy="give it the map of the first"
+        )
+    km = track.centres / 1e3
+    axes.plot(km, day.rail(track.centres), color=GREY, linewidth=0.7, label="the rail as it is")
+    for where, colour, mark, size, label in (
+        (known.assumed, ORANGE, "_", 4.0, "assumed"),
+        (known.demonstrated, GREEN, "o", 3.0, "used without slip"),
+        (known.seen, BLUE, "o", 4.0, "seen: slip has shown the maximum"),
+    ):
+        if not where.any():
+            continue
+        axes.plot(
+            km[where], known.values[where], color=colour, linestyle="", marker=mark,
+            markersize=size, label=f"{label}, {np.count_nonzero(where)} bins",
+        )  # fmt: skip
+    axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper left")
+    axes.set_ylim(0.03, 0.145)
+    dress(
+        axes, x="", y="maximum adhesion",
+        title=f"What day {day.number} counts on, from the logs of the days before",
+    )  # fmt: skip
+
+
+def _draw_slips(axes: Axes, shown: Sequence[Day]) -> None:
+    """How often axles began to slip along the line: the first day up, the last one down."""
+    first, last = shown[0], shown[-1]
+    for day, sign, colour in zip(shown, (1.0, -1.0), (FIRST, LAST), strict=False):
+        edges, counts = slips_along(day)
+        axes.bar(
+            edges[:-1] / 1e3, sign * counts, PIECE / 1e3, align="edge", color=colour,
+            label=f"day {day.number}: {day.slip_events} times,"
+            f" {day.skid_energy / 1e6:.2f} MJ beyond the peak",
+        )  # fmt: skip
+    top = max(float(slips_along(first)[1].max()), 5.0)
+    low = max(float(slips_along(last)[1].max()), 0.2 * top)
+    axes.set_ylim(-1.15 * low, 1.15 * top)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{abs(value):.0f}")
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    axes.legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
+    dress(
+        axes, x="", y=f"axles, in {PIECE:.0f} m",
+        title=f"Axles that begin to skid or slide, {len(first.runs)} trips a day"
+        + (f": day {first.number} upwards, day {last.number} downwards" if len(shown) > 1 else ""),
+    )  # fmt: skip
+
+
+def _draw_lateness(axes: Axes, days: Days, shown: Sequence[Day]) -> None:
+    """The latest of the trips at every stop."""
+    km = np.array([stop.position for stop in days.stops[1:]]) / 1e3
+    width = 0.006 * (days.stops[-1].position - days.stops[0].position) / 1e3
+    for day, side, colour in zip(shown, (-0.5, 0.5), (FIRST, LAST), strict=False):
+        late = days.late(day)
+        axes.bar(
+            km + side * width, late.max(axis=0), 0.95 * width, color=colour,
+            label=f"day {day.number}: latest {late.max():.1f} s, mean {late.mean():.1f} s",
+        )  # fmt: skip
+    worst = [days.late(day).max(axis=0) for day in shown]
+    axes.set_ylim(min(0.0, float(np.min(worst))), 1.3 * max(0.5, float(np.max(worst))))
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    axes.legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
+    dress(axes, x="km", y="s", title="Late at the stops, the latest of the trips; below 0: early")
+
+
+def slips_along(day: Day) -> tuple[FloatArray, FloatArray]:
+    """Edges [m] of equal pieces of the line, and how often an axle began to slip in each."""
+    length = day.runs[0].line.length
+    edges = PIECE * np.arange(int(np.ceil(length / PIECE)) + 1, dtype=np.float64)
+    counts = np.zeros(edges.size - 1)
+    for each in day.runs:
+        begun = np.diff(each.slipping.astype(np.int8), axis=0, prepend=0) > 0
+        counts += np.histogram(each.position, edges, weights=begun.sum(axis=1))[0]
+    return edges, counts

@@ -1,4 +1,4 @@
-"""Reference trajectories of paper 000, eq. (8), by multiple shooting with CasADi and IPOPT.
+"""Reference trajectories of Hauck et al. (2023), eq. (8), by multiple shooting and IPOPT.
 
 The lever is continuous and linear between two nodes; states are carried from node to node by
 Runge-Kutta, and the constraints (7) hold at every one of its steps, not only at the nodes.
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.control.route import GRID
-from analysis.studies.hauck_2023 import dynamics as dynamics
+from analysis.studies.hauck_2023 import model as model
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
 from trainlog.errors import InfeasibleError
@@ -143,7 +143,7 @@ def reference(section: Section, mass: float = NOMINAL_MASS) -> Reference:
         )
     positions, speeds, levers = solved
     fine = _rollout(section, times, levers, mass)
-    worst = dynamics.worst_constraints(fine, section.tables, section.constants)
+    worst = model.worst_constraints(fine, section.tables, section.constants)
     found = Reference(
         section, mass, times, positions, speeds, levers, fine,
         _cost(times, levers), int(stats["iter_count"]), worst,
@@ -201,7 +201,7 @@ def _rollout(section: Section, times: FloatArray, levers: FloatArray, mass: floa
     p, v = section.origin.position, 0.0
     spans = np.diff(times)
     for span, u0, u1 in zip(spans, levers[:-1], levers[1:], strict=True):
-        part = dynamics.roll(p, v, u0, u1, span, FINE, mass, section.tables, section.constants)
+        part = model.roll(p, v, u0, u1, span, FINE, mass, section.tables, section.constants)
         p, v = part[-1, 0], part[-1, 1]
         rows.append(part[:-1])
     return np.concatenate([*rows, part[-1:]])

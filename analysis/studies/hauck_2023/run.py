@@ -1,410 +1,122 @@
-"""Paper 000, section 4: a train that knows the rail ahead follows its timetable.
-
-References are made for the good rail and the nominal mass; the controller knows the map of the
-rail that it meets, or none at all; the train is simulated axle by axle, with a mass that the
-controller does not know.
-"""
+"""The study of Hauck et al. (2023): its scenarios and days, as logs, pictures and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
-from analysis.studies.hauck_2023 import dynamics as dynamics
-from analysis.studies.hauck_2023 import world as world
-from analysis.studies.hauck_2023.controller import (
-    HOLDING_SPEED,
-    PERIOD,
-    About,
-    TrackingController,
-    Tuning,
-)
-from analysis.studies.hauck_2023.model import LeverTrain
+from analysis.studies.hauck_2023.controller import AS_PUBLISHED, EXTENDED
+from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
+from analysis.studies.hauck_2023.plot import draw_days, draw_study
 from analysis.studies.hauck_2023.reference import Reference
-from analysis.studies.hauck_2023.section import STOPPING_TOLERANCE, sections_of
-from trainlog.errors import InfeasibleError
-from trainlog.railway import Line, StepProfile
-from trainlog.railway.adhesion import DRY, WET
-from trainlog.simulation.drivers import Stop
-from trainlog.simulation.plant import Drive, Plant
-from trainlog.units import GRAVITY
+from analysis.studies.hauck_2023.scenarios import (
+    SCENARIOS,
+    Days,
+    Outcome,
+    Setup,
+    day_by_day,
+    drawn_masses,
+    outcome,
+    prepared,
+)
+from analysis.studies.hauck_2023.simulation import trip_of
+from analysis.studies.hauck_2023.table import (
+    counted_on,
+    days_table,
+    difference_table,
+    gain_table,
+    lateness_table,
+    published_table,
+    references_table,
+    tracking_table,
+)
+from analysis.studies.report import StudyReport
+from trainlog.errors import InputError
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-SAMPLES = 1
-"""Recorded in each period, as the sensors do."""
-
-STEP = 0.005
-"""Of the integration [s]."""
-
-SHORTEST_DWELL = 20.0
-"""Of a train that is late [s]."""
-
-STANDING = 10.0
-"""Recorded after the last arrival [s]."""
-
-DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
-"""The dynamic brake works down to where the holding brake is applied."""
-
-AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
-"""Of the six axles over the rail's: each cleans it for the next."""
-
-COASTING = 0.02
-"""A lever below this is neither traction nor braking."""
-
-NO_MAP = StepProfile(np.zeros(1), np.array([0.999]))
-"""What a controller believes that knows no map: that the rail holds anything."""
-
-Plan = tuple[Reference, ...]
+TRIPS = 3
+"""A day, each with a mass of its own."""
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """One simulated trip; (n,) arrays with one value a sample unless said otherwise.
+@dataclass(frozen=True)
+class MapOptions:
+    """What is driven.
 
     Attributes
     ----------
-    name : str
-    line : Line
-    train : LeverTrain
-    stops : tuple of Stop
-    rail : StepProfile
-        Maximum adhesion that the train met.
-    mass : float [kg]
-        True; the controller did not know it.
-    delay : float [s]
-        Of the first departure.
-    time : [s]
-    samples : (n, columns) array
-        See `Plant.columns`.
-    columns : tuple of str
-    lever : [1]
-        Of the controller; 0 at the stations.
-    demands : (n, 2) array [N]
-    target : (n, 3) array [m], [m/s], [N]
-        Of the reference by the timetable: position, speed, and effort, negative in braking.
-    section : (n,) int array
-        Which section the train is on or waits for.
-    arrivals, departures, places : (k,) arrays [s], [s], [m]
-        Of each stop, as they were; the first arrival is 0.
-    slip_energy : float [J]
-        Work of all wheels against the rail.
-    unsolved : int
-        Steps at which the program of the controller was not solved.
+    sections : int, optional
+        Only the first of the line; default: all.
+    days : int
+        How many days the loop is driven; none as published.
+    seed : int
+        Of rails, masses and sensors.
+    as_published : bool
+        By eqs. (9) to (11) alone; see `analysis.studies.hauck_2023.controller.Method`.
     """
 
-    name: str
-    line: Line
-    train: LeverTrain
-    stops: tuple[Stop, ...]
-    rail: StepProfile
-    mass: float
-    delay: float
-    time: FloatArray
-    samples: FloatArray
-    columns: tuple[str, ...]
-    lever: FloatArray
-    demands: FloatArray
-    target: FloatArray
-    section: NDArray[np.int64]
-    arrivals: FloatArray
-    departures: FloatArray
-    places: FloatArray
-    slip_energy: float
-    unsolved: int
-
-    def column(self, name: str) -> FloatArray:
-        """One column of the samples."""
-        return np.asarray(self.samples[:, self.columns.index(name)])
-
-    @property
-    def position(self) -> FloatArray:
-        """[m]."""
-        return self.column("position")
-
-    @property
-    def speed(self) -> FloatArray:
-        """[m/s]."""
-        return self.column("speed")
-
-    @property
-    def position_error(self) -> FloatArray:
-        """Position less the reference's by the timetable [m]."""
-        return np.asarray(self.position - self.target[:, 0])
-
-    @property
-    def speed_error(self) -> FloatArray:
-        """Speed less the reference's by the timetable [m/s]."""
-        return np.asarray(self.speed - self.target[:, 1])
-
-    @property
-    def late(self) -> FloatArray:
-        """Arrivals after the timetable's [s], of the stops but the first."""
-        planned = np.array([stop.arrival for stop in self.stops[1:]])
-        return np.asarray(self.arrivals[1:] - planned)
-
-    @property
-    def lever_changes(self) -> NDArray[np.int64]:
-        """How often the lever went from traction to braking or back, by section; (k - 1,)."""
-        return self._by_section(self.lever)
-
-    @property
-    def planned_changes(self) -> NDArray[np.int64]:
-        """`lever_changes` of the reference."""
-        full = np.asarray(self.train.full_effort(self.target[:, 1]), dtype=np.float64)
-        return self._by_section(self.target[:, 2] / full)
-
-    @property
-    def stop_error(self) -> FloatArray:
-        """Where the train stood beyond its stops [m]."""
-        return np.asarray(self.places[1:] - [stop.position for stop in self.stops[1:]])
-
-    def _by_section(self, lever: FloatArray) -> NDArray[np.int64]:
-        count = len(self.stops) - 1
-        return np.array([changes(lever[self.section == k]) for k in range(count)], dtype=np.int64)
-
-    @cached_property
-    def constraints(self) -> FloatArray:
-        """Eq. (7) at every sample under way; (n, 4) array, NaN at the stations.
-
-        Largest of h_1 and h_2 [m/s²], of h_3 and h_4 [m/s²], h_5 [m/s], and |u| - 1, over both
-        ends of the mass, with the rail that the train met and without any reserve.
-        """
-        slope = world.ground(self.line).gradient(self.position)
-        return constraint_table(
-            np.column_stack([
-                self.speed, self.lever, slope / np.hypot(1.0, slope), self.rail(self.position),
-                self.line.speed_limit(self.position),
-            ]),
-            dynamics.constants(self.train),
-        )  # fmt: skip
-
-    @property
-    def worst(self) -> FloatArray:
-        """Largest of each column of `constraints`."""
-        return np.asarray(np.nanmax(self.constraints, axis=0))
-
-    @cached_property
-    def slip_speed(self) -> FloatArray:
-        """Wheel speeds less the train's [m/s]; (n, axles) array."""
-        wheels = [name for name in self.columns if name.startswith("wheel_speed")]
-        return np.column_stack([self.column(name) for name in wheels]) - self.speed[:, None]
-
-    @cached_property
-    def slipping(self) -> BoolArray:
-        """Whether each axle skids or slides: beyond the peak of its creep curve; (n, axles)."""
-        return np.asarray(np.abs(self.slip_speed) > peak_slip(self.rail(self.position))[:, None])
-
-    @property
-    def slip_events(self) -> int:
-        """How often an axle began to skid or slide."""
-        begun = np.diff(self.slipping.astype(np.int8), axis=0, prepend=0) > 0
-        return int(np.count_nonzero(begun))
-
-    @cached_property
-    def skid_energy(self) -> float:
-        """Of `slip_energy` what axles beyond the peak of their creep curve do [J], sampled."""
-        slip = np.abs(self.slip_speed)
-        weight = GRAVITY * self.mass / slip.shape[1]
-        force = weight * AXLE_ADHESION * adhesion_at(slip, self.rail(self.position)[:, None])
-        return float(np.sum(np.where(self.slipping, force * slip, 0.0)) * PERIOD / SAMPLES)
-
-    @property
-    def protections(self) -> int:
-        """How often the slip protection of the drive took hold of an axle."""
-        active = self.column("protected_axles")
-        return int(np.maximum(np.diff(active, prepend=0.0), 0.0).sum())
+    sections: int | None = None
+    days: int = 2
+    seed: int = 1
+    as_published: bool = False
 
 
-def changes(lever: FloatArray) -> int:
-    """How often a lever goes from traction to braking or back, whatever it coasts between."""
-    at_work = np.sign(lever[np.abs(lever) > COASTING])
-    return int(np.count_nonzero(np.diff(at_work)))
-
-
-def constraint_table(rows: FloatArray, c: dynamics.Constants) -> FloatArray:
-    """`Run.constraints` from (n, 5) rows of speed, lever, sine, adhesion and limit."""
-    speed, lever, sine, adhesion, limit = rows.T
-    full = c.k1 * np.exp(-c.k2 * speed) + c.k3
-    weight = GRAVITY * (sine + c.rolling * np.sqrt(1.0 - sine**2))
-    safety, traction = np.full(len(rows), -np.inf), np.full(len(rows), -np.inf)
-    for mass in (c.light, c.heavy):
-        gained = (full * lever - c.drag * speed**2) / mass - weight
-        safety = np.maximum(safety, np.abs(gained) - c.comfort)
-        traction = np.maximum(traction, full * np.abs(lever) / mass - GRAVITY * adhesion)
-    found = np.column_stack([safety, traction, speed - limit, np.abs(lever) - 1.0])
-    return np.where((speed > 0.0)[:, None], found, np.nan)
-
-
-def creep_shape(adhesion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A and b [s/m] of the creep curve at a maximum adhesion, as the plant has it."""
-    dryness = np.clip((adhesion - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
-    return WET.a + dryness * (DRY.a - WET.a), WET.b + dryness * (DRY.b - WET.b)
-
-
-def peak_slip(adhesion: FloatArray) -> FloatArray:
-    """Slip speed [m/s] at which the creep curve has its maximum."""
-    a, b = creep_shape(adhesion)
-    return np.asarray(np.log(b / a) / (b - a))
-
-
-def adhesion_at(slip: FloatArray, adhesion: FloatArray) -> FloatArray:
-    """Adhesion in use at a slip speed [m/s] where the maximum is `adhesion`."""
-    a, b = creep_shape(adhesion)
-    peak = peak_slip(adhesion)
-    most = np.exp(-a * peak) - np.exp(-b * peak)
-    return np.asarray(adhesion * (np.exp(-a * slip) - np.exp(-b * slip)) / most)
-
-
-def with_map(plan: Plan, rail: StepProfile) -> Plan:
-    """The same references under another map: what the controller takes the rail for."""
-    first = plan[0].section
-    stops = (first.origin, *(each.section.destination for each in plan))
-    sections = sections_of(first.line, first.train, rail, stops)
-    return tuple(
-        replace(each, section=section) for each, section in zip(plan, sections, strict=True)
+def main(report: StudyReport, options: MapOptions) -> None:
+    """Drive the scenarios with and without a map, then the days; every trip is written at once."""
+    known = prepared(
+        options.seed, options.sections, partial(report.track, description="references")
     )
+    report.show(published_table(), references_table(known.plan))
+    method = AS_PUBLISHED if options.as_published else EXTENDED
+    drawn = drawn_masses(options.seed, TRIPS).tolist()
+    first = NOMINAL_MASS if options.as_published else drawn[0]
+    masses = (first, PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass)
+    outcomes: list[Outcome] = []
+    for mass in report.track(masses, "driving"):
+        for scenario in report.track(SCENARIOS, f"{mass / 1e3:.1f} t"):
+            watch = _watched(report, scenario.name)
+            outcomes.append(outcome(known, scenario, mass, method, watch))
+            if mass == first:
+                _log(report, outcomes[-1], options.seed)
+        report.show(tracking_table(outcomes), lateness_table(outcomes))
+        if not options.as_published:
+            report.show(gain_table(outcomes))
+    report.show(difference_table(outcomes))
+    report.keep(*draw_study(known, outcomes[: len(SCENARIOS)], report.folder))
+    if not options.as_published:
+        _drive_days(report, known, drawn, options)
 
 
-def run(
-    name: str,
-    plan: Plan,
-    rail: StepProfile,
-    mass: float,
-    *,
-    delay: float = 0.0,
-    about: About = "prediction",
-    tuning: Tuning | None = None,
-    timetable: Sequence[Stop] | None = None,
-) -> Run:
-    """Drive a timetable once.
-
-    Parameters
-    ----------
-    name : str
-    plan : tuple of Reference
-        What the controller knows: references, and in their sections the map.
-    rail : StepProfile
-        Maximum adhesion as it is.
-    mass : float [kg]
-        True one.
-    delay : float [s]
-        Of the first departure.
-    about : {"reference", "prediction"}
-    tuning : Tuning, optional
-    timetable : sequence of Stop, optional
-        What is hurried for where the references were put off; default: their own stops.
-
-    Raises
-    ------
-    InputError
-        If the train cannot have the mass.
-    InfeasibleError
-        If it does not arrive.
-    """
-    sections = [each.section for each in plan]
-    line, train = sections[0].line, sections[0].train
-    train.check_mass(mass)
-    axles = train.on_axles(AXLE_ADHESION.size)
-    plant = Plant.of(
-        world.ground(line), axles, mass=mass, resistance=train.resistance(mass),
-        maximum_adhesion=rail, axle_adhesion=AXLE_ADHESION, drive=DRIVE, step=STEP,
-    )  # fmt: skip
-    stops = tuple(timetable or (sections[0].origin, *(each.destination for each in sections)))
-    recorder = _Recorder(plant, sections[0].origin.position)
-    arrivals, departures, places = [0.0], [], [sections[0].origin.position]
-    unsolved = 0
-    for number, reference in enumerate(plan):
-        begins = reference.section.origin.departure
-        due = stops[number].departure + (delay if number == 0 else 0.0)
-        leaves = due if number == 0 else max(due, np.ceil(arrivals[-1] + SHORTEST_DWELL))
-        while recorder.now < leaves - 0.5 * PERIOD:
-            recorder.stand(reference, number)
-        departures.append(recorder.now)
-        controller = TrackingController(
-            reference, about, tuning or Tuning(), due=stops[number + 1].arrival - begins
-        )
-        _drive_section(recorder, controller, number)
-        unsolved += controller.unsolved
-        arrivals.append(recorder.now)
-        places.append(recorder.state.position)
-    departures.append(np.inf)
-    for _ in range(round(STANDING / PERIOD)):
-        recorder.stand(plan[-1], len(plan) - 1)
-    rows = np.repeat(np.array(recorder.told, dtype=np.float64), SAMPLES, axis=0)
-    return Run(
-        name=name,
-        line=line,
-        train=train,
-        stops=stops,
-        rail=rail,
-        mass=mass,
-        delay=delay,
-        time=np.arange(len(rows), dtype=np.float64) * (PERIOD / SAMPLES),
-        samples=np.concatenate(recorder.samples),
-        columns=plant.columns,
-        lever=rows[:, 0],
-        demands=rows[:, 1:3],
-        target=rows[:, 3:6],
-        section=rows[:, 6].astype(np.int64),
-        arrivals=np.array(arrivals, dtype=np.float64),
-        departures=np.array(departures, dtype=np.float64),
-        places=np.array(places, dtype=np.float64),
-        slip_energy=recorder.state.works["slip"],
-        unsolved=unsolved,
-    )
+def _watched(
+    report: StudyReport, name: str
+) -> Callable[[Iterable[Reference]], Iterable[Reference]]:
+    return lambda plan: report.track(plan, f"{name}, sections")
 
 
-class _Recorder:
-    """The plant under way, and what is told of it."""
-
-    def __init__(self, plant: Plant, position: float) -> None:
-        self.plant = plant
-        self.state = plant.at(position)
-        self.samples: list[FloatArray] = []
-        self.told: list[tuple[float, ...]] = []
-
-    @property
-    def now(self) -> float:
-        """[s]."""
-        return PERIOD * len(self.told)
-
-    def advance(self, reference: Reference, number: int, lever: float) -> None:
-        """One period with the lever held: the effort follows the curve as the speed changes."""
-        full_effort = reference.section.train.full_effort
-        effort = lever * float(full_effort(self.state.speed))
-        demand = max(effort, 0.0), max(-effort, 0.0)
-        position, speed, aim = reference.at(self.now - reference.section.origin.departure)
-        planned = aim * float(full_effort(speed))
-        self.told.append((lever, *demand, position, speed, planned, number))
-        steps = round(PERIOD / STEP)
-        self.samples.append(self.plant.advance(self.state, *demand, steps, steps // SAMPLES))
-
-    def stand(self, reference: Reference, number: int) -> None:
-        """One period at a station: the holding brake is applied."""
-        self.advance(reference, number, 0.0)
+def _log(report: StudyReport, found: Outcome, seed: int) -> None:
+    weather = "dry" if found.scenario.weather == "good" else "wet"
+    for run in (found.informed, found.blind):
+        if run is not None:
+            report.log(trip_of(run, weather, seed))
 
 
-def _drive_section(recorder: _Recorder, controller: TrackingController, number: int) -> None:
-    reference = controller.reference
-    section = reference.section
-    begun, stop = recorder.now, section.destination.position
-    patience = 3.0 * section.duration + 600.0
-    while True:
-        state = recorder.state
-        time = recorder.now - section.origin.departure
-        lever = controller.drive(time, state.position, state.speed)
-        recorder.advance(reference, number, lever)
-        if state.speed == 0.0 and state.position > stop - STOPPING_TOLERANCE:
-            return
-        if recorder.now - begun > patience:
-            raise InfeasibleError(
-                f"{section.name}: the train does not arrive; at km {state.position / 1e3:.3f}"
-                f" after {patience:.0f} s",
-                remedy="check adhesion and gradients there",
-            )
+def _drive_days(
+    report: StudyReport, known: Setup, masses: list[float], options: MapOptions
+) -> None:
+    """Days in a row, until one has no map to be driven by."""
+    rails = [known.rails["bad"]] * options.days
+    watch = _watched(report, "days")
+    following = day_by_day(known.plan, rails, masses, report.folder, options.seed, track=watch)
+    driven: Days | None = None
+    for number in report.track(range(1, options.days + 1), "driving days"):
+        try:
+            driven = next(following)
+        except InputError as error:
+            report.show(f"day {number} was not driven: {error}")
+            break
+        report.keep(*driven.logs)
+        report.show(days_table(driven))
+    if driven is None:
+        return
+    if len(driven.days) > 1:
+        report.show(counted_on(driven))
+    draw_days(driven, report.picture("two-days.png"))

@@ -1,29 +1,201 @@
-"""The three scenarios of paper 000, each with a map and without one."""
+"""Line, rails, timetable and scenarios of Hauck et al. (2023), section 4, and days in a row.
+
+The paper's map is lost. Line and stations are those of the sample line Chemnitz-Cranzahl; the
+timetable and both rails are made here, from the shortest running times and from a seed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.studies.hauck_2023 import world as world
-from analysis.studies.hauck_2023.bounds import least_deviation, least_lateness
-from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
+from analysis.adhesion.condition_map import adhesion_map
+from analysis.adhesion.demonstrated import UsableAdhesion, typical_adhesion, usable_adhesion
+from analysis.studies.hauck_2023.controller import EXTENDED, Method
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN, LeverTrain
 from analysis.studies.hauck_2023.reference import reference
-from analysis.studies.hauck_2023.run import NO_MAP, Plan, Run, run, with_map
 from analysis.studies.hauck_2023.section import (
+    PLANNING,
     Section,
     check_timetable,
+    fastest,
+    fastest_unweighed,
+    least_time,
     least_time_unweighed,
+    section_of,
     sections_of,
 )
+from analysis.studies.hauck_2023.simulation import (
+    AXLE_ADHESION,
+    NO_MAP,
+    SHORTEST_DWELL,
+    Plan,
+    Run,
+    Track,
+    run,
+    trip_of,
+    with_map,
+)
+from analysis.studies.report import START
 from trainlog.errors import InputError
-from trainlog.railway import StepProfile
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
+from trainlog.mcap import write_log
+from trainlog.railway import Line, StepProfile, TrackConditionMap
+from trainlog.railway.condition import BIN_LENGTH
+from trainlog.simulation.drivers import Stop
+from trainlog.simulation.scenario import (
+    base_map,
+    bin_centres,
+    likely_places,
+    smooth_variation,
+    spot,
+)
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[Iterable[Section]], Iterable[Section]]
+
+LINE = "DE_Chemnitz_Cranzahl.line.json"
+
+RESERVE = 0.07
+"""Of the timetable over the shortest running times of a reference."""
+
+DWELL = 36.0
+"""Planned at each station [s]."""
+
+FIRST_DEPARTURE = 10.0
+"""After the beginning of the trip [s]."""
+
+BAD_MEDIAN, BAD_SPREAD, BAD_SPOTS = 0.095, 0.08, (0.055, 0.075)
+"""Maximum adhesion of leaves or frost: its median, the standard deviation of its logarithm, and
+what is found where it is worst. At a_max of 1 m/s² adhesion above 0.102 never binds."""
+
+
+@cache
+def line() -> Line:
+    """The sample line Chemnitz-Cranzahl."""
+    return read_line(sample(LINE))
+
+
+def good_rail(track: Line, seed: int = 1) -> StepProfile:
+    """The dry rail of the simulation, slippery places included."""
+    return _profile(base_map(track, "dry", seed))
+
+
+def bad_rail(track: Line, seed: int = 1) -> StepProfile:
+    """A rail with leaves or frost, worst where the dry rail is worst, too."""
+    where = np.random.default_rng([seed, 1])
+    generator = np.random.default_rng([seed, 6])
+    centres = bin_centres(math.ceil(track.length / BIN_LENGTH))
+    logarithm = np.log(BAD_MEDIAN) + BAD_SPREAD * smooth_variation(centres.size, generator)
+    for start in likely_places(track, where):
+        length = where.uniform(100.0, 300.0)
+        depth = generator.uniform(*BAD_SPOTS)
+        logarithm = np.minimum(logarithm, spot(centres, start, length, depth))
+    return _profile(np.exp(logarithm))
+
+
+def timetable(
+    track: Line, train: LeverTrain = PUBLISHED_TRAIN, rail: StepProfile | None = None
+) -> tuple[Stop, ...]:
+    """Calls at every station, in whole seconds.
+
+    Parameters
+    ----------
+    track : Line
+    train : LeverTrain
+    rail : StepProfile, optional
+        For which the times are made; default: `good_rail`.
+    """
+    rail = rail or good_rail(track)
+    first, *others = track.stations
+    stops = [Stop(first.name, first.position, 0.0, FIRST_DEPARTURE)]
+    for station in others:
+        before = stops[-1]
+        ample = before.departure + 1e5
+        to = Stop(station.name, station.position, ample, ample)
+        least = fastest(section_of(track, train, rail, before, to)).duration
+        arrival = before.departure + 6.0 * math.ceil(least * (1.0 + RESERVE) / 6.0)
+        stops.append(Stop(station.name, station.position, arrival, arrival + DWELL))
+    return tuple(stops)
+
+
+def _profile(values: FloatArray) -> StepProfile:
+    starts = BIN_LENGTH * np.arange(values.size, dtype=np.float64)
+    return StepProfile(starts, np.minimum(values, 0.5))
+
+
+def least_lateness(
+    sections: Sequence[Section],
+    mass: float,
+    delay: float,
+    least: Callable[[Section, float, float], float] = least_time,
+) -> FloatArray:
+    """Bound on how late [s] a train of one mass arrives that left the first stop late.
+
+    From the least time of every section under (7), without any reserve, and the shortest dwell;
+    below 0 where it could be early.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+    mass : float [kg]
+    delay : float [s]
+    least : callable
+        `least_time` or `least_time_unweighed`.
+    """
+    late, bound = delay, []
+    for section in sections:
+        bound.append(late + least(section, mass, _rotating(section)) - section.duration)
+        planned = section.destination.departure - section.destination.arrival
+        late = max(bound[-1] + SHORTEST_DWELL - planned, 0.0)
+    return np.array(bound, dtype=np.float64)
+
+
+def least_deviation(plan: Plan, run: Run) -> FloatArray:
+    """Bound on the largest distance [m] from its reference, section by section.
+
+    Of any driver who leaves when `run` did, does not know the mass, and arrives no later than the
+    timetable or `run`, whichever is later. Nobody is faster anywhere than the fastest run; so
+    nobody is ahead of it, nor behind the one like it that leaves as late as it may. What of the
+    reference lies outside these two cannot be reached.
+
+    Parameters
+    ----------
+    plan : tuple of Reference
+        With the map of the rail that the train met.
+    run : Run
+
+    Returns
+    -------
+    (k,) array
+        0 where the reference lies between them.
+    """
+    found = []
+    for number, each in enumerate(plan):
+        section = each.section
+        begins, here = section.origin.departure, run.section == number
+        fast = fastest_unweighed(section, run.mass, _rotating(section))
+        time, aim = run.time[here] - begins, run.target[here, 0]
+        leaves = run.departures[number] - begins
+        arrives = max(section.duration, run.arrivals[number + 1] - begins, leaves + fast.duration)
+        most = np.interp(time - leaves, fast.times, fast.positions)
+        least = np.interp(time - (arrives - fast.duration), fast.times, fast.positions)
+        found.append(max(float(np.max(aim - most)), float(np.max(least - aim)), 0.0))
+    return np.array(found, dtype=np.float64)
+
+
+def _rotating(section: Section) -> float:
+    """Of the simulated train [kg]."""
+    return section.train.on_axles(AXLE_ADHESION.size).rotating_mass
+
+
+Watch = Callable[[Iterable[Section]], Iterable[Section]]
 
 DELAY = 40.0
 """Of the third scenario [s]."""
@@ -41,7 +213,7 @@ class Scenario:
     delay : float [s]
         Of the first departure.
     published : str
-        What the paper tells of it.
+        What the paper states.
     """
 
     name: str
@@ -58,8 +230,8 @@ SCENARIOS = (
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """What the scenarios share.
+class Setup:
+    """Line, timetable, rails and references, which the scenarios share.
 
     Attributes
     ----------
@@ -80,8 +252,10 @@ class Outcome:
     Attributes
     ----------
     scenario : Scenario
-    informed, blind : Run
-        By the controller with the map, and by the one without.
+    informed : Run
+        By the controller with the map.
+    blind : Run, optional
+        By the one without; not as published.
     bound, unweighed : (k,) array [s]
         How late a train of this mass must be at each stop, whoever drives it: by a driver who
         knows the mass, and by one who does not.
@@ -91,13 +265,13 @@ class Outcome:
 
     scenario: Scenario
     informed: Run
-    blind: Run
+    blind: Run | None
     bound: FloatArray
     unweighed: FloatArray
     deviation: FloatArray
 
 
-def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -> World:
+def prepared(seed: int, sections: int | None = None, track: Watch = iter) -> Setup:
     """Line, timetable, rails and references.
 
     Parameters
@@ -106,7 +280,7 @@ def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -
         Of the rails.
     sections : int, optional
         Only the first of the line; default: all.
-    watched : callable
+    track : callable
         Wraps the sections while they are solved, to show progress.
 
     Raises
@@ -116,17 +290,17 @@ def prepared(seed: int, sections: int | None = None, watched: Progress = iter) -
     InfeasibleError
         If the timetable cannot be kept.
     """
-    track = world.line()
-    rails = {"good": world.good_rail(track, seed), "bad": world.bad_rail(track, seed)}
-    stops = world.timetable(track, rail=rails["good"])
+    whole = line()
+    rails = {"good": good_rail(whole, seed), "bad": bad_rail(whole, seed)}
+    stops = timetable(whole, rail=rails["good"])
     if sections is not None and sections >= len(stops):
         raise InputError(
-            f"line '{track.name}' has {len(stops) - 1} sections, not {sections}",
+            f"line '{whole.name}' has {len(stops) - 1} sections, not {sections}",
             remedy=f"ask for 1 to {len(stops) - 1}, or for all",
         )
-    every = sections_of(track, PUBLISHED_TRAIN, rails["good"], stops)[:sections]
+    every = sections_of(whole, PUBLISHED_TRAIN, rails["good"], stops)[:sections]
     check_timetable(every)
-    return World(tuple(reference(section) for section in watched(every)), rails)
+    return Setup(tuple(reference(section) for section in track(every)), rails)
 
 
 def drawn_masses(seed: int, count: int) -> FloatArray:
@@ -136,19 +310,325 @@ def drawn_masses(seed: int, count: int) -> FloatArray:
     return np.asarray(np.clip(np.round(drawn, -2), PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass))
 
 
-def outcome(known: World, scenario: Scenario, mass: float) -> Outcome:
-    """Drive a scenario with the map and without one."""
+def outcome(
+    known: Setup,
+    scenario: Scenario,
+    mass: float,
+    method: Method = EXTENDED,
+    track: Track = iter,
+) -> Outcome:
+    """Drive a scenario with the map and, unless as published, without one.
+
+    Parameters
+    ----------
+    known : Setup
+    scenario : Scenario
+    mass : float [kg]
+    method : Method
+    track : callable
+        Wraps the references while they are driven, to show progress.
+    """
     rail = known.rails[scenario.weather]
     informed = with_map(known.plan, rail)
     blind = with_map(known.plan, NO_MAP)
     sections = [each.section for each in informed]
     name = f"{scenario.name}, {mass / 1e3:.1f} t"
-    driven = run(name, informed, rail, mass, delay=scenario.delay)
+    driven = run(name, informed, rail, mass, delay=scenario.delay, method=method, track=track)
+    without = None
+    if method.extended:
+        without = run(f"{name}, no map", blind, rail, mass, delay=scenario.delay, track=track)
     return Outcome(
         scenario,
         driven,
-        run(f"{name}, no map", blind, rail, mass, delay=scenario.delay),
+        without,
         least_lateness(sections, mass, scenario.delay),
         least_lateness(sections, mass, scenario.delay, least_time_unweighed),
         least_deviation(informed, driven),
     )
+
+
+LAYER = "wet"
+"""Of the map, and weather of the logs."""
+
+SIGMAS = 1.0
+"""Below the map's estimate."""
+
+ON_THE_MAP = replace(PLANNING, adhesion=0.85)
+"""Of a reference made on the map: its adhesion is a cautious one already."""
+
+SPARE = 0.01
+"""Least reserve of a section over its shortest time."""
+
+CHANGED = 0.02
+"""A reference is made anew where more than this share of the adhesion counted on has changed."""
+
+DAY, APART = 86_400 * 10**9, 2 * 3_600 * 10**9
+"""Of the logs: from day to day, and from trip to trip [ns]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Day:
+    """One day's trips, and what their controllers knew.
+
+    Attributes
+    ----------
+    number : int
+    track : TrackConditionMap or None
+        Made of the logs of all days before; None on the first.
+    known : UsableAdhesion or None
+        What the controllers counted on.
+    plan : tuple of Reference
+        That they followed.
+    rail : StepProfile
+        As it truly was.
+    runs : tuple of Run
+        In the order of the masses.
+    logs : tuple of path
+    """
+
+    number: int
+    track: TrackConditionMap | None
+    known: UsableAdhesion | None
+    plan: Plan
+    rail: StepProfile
+    runs: tuple[Run, ...]
+    logs: tuple[Path, ...]
+
+    @property
+    def slip_events(self) -> int:
+        """How often an axle began to skid or slide."""
+        return sum(each.slip_events for each in self.runs)
+
+    @property
+    def skid_energy(self) -> float:
+        """Work beyond the peak of the creep curve [J]."""
+        return sum(each.skid_energy for each in self.runs)
+
+    @property
+    def slip_energy(self) -> float:
+        """All work of creep [J]."""
+        return sum(each.slip_energy for each in self.runs)
+
+    @property
+    def worst(self) -> FloatArray:
+        """Largest constraints of all trips; see `Run.worst`."""
+        return np.asarray(np.max([each.worst for each in self.runs], axis=0))
+
+    @property
+    def map_errors(self) -> FloatArray:
+        """Estimate over truth less one, of the bins whose maximum the map has seen."""
+        if self.track is None or self.known is None:
+            return np.zeros(0)
+        estimate = self.track.layer(LAYER).maximum_adhesion[self.known.seen]
+        return np.asarray(estimate / self.rail(self.track.centres[self.known.seen]) - 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Days:
+    """Days in a row under one timetable.
+
+    Attributes
+    ----------
+    days : tuple of Day
+    stops : tuple of Stop
+        The timetable.
+    """
+
+    days: tuple[Day, ...]
+    stops: tuple[Stop, ...]
+
+    @property
+    def logs(self) -> tuple[Path, ...]:
+        """Of all days."""
+        return tuple(path for day in self.days for path in day.logs)
+
+    def late(self, day: Day) -> FloatArray:
+        """Arrivals after the timetable's [s]; (trips, stops but the first) array."""
+        return np.array([each.late for each in day.runs])
+
+
+Counting = Callable[[TrackConditionMap], UsableAdhesion]
+"""What a day's controllers count on when they have a map."""
+
+
+def cautious(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion:
+    """The map's cautious estimate; elsewhere what was demonstrated, or what is typical of the line.
+
+    Raises
+    ------
+    InputError
+        If no maximum was seen anywhere.
+    """
+    typical = typical_adhesion(track, LAYER, sigmas)
+    return usable_adhesion(track, LAYER, sigmas=sigmas, assumed=typical)
+
+
+def trying(track: TrackConditionMap) -> UsableAdhesion:
+    """The map's cautious estimate; elsewhere whatever the train can ask for, to see what holds."""
+    return usable_adhesion(track, LAYER, sigmas=SIGMAS, assumed=float(NO_MAP.values[0]))
+
+
+def first_day(
+    plan: Plan,
+    rail: StepProfile,
+    masses: Sequence[float],
+    folder: Path,
+    seed: int,
+    track: Track = iter,
+) -> Day:
+    """Trips without a map, by the references of the good rail.
+
+    Parameters
+    ----------
+    plan : tuple of Reference
+    rail : StepProfile
+        As it truly is.
+    masses : sequence of float [kg]
+    folder : path
+        Where the logs go.
+    seed : int
+        Of the sensors' noise.
+    """
+    blind = with_map(plan, NO_MAP)
+    runs = tuple(run(_name(1, mass), blind, rail, mass, track=track) for mass in masses)
+    return Day(1, None, None, plan, rail, runs, _written(runs, 1, folder, seed))
+
+
+def next_day(
+    before: Day, plan: Plan, rail: StepProfile, folder: Path, seed: int,
+    counting: Counting = cautious, track: Track = iter,
+) -> Day:  # fmt: skip
+    """The same trips on the day after, with the map of all logs so far.
+
+    Parameters
+    ----------
+    before : Day
+    plan : tuple of Reference
+        Of the good rail: what the timetable asks for.
+    rail : StepProfile
+        As it truly is now.
+    folder : path
+    seed : int
+        Of the sensors' noise.
+    counting : callable
+    """
+    number = before.number + 1
+    learnt = adhesion_map(before.logs, before.track, LAYER).track
+    known = counting(learnt)
+    made = replanned(plan, known.profile, before.plan if before.known else ())
+    asked = timetable_of(plan)
+    runs = tuple(
+        run(_name(number, each.mass), made, rail, each.mass, timetable=asked, track=track)
+        for each in before.runs
+    )
+    logs = _written(runs, number, folder, seed)
+    return Day(number, learnt, known, made, rail, runs, logs)
+
+
+def drive_days(
+    plan: Plan,
+    rails: Sequence[StepProfile],
+    masses: Sequence[float],
+    folder: Path,
+    seed: int,
+    counting: Counting = cautious,
+) -> Days:
+    """One day on each rail; arguments as for `first_day` and `next_day`."""
+    *_, driven = day_by_day(plan, rails, masses, folder, seed, counting)
+    return driven
+
+
+def day_by_day(
+    plan: Plan,
+    rails: Sequence[StepProfile],
+    masses: Sequence[float],
+    folder: Path,
+    seed: int,
+    counting: Counting = cautious,
+    track: Track = iter,
+) -> Iterator[Days]:
+    """After each day the days so far; arguments as for `first_day` and `next_day`.
+
+    Raises
+    ------
+    InputError
+        Before a day whose map shows no maximum adhesion anywhere.
+    """
+    stops = timetable_of(plan)
+    days = [first_day(plan, rails[0], masses, folder, seed, track)]
+    yield Days(tuple(days), stops)
+    for rail in rails[1:]:
+        days.append(next_day(days[-1], plan, rail, folder, seed, counting, track))
+        yield Days(tuple(days), stops)
+
+
+def timetable_of(plan: Plan) -> tuple[Stop, ...]:
+    """The stops of a plan."""
+    return (plan[0].section.origin, *(each.section.destination for each in plan))
+
+
+def replanned(plan: Plan, rail: StepProfile, earlier: Plan = ()) -> Plan:
+    """References for the same timetable on a rail that is known before departure.
+
+    Where a section cannot be run in its time, the train arrives as soon as it can, leaves after
+    the shortest dwell and makes it up as early as it can.
+
+    Parameters
+    ----------
+    plan : tuple of Reference
+        As the timetable has it.
+    rail : StepProfile
+        What may be counted on.
+    earlier : tuple of Reference
+        Made before for the same timetable; those on which little has changed are kept.
+    """
+    made, origin = [], plan[0].section.origin
+    for number, each in enumerate(plan):
+        section = _in_time(each.section, rail, origin)
+        kept = earlier[number] if earlier else None
+        if kept is not None and _alike(kept.section, section):
+            made.append(replace(kept, section=_on(kept.section, rail)))
+        else:
+            made.append(reference(section))
+        origin = made[-1].section.destination
+    return tuple(made)
+
+
+def _in_time(section: Section, rail: StepProfile, origin: Stop) -> Section:
+    """The section on another rail, with the arrival put off as far as it must be."""
+    known = replace(section, origin=origin)
+    planned = section.destination
+    least = (1.0 + SPARE) * fastest(_on(known, rail)).duration
+    arrival = max(planned.arrival, float(np.ceil(origin.departure + least)))
+    departure = max(planned.departure, arrival + SHORTEST_DWELL)
+    late = Stop(planned.station, planned.position, arrival, departure)
+    return _on(replace(known, destination=late), rail)
+
+
+def _on(section: Section, rail: StepProfile) -> Section:
+    return section_of(
+        section.line, section.train, rail, section.origin, section.destination,
+        section.driving, ON_THE_MAP,
+    )  # fmt: skip
+
+
+def _alike(one: Section, other: Section) -> bool:
+    """Whether the same times are asked for, and nearly the same adhesion counted on."""
+    if (one.origin, one.destination) != (other.origin, other.destination):
+        return False
+    change = np.abs(other.tables.adhesion / one.tables.adhesion - 1.0)
+    return bool(change.max() <= CHANGED)
+
+
+def _name(number: int, mass: float) -> str:
+    return f"day {number}, {mass / 1e3:.1f} t"
+
+
+def _written(runs: Sequence[Run], number: int, folder: Path, seed: int) -> tuple[Path, ...]:
+    paths = []
+    for count, each in enumerate(runs):
+        start = START + (number - 1) * DAY + count * APART
+        trip = trip_of(each, LAYER, seed + 100 * (number - 1) + count, start)
+        paths.append(folder / f"{trip.metadata['trip']}.mcap")
+        write_log(trip, paths[-1])
+    return tuple(paths)

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from analysis.adhesion.demonstrated import usable_adhesion
 from analysis.control.route import GRID, value
-from analysis.studies.hauck_2023 import dynamics as dynamics
-from analysis.studies.hauck_2023.dynamics import Tables
-from analysis.studies.hauck_2023.model import NOMINAL_MASS, LeverTrain
+from analysis.studies.hauck_2023 import model as model
+from analysis.studies.hauck_2023.model import NOMINAL_MASS, LeverTrain, Tables
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, StepProfile, TrackConditionMap
 from trainlog.simulation.drivers import Stop, check_stops
@@ -48,14 +47,17 @@ class Reserves:
     def __post_init__(self) -> None:
         for name in ("adhesion", "brake", "lever", "comfort"):
             if not 0.0 < getattr(self, name) <= 1.0:
-                raise InputError(f"a share of {getattr(self, name)} of the {name} makes no sense")
+                raise InputError(
+                    f"the share of the {name} must be above 0 and at most 1, not"
+                    f" {getattr(self, name)}"
+                )
 
 
 DRIVING = Reserves()
 """Of a train under way."""
 
 PLANNING = Reserves(adhesion=0.7, brake=0.7, speed=0.4, lever=0.7, comfort=0.75)
-"""Of a reference, so that a controller has room about it."""
+"""Of a reference, so that a controller may deviate from it."""
 
 STOPPING_TOLERANCE = 0.5
 """epsilon_1 of eq. (8): how far beyond its stop a train may stand [m]."""
@@ -110,17 +112,17 @@ class Section:
         return self.destination.arrival - self.origin.departure
 
     @property
-    def constants(self) -> dynamics.Constants:
+    def constants(self) -> model.Constants:
         """The train for the compiled code."""
-        return dynamics.constants(self.train)
+        return model.constants(self.train)
 
     @property
-    def planning_constants(self) -> dynamics.Constants:
+    def planning_constants(self) -> model.Constants:
         """The same with the lever and the comfort that a reference uses."""
         return _reserved(self.constants, self.planning)
 
     @property
-    def driving_constants(self) -> dynamics.Constants:
+    def driving_constants(self) -> model.Constants:
         """The same with the comfort that is used under way."""
         return _reserved(self.constants, self.driving)
 
@@ -165,7 +167,7 @@ def section_of(
     """
     check_stops(line, (origin, destination))
     _check(line, maximum_adhesion)
-    c = dynamics.constants(train)
+    c = model.constants(train)
 
     def tables(stop: float, reserves: Reserves, last: float) -> tuple[Tables, FloatArray]:
         """Tables whose grid has a node at `stop`, beyond which the speed is `last`.
@@ -180,7 +182,7 @@ def section_of(
         limit = np.minimum(_lowest(line.speed_limits, nodes), train.max_speed)
         squares = np.maximum(limit - reserves.speed, 0.0) ** 2
         squares = np.where(nodes >= stop, np.minimum(squares, last**2), squares)
-        rising = dynamics.limited_rise(squares, 1.5 * train.max_acceleration)
+        rising = model.limited_rise(squares, 1.5 * train.max_acceleration)
         unbraked = Tables(float(nodes[0]), sine, grip, rising)
         return _braked(unbraked, reserves, c.light, c.heavy, 1.0, _reserved(c, reserves)), rising
 
@@ -197,7 +199,7 @@ def section_of(
         driven,
         allowed,
         planned._replace(adhesion=_smoothed(planned.adhesion), ceiling=_smoothed(planned.ceiling)),
-        dynamics.braking_envelope(
+        model.braking_envelope(
             np.where(stop_at, 0.0, free),
             planned.sine,
             _around(planned.adhesion),
@@ -274,11 +276,11 @@ def fastest(
 
 
 def _fastest(
-    section: Section, t: Tables, c: dynamics.Constants, mass: float, most: float, step: float,
+    section: Section, t: Tables, c: model.Constants, mass: float, most: float, step: float,
     inertia: float = 1.0,
 ) -> FastRun:  # fmt: skip
     start, end = section.origin.position, section.destination.position
-    run = FastRun(*dynamics.fastest_run(start, 0.0, end, step, most, mass, inertia, t, c))
+    run = FastRun(*model.fastest_run(start, 0.0, end, step, most, mass, inertia, t, c))
     if run.positions[-1] < end - 1e-6:
         place = float(run.positions[-1])
         sine = value(t.sine, t.origin, place)
@@ -354,7 +356,7 @@ def _least(section: Section, train: LeverTrain, mass: float, rotating_mass: floa
         driving=Reserves(1.0, 1.0, 0.0, 1.0, 1.0),
     )  # fmt: skip
     c, t = freed.driving_constants, freed.tables._replace(ceiling=freed.allowed)
-    ceiling = dynamics.braking_envelope(t.ceiling, t.sine, t.adhesion, 1.0, mass, mass, inertia, c)
+    ceiling = model.braking_envelope(t.ceiling, t.sine, t.adhesion, 1.0, mass, mass, inertia, c)
     t = t._replace(ceiling=ceiling)
     return _fastest(freed, t, c, mass, np.inf, 1.0, inertia)
 
@@ -377,6 +379,14 @@ def check_timetable(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -
             )
 
 
+def smoothed_line(track: Line) -> Line:
+    """The line under a train of 40 m: gradients averaged over its length, in short steps."""
+    starts: FloatArray = GRID * np.arange(np.ceil(track.length / GRID), dtype=np.float64)
+    middles = starts + 0.5 * GRID
+    mean = track.gradients.mean(middles - SMOOTHING, middles + SMOOTHING)
+    return replace(track, gradients=StepProfile(starts, mean))
+
+
 def adhesion_profile(
     track: TrackConditionMap,
     layer: str,
@@ -393,7 +403,7 @@ def adhesion_profile(
     sigmas : float
         How cautious: standard deviations below the estimate.
     unobserved : float, optional
-        What to count on where the map tells nothing and no more was used without slip; without
+        What to count on where the map has no estimate and no more held without slip; without
         it a map with holes is refused. See `analysis.adhesion.demonstrated`.
 
     Raises
@@ -411,7 +421,7 @@ def adhesion_profile(
         raise InputError(
             f"the map of line '{track.line}' has holes: layer '{layer}' was not observed in"
             f" {np.count_nonzero(holes)} of {holes.size} bins, the first at km {first / 1e3:.3f}",
-            remedy="say what adhesion to count on where the map says nothing",
+            remedy="give the adhesion to count on where the map has no estimate",
         )
     return known.profile
 
@@ -431,18 +441,18 @@ def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:
 
 def _braked(
     t: Tables, reserves: Reserves, light: float, heavy: float, inertia: float,
-    c: dynamics.Constants,
+    c: model.Constants,
 ) -> Tables:  # fmt: skip
     """Tables with the ceiling from which all that lies ahead can be kept."""
     grip = _around(t.adhesion)
     return t._replace(
-        ceiling=dynamics.braking_envelope(
+        ceiling=model.braking_envelope(
             t.ceiling, t.sine, grip, reserves.brake, light, heavy, inertia, c
         )
     )
 
 
-def _reserved(c: dynamics.Constants, reserves: Reserves) -> dynamics.Constants:
+def _reserved(c: model.Constants, reserves: Reserves) -> model.Constants:
     return c._replace(lever=reserves.lever, comfort=reserves.comfort * c.comfort)
 
 

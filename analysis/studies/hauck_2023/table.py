@@ -1,23 +1,31 @@
-"""Tables of `analysis.studies.hauck_2023.run`: what was reached beside what paper 000 published."""
+"""Tables of `simulation`: what was reached beside what was published."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from rich.table import Table
 
-from analysis.studies.hauck_2023.days import Day, Days
-from analysis.studies.hauck_2023.run import Plan, Run
-from analysis.studies.hauck_2023.scenarios import SCENARIOS, Outcome
+from analysis.studies.hauck_2023.scenarios import SCENARIOS, Day, Days, Outcome
 from analysis.studies.hauck_2023.section import fastest, least_time_unweighed
+from analysis.studies.hauck_2023.simulation import Plan, Run
 from analysis.tables import new_table
 from trainlog.units import KMH
 
+CONSTRAINTS = (
+    "largest h1, h2 (comfort) [m/s²]",
+    "largest h3, h4 (adhesion) [m/s²]",
+    "largest h5 (speed limit) [m/s]",
+)
+"""Of eq. (7), at any mass and without reserve."""
+
 
 def published_table() -> Table:
-    """What paper 000 tells of its scenarios, for 78.2 t and a map that is lost."""
-    table = new_table("Paper 000: published", "scenario", "errors; every constraint h is kept")
+    """What Hauck et al. (2023) state of their scenarios, for 78.2 t and a map that is lost."""
+    table = new_table(
+        "Published (Hauck et al., 2023)", "scenario", "errors; every constraint h is kept"
+    )
     for each in SCENARIOS:
         table.add_row(each.name, each.published)
     return table
@@ -152,9 +160,55 @@ def gain_table(outcomes: Sequence[Outcome]) -> Table:
         table.add_row(
             each.scenario.name,
             f"{each.informed.mass / 1e3:.1f}",
-            *_beside(each.informed, each.blind),
+            *([] if each.blind is None else _beside(each.informed, each.blind)),
         )
     return table
+
+
+def difference_table(outcomes: Sequence[Outcome]) -> Table:
+    """What is not as the paper has it, over all masses.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+        Of the scenarios with several masses.
+    """
+    masses = [f"{mass / 1e3:.1f} t" for mass in dict.fromkeys(o.informed.mass for o in outcomes)]
+    table = new_table("Differences from the paper", "figure", "published", *masses)
+    good, bad, late = (
+        [each.informed for each in outcomes if each.scenario is scenario] for scenario in SCENARIOS
+    )
+    rows: list[tuple[str, str, Sequence[Run], Callable[[Run], str]]] = [
+        ("good track: largest error of position [m]", "about 5", good, _position_error),
+        ("good track: largest error of speed [m/s]", "below 3", good, _speed_error),
+        ("weather turns bad: largest error of position [m]", "about 5", bad, _position_error),
+        ("40 s late: largest error of position [m]", "about 280", late, _position_error),
+        ("40 s late: largest error of speed [m/s]", "not stated", late, _speed_error),
+        ("40 s late: late at the next stop [s]", "19", late, lambda run: f"{run.late[0]:.1f}"),
+        ("good track: farthest from a stop [m]", "not stated", good, _stop_error),
+        ("weather turns bad: farthest from a stop [m]", "not stated", bad, _stop_error),
+    ]
+    for name, published, runs, figure in rows:
+        table.add_row(name, published, *(figure(run) for run in runs))
+    for number, name in enumerate(CONSTRAINTS):
+        worst = [
+            max(each.informed.worst[number] for each in outcomes if each.informed.mass == mass)
+            for mass in dict.fromkeys(o.informed.mass for o in outcomes)
+        ]
+        table.add_row(f"{name}, all scenarios", "not above 0", *(f"{h:+.3f}" for h in worst))
+    return table
+
+
+def _position_error(run: Run) -> str:
+    return f"{np.abs(run.position_error).max():.2f}"
+
+
+def _stop_error(run: Run) -> str:
+    return f"{np.abs(run.stop_error).max():.2f}"
+
+
+def _speed_error(run: Run) -> str:
+    return f"{np.abs(run.speed_error).max():.2f}"
 
 
 def days_table(days: Days) -> Table:
@@ -175,6 +229,7 @@ def days_table(days: Days) -> Table:
         "latest s",
         "mean s",
         "farthest from a stop m",
+        "largest h1, h2 / h3, h4 m/s²",
         "bins seen / demonstrated / assumed",
         "map's error % (bias, rms)",
     )
@@ -189,6 +244,7 @@ def days_table(days: Days) -> Table:
             f"{late.max():.1f}",
             f"{late.mean():.2f}",
             f"{max(np.abs(each.stop_error).max() for each in day.runs):.2f}",
+            f"{day.worst[0]:+.3f} / {day.worst[1]:+.3f}",
             _bins(day),
             _errors(day),
         )
@@ -196,15 +252,15 @@ def days_table(days: Days) -> Table:
 
 
 def counted_on(days: Days) -> str:
-    """What the days with a map assumed where it told nothing, in words."""
-    told = [
+    """What the days with a map assumed where it has no estimate, in words."""
+    assumed = [
         f"day {day.number}: {float(day.known.values[day.known.assumed].max()):.3f}"
         for day in days.days
         if day.known is not None and day.known.assumed.any()
     ]
     return (
-        "assumed where the map tells nothing, from the middle one of the places where it does: "
-        + ", ".join(told)
+        "assumed where the map has no estimate, from the middle one of the places where it has: "
+        + ", ".join(assumed)
     )
 
 

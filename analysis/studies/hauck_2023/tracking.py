@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.control.prediction import AHEAD
 from analysis.control.qp import speed_rows, terminal_weight, tracking_cost
 from analysis.control.route import rate, value
-from analysis.studies.hauck_2023.dynamics import (
+from analysis.studies.hauck_2023.model import (
     Constants,
     Tables,
     acceleration,

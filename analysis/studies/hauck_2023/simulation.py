@@ -1,0 +1,491 @@
+"""Simulated trips of Hauck et al. (2023), section 4: a train that knows the rail ahead.
+
+References are made for the good rail and the nominal mass; the controller knows the map of the
+rail that it meets, or none at all; the train is simulated axle by axle, with a mass that the
+controller does not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.studies.hauck_2023 import model as model
+from analysis.studies.hauck_2023.controller import (
+    EXTENDED,
+    HOLDING_SPEED,
+    PERIOD,
+    Method,
+    TrackingController,
+)
+from analysis.studies.hauck_2023.model import LeverTrain
+from analysis.studies.hauck_2023.reference import Reference
+from analysis.studies.hauck_2023.section import STOPPING_TOLERANCE, sections_of, smoothed_line
+from analysis.studies.report import START
+from trainlog import __version__
+from trainlog.errors import InfeasibleError
+from trainlog.railway import Line, StepProfile
+from trainlog.railway.adhesion import DRY, WET
+from trainlog.simulation import Run as Samples
+from trainlog.simulation import Scenario, recorded
+from trainlog.simulation.drivers import Stop
+from trainlog.simulation.plant import Drive, Plant
+from trainlog.topics import REFERENCE, TRAIN_CONTROLS
+from trainlog.trip import Trip, frame_of
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+SAMPLES = 1
+"""Recorded in each period, as the sensors do."""
+
+STEP = 0.005
+"""Of the integration [s]."""
+
+SHORTEST_DWELL = 20.0
+"""Of a train that is late [s]."""
+
+SHORT_OF_STOP = 30.0
+"""A train that stands before its stop so long after its arrival was due has arrived there [s]."""
+
+STANDING = 10.0
+"""Recorded after the last arrival [s]."""
+
+DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
+"""The dynamic brake works down to where the holding brake is applied."""
+
+AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
+"""Of the six axles over the rail's: each cleans it for the next."""
+
+COASTING = 0.02
+"""A lever below this is neither traction nor braking."""
+
+NO_MAP = StepProfile(np.zeros(1), np.array([0.999]))
+"""What a controller believes that knows no map: that the rail holds anything."""
+
+Plan = tuple[Reference, ...]
+Track = Callable[[Iterable[Reference]], Iterable[Reference]]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One simulated trip; (n,) arrays with one value a sample unless said otherwise.
+
+    Attributes
+    ----------
+    name : str
+    line : Line
+    train : LeverTrain
+    stops : tuple of Stop
+    rail : StepProfile
+        Maximum adhesion that the train met.
+    mass : float [kg]
+        True; the controller did not know it.
+    delay : float [s]
+        Of the first departure.
+    time : [s]
+    samples : (n, columns) array
+        See `Plant.columns`.
+    columns : tuple of str
+    lever : [1]
+        Of the controller; 0 at the stations.
+    demands : (n, 2) array [N]
+    target : (n, 3) array [m], [m/s], [N]
+        Of the reference by the timetable: position, speed, and effort, negative in braking.
+    section : (n,) int array
+        Which section the train is on or waits for.
+    arrivals, departures, places : (k,) arrays [s], [s], [m]
+        Of each stop, as they were; the first arrival is 0.
+    slip_energy : float [J]
+        Work of all wheels against the rail.
+    unsolved : int
+        Steps at which the program of the controller was not solved.
+    """
+
+    name: str
+    line: Line
+    train: LeverTrain
+    stops: tuple[Stop, ...]
+    rail: StepProfile
+    mass: float
+    delay: float
+    time: FloatArray
+    samples: FloatArray
+    columns: tuple[str, ...]
+    lever: FloatArray
+    demands: FloatArray
+    target: FloatArray
+    section: NDArray[np.int64]
+    arrivals: FloatArray
+    departures: FloatArray
+    places: FloatArray
+    slip_energy: float
+    unsolved: int
+
+    def column(self, name: str) -> FloatArray:
+        """One column of the samples."""
+        return np.asarray(self.samples[:, self.columns.index(name)])
+
+    @property
+    def position(self) -> FloatArray:
+        """[m]."""
+        return self.column("position")
+
+    @property
+    def speed(self) -> FloatArray:
+        """[m/s]."""
+        return self.column("speed")
+
+    @property
+    def position_error(self) -> FloatArray:
+        """Position less the reference's by the timetable [m]."""
+        return np.asarray(self.position - self.target[:, 0])
+
+    @property
+    def speed_error(self) -> FloatArray:
+        """Speed less the reference's by the timetable [m/s]."""
+        return np.asarray(self.speed - self.target[:, 1])
+
+    @property
+    def late(self) -> FloatArray:
+        """Arrivals after the timetable's [s], of the stops but the first."""
+        planned = np.array([stop.arrival for stop in self.stops[1:]])
+        return np.asarray(self.arrivals[1:] - planned)
+
+    @property
+    def lever_changes(self) -> NDArray[np.int64]:
+        """How often the lever went from traction to braking or back, by section; (k - 1,)."""
+        return self._by_section(self.lever)
+
+    @property
+    def planned_changes(self) -> NDArray[np.int64]:
+        """`lever_changes` of the reference."""
+        full = np.asarray(self.train.full_effort(self.target[:, 1]), dtype=np.float64)
+        return self._by_section(self.target[:, 2] / full)
+
+    @property
+    def stop_error(self) -> FloatArray:
+        """Where the train stood beyond its stops [m]."""
+        return np.asarray(self.places[1:] - [stop.position for stop in self.stops[1:]])
+
+    def _by_section(self, lever: FloatArray) -> NDArray[np.int64]:
+        count = len(self.stops) - 1
+        return np.array([changes(lever[self.section == k]) for k in range(count)], dtype=np.int64)
+
+    @cached_property
+    def constraints(self) -> FloatArray:
+        """Eq. (7) at every sample under way; (n, 4) array, NaN at the stations.
+
+        Largest of h_1 and h_2 [m/s²], of h_3 and h_4 [m/s²], h_5 [m/s], and |u| - 1, over both
+        ends of the mass, with the rail that the train met and without any reserve.
+        """
+        slope = smoothed_line(self.line).gradient(self.position)
+        return constraint_table(
+            np.column_stack([
+                self.speed, self.lever, slope / np.hypot(1.0, slope), self.rail(self.position),
+                self.line.speed_limit(self.position),
+            ]),
+            model.constants(self.train),
+        )  # fmt: skip
+
+    @property
+    def worst(self) -> FloatArray:
+        """Largest of each column of `constraints`."""
+        return np.asarray(np.nanmax(self.constraints, axis=0))
+
+    @cached_property
+    def slip_speed(self) -> FloatArray:
+        """Wheel speeds less the train's [m/s]; (n, axles) array."""
+        wheels = [name for name in self.columns if name.startswith("wheel_speed")]
+        return np.column_stack([self.column(name) for name in wheels]) - self.speed[:, None]
+
+    @cached_property
+    def slipping(self) -> BoolArray:
+        """Whether each axle skids or slides: beyond the peak of its creep curve; (n, axles)."""
+        return np.asarray(np.abs(self.slip_speed) > peak_slip(self.rail(self.position))[:, None])
+
+    @property
+    def slip_events(self) -> int:
+        """How often an axle began to skid or slide."""
+        begun = np.diff(self.slipping.astype(np.int8), axis=0, prepend=0) > 0
+        return int(np.count_nonzero(begun))
+
+    @cached_property
+    def skid_energy(self) -> float:
+        """Of `slip_energy` what axles beyond the peak of their creep curve do [J], sampled."""
+        slip = np.abs(self.slip_speed)
+        weight = GRAVITY * self.mass / slip.shape[1]
+        force = weight * AXLE_ADHESION * adhesion_at(slip, self.rail(self.position)[:, None])
+        return float(np.sum(np.where(self.slipping, force * slip, 0.0)) * PERIOD / SAMPLES)
+
+    @property
+    def protections(self) -> int:
+        """How often the slip protection of the drive took hold of an axle."""
+        active = self.column("protected_axles")
+        return int(np.maximum(np.diff(active, prepend=0.0), 0.0).sum())
+
+
+def changes(lever: FloatArray) -> int:
+    """How often a lever goes from traction to braking or back, whatever it coasts between."""
+    at_work = np.sign(lever[np.abs(lever) > COASTING])
+    return int(np.count_nonzero(np.diff(at_work)))
+
+
+def constraint_table(rows: FloatArray, c: model.Constants) -> FloatArray:
+    """`Run.constraints` from (n, 5) rows of speed, lever, sine, adhesion and limit."""
+    speed, lever, sine, adhesion, limit = rows.T
+    full = c.k1 * np.exp(-c.k2 * speed) + c.k3
+    weight = GRAVITY * (sine + c.rolling * np.sqrt(1.0 - sine**2))
+    safety, traction = np.full(len(rows), -np.inf), np.full(len(rows), -np.inf)
+    for mass in (c.light, c.heavy):
+        gained = (full * lever - c.drag * speed**2) / mass - weight
+        safety = np.maximum(safety, np.abs(gained) - c.comfort)
+        traction = np.maximum(traction, full * np.abs(lever) / mass - GRAVITY * adhesion)
+    found = np.column_stack([safety, traction, speed - limit, np.abs(lever) - 1.0])
+    return np.where((speed > 0.0)[:, None], found, np.nan)
+
+
+def creep_shape(adhesion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A and b [s/m] of the creep curve at a maximum adhesion, as the plant has it."""
+    dryness = np.clip((adhesion - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
+    return WET.a + dryness * (DRY.a - WET.a), WET.b + dryness * (DRY.b - WET.b)
+
+
+def peak_slip(adhesion: FloatArray) -> FloatArray:
+    """Slip speed [m/s] at which the creep curve has its maximum."""
+    a, b = creep_shape(adhesion)
+    return np.asarray(np.log(b / a) / (b - a))
+
+
+def adhesion_at(slip: FloatArray, adhesion: FloatArray) -> FloatArray:
+    """Adhesion in use at a slip speed [m/s] where the maximum is `adhesion`."""
+    a, b = creep_shape(adhesion)
+    peak = peak_slip(adhesion)
+    most = np.exp(-a * peak) - np.exp(-b * peak)
+    return np.asarray(adhesion * (np.exp(-a * slip) - np.exp(-b * slip)) / most)
+
+
+def with_map(plan: Plan, rail: StepProfile) -> Plan:
+    """The same references under another map: what the controller takes the rail for."""
+    first = plan[0].section
+    stops = (first.origin, *(each.section.destination for each in plan))
+    sections = sections_of(first.line, first.train, rail, stops)
+    return tuple(
+        replace(each, section=section) for each, section in zip(plan, sections, strict=True)
+    )
+
+
+def run(
+    name: str,
+    plan: Plan,
+    rail: StepProfile,
+    mass: float,
+    *,
+    delay: float = 0.0,
+    method: Method = EXTENDED,
+    timetable: Sequence[Stop] | None = None,
+    track: Track = iter,
+) -> Run:
+    """Drive a timetable once.
+
+    Parameters
+    ----------
+    name : str
+    plan : tuple of Reference
+        What the controller knows: references, and in their sections the map.
+    rail : StepProfile
+        Maximum adhesion as it is.
+    mass : float [kg]
+        True one.
+    delay : float [s]
+        Of the first departure.
+    method : Method
+    timetable : sequence of Stop, optional
+        What is hurried for where the references were put off; default: their own stops.
+    track : callable
+        Wraps the references while they are driven, to show progress.
+
+    Raises
+    ------
+    InputError
+        If the train cannot have the mass.
+    InfeasibleError
+        If it does not arrive.
+    """
+    sections = [each.section for each in plan]
+    line, train = sections[0].line, sections[0].train
+    train.check_mass(mass)
+    axles = train.on_axles(AXLE_ADHESION.size)
+    plant = Plant.of(
+        smoothed_line(line), axles, mass=mass, resistance=train.resistance(mass),
+        maximum_adhesion=rail, axle_adhesion=AXLE_ADHESION, drive=DRIVE, step=STEP,
+    )  # fmt: skip
+    stops = tuple(timetable or (sections[0].origin, *(each.destination for each in sections)))
+    recorder = _Recorder(plant, sections[0].origin.position)
+    arrivals, departures, places = [0.0], [], [sections[0].origin.position]
+    unsolved = 0
+    for number, reference in enumerate(track(plan)):
+        begins = reference.section.origin.departure
+        due = stops[number].departure + (delay if number == 0 else 0.0)
+        leaves = due if number == 0 else max(due, np.ceil(arrivals[-1] + SHORTEST_DWELL))
+        while recorder.now < leaves - 0.5 * PERIOD:
+            recorder.stand(reference, number)
+        departures.append(recorder.now)
+        controller = TrackingController(reference, method, due=stops[number + 1].arrival - begins)
+        _drive_section(recorder, controller, number)
+        unsolved += controller.unsolved
+        arrivals.append(recorder.now)
+        places.append(recorder.state.position)
+    departures.append(np.inf)
+    for _ in range(round(STANDING / PERIOD)):
+        recorder.stand(plan[-1], len(plan) - 1)
+    rows = np.repeat(np.array(recorder.rows, dtype=np.float64), SAMPLES, axis=0)
+    return Run(
+        name=name,
+        line=line,
+        train=train,
+        stops=stops,
+        rail=rail,
+        mass=mass,
+        delay=delay,
+        time=np.arange(len(rows), dtype=np.float64) * (PERIOD / SAMPLES),
+        samples=np.concatenate(recorder.samples),
+        columns=plant.columns,
+        lever=rows[:, 0],
+        demands=rows[:, 1:3],
+        target=rows[:, 3:6],
+        section=rows[:, 6].astype(np.int64),
+        arrivals=np.array(arrivals, dtype=np.float64),
+        departures=np.array(departures, dtype=np.float64),
+        places=np.array(places, dtype=np.float64),
+        slip_energy=recorder.state.works["slip"],
+        unsolved=unsolved,
+    )
+
+
+class _Recorder:
+    """The plant under way, and what is recorded of it."""
+
+    def __init__(self, plant: Plant, position: float) -> None:
+        self.plant = plant
+        self.state = plant.at(position)
+        self.samples: list[FloatArray] = []
+        self.rows: list[tuple[float, ...]] = []
+
+    @property
+    def now(self) -> float:
+        """[s]."""
+        return PERIOD * len(self.rows)
+
+    def advance(self, reference: Reference, number: int, lever: float) -> None:
+        """One period with the lever held: the effort follows the curve as the speed changes."""
+        full_effort = reference.section.train.full_effort
+        effort = lever * float(full_effort(self.state.speed))
+        demand = max(effort, 0.0), max(-effort, 0.0)
+        position, speed, aim = reference.at(self.now - reference.section.origin.departure)
+        planned = aim * float(full_effort(speed))
+        self.rows.append((lever, *demand, position, speed, planned, number))
+        steps = round(PERIOD / STEP)
+        self.samples.append(self.plant.advance(self.state, *demand, steps, steps // SAMPLES))
+
+    def stand(self, reference: Reference, number: int) -> None:
+        """One period at a station: the holding brake is applied."""
+        self.advance(reference, number, 0.0)
+
+
+def _drive_section(recorder: _Recorder, controller: TrackingController, number: int) -> None:
+    reference = controller.reference
+    section = reference.section
+    begun, stop = recorder.now, section.destination.position
+    patience = 3.0 * section.duration + 600.0
+    extended = controller.method.extended
+    while True:
+        state = recorder.state
+        time = recorder.now - section.origin.departure
+        lever = controller.drive(time, state.position, state.speed)
+        recorder.advance(reference, number, lever)
+        if state.speed == 0.0:
+            short = state.position <= stop - STOPPING_TOLERANCE
+            # As published nothing moves a train up that stands short of its stop.
+            if not short or (not extended and time > reference.duration + SHORT_OF_STOP):
+                return
+        if recorder.now - begun > patience:
+            raise InfeasibleError(
+                f"{section.name}: the train does not arrive; at km {state.position / 1e3:.3f}"
+                f" after {patience:.0f} s",
+                remedy="check adhesion and gradients there",
+            )
+
+
+def trip_of(run: Run, weather: str, seed: int, start: int = START) -> Trip:
+    """The log of one run, as the train's sensors would have it.
+
+    Parameters
+    ----------
+    run : Run
+    weather : str
+        Name of the rail's condition, the layer of a track-condition map.
+    seed : int
+        Of the sensors' noise.
+    start : int [ns]
+        When the run begins, since 1970 UTC.
+    """
+    train = run.train.on_axles()
+    scenario = Scenario(
+        name=run.name.replace(" ", "-").replace(",", ""),
+        line=run.line,
+        train=train,
+        direction="forward",
+        weather=weather,
+        mass=run.mass,
+        rotating_mass=train.rotating_mass,
+        resistance=run.train.resistance(run.mass),
+        max_power=train.max_traction_power,
+        maximum_adhesion=run.rail,
+        stops=run.stops,
+        seed=seed,
+        start=start,
+    )
+    trip = recorded(scenario, Samples(run.time, run.samples, run.demands))
+    controls = trip[TRAIN_CONTROLS.name].copy()
+    controls["lever"] = np.round(run.lever, 4) + 0.0
+    time = start + np.round(run.time * 1e9).astype(np.int64)
+    effort = run.target[:, 2]
+    followed: dict[str, ArrayLike] = {
+        "speed": run.target[:, 1],
+        "tractive_effort": np.maximum(effort, 0.0),
+        "braking_effort": np.maximum(-effort, 0.0),
+        "lateness": lateness(run),
+    }
+    reference = frame_of(REFERENCE, time, followed)
+    return (
+        trip.with_topic(controls)
+        .with_topic(reference)
+        .with_step(
+            "study map-mpc",
+            software=f"trainlog {__version__}",
+            run=run.name,
+            mass=run.mass,
+            delay=run.delay,
+        )
+    )
+
+
+def lateness(run: Run) -> FloatArray:
+    """How late the train is where it is [s], by the reference of its section.
+
+    It begins with the planned departure and keeps its last value after the arrival.
+    """
+    late = np.zeros(run.time.size)
+    for number, origin in enumerate(run.stops[:-1]):
+        on = run.section == number
+        planned = on & (run.time >= origin.departure)
+        positions, first = np.unique(run.target[planned, 0], return_index=True)
+        due = np.interp(run.position[on], positions, run.time[planned][first])
+        late[on] = np.clip(run.time[on], origin.departure, run.arrivals[number + 1]) - due
+    return late

@@ -1,0 +1,130 @@
+"""The tables on the page of the studies are those that the studies print.
+
+A number on the page may differ from the printed one by two units of its last digit, or by 0.005
+per cent. Numbers with an exponent are residuals of a solver: they may differ by a factor of three,
+or by 1e-5. ``--renew-golden`` puts the tables that were found into the page.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from analysis.studies.in_train_forces.simulation import crest_and_sag, run
+from trainlog.cli.main import run as command
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_consist
+from trainlog.units import KMH
+
+PAGE = Path(__file__).parents[1] / "docs" / "studies.md"
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+TABLE = re.compile(r"\*\*([^\n]+)\*\*\n\n((?:\|[^\n]*\n)+)")
+
+Rows = list[list[str]]
+
+
+def tables(text: str) -> dict[str, Rows]:
+    """Cells of the tables, by title."""
+    return {
+        title: [[cell.strip() for cell in line.strip("|").split("|")] for line in body.splitlines()]
+        for title, body in TABLE.findall(text)
+    }
+
+
+def section(name: str) -> re.Pattern[str]:
+    """The part of the page that holds the tables of a command."""
+    return re.compile(rf"(<!-- tables of {re.escape(name)} -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+
+def close(one: str, other: str) -> bool:
+    """Whether two printed numbers are the same to the tolerance."""
+    a, b = float(one), float(other)
+    if "e" in one + other:
+        return abs(a - b) <= max(2.0 * min(abs(a), abs(b)), 1e-5)
+    digits = min(len(each.partition(".")[2]) for each in (one, other))
+    return abs(a - b) <= max(2.01 * 10.0**-digits, 5e-5 * abs(a))
+
+
+def same(one: str, other: str) -> bool:
+    """Whether two cells have the same words, and the same numbers to the tolerance."""
+    if NUMBER.sub("#", one) != NUMBER.sub("#", other):
+        return False
+    return all(map(close, NUMBER.findall(one), NUMBER.findall(other)))
+
+
+def renewed(page: str, name: str, found: str) -> str:
+    """The page with the tables that were found: those it listed, or all."""
+    part = section(name).search(page)
+    assert part is not None
+    listed = tables(part[2])
+    kept = [match[0] for match in TABLE.finditer(found) if not listed or match[1].strip() in listed]
+    return page[: part.start(2)] + "\n" + "\n".join(kept) + "\n" + page[part.end(2) :]
+
+
+STUDIES = [
+    pytest.param("robust-minimax"),
+    pytest.param("rls-sliding-mode"),
+    pytest.param("cooperative-adhesion"),
+    pytest.param("map-mpc", marks=pytest.mark.long),
+    pytest.param("map-mpc --as-published", marks=pytest.mark.long),
+]
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_page_has_the_tables_that_the_study_prints(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    assert command(["study", *name.split(), "-o", str(tmp_path)]) == 0
+    found = (tmp_path / "tables.md").read_text(encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
+    if request.config.getoption("--renew-golden"):
+        PAGE.write_text(renewed(page, name, found), encoding="utf-8")
+        return
+    part = section(name).search(page)
+    assert part is not None
+    printed, listed = tables(found), tables(part[2])
+    assert listed
+    assert listed.keys() <= printed.keys()
+    for title, rows in listed.items():
+        assert len(rows) == len(printed[title]), title
+        for row, other in zip(rows, printed[title], strict=True):
+            assert len(row) == len(other), title
+            for cell, reached in zip(row, other, strict=True):
+                assert same(cell, reached), f"{title}: {row[0]}: {cell} on the page, {reached} now"
+
+
+@pytest.mark.parametrize(
+    ("name", "speed"),
+    [
+        ("freight_24_wagons", 80.0),
+        pytest.param("passenger_8_coaches", 120.0, marks=pytest.mark.long),
+        pytest.param("multiple_unit_8_cars", 120.0, marks=pytest.mark.long),
+    ],
+)
+def test_the_page_has_the_forces_of_the_sample_consists(name: str, speed: float) -> None:
+    consist = read_consist(sample(f"{name}.consist.json"))
+    found = run(consist, crest_and_sag(), speed=speed / KMH)
+    emergency = found.forces[found.phase("emergency braking")]
+    forces = (found.forces.max(), -found.forces.min(), max(-emergency.min(), 0.0))
+    row = f"{speed:.0f} km/h | " + " | ".join(f"{force / 1e3:.0f} kN" for force in forces)
+    assert row in PAGE.read_text(encoding="utf-8")
+    assert found.residual < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("page", "now", "kept"),
+    [
+        ("2802.67", "2802.69", True),
+        ("2802.89", "2802.67", False),
+        ("19.8", "20.3", False),
+        ("1.9e-05", "2.4e-06", False),
+        ("1.9e-05", "1.4e-05", True),
+        ("A 12", "B 12", False),
+        ("12", "15", False),
+        ("4 x 4125", "4 x 4126", True),
+    ],
+)
+def test_a_number_that_changed_shows(page: str, now: str, kept: bool) -> None:
+    assert same(page, now) is kept
