@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Literal
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -31,6 +32,19 @@ def new_figure(width: float = 9.0, height: float = 5.0) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+def headline(figure: Figure, text: str, *, colour: str = INK, size: float = 11.0) -> None:
+    """Write what a figure shows above it, on the left."""
+    figure.suptitle(text, x=0.01, ha="left", fontsize=size, color=colour)
+
+
+Corner = Literal["upper left", "upper right", "lower left", "lower right"]
+
+
+def legend(axes: Axes, place: Corner = "upper left", **options: Any) -> None:
+    """Draw the legend in the common look; further `options` as of matplotlib."""
+    axes.legend(fontsize=8, frameon=False, loc=place, **options)
 
 
 def dress(axes: Axes, *, x: str, y: str, title: str = "") -> Axes:

@@ -85,7 +85,7 @@ def excess(excess: float) -> float:
 
 def as_page(*parts: RenderableType) -> str:
     """Tables and words as HTML, as a notebook shows them."""
-    console = Console(record=True, file=StringIO(), width=PAGE, markup=False)
+    console = Console(record=True, file=StringIO(), width=PAGE, markup=False, highlight=False)
     console.print(*parts, sep="\n")
     return console.export_html(
         inline_styles=True, code_format="<pre style='line-height:1.2'>{code}</pre>"

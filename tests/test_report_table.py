@@ -1,13 +1,25 @@
-"""Tables for people: nothing is lost, and words stay whole while the page has room."""
+"""Tables and summaries for people: nothing is lost, and words stay whole while there is space."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from analysis.adhesion.condition_map import adhesion_map
+from analysis.adhesion.slip import slip
+from analysis.comparison.cost import compare
+from analysis.reporting import report
+from analysis.resistance.coast_down import coast_down
+from analysis.resistance.logs import fit
 from analysis.tables import new_table
+from trainlog.formats.parameters import write_parameters
+from trainlog.formats.samples import sample
+from trainlog.mcap import read_log
 
 HEADINGS = ("section", "timetable s", "least of a reference s", "iterations of IPOPT", "least s")
 ROW = ("Chemnitz Hbf - Chemnitz-Hilbersdorf", "222", "204.7", "41 (of 5000)", "180.2")
@@ -47,3 +59,28 @@ def test_headings_are_broken_before_names_and_figures() -> None:
 def test_a_table_that_fits_stands_in_lines_of_its_own() -> None:
     assert any(" ".join(HEADINGS[2:3]) in line for line in printed(150))
     assert any(ROW[0] in line for line in printed(150))
+
+
+def test_results_print_a_few_lines_and_are_tables_in_a_notebook(tmp_path: Path) -> None:
+    log = sample("nonstop.mcap")
+    trip = read_log(log)
+    followed = replace(trip, metadata={**trip.metadata, "configuration": trip.name})
+    fits = fit(log)
+    write_parameters(fits.parameters, tmp_path / "parameters.json")
+    results = {
+        "accepted": fits,
+        "outliers": fits.trips[0],
+        "braking": slip(log),
+        "bins observed": adhesion_map(trip),
+        "mass over inertia": coast_down(trip),
+        "kWh": compare([trip], followed),
+        "configurations": report(tmp_path),
+    }
+    for words, result in results.items():
+        lines = repr(result).splitlines()
+        assert 2 <= len(lines) <= 10
+        assert max(map(len, lines)) <= 140
+        assert words in repr(result)
+        html = result._repr_html_()  # type: ignore[attr-defined]
+        assert html.startswith("<")
+        assert 200 < len(html) < 20_000

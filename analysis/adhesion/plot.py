@@ -17,6 +17,8 @@ from analysis.plotting import (
     PALE,
     RED,
     dress,
+    headline,
+    legend,
     new_figure,
     write_figure,
 )
@@ -57,19 +59,11 @@ def draw_map(
         known = None if truth is None or name not in truth else np.asarray(truth[name])
         _draw_layer(place, track, name, layer, known)
         dress(place, x="", y="maximum adhesion", title=_title(track, name, layer))
-        place.legend(
-            fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6
-        )
+        legend(place, "lower right", bbox_to_anchor=(1.0, 1.0), ncols=6)
     axes[-1].set_xlabel("km", color=INK)
     axes[-1].set_xlim(0.0, track.length / 1e3)
     axes[-1].set_ylim(0.0, _top(track))
-    figure.suptitle(
-        f"{track.line}: maximum adhesion, {track.bin_length:.0f} m bins",
-        x=0.01,
-        ha="left",
-        fontsize=11,
-        color=INK,
-    )
+    headline(figure, f"{track.line}: maximum adhesion, {track.bin_length:.0f} m bins")
     write_figure(figure, path)
 
 

@@ -12,11 +12,11 @@ from analysis.geometry.centre_line import CentreLine
 from analysis.plotting import (
     BLUE,
     GREY,
-    INK,
     ORANGE,
     RED,
     SKY,
     dress,
+    headline,
     new_figure,
     write_figure,
 )
@@ -44,13 +44,10 @@ def draw_centre_line(centre_line: CentreLine, trips: Sequence[Trip], path: str |
     _curvature(bend, centre_line)
     _support(figure.add_subplot(grid[2], sharex=bend), centre_line)
     refused = f", {len(centre_line.refused)} refused" if centre_line.refused else ""
-    figure.suptitle(
+    headline(
+        figure,
         f"{centre_line.length / KILOMETRE:.3f} km from {len(centre_line.used)} trips{refused},"
         f" {centre_line.fixes} fixes, {centre_line.rejected} of them set aside",
-        x=0.01,
-        ha="left",
-        fontsize=11,
-        color=INK,
     )
     write_figure(figure, path)
 

@@ -213,13 +213,14 @@ def fit(
             " each was refused",
             refused=read.refused,
         )
-    parameters = parameter_set(summaries, cover=cover, most=most)
+    common = combine(summaries)
+    parameters = parameter_set(summaries, cover=cover, most=most, common=common)
     return Fits(
         trips=tuple(sorted(read.trips, key=lambda one: one.trip)),
         refused=read.refused,
         known=read.known,
         summaries=summaries,
-        common=combine(summaries),
+        common=common,
         parameters=replace(parameters, provenance=_provenance(summaries)),
     )
 

@@ -97,7 +97,11 @@ class Chosen:
 
 
 def parameter_set(
-    trips: pd.DataFrame | Sequence[TripFit], *, cover: float = COVER, most: int | None = None
+    trips: pd.DataFrame | Sequence[TripFit],
+    *,
+    cover: float = COVER,
+    most: int | None = None,
+    common: CommonFit | None = None,
 ) -> ParameterSet:
     """The observed set of configurations.
 
@@ -112,6 +116,8 @@ def parameter_set(
         configurations as that takes.
     most : int, optional
         At most so many configurations; the level that they reach is stated.
+    common : CommonFit, optional
+        Of these trips, where it is at hand; default: `combine` makes it.
 
     Raises
     ------
@@ -121,7 +127,8 @@ def parameter_set(
         If the trips belong to different trains, or one appears twice.
     """
     every = ordered(trips) if isinstance(trips, pd.DataFrame) else summarised(trips)
-    rows, common = accepted(every), combine(every)
+    rows = accepted(every)
+    common = common or combine(rows)
     betas = _spread_out(common)
     masses = _masses_given(rows, betas)
     limits = rows["max_power"].to_numpy(np.float64)

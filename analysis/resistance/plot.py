@@ -32,6 +32,8 @@ from analysis.plotting import (
     RED,
     SKY,
     dress,
+    headline,
+    legend,
     new_figure,
     write_figure,
 )
@@ -71,12 +73,9 @@ def draw_fits(fits: Fits, path: str | Path) -> None:
     draw_correlation(corner, fits.common.covariance, "correlation of the mean's coefficients")
     count = len(fits.summaries) - len(fits.common.trips)
     refused = f", {count} refused" if count else ""
-    figure.suptitle(
+    headline(
+        figure,
         f"{fits.common.train}: running resistance from {len(fits.common.trips)} trips{refused}",
-        x=0.01,
-        ha="left",
-        fontsize=11,
-        color=INK,
     )
     write_figure(figure, path)
 
@@ -106,7 +105,7 @@ def _together(axes: Axes, fits: Fits) -> None:
     draw_curve(axes, common, speed, BLUE, "all trips: mean and its 95 % band")
     axes.set_ylim(*resistance_limits(common.resistance(speed), drag))
     dress(axes, x="speed [km/h]", y="running resistance [kN]")
-    axes.legend(fontsize=8, frameon=False, loc="upper left", markerscale=2)
+    legend(axes, "upper left", markerscale=2)
 
 
 def _observed(axes: Axes, fits: Fits) -> None:
@@ -141,7 +140,7 @@ def _observed(axes: Axes, fits: Fits) -> None:
     axes.set_ylim(low - 0.25 * (high - low), high)  # space for the legend
     low, high = axes.get_ylim()
     axes.set_ylim(low - 0.25 * (high - low), high)  # space for the legend
-    axes.legend(fontsize=8, frameon=False, loc="lower left")
+    legend(axes, "lower left")
 
 
 def _per_trip(axes: Axes, fits: Fits) -> None:
@@ -284,9 +283,7 @@ def draw_trip(fit: TripFit, path: str | Path) -> None:
     )
     _distribution(figure.add_subplot(grid[2, 2]), residuals, _p(diagnosis.normality, "normal"))
     draw_timeline(figure.add_subplot(grid[3, :]), fit.timeline)
-    figure.suptitle(
-        f"{fit.train}, {fit.trip}: running resistance", x=0.01, ha="left", fontsize=11, color=INK
-    )
+    headline(figure, f"{fit.train}, {fit.trip}: running resistance")
     write_figure(figure, path)
 
 
@@ -299,7 +296,7 @@ def draw_refused(trip: str, refusal: TripRefusedError, path: str | Path) -> None
     else:
         draw_timeline(axes, refusal.timeline)
     title = f"{trip}: refused, {refusal.reason}\n{textwrap.fill(str(refusal), 130)}"
-    figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=RED)
+    headline(figure, title, colour=RED, size=10.0)
     write_figure(figure, path)
 
 
@@ -325,7 +322,7 @@ def draw_timeline(axes: Axes, timeline: Timeline) -> None:
     axes.set_ylim(-(len(timeline.masks) + 1) * height, 1.08 * top)
     axes.set_yticks([tick for tick in axes.get_yticks() if 0.0 <= tick <= top])
     dress(axes, x="time [min]", y="speed [km/h]", title="what was masked, and why")
-    axes.legend(fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
+    legend(axes, "lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
 
 
 def _data(axes: Axes, fit: TripFit) -> None:
@@ -352,7 +349,7 @@ def _data(axes: Axes, fit: TripFit) -> None:
     draw_curve(axes, fit, speed, BLUE, "fitted, 95 % band of the whole curve")
     axes.set_ylim(*resistance_limits(fit.resistance(speed), points.resistance[used]))
     dress(axes, x="speed [km/h]", y="running resistance [kN]", title=_summary(fit))
-    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    legend(axes, "upper left")
 
 
 def _learning(axes: Axes, fit: TripFit) -> None:
@@ -381,7 +378,7 @@ def _learning(axes: Axes, fit: TripFit) -> None:
     )
     axes.set_ylim(0.7, 1.3)
     dress(axes, x="time [min]", y="over the final estimate", title="learnt as the trip went on")
-    axes.legend(fontsize=8, frameon=False, loc="upper right")
+    legend(axes, "upper right")
 
 
 def _summary(fit: TripFit) -> str:
@@ -445,17 +442,14 @@ def draw_coast_down(found: CoastDown, path: str | Path) -> None:
             title=f"{fit.trip}: coasting for {fit.coasted:.0f} s",
         )
         if row == 0:
-            axes.legend(fontsize=8, frameon=False, loc="lower left", ncols=3)
+            legend(axes, "lower left", ncols=3)
     _curve(figure.add_subplot(grid[:, 1]), found)
     refused = f", {len(found.refused)} refused" if found.refused else ""
     count = len(found.trips)
-    figure.suptitle(
+    headline(
+        figure,
         f"{found.train or 'train'}: running resistance from the coasting of"
         f" {count} trip{'s' if count > 1 else ''}{refused}",
-        x=0.01,
-        ha="left",
-        fontsize=11,
-        color=INK,
     )
     write_figure(figure, path)
 
@@ -477,9 +471,9 @@ def draw_without_gradient(result: CoastDownResult, path: str | Path) -> None:
                 label=f"{pieces[0]['quantity']}, {way}, 95 %",
             )
     dress(left, x="chainage [km]", y="deceleration [m/s²]", title="of each piece of track")
-    left.legend(fontsize=8, frameon=False, loc="upper left")
+    legend(left, "upper left")
     _curve_without_gradient(right, result)
-    figure.suptitle("Coasting with the gradient unknown", x=0.01, ha="left", fontsize=11, color=INK)
+    headline(figure, "Coasting with the gradient unknown")
     write_figure(figure, path)
 
 
@@ -505,7 +499,7 @@ def _curve_without_gradient(axes: Axes, result: CoastDownResult) -> None:
         title = "growth with speed; c0 is merged with the gradient"
     axes.fill_between(KMH * speed, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 %")
     axes.plot(KMH * speed, value, color=BLUE, linewidth=1.8)
-    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    legend(axes, "upper left")
     dress(axes, x="speed [km/h]", y=what, title=title)
 
 
@@ -556,7 +550,7 @@ def _curve(axes: Axes, found: CoastDown) -> None:
         y="running resistance over inertia [m/s²]",
         title=f"mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f} ({ratio.source})",
     )
-    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    legend(axes, "upper left")
 
 
 def _windows(axes: Axes, trips: Sequence[TripCoastDown]) -> None:
