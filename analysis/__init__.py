@@ -1,1 +1,60 @@
-"""Analyses: what is computed from trips and maps."""
+"""What is computed from trips and maps.
+
+Examples
+--------
+>>> import analysis
+>>> result = analysis.slip("sample_logs/stopping.mcap")
+>>> len(result.events) > 0
+True
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from trainlog.public import names_on_first_use
+
+if TYPE_CHECKING:
+    from analysis.adhesion.condition_map import adhesion_map as adhesion_map
+    from analysis.adhesion.slip import slip as slip
+    from analysis.comparison.cost import compare as compare
+    from analysis.estimates import with_estimates as with_estimates
+    from analysis.geometry.centre_line import geometry_of as geometry_of
+    from analysis.geometry.centre_line import line_of as line_of
+    from analysis.reporting import report as report
+    from analysis.resistance import TripRefusedError as TripRefusedError
+    from analysis.resistance import combine as combine
+    from analysis.resistance import fit_trip as fit_trip
+    from analysis.resistance import parameter_set as parameter_set
+    from analysis.resistance.coast_down import coast_down as coast_down
+    from analysis.resistance.logs import fit as fit
+    from analysis.resistance.unknown_gradient import (
+        coast_down_without_gradient as coast_down_without_gradient,
+    )
+    from analysis.trajectory import OptimiserOptions as OptimiserOptions
+    from analysis.trajectory import TrajectoryProblem as TrajectoryProblem
+    from analysis.trajectory import advice as advice
+    from analysis.trajectory import energy_against_time as energy_against_time
+    from analysis.trajectory import optimise as optimise
+    from analysis.trajectory import optimise_journey as optimise_journey
+    from analysis.trajectory import phases_of as phases_of
+
+_NAMES = {
+    "analysis.resistance.logs": "fit",
+    "analysis.resistance": "fit_trip combine parameter_set TripRefusedError",
+    "analysis.resistance.coast_down": "coast_down",
+    "analysis.resistance.unknown_gradient": "coast_down_without_gradient",
+    "analysis.adhesion.slip": "slip",
+    "analysis.adhesion.condition_map": "adhesion_map",
+    "analysis.trajectory": (
+        "optimise TrajectoryProblem OptimiserOptions optimise_journey energy_against_time"
+        " advice phases_of"
+    ),
+    "analysis.comparison.cost": "compare",
+    "analysis.reporting": "report",
+    "analysis.estimates": "with_estimates",
+    "analysis.geometry.centre_line": "geometry_of line_of",
+}
+"""Public names by the module that defines them."""
+
+__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)

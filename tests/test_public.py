@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = ("trainlog",)
+PACKAGES = ("trainlog", "analysis")
 HEAVY = ("pandas", "cvxpy", "rerun", "numba")
 
 

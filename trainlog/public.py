@@ -43,4 +43,4 @@ def names_on_first_use(
         return getattr(import_module(module), defined)
 
     names = sorted(places)
-    return names, get, lambda: [*names, "__version__"]
+    return names, get, lambda: names

@@ -296,6 +296,11 @@ def write_layout(path: str | Path, application: str) -> None:
     ------
     InputError
         If the path ends otherwise or cannot be written.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trainlog.write_layout("nonstop.rbl", "nonstop")
     """
     if Path(path).suffix != ".rbl":
         raise InputError("is not the name of a Rerun layout", file=path, remedy="end it in .rbl")
@@ -332,6 +337,13 @@ def scalars(log: str | Path, topic: str, field: str) -> Any:
     ------
     InputError
         If there is no such topic or field.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> stream = trainlog.scalars("sample_logs/nonstop.mcap", "/train/state", "speed")
+    >>> sum(chunk.num_rows for chunk in stream.to_chunks())
+    11832
     """
     found = next((each for each in DRAWN if each.name == topic), None)
     if found is None or field not in {each.name for each in found.fields}:

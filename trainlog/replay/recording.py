@@ -57,6 +57,12 @@ def write_replay(
         are of another line.
     LogError
         If a trip holds no samples, or its pieces cannot be read.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap")
+    >>> trainlog.write_replay([trip], "nonstop.rrd")
     """
     if Path(path).suffix != ".rrd":
         raise InputError("is not the name of a Rerun recording", file=path, remedy="end it in .rrd")

@@ -45,6 +45,14 @@ def open_viewer(path: str | Path) -> str:
     ------
     InputError
         If there is no such file.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap")
+    >>> trainlog.write_replay([trip], "nonstop.rrd")
+    >>> print(trainlog.open_viewer("nonstop.rrd"))  # doctest: +SKIP
+    The Rerun viewer opens with /home/me/nonstop.rrd
     """
     recording = Path(path).resolve()
     if not recording.is_file():
@@ -125,6 +133,11 @@ def take_picture(
     ------
     InputError
         If there is no such recording, it cannot be shown, or the picture not be written.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> views = trainlog.take_picture("nonstop.rrd", "nonstop.png")  # doctest: +SKIP
     """
     if not Path(recording).is_file():
         raise InputError("does not exist", file=recording, remedy="write it with write_replay")
