@@ -55,6 +55,14 @@ def interpolated(
         If the topic has no such column.
     InputError
         If its values cannot be interpolated.
+
+    Examples
+    --------
+    >>> from trainlog.topics import TRAIN_STATE
+    >>> from trainlog.trip import frame_of
+    >>> frame = frame_of(TRAIN_STATE, [0, 2_000_000_000], {"speed": [3.0, 4.0]})
+    >>> interpolated(frame, "speed", pd.DatetimeIndex(["1970-01-01T00:00:01Z"])).tolist()
+    [3.5]
     """
     rule = column_field(TOPICS[frame.attrs["topic"]], column).interpolation
     if rule == "none":
@@ -107,6 +115,14 @@ def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
         If the step is not positive, or the clock's times do not increase.
     LogError
         If the trip holds no samples.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/stopping.mcap")
+    >>> steady = resampled(trip, 0.5, max_gap=2.0)
+    >>> len(steady["/gnss/fix"]), len(steady["/train/state"])
+    (2828, 2828)
     """
     times = _times(trip, clock)
     topics = {
@@ -164,6 +180,15 @@ def joined(
     InputError
         If a name is not of the form ``topic.column``, comes twice, or its values cannot be
         interpolated; if the clock cannot be used.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/stopping.mcap")
+    >>> names = ["/train/state.speed", "/train/controls.lever"]
+    >>> table = joined(trip, names, on="/train/controls", max_gap=1.0)
+    >>> table.shape, table.attrs["units"]["/train/state.speed"]
+    ((14140, 2), 'm/s')
     """
     times = pd.DatetimeIndex(trip[on].index) if isinstance(on, str) else _times(trip, on)
     found: dict[str, FloatArray] = {}
@@ -276,6 +301,12 @@ def regular_clock(start: pd.Timestamp, end: pd.Timestamp, step: float) -> pd.Dat
     ------
     InputError
         If the step is shorter than a nanosecond, or makes more than `MOST_INSTANTS`.
+
+    Examples
+    --------
+    >>> start = pd.Timestamp("2024-10-07T08:00Z")
+    >>> len(regular_clock(start, start + pd.Timedelta("1s"), 0.25))
+    5
     """
     nanoseconds = round(step * NANOSECONDS) if np.isfinite(step) else 0
     if nanoseconds < 1:

@@ -26,6 +26,11 @@ def utc(time: Any) -> pd.Timestamp:
     ------
     InputError
         If it is no time.
+
+    Examples
+    --------
+    >>> utc("2024-05-01 08:00+02:00").isoformat()
+    '2024-05-01T06:00:00+00:00'
     """
     try:
         stamp = pd.Timestamp(time)
@@ -46,6 +51,11 @@ def time_limits(start: Any = None, end: Any = None) -> tuple[int, int]:
     ------
     InputError
         If an end is no time, or the start is after the end.
+
+    Examples
+    --------
+    >>> time_limits("1970-01-01T00:00:01", "1970-01-01T00:00:02")
+    (1000000000, 2000000000)
     """
     first = ALWAYS[0] if start is None else utc(start).value
     last = ALWAYS[1] if end is None else utc(end).value
@@ -64,6 +74,11 @@ def position_limits(start: float | None = None, end: float | None = None) -> tup
     ------
     InputError
         If an end is not a number, or the start is behind the end.
+
+    Examples
+    --------
+    >>> position_limits(100, None)
+    (100.0, inf)
     """
     try:
         first = -np.inf if start is None else float(start)
@@ -97,6 +112,11 @@ def spans_within(time: ArrayLike, position: ArrayLike, start: float, end: float)
     (k, 2) int array
         First and last instant [ns] of each span; none begins before the first known sample or
         ends after the last.
+
+    Examples
+    --------
+    >>> spans_within([0, 1000, 2000], [0.0, 10.0, 20.0], 5.0, 15.0).tolist()
+    [[500, 1500]]
     """
     place = np.asarray(position, dtype=np.float64)
     known = np.isfinite(place)
@@ -153,7 +173,13 @@ def spans_of_pieces(
 
 
 def merged_spans(spans: Spans) -> Spans:
-    """Spans of time in order; those that touch or overlap become one."""
+    """Spans of time in order; those that touch or overlap become one.
+
+    Examples
+    --------
+    >>> merged_spans(np.array([[5, 9], [0, 3], [4, 6]])).tolist()
+    [[0, 9]]
+    """
     if len(spans) == 0:
         return spans
     ordered = spans[np.argsort(spans[:, 0], kind="stable")]
@@ -164,7 +190,13 @@ def merged_spans(spans: Spans) -> Spans:
 
 
 def overlapping(spans: Spans, others: Spans) -> Spans:
-    """The times that are in a span of both, (k, 2)."""
+    """The times that are in a span of both, (k, 2).
+
+    Examples
+    --------
+    >>> overlapping(np.array([[0, 5], [8, 9]]), np.array([[4, 8]])).tolist()
+    [[4, 5], [8, 8]]
+    """
     if len(spans) == 0 or len(others) == 0:
         return np.empty((0, 2), dtype=np.int64)
     first = np.searchsorted(others[:, 1], spans[:, 0], side="left")
@@ -178,7 +210,13 @@ def overlapping(spans: Spans, others: Spans) -> Spans:
 
 
 def in_spans(time: NDArray[np.int64], spans: Spans) -> NDArray[np.bool_]:
-    """Whether each time [ns since 1970 UTC] is in one of the spans; (n,)."""
+    """Whether each time [ns since 1970 UTC] is in one of the spans; (n,).
+
+    Examples
+    --------
+    >>> in_spans(np.array([1, 4, 6]), np.array([[0, 3], [5, 9]])).tolist()
+    [True, False, True]
+    """
     if len(spans) == 0:
         return np.zeros(time.size, dtype=np.bool_)
     before = np.searchsorted(spans[:, 0], time, side="right") - 1

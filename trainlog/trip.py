@@ -177,7 +177,16 @@ class Trip:
         return float((self.end - self.start).total_seconds())
 
     def with_topic(self, frame: pd.DataFrame) -> Trip:
-        """A copy of the trip in which `frame` (made by `frame_of`) is added or replaced."""
+        """A copy of the trip in which `frame` (made by `frame_of`) is added or replaced.
+
+        Examples
+        --------
+        >>> import trainlog
+        >>> trip = trainlog.read("sample_logs/stopping.mcap")
+        >>> slower = trip["/train/state"].iloc[::10]
+        >>> len(trip.with_topic(slower)["/train/state"])
+        1414
+        """
         return replace(self, topics={**self.topics, frame.attrs["topic"]: frame})
 
     def with_step(self, step: str, **details: Any) -> Trip:
@@ -199,6 +208,13 @@ class Trip:
         ------
         InputError
             If an end is no time, or the start is after the end.
+
+        Examples
+        --------
+        >>> import trainlog
+        >>> trip = trainlog.read("sample_logs/stopping.mcap")
+        >>> trip.between("2024-10-07T08:01", "2024-10-07T08:02").duration
+        60.0
         """
         spans = np.array([time_limits(start, end)], dtype=np.int64)
         return self.cut(spans).with_slice(time=(start, end))
@@ -223,6 +239,14 @@ class Trip:
             If an end is not a number, or the start is behind the end.
         LogError
             If the trip has no position.
+
+        Examples
+        --------
+        >>> import trainlog
+        >>> trip = trainlog.read("sample_logs/stopping.mcap")
+        >>> state = trip.within(3_200.0, 7_500.0)["/train/state"]
+        >>> float(state.position.min()), float(state.position.max())
+        (3200.27, 7497.89)
         """
         limits = position_limits(start, end)
         state = self._located()
@@ -308,6 +332,13 @@ def frame_of(
     ------
     KeyError
         If a column does not belong to the topic.
+
+    Examples
+    --------
+    >>> from trainlog.topics import TRAIN_STATE
+    >>> frame = frame_of(TRAIN_STATE, [0, 1_000_000_000], {"speed": [3.0, 4.0]})
+    >>> frame["speed"].tolist(), frame.attrs["units"]["speed"]
+    ([3.0, 4.0], 'm/s')
     """
     if not isinstance(time, pd.DatetimeIndex):
         nanoseconds = np.asarray(time, dtype=np.int64).astype("datetime64[ns]")
@@ -349,7 +380,14 @@ def frame_of(
 
 
 def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> NDArray[np.float64]:
-    """Time of each row [s] since `origin` (default: the first row)."""
+    """Time of each row [s] since `origin` (default: the first row).
+
+    Examples
+    --------
+    >>> from trainlog.topics import TRAIN_STATE
+    >>> seconds(frame_of(TRAIN_STATE, [0, 500_000_000], {"speed": [3.0, 4.0]}))
+    array([0. , 0.5])
+    """
     index = pd.DatetimeIndex(frame.index)
     start = index[0] if origin is None else origin
     return np.asarray((index - start) / pd.Timedelta(seconds=1), dtype=np.float64)

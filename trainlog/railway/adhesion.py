@@ -82,6 +82,13 @@ def creep_coefficients(maximum: ArrayLike) -> NDArray[np.float64]:
     ------
     InputError
         If a maximum is not between 0 and 1.
+
+    Examples
+    --------
+    >>> a, b, scale = creep_coefficients(0.2)
+    >>> curve = CreepCurve(a, b, scale, scale)
+    >>> round(curve.peak, 6), round(curve.peak_slip, 2)
+    (0.2, 1.91)
     """
     peak = np.asarray(maximum, dtype=np.float64)
     if not np.all((peak > 0.0) & (peak < 1.0)):

@@ -140,6 +140,14 @@ class TrackConditionMap:
         """Cautious maximum adhesion at each position: the estimate less `sigmas` deviations.
 
         Infinite where the layer was not observed: the map says nothing there.
+
+        Examples
+        --------
+        >>> from trainlog.formats.condition import read_map
+        >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+        >>> seen = track.centres[track.layer("wet").observed][:2]
+        >>> track.lower_bound("wet", seen).round(3).tolist()
+        [0.127, 0.125]
         """
         chosen = self.layer(layer)
         index = self.bin_of(position)

@@ -147,7 +147,13 @@ def place(line: Line, anchors: tuple[Anchor, ...], tolerance: float = 0.5) -> Pl
 
 
 def similarity(sources: ComplexArray, targets: ComplexArray) -> tuple[complex, complex]:
-    """The factor and shift for which ``factor * sources + shift`` is nearest to `targets`."""
+    """The factor and shift for which ``factor * sources + shift`` is nearest to `targets`.
+
+    Examples
+    --------
+    >>> similarity(np.array([0.0, 1.0j]), np.array([1.0, 3.0 + 0.0j]))
+    (-2j, (1+0j))
+    """
     centred = sources - sources.mean()
     factor = np.vdot(centred, targets - targets.mean()) / np.vdot(centred, centred)
     return complex(factor), complex(targets.mean() - factor * sources.mean())
@@ -169,6 +175,11 @@ def thinned(positions: FloatArray, points: ComplexArray, tolerance: float) -> ND
     """Indices of the points to keep so that interpolation in position stays within `tolerance`.
 
     Douglas and Peucker's method, with the distance taken at the same position.
+
+    Examples
+    --------
+    >>> thinned(np.arange(4.0), np.array([0.0, 1.0, 2.0, 3.0 + 1.0j]), 0.1).tolist()
+    [0, 2, 3]
     """
     kept = {0, positions.size - 1}
     open_pieces = [(0, positions.size - 1)]
@@ -192,6 +203,11 @@ def to_plane(
     """Points [m] of WGS 84 coordinates [deg] on the plane that touches the ellipsoid at `origin`.
 
     Source: B. Hofmann-Wellenhof et al., GNSS, Springer 2008, section 8.2.
+
+    Examples
+    --------
+    >>> to_plane(47.01, 9.0, (47.0, 9.0)).round(1).item()
+    1111.7j
     """
     offset = (_cartesian(latitude, longitude).T - _cartesian(*origin)).T
     east, north, _ = np.tensordot(_axes(origin), offset, axes=1)

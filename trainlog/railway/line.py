@@ -56,7 +56,14 @@ class StepProfile:
         return StepProfile((length - ends)[::-1].copy(), sign * self.values[::-1])
 
     def mean(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Mean value over each interval from `start` to `end` [m], (m,) arrays, start < end."""
+        """Mean value over each interval from `start` to `end` [m], (m,) arrays, start < end.
+
+        Examples
+        --------
+        >>> profile = StepProfile(np.array([0.0, 100.0]), np.array([20.0, 30.0]))
+        >>> profile.mean(np.array([50.0]), np.array([150.0])).tolist()
+        [25.0]
+        """
         edges = np.append(self.positions, np.inf)
         widths = np.diff(edges[:-1])
         integral = np.concatenate(([0.0], np.cumsum(self.values[:-1] * widths)))
@@ -365,6 +372,13 @@ class Line:
         """Deceleration by the track itself [m/s²]: gradient and curves, for any mass.
 
         ``g (sin(alpha) + k_C |curvature|)``; Amirhosseini et al. (2024), eq. (6) and (7).
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> line.track_acceleration([1_000.0, 5_000.0]).round(4).tolist()
+        [-0.0971, 0.0573]
         """
         slope = self.gradient(position)
         sine = slope / np.sqrt(1.0 + slope**2)
@@ -420,6 +434,15 @@ class Line:
         ----------
         train_length : float [m]
             Length that a limit protects; 0: the limits of the train's front.
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> line.speed_limits.positions[:3].round(1).tolist()
+        [0.0, 49.6, 125.6]
+        >>> line.limits_over(58.6).positions[:3].round(1).tolist()
+        [0.0, 49.6, 58.6]
         """
         profile = self.speed_limits
         if train_length == 0.0:
@@ -433,7 +456,15 @@ class Line:
         return StepProfile(edges, np.where(under_train, profile.values, np.inf).min(axis=1))
 
     def reversed(self) -> Line:
-        """The line travelled from its end to its start."""
+        """The line travelled from its end to its start.
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> line.reversed().stations[0].name
+        'Wil'
+        """
         return Line(
             name=self.name,
             length=self.length,

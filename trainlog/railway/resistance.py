@@ -48,7 +48,13 @@ class RunningResistance:
         return RunningResistance(self.r0 + other.r0, self.r1 + other.r1, self.r2 + other.r2)
 
     def scaled(self, factor: float) -> RunningResistance:
-        """All three coefficients times `factor`."""
+        """All three coefficients times `factor`.
+
+        Examples
+        --------
+        >>> RunningResistance(2000.0, 50.0, 10.0).scaled(0.5)(20.0).item()
+        3500.0
+        """
         return RunningResistance(self.r0 * factor, self.r1 * factor, self.r2 * factor)
 
 
@@ -60,6 +66,11 @@ def curve_force_per_weight(curvature: ArrayLike) -> NDArray[np.float64]:
     Parameters
     ----------
     curvature : array [1/m]
+
+    Examples
+    --------
+    >>> curve_force_per_weight(1.0 / 300.0).item()
+    0.002
     """
     return np.asarray(CURVE_COEFFICIENT * np.abs(np.asarray(curvature, dtype=np.float64)))
 
@@ -73,5 +84,10 @@ def tunnel_force_per_weight(length: ArrayLike) -> NDArray[np.float64]:
     ----------
     length : array [m]
         Of the tunnel.
+
+    Examples
+    --------
+    >>> round(tunnel_force_per_weight(2_000.0).item(), 6)
+    0.00026
     """
     return np.asarray(TUNNEL_COEFFICIENT * np.asarray(length, dtype=np.float64))

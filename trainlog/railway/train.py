@@ -194,7 +194,15 @@ class Train:
         return self.max_dynamic_braking_effort + self.max_pneumatic_braking_effort
 
     def tractive_effort_limit(self, speed: ArrayLike) -> NDArray[np.float64]:
-        """Largest tractive effort [N] at each speed [m/s]: effort limit, then power limit."""
+        """Largest tractive effort [N] at each speed [m/s]: effort limit, then power limit.
+
+        Examples
+        --------
+        >>> from trainlog.formats.train import read_train
+        >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+        >>> train.tractive_effort_limit([0.0, 26.0]).tolist()
+        [200000.0, 100000.0]
+        """
         v = np.maximum(np.asarray(speed, dtype=np.float64), 1e-9)
         return np.asarray(np.minimum(self.max_tractive_effort, self.max_traction_power / v))
 
@@ -270,7 +278,15 @@ class Configuration:
 
     @staticmethod
     def of(train: Train, load: float = 0.0, name: str = "nominal") -> Configuration:
-        """The configuration that the train's own file describes, with `load` [kg]."""
+        """The configuration that the train's own file describes, with `load` [kg].
+
+        Examples
+        --------
+        >>> from trainlog.formats.train import read_train
+        >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+        >>> Configuration.of(train, load=8_000.0).inertia
+        142200.0
+        """
         return Configuration(
             name, train.mass + load, train.rotating_mass, train.resistance, train.max_traction_power
         )

@@ -211,6 +211,15 @@ class ConsistPlant:
         InputError
             If there is less than no step, an effort is negative or more than a vehicle has, if a
             softening coupler is stretched beyond its validity, or the motion is not finite.
+
+        Examples
+        --------
+        >>> from trainlog.formats.train import read_consist
+        >>> plant = ConsistPlant(read_consist("sample_logs/passenger_8_coaches.consist.json"))
+        >>> state = plant.at(position=300.0)
+        >>> plant.advance(state, tractive_efforts=100e3, braking_efforts=0.0, steps=1_000)
+        >>> f"{state.speeds[0]:.2f} m/s"
+        '1.51 m/s'
         """
         if steps < 0:
             raise InputError(f"{steps} steps: their number must not be negative")

@@ -104,6 +104,15 @@ def plan(
         Planned at each stop between the ends.
     first_departure : float [s]
         After the beginning of the trip.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> [round(stop.arrival) for stop in plan(line, train, line.stations)]
+    [0, 375, 639, 945, 1401]
     """
     stops = [Stop(stations[0].name, stations[0].position, 0.0, first_departure)]
     for station in stations[1:]:

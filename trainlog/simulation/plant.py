@@ -153,6 +153,18 @@ class Plant:
         ------
         InputError
             For a train that cannot be, or a step too coarse for the axles' inertia.
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.train import read_train
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+        >>> plant = Plant.of(line, train, mass=130_000.0)
+        >>> state = plant.at(position=500.0)
+        >>> _ = plant.advance(state, tractive_effort=100e3, braking_effort=0.0, steps=2_000)
+        >>> f"{state.speed:.2f} m/s after {state.position - 500.0:.1f} m"
+        '7.15 m/s after 32.8 m'
         """
         drive = drive or Drive()
         axles = train.axles

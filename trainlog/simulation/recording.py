@@ -119,6 +119,17 @@ def simulate(scenario: Scenario) -> Trip:
         For a train or stops that cannot be.
     InfeasibleError
         If the train does not arrive.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.simulation import draw_scenarios
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> trip = simulate(draw_scenarios(line, train, count=1)[0])
+    >>> trip.name, round(trip.duration / 60.0, 1)
+    ('trip-01', 19.7)
     """
     return recorded(scenario, drive(scenario))
 

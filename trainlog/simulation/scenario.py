@@ -246,6 +246,15 @@ def draw_scenarios(
     ------
     InputError
         If `count` is not positive or the line has no two stations.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> [(each.direction, each.weather) for each in draw_scenarios(line, train, 3)]
+    [('forward', 'dry'), ('reverse', 'dry'), ('forward', 'wet')]
     """
     if count < 1:
         raise InputError(f"cannot draw {count} scenarios", remedy="give a count of 1 or more")
