@@ -37,7 +37,7 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
     return read_trajectory(output)
 
 
-def test_a_run_begins_and_ends_where_and_as_fast_as_told(observed: Path, tmp_path: Path) -> None:
+def test_a_run_begins_and_ends_where_and_as_fast_as_given(observed: Path, tmp_path: Path) -> None:
     speeds = ("--initial-speed", 72, "--final-speed", 36)
     found = asked(observed, tmp_path, "--km", "3.2:7.5", *speeds)
     assert (found.positions[0], found.positions[-1]) == (3200.0, 7500.0)
@@ -107,7 +107,7 @@ def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_p
     ],
     ids=lambda given: " ".join(map(str, given[-2:])) if isinstance(given, tuple) else "",
 )
-def test_what_makes_no_sense_is_refused_before_anything_is_written(
+def test_bad_input_is_refused_before_anything_is_written(
     words: tuple[object, ...], told: str, observed: Path, tmp_path: Path
 ) -> None:
     output = tmp_path / "t.json"

@@ -1,4 +1,4 @@
-"""What a driver is told; energy against time; travel against the chainage; the principle."""
+"""Advice to a driver; energy against time; travel against the chainage; the principle."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def test_advice_begins_with_traction_ends_with_braking_and_never_repeats(hilly: 
     for before, point in pairwise(points):
         assert before.position < point.position
         assert before.words != point.words
-        # What is shorter is told only where it changes the speed.
+        # What is shorter is listed only where it changes the speed.
         brief = point.time - before.time < 3.0
         assert not brief or abs(before.until - before.speed) >= 4.0 / 3.6
         assert before.until == point.speed
 
 
-def test_advice_tells_every_phase_where_none_is_too_short(hilly: Trajectory) -> None:
+def test_advice_lists_every_phase_where_none_is_too_short(hilly: Trajectory) -> None:
     row = 0
     points, phases = advice(hilly, row, shortest=0.0, held=0.0), phases_of(hilly, row)
     cells = hilly.cell_of([point.position for point in points])
@@ -69,7 +69,7 @@ def _with_phases(letters: str, speeds: Sequence[float]) -> Trajectory:
     )  # fmt: skip
 
 
-def test_at_one_speed_a_driver_is_told_to_hold_it() -> None:
+def test_at_one_speed_the_advice_is_to_hold_it() -> None:
     speeds = [0, 100, 100.5, 101, 100.2, 101.1, 100.5, 60, 0]
     points = advice(_with_phases("TPHPCPCB", speeds))
     assert [point.words for point in points] == [
@@ -81,7 +81,7 @@ def test_at_one_speed_a_driver_is_told_to_hold_it() -> None:
     assert [point.phase.letter for point in dip] == list("TPCPB")
 
 
-def test_a_speed_held_within_a_longer_phase_is_told_until_the_brake() -> None:
+def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake() -> None:
     """Braking downhill at one speed, then to a lower one: two speeds to hold, and a brake."""
     speeds = [0, 99, 100, 100, 100, 100, 85, 80, 80.5, 80, 60, 0]
     assert [point.words for point in advice(_with_phases("TPPPPHHPPCB", speeds))] == [
@@ -93,7 +93,7 @@ def test_a_speed_held_within_a_longer_phase_is_told_until_the_brake() -> None:
     assert [point.words for point in falling][1:3] == ["hold 100 km/h", "partial traction"]
 
 
-def test_a_short_full_brake_to_a_lower_speed_is_told() -> None:
+def test_a_short_full_brake_to_a_lower_speed_is_advice() -> None:
     given = _with_phases("TPBPB", [0, 115, 115, 105, 105, 0])
     times = np.array([0.0, 60.0, 120.0, 122.5, 200.0, 240.0])[None]
     points = advice(replace(given, times=times))
@@ -238,20 +238,20 @@ def test_a_set_knows_how_many_trips_each_configuration_stands_for() -> None:
         {"configuration": each.name, "stands_for": count}
         for each, count in zip(configurations, (3, 1), strict=True)
     ]
-    told = ParameterSet("T", configurations, details=[*details, {"trip": "refused"}])
-    assert told.weights == (3.0, 1.0)
+    counted = ParameterSet("T", configurations, details=[*details, {"trip": "refused"}])
+    assert counted.weights == (3.0, 1.0)
     assert ParameterSet("T", configurations, details=details[:1]).weights == ()
 
 
 def test_coasting_for_a_moment_while_cruising_is_no_advice() -> None:
-    """Nor is a little braking at a speed that stays; but full braking for ten seconds is told."""
+    """Nor is a little braking at a speed that stays; but full braking for ten seconds is advice."""
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=450.0, cells=150)
     count = found.positions.size - 1
     times = np.linspace(0.0, 10.0 * count, count + 1)[None]
     speeds = np.full((1, count + 1), 20.0)
-    for letter, told in (("C", 1), ("H", 1), ("B", 3)):
+    for letter, counted in (("C", 1), ("H", 1), ("B", 3)):
         phases = "P" * 50 + letter + "P" * (count - 51)
         given = replace(
             found, speeds=speeds, times=times, certificate={**found.certificate, "phases": [phases]}
         )
-        assert len(advice(given)) == told
+        assert len(advice(given)) == counted

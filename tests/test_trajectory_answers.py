@@ -35,7 +35,7 @@ def test_reference_run_costs_no_more_than_the_best_known(reference: Trajectory) 
     assert 0.0 <= reference.certificate["gap"] <= 5e-4
 
 
-def test_audit_is_far_stricter_than_asked(reference: Trajectory) -> None:
+def test_audit_is_far_stricter_than_required(reference: Trajectory) -> None:
     audit = reference.certificate["audit"]
     assert abs(audit["lateness"]) <= 1e-4
     assert audit["overspeed"] <= 1e-5
@@ -92,11 +92,11 @@ def test_phases_come_in_the_order_of_the_textbook(reference: Trajectory) -> None
     ]
 
 
-def test_costates_tell_the_same_phases_as_the_controls(reference: Trajectory) -> None:
+def test_costates_give_the_same_phases_as_the_controls(reference: Trajectory) -> None:
     switching = np.asarray(reference.certificate["switching"])
-    told = phases_by_switching(switching, band=3e-4)
+    reported = phases_by_switching(switching, band=3e-4)
     # Where the control is singular the switching function says so only to within its band.
-    agree = np.mean(told == phases_of(reference, 0))
+    agree = np.mean(reported == phases_of(reference, 0))
     assert agree >= 0.95
 
 

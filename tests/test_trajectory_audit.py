@@ -146,7 +146,7 @@ def test_line_energy_of_the_audit_is_efforts_times_efficiency(hilly: Trajectory)
     assert np.all(found.line_energy < spent)
 
 
-def test_no_answer_leaves_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_answer_is_returned_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(self: Audit, run: TrajectoryProblem, running_time: float) -> list[str]:
         return ["configuration 'x1' arrives late by [s] 3"]
 

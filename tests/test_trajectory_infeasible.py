@@ -22,7 +22,7 @@ from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Configuration, RunningResistance, TimingPoint
 
 
-def told(words: str, error: pytest.ExceptionInfo[InfeasibleError]) -> float:
+def reported(words: str, error: pytest.ExceptionInfo[InfeasibleError]) -> float:
     found = re.search(words, str(error.value))
     assert found is not None, str(error.value)
     return float(found.group(1))
@@ -31,8 +31,8 @@ def told(words: str, error: pytest.ExceptionInfo[InfeasibleError]) -> float:
 def test_too_little_time_names_the_slowest_and_what_is_missing() -> None:
     with pytest.raises(InfeasibleError, match=r"configuration 'x1\.1' needs at least") as error:
         optimised(hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), running_time=200.0)
-    least = told(r"at least (\d+\.\d) s", error)
-    missing = told(r"(\d+\.\d) s are missing", error)
+    least = reported(r"at least (\d+\.\d) s", error)
+    missing = reported(r"(\d+\.\d) s are missing", error)
     assert least == pytest.approx(200.0 + missing, abs=0.11)
     found = optimised(
         hilly_line(), FLIRT, observed(FLIRT, 0.9, 1.0, 1.1), running_time=1.01 * least
@@ -40,7 +40,7 @@ def test_too_little_time_names_the_slowest_and_what_is_missing() -> None:
     assert found.certificate["audit"]["passed"]
 
 
-def test_a_moment_too_little_is_not_told_as_nothing() -> None:
+def test_a_moment_too_little_is_not_reported_as_nothing() -> None:
     run = hilly_line(), FLIRT, observed(FLIRT, 1.0)
     least = optimised(*run, reserve=0.1, cells=60).certificate["least_time"][0]
     with pytest.raises(InfeasibleError, match=r", 0\.0[34] s are missing"):
@@ -54,7 +54,7 @@ def test_the_least_time_of_free_traction_cannot_be_met_on_cells() -> None:
         optimised(
             hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=alone * (1.0 + 1e-9), cells=80
         )
-    # What is asked for by no reserve at all is the least time that there is on the cells.
+    # No reserve at all asks for the least time that there is on the cells.
     assert alone < fastest.running_time < 1.005 * alone
 
 
@@ -63,7 +63,7 @@ def test_common_brakes_cannot_stop_them_all_and_say_how_slow_they_can() -> None:
     configurations = observed(VIRM6, 0.97, 1.0, 1.03)
     with pytest.raises(InfeasibleError, match="with one braking effort for all") as error:
         optimised(level_line(), VIRM6, configurations, final_speed=0.0, **options)  # type: ignore[arg-type]
-    reachable = told(r"cannot all end below (\d+\.\d) km/h", error) / KMH
+    reachable = reported(r"cannot all end below (\d+\.\d) km/h", error) / KMH
     assert 5.0 < reachable < 10.0
     with pytest.raises(InfeasibleError):
         optimised(level_line(), VIRM6, configurations, final_speed=reachable - 0.3, **options)  # type: ignore[arg-type]
@@ -101,7 +101,7 @@ def test_a_start_too_fast_to_stop() -> None:
         InfeasibleError, match=r"starts at 72\.0 km/h and cannot brake in time"
     ) as e:
         optimised(level_line(1_000.0), FLIRT, observed(FLIRT, 1.0), start=900.0, initial_speed=20.0)
-    limit = told(r"at most (\d+\.\d) km/h", e) / KMH
+    limit = reported(r"at most (\d+\.\d) km/h", e) / KMH
     assert limit == pytest.approx((2.0 * 1.1 * 100.0) ** 0.5, rel=0.03)
 
 
@@ -125,7 +125,7 @@ def test_a_slippery_rail_is_named_where_it_holds_the_train_back() -> None:
         )  # fmt: skip
 
 
-def test_two_windows_that_cannot_both_be_kept_are_told_together() -> None:
+def test_two_windows_that_cannot_both_be_kept_are_reported_together() -> None:
     windows = [TimingPoint(3_000.0, earliest=200.0), TimingPoint(6_000.0, latest=230.0)]
     with pytest.raises(
         InfeasibleError, match=r"needs at least \d+\.\d s from km 3\.000 to km 6\.000"

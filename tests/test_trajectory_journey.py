@@ -161,7 +161,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
 
 
 @pytest.mark.parametrize("objective", ["wheel", "line"])
-def test_a_journey_tells_the_configuration_that_takes_most_in_all(objective: str) -> None:
+def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str) -> None:
     journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
     configurations = drawn(FLIRT, 3, seed=3)
     options = {"dwell": 30.0, "reserve": 0.12, "cells": 100, "objective": objective}
@@ -234,7 +234,7 @@ def test_journeys_that_cannot_be_are_explained() -> None:
 
 
 @pytest.mark.skipif(not LIBRARY.exists(), reason=f"{LIBRARY} is not here")
-def test_the_library_journey_leaves_too_little_time_and_that_is_told() -> None:
+def test_the_library_journey_leaves_too_little_time_and_that_is_reported() -> None:
     journey = read_journey(LIBRARY / "journeys" / "CH_StGallen_Wil_Journey_01.json")
     line = read_track(LIBRARY / "tracks" / "CH_StGallen_Wil.json")
     first, second = sections_of(journey)

@@ -85,7 +85,7 @@ def test_few_configurations_decide(set_of_twelve: Trajectory) -> None:
         running_time=found.running_time,
         cells=250,
     )
-    # Limits that all share, as the comfort of the lightest, are left out here: never dearer.
+    # Limits that all share, as the comfort of the lightest, are left out here: never costlier.
     assert alone.certificate["energy"] <= found.certificate["energy"] * (1.0 + 2e-5)
     assert found.certificate["gap"] <= 2e-3
 
@@ -121,7 +121,7 @@ def test_the_map_limits_the_efforts_where_it_was_observed() -> None:
     assert np.array_equal(unaware.tractive_effort, free.tractive_effort)
 
 
-def test_the_map_is_not_read_more_boldly_than_asked() -> None:
+def test_the_map_is_not_read_more_boldly_than_required() -> None:
     line = level_line(6_000.0, (0.0, 100.0))
     condition = slippery(line, (0.0, 400.0, 0.10))
     starts = [
@@ -145,7 +145,7 @@ def test_a_section_between_two_stations() -> None:
     assert found.speeds[0, -1] == 0.0
 
 
-def test_the_whole_train_keeps_the_limit_when_it_is_asked_to() -> None:
+def test_the_whole_train_keeps_the_limit_when_it_is_required_to() -> None:
     line = hilly_line()
     found = optimised(
         line, FLIRT, observed(FLIRT, 1.0), reserve=0.05, protected_length=FLIRT.length, cells=200
@@ -187,7 +187,7 @@ def test_same_question_same_answer(tmp_path: Path) -> None:
     assert again.certificate["gap"] == found.certificate["gap"]
 
 
-def senseless(line: Line) -> TrackConditionMap:
+def unreadable(line: Line) -> TrackConditionMap:
     """A map that says of a bin that it was observed, and not what."""
     condition = slippery(line)
     layer = condition.layers["wet"]
@@ -202,7 +202,7 @@ def test_a_limit_below_walking_pace_is_refused_before_any_solver_runs() -> None:
         optimised(line, FLIRT, observed(FLIRT, 1.0))
 
 
-def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
+def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
     options = {"reserve": 0.1, "cells": 120}
     configurations = observed(FLIRT, 0.9, 1.0, 1.1)
     found = {
@@ -255,7 +255,7 @@ def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
             {"condition_map": slippery(hilly_line()), "sigmas": -2.0},
             "map must be 0 or more, not -2.0",
         ),
-        ({"condition_map": senseless(hilly_line())}, r"holds no adhesion at km 0\.\d+, which it"),
+        ({"condition_map": unreadable(hilly_line())}, r"holds no adhesion at km 0\.\d+, which it"),
         ({"protected_length": -1.0}, "the protected length must be 0 or more, not -1.0 m"),
         ({"running_time": 1e9}, r"is 3\.\d+e\+06 times the least, .*let it wait at a station"),
         ({"objective": "expected", "weights": [1.0, 2.0]}, "2 weights for 1 configurations"),
@@ -263,7 +263,7 @@ def test_expected_energy_is_least_for_the_weights_that_were_asked_for() -> None:
         ({"objective": "expected", "weights": [0.0]}, "the weights add up to 0"),
     ],
 )
-def test_senseless_questions_are_refused(changes: dict[str, object], words: str) -> None:
+def test_bad_input_is_refused(changes: dict[str, object], words: str) -> None:
     question: dict[str, object] = {"configurations": observed(FLIRT, 1.0), **changes}
     with pytest.raises(InputError, match=words):
         optimised(hilly_line(), FLIRT, **question)  # type: ignore[arg-type]

@@ -49,7 +49,7 @@ def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None
     assert certificate["audit"]["passed"]
 
 
-def test_who_brakes_gently_is_no_dearer_than_the_few_that_decide_at_the_line() -> None:
+def test_a_gentle_brake_takes_no_more_than_the_few_that_decide_at_the_line() -> None:
     configurations = drawn(FLIRT, 30, seed=2)
     many = optimised(hilly_line(), FLIRT, configurations, objective="line", **OPTIONS)  # type: ignore[arg-type]
     certificate = many.certificate

@@ -1,4 +1,4 @@
-"""What people are told of a trajectory: which energy, where, and how sure."""
+"""What is reported of a trajectory: which energy, where, and how sure."""
 
 from __future__ import annotations
 
@@ -40,26 +40,26 @@ def test_table_and_picture_say_which_energy_and_where(objective: Any, tmp_path: 
     )  # fmt: skip
     write_trajectory(found, tmp_path / "t.json")
     found = read_trajectory(tmp_path / "t.json")
-    told = printed(found)
+    reported = printed(found)
     for name, words in ENERGY.items():
-        assert (words in told) == (words in _title(found)) == (name == objective)
-    assert "at the wheels" in told
+        assert (words in reported) == (words in _title(found)) == (name == objective)
+    assert "at the wheels" in reported
     certificate = found.certificate
     for energies in (certificate["wheel_energy"], certificate["line_energy"]):
-        assert f"{energies[0] / 3.6e6:.2f} kWh" in told
+        assert f"{energies[0] / 3.6e6:.2f} kWh" in reported
 
 
-def test_an_opinion_that_ipopt_does_not_vouch_for_is_none() -> None:
+def test_a_result_that_ipopt_does_not_find_optimal_is_no_proof() -> None:
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
     judge = {"name": "IPOPT", "energy": 1e8, "difference": 1e-5, "iterations": 9}
     for status, sure in (("Solve_Succeeded", True), ("Error_In_Step_Computation", False)):
         certificate = found.certificate | {"referee": judge | {"status": status}}
-        told = printed(replace(found, certificate=certificate))
-        assert ("stopped before it was optimal" in told) is not sure
-        assert status not in told
+        reported = printed(replace(found, certificate=certificate))
+        assert ("stopped before it was optimal" in reported) is not sure
+        assert status not in reported
 
 
-def test_a_solver_that_breaks_off_does_not_speak_of_its_settings(
+def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def broken(*_: object, **__: object) -> None:

@@ -1,4 +1,4 @@
-"""Bad numerics: what a solver does not vouch for is solved again, and what fails does not leave."""
+"""Bad numerics: solved again where a solver finds no optimum; nothing that fails is returned."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def same(found: Trajectory, usual: Trajectory) -> bool:
     return bool(abs(found.certificate["energy"] / least - 1.0) <= 3e-5)
 
 
-def test_a_solver_that_stops_early_is_not_believed(
+def test_the_answer_of_a_solver_that_stops_early_is_solved_again(
     usual: Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(convex._SETTINGS, cp.PIQP, {"max_iter": 3})
@@ -41,7 +41,7 @@ def test_a_solver_that_stops_early_is_not_believed(
     assert same(found, usual)
 
 
-def test_rounds_that_fail_begin_again_from_the_cone_relaxation(
+def test_iterations_that_fail_begin_again_from_the_cone_relaxation(
     usual: Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     minimise, failed = active_set.minimise, []
@@ -58,7 +58,7 @@ def test_rounds_that_fail_begin_again_from_the_cone_relaxation(
     assert same(found, usual)
 
 
-def test_rounds_that_do_not_settle_begin_again_too(
+def test_iterations_that_do_not_converge_begin_again_too(
     usual: Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     minimise, seen = active_set.minimise, []
@@ -75,7 +75,7 @@ def test_rounds_that_do_not_settle_begin_again_too(
 @pytest.mark.parametrize(
     ("factor", "words"), [(0.98, "arrives late"), (1.05, "(is too fast|exceeds the)")]
 )
-def test_an_answer_that_was_tampered_with_does_not_leave(
+def test_an_answer_that_was_tampered_with_is_not_returned(
     factor: float, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = optimiser.search
@@ -109,19 +109,19 @@ def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str) -> Non
         )  # fmt: skip
         assert found.certificate["audit"]["passed"]
         times.append(found.running_time / max(found.certificate["least_time"]) - 1.0)
-    # Nobody is faster than alone under traction that follows the power; finer cells come closer.
+    # None is faster than alone under traction that follows the power; finer cells come closer.
     assert 0.0 < times[1] < times[0] < 5e-3
 
 
-def test_the_certificate_tells_what_a_coarser_grid_gave() -> None:
+def test_the_certificate_states_what_a_coarser_grid_gave() -> None:
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=400)
-    told, energy = found.certificate["convergence"], found.certificate["energy"]
-    assert told["cells"] < 0.6 * (found.positions.size - 1)
-    assert told["energy"] * (1.0 + told["change"]) == pytest.approx(energy)
-    assert abs(told["change"]) < 2e-3
+    reported, energy = found.certificate["convergence"], found.certificate["energy"]
+    assert reported["cells"] < 0.6 * (found.positions.size - 1)
+    assert reported["energy"] * (1.0 + reported["change"]) == pytest.approx(energy)
+    assert abs(reported["change"]) < 2e-3
     coarse = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=120)
     assert coarse.certificate["convergence"] is None
-    assert coarse.certificate["energy"] == pytest.approx(told["energy"], rel=5e-4)
+    assert coarse.certificate["energy"] == pytest.approx(reported["energy"], rel=5e-4)
 
 
 def test_a_run_on_next_to_no_energy_is_certified_all_the_same() -> None:

@@ -179,8 +179,11 @@ def _properties(problem: DiscreteProblem) -> FloatArray:
 _BEFORE_CORRECTION = Tolerances(energy=3e-5, lateness=0.05)
 """Where the lateness that programs leave is corrected afterwards."""
 
-_COARSE = Tolerances(energy=1e-4, lateness=0.05, violation=2.5e-5, smoothing=0.0)
+_COARSE = Tolerances(energy=1e-4, lateness=0.05, smoothing=0.0)
 """On the coarse grid, where a search only prepares another."""
+
+_VIOLATION = 5e-7
+"""Excess over power, brake, speed or energy that makes a configuration active, relative."""
 
 _CORRECTION_LOSS = 1e-5
 """Relative loss of energy beyond which lateness is not corrected without another program."""
@@ -370,8 +373,7 @@ def search(
             everyone = _brake_as_representatives(problem, rows, alone, everyone, running_time)
             short = alone | short_of_time(part, rows, solution.multipliers)
         everyone = _brake_as_leader(problem, rows, solution, everyone, running_time + overdue)
-        violation = nearly.violation
-        new = _violators(problem, everyone, running_time + overdue, rows, violation) - set(rows)
+        new = _violators(problem, everyone, running_time + overdue, rows) - set(rows)
         budget = solution.energy + overdue * float(solution.time_price.sum())
         if coarse:
             solution = replace(solution, energy=budget)
@@ -494,7 +496,6 @@ def _violators(
     plan: Plan,
     running_time: float,
     active: list[int],
-    violation: float = EXACT.violation,
 ) -> set[int]:
     """The worst of the others of each kind: late, short of power or brake, too fast, too costly."""
     fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge))
@@ -503,8 +504,8 @@ def _violators(
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     late, soon = delays(problem, plan, running_time)
     excesses = [
-        late * (EXACT.violation / LATE),
-        soon * (EXACT.violation / LATE),
+        late * (_VIOLATION / LATE),
+        soon * (_VIOLATION / LATE),
         ((problem.floor - plan.z) / problem.ceiling.max()).max(axis=1),
         (plan.traction / problem.traction_by_power(plan.z)).max(axis=1) - 1.0,
         ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
@@ -516,7 +517,7 @@ def _violators(
     found: set[int] = set()
     for excess in excesses:
         excess[active] = -np.inf
-        found |= _worst(excess, violation)
+        found |= _worst(excess, _VIOLATION)
     return found
 
 

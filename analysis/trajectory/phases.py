@@ -120,6 +120,19 @@ def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
     ------
     InputError
         If the trajectory does not come from `optimise`.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.railway import Configuration
+    >>> from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> problem = TrajectoryProblem(line, train, [Configuration.of(train)], end=9_613.0)
+    >>> trajectory = optimise(problem, OptimiserOptions(cells=60))
+    >>> Phase(phases_of(trajectory, 0)[0]).label
+    'maximum traction'
     """
     try:
         letters = trajectory.certificate["phases"][row]
@@ -230,6 +243,20 @@ def advice(
     ------
     InputError
         If the trajectory does not come from `optimise`.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.railway import Configuration
+    >>> from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> problem = TrajectoryProblem(line, train, [Configuration.of(train)], end=9_613.0)
+    >>> trajectory = optimise(problem, OptimiserOptions(cells=60))
+    >>> first, *_, last = advice(trajectory)
+    >>> first.words, last.words
+    ('maximum traction', 'maximum braking')
     """
     chosen = trajectory.latest if row is None else row
     phases, times = phases_of(trajectory, chosen), trajectory.times[chosen]

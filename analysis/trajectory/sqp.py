@@ -491,15 +491,12 @@ class Tolerances:
         Relative change of energy below which an iteration is the last.
     lateness : float [s]
         That may be left besides.
-    violation : float
-        Excess over power, brake, speed or energy that makes another configuration active, relative.
     smoothing : float [s²/m]
         Price of the squared change of effort from cell to cell.
     """
 
     energy: float
     lateness: float
-    violation: float = 5e-7
     smoothing: float = 7e-4
 
 
