@@ -300,9 +300,10 @@ def test_a_profile_needs_a_general_format() -> None:
 
 
 def test_an_entry_point_may_name_a_profile(installed: Path) -> None:
+    mine = MINE + "[trip]\nweather = 'wet'\n[repair]\nspikes = false\n"
     (installed / "wayside_log.py").write_text(
         "from trainlog.ingest.profile import parse_profile\n"
-        f"WAYSIDE = parse_profile({MINE.encode()!r}, file='mine.toml')\n",
+        f"WAYSIDE = parse_profile({mine.encode()!r}, file='mine.toml')\n",
         "utf-8",
     )
     import sys
@@ -313,6 +314,8 @@ def test_an_entry_point_may_name_a_profile(installed: Path) -> None:
     sys.modules.pop("wayside_log", None)
     assert trip.provenance[0]["format"] == "wayside"
     np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+    assert trip.metadata["weather"] == "wet"
+    assert report_of(trip).switched_off == ("spikes",)
 
 
 TAGGED = """

@@ -279,7 +279,7 @@ def _finished(
 ) -> Trip:
     """The trip of a recording, with what is known of its files."""
     with _naming(source.path):
-        profile = source.profile or _default_profile()
+        profile = source.profile or source.chosen.profile or _default_profile()
         trip, report, raw = _trip(recording, profile, line, train, direction)
         if line is not None:
             _check_on_line(trip, line)

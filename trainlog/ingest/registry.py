@@ -61,6 +61,8 @@ class Format:
     layout : {"profile", "own"}
         What says which column is what: [time] and [columns] of a profile, or the format itself,
         which then has no use for those sections; the report states if they are given.
+    profile : Profile, optional
+        Whose [trip], [metadata], [limits] and [repair] hold where the user gives none.
 
     Examples
     --------
@@ -73,6 +75,7 @@ class Format:
     read: Reader
     recognises: Callable[[bytes], bool] = never
     layout: Literal["profile", "own"] = "profile"
+    profile: Profile | None = None
 
 
 GENERAL = (
@@ -124,7 +127,7 @@ def format_by_profile(name: str, profile: Profile) -> Format:
         recordings = (found,) if isinstance(found, Recording) else found
         return [replace(item, metadata=known | item.metadata) for item in recordings]
 
-    return Format(name, read, profile.recognises, "own")
+    return Format(name, read, profile.recognises, "own", profile)
 
 
 def own_profile(path: Path) -> Path | None:
