@@ -3,7 +3,7 @@
 Between two samples the accelerometer carries the motion on; an axle that neither pulls nor brakes,
 satellites' speed and positions that are known to be passed (balises) correct it. What is missing is
 bridged, as satellites in a tunnel, and the standard deviations grow. The state is position, speed,
-the accelerometer's bias, and by how much the wheel shows too high a speed, over what it shows.
+the accelerometer's bias, and by how much the wheel shows too high a speed, over the speed.
 
 One sample comes at a time, ten times a second at most, so that the filter is filterpy's
 `KalmanFilter`; whole trips are smoothed by `estimators.motion`.
@@ -230,8 +230,10 @@ class OdometryFilter(Estimator):
         if self._zeros >= STANDING:
             self._correct(0.0, (0.0, 1.0, 0.0, 0.0), STILL)
         else:
-            # w = v / (1 - e) is linear in speed and error: w = v + w e.
-            self._correct(wheel_speed, (0.0, 1.0, 0.0, wheel_speed), self._wheel_noise, GATE)
+            # The wheel shows w = v (1 + e), linear about the state: w + v e = (1 + e) v + v e.
+            speed, error = self._filter.x[1], self._filter.x[3]
+            shown = (0.0, 1.0 + error, 0.0, speed)
+            self._correct(wheel_speed + speed * error, shown, self._wheel_noise, GATE)
         if self._filter.x[1] > RECEIVER_STDS * self._satellite_noise:
             self._correct(satellite_speed, (0.0, 1.0, 0.0, 0.0), self._satellite_noise, GATE)
         self._correct(balise, (1.0, 0.0, 0.0, 0.0), self._balise_noise)
