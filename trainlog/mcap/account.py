@@ -69,7 +69,7 @@ class Unfinished:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Account:
     """What was read of a file, and each stretch that was lost.
 
@@ -93,6 +93,9 @@ class Account:
     losses: tuple[Loss, ...] = ()
     unfinished: Unfinished | None = None
     expected: int | None = None
+
+    def __repr__(self) -> str:
+        return f"Account: {self.sentence}"
 
     @property
     def whole(self) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.formats.files import sha256
-from trainlog.mcap.account import Account
+from trainlog.mcap.account import Account, counted
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, index_in
 from trainlog.mcap.positions import position_span
 from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of
@@ -27,6 +27,8 @@ from trainlog.trip import Trip
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
+
+_TIME = "%Y-%m-%d %H:%M:%S"
 
 _AT_ONCE = 2**20
 """Messages whose times are held at a time."""
@@ -83,7 +85,7 @@ class AttachmentDescription:
     sha256: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LogDescription:
     """What is in a log.
 
@@ -129,6 +131,17 @@ class LogDescription:
     stored_size: int
     content_size: int
 
+    def __repr__(self) -> str:
+        lines = [str(self.path)]
+        if self.first is not None and self.last is not None:
+            lines.append(f"  time      {self.first:{_TIME}} to {self.last:{_TIME}} UTC")
+        if self.position_span is not None:
+            start, end = self.position_span
+            lines.append(f"  position  {round(start)} m to {round(end)} m")
+        lines.append(f"  messages  {self.count:,} of {counted(len(self.topics), 'topic')}")
+        lines.append(f"  state     {self.account.sentence}")
+        return "\n".join(lines)
+
     @property
     def complete(self) -> bool:
         """Whether nothing is known to be lost."""
@@ -163,6 +176,18 @@ def describe(path: str | Path) -> LogDescription:
         If it is not an MCAP file at all.
     InputError
         If there is no such file.
+
+    Examples
+    --------
+    >>> found = describe("sample_logs/nonstop.mcap")
+    >>> found
+    sample_logs/nonstop.mcap
+      time      2024-10-07 06:00:00 to 2024-10-07 06:19:43 UTC
+      position  0 m to 29556 m
+      messages  59,285 of 8 topics
+      state     is whole: 59,285 messages in 20 chunks
+    >>> found.count, found.complete
+    (59285, True)
     """
     with Source(path) as source, in_file(path):
         contents, (span, refusal) = contents_used(source, lambda found: _span(source, found))

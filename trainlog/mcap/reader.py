@@ -96,6 +96,20 @@ def read_log(
         or column is asked for that does not exist.
     InputError
         If there is no such file, or a limit is no time or position.
+
+    Warns
+    -----
+    DamageWarning
+        If something is lost.
+
+    Examples
+    --------
+    >>> log = "sample_logs/nonstop.mcap"
+    >>> len(read_log(log)["/train/state"])
+    11832
+    >>> stretch = read_log(log, {"/train/state": ["speed"]}, position=(1000.0, 1100.0))
+    >>> len(stretch["/train/state"])
+    32
     """
     selection = selection_of(topics, time, position)
     with Source(path) as source, in_file(path):
@@ -143,6 +157,12 @@ def stream_log(
     -----
     DamageWarning
         Behind the last piece, if something is lost.
+
+    Examples
+    --------
+    >>> pieces = stream_log("sample_logs/nonstop.mcap", ["/train/state"], rows=4000)
+    >>> [len(piece["/train/state"]) for piece in pieces]
+    [3600, 3600, 3600, 1032]
     """
     if rows < 1:
         raise InputError(f"rows is {rows}", remedy="give the most rows of a piece, at least 1")

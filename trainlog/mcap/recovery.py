@@ -29,8 +29,9 @@ from trainlog.mcap.records import (
     RECOVERY_RECORD,
     Index,
     opened,
+    tally,
 )
-from trainlog.mcap.scan import check_is_mcap, scanned, tally
+from trainlog.mcap.scan import check_is_mcap, scanned
 from trainlog.mcap.source import Source, in_file
 from trainlog.mcap.tables import topic_channels
 from trainlog.mcap.writer import Sink
@@ -48,6 +49,11 @@ def account_of(path: str | Path) -> Account:
         If it is not an MCAP file at all.
     InputError
         If there is no such file.
+
+    Examples
+    --------
+    >>> account_of("sample_logs/nonstop.mcap")
+    Account: is whole: 59,285 messages in 20 chunks
     """
     with Source(path) as source, in_file(path):
         check_is_mcap(source)
@@ -81,6 +87,15 @@ def recover(path: str | Path, output: str | Path) -> Account:
         rebuilt of a log of trainlog.
     InputError
         If there is no such file, or `output` cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> data = Path("sample_logs/nonstop.mcap").read_bytes()
+    >>> _ = Path("cut.mcap").write_bytes(data[:1_000_000])
+    >>> account = recover("cut.mcap", "recovered.mcap")
+    >>> account.whole, account_of("recovered.mcap").messages == account.messages
+    (False, True)
     """
     with Source(path) as source:
         target = Path(output)

@@ -7,10 +7,9 @@ its messages counted where the summary or the message indexes know them.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -48,14 +47,14 @@ from trainlog.mcap.index import (
 from trainlog.mcap.records import (
     DECLARATIONS,
     Index,
-    gone_through,
     measured,
     opened,
     parsed,
-    records,
     stored_chunk,
     stored_index,
+    tally,
 )
+from trainlog.mcap.search import Finder
 from trainlog.mcap.source import Source, damaged
 
 _T = TypeVar("_T")
@@ -66,20 +65,8 @@ _LONGEST_RUN = 2**20
 _LONGEST_RECORD = 2**26
 """Longer records are refused, but chunks, attachments and those that nobody knows [bytes]."""
 
-_LONGEST = 2**40
-"""No record of a known kind is as long [bytes]."""
-
-_WINDOW = 2**16
-"""Kept of the file where it is read in small pieces [bytes]."""
-
-_BLOCK = 2**20
-"""Searched at once for the next record behind damage [bytes]."""
-
 _SEARCHED = 2**22
 """Where the beginning of a file is damaged, a chunk is sought in so much of it [bytes]."""
-
-_FOLLOWING = 3
-"""Behind a message outside of chunks so many records must follow, if it is found by a search."""
 
 _CONVERTED = {b"\x89MCAP0\n": "CRLF to LF", b"\x89MCAP0\r\r\n": "LF to CRLF"}
 """How a file begins whose line ends a program has converted that took it for a text."""
@@ -143,7 +130,7 @@ def check_is_mcap(source: Source) -> None:
                 remedy="copy it again in binary mode; in git, '*.mcap -text' in .gitattributes",
             )
     searched = min(source.size, _SEARCHED)
-    if _Finder(source).search(0, searched) == searched:
+    if Finder(source).search(0, searched) == searched:
         what, remedy = mistaken_log(start)
         raise LogError(what, place="byte 0", remedy=remedy)
 
@@ -159,117 +146,12 @@ def scanned(source: Source) -> Contents:
     return _Scan(source).go()
 
 
-class _Finder:
-    """Where the records of a file are, and where the next one is behind damage."""
-
-    def __init__(self, source: Source) -> None:
-        self.source = source
-        self.size = source.size
-        self._start = 0
-        self._kept = b""
-
-    def read(self, offset: int, length: int) -> bytes:
-        """The bytes from `offset`; a window of the file is kept for small pieces."""
-        length = min(length, self.size - offset)
-        within = offset - self._start
-        if not 0 <= within <= len(self._kept) - length:
-            if length > _WINDOW:
-                return self.source.read(offset, length)
-            self._start, within = offset, 0
-            self._kept = self.source.read(offset, _WINDOW)
-        return self._kept[within : within + length]
-
-    def head(self, at: int) -> tuple[int, int]:
-        """Opcode and length of the record at `at`; a LogError if none can stand there."""
-        head = self.read(at, RECORD_HEAD)
-        if len(head) < RECORD_HEAD:
-            raise damaged(at, "the file ends inside a record")
-        opcode, length = struct.unpack("<BQ", head)
-        if opcode == 0:
-            raise damaged(at, "there is no record with opcode 0")
-        rest = self.size - at - RECORD_HEAD
-        if length > rest:
-            raise damaged(at, f"a record of {length:,} bytes begins and only {rest:,} bytes follow")
-        return opcode, length
-
-    def follows(self, at: int) -> bool:
-        """Whether at `at` the file ends, even inside a record, or a record begins, by its head."""
-        head = self.read(at, RECORD_HEAD)
-        if len(head) < RECORD_HEAD or head.startswith(MAGIC):
-            return True
-        opcode, length = struct.unpack("<BQ", head)
-        if opcode == Opcode.MESSAGE and length < MESSAGE.size - RECORD_HEAD:
-            return False
-        rest = self.size - at - RECORD_HEAD
-        longest: int = _LONGEST if opcode <= Opcode.DATA_END else rest + 1
-        return bool(opcode > 0 and length < longest)
-
-    def begins(self, at: int) -> bool:
-        """Whether a file begins at `at`."""
-        opening: bytes = MAGIC + bytes([Opcode.HEADER])
-        return self.read(at, len(opening)) == opening
-
-    def search(self, start: int, stop: int, *, messages: bool = False) -> int:
-        """The first place from `start` where something stands that is bound to be right; or `stop`.
-
-        That is a chunk or an attachment whose checksum holds, the end of the data section, and the
-        beginning of another file; if asked for, messages outside of chunks.
-        """
-        kinds = [Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END]
-        kinds += [Opcode.MESSAGE] if messages else []
-        for base in range(start, stop, _BLOCK):
-            data = np.frombuffer(self.source.read(base, _BLOCK + RECORD_HEAD - 1), np.uint8)
-            heads = len(data) - RECORD_HEAD + 1
-            if heads <= 0:
-                return stop
-            likely = np.isin(data[:heads], kinds)
-            for byte in (8, 7, 6):  # shorter than `_LONGEST`
-                likely &= data[byte : byte + heads] == 0
-            likely |= data[:heads] == MAGIC[0]
-            for at in (base + np.flatnonzero(likely)).tolist():
-                if at < stop and self._is_right(at):
-                    return at
-        return stop
-
-    def _is_right(self, at: int) -> bool:
-        if self.begins(at):
-            return True
-        with suppress(LogError):
-            opcode, length = self.head(at)
-            end = at + RECORD_HEAD + length
-            if opcode == Opcode.DATA_END:
-                return bool(length == 4 and end < self.size and self.follows(end))
-            if opcode == Opcode.CHUNK:
-                return self._is_chunk(at, length)
-            if opcode == Opcode.ATTACHMENT:
-                place = attachment_place(self.source, at, end - at)
-                check_attachment(self.source, place)
-                return any(self.source.read(place.data + place.size, 4))
-            for _ in range(_FOLLOWING if opcode == Opcode.MESSAGE else 0):
-                if at == self.size or not self.follows(at):
-                    return at == self.size
-                at += RECORD_HEAD + self.head(at)[1]
-            return bool(opcode == Opcode.MESSAGE)
-        return False
-
-    def _is_chunk(self, at: int, length: int) -> bool:
-        head = self.read(at + RECORD_HEAD, 64)
-        width = int.from_bytes(head[28:32], "little")
-        if head[32 : 32 + width] not in (b"", b"zstd", b"lz4"):
-            return False
-        if int.from_bytes(head[32 + width : 40 + width], "little") != length - 40 - width:
-            return False
-        chunk = stored_chunk(memoryview(self.source.read(at + RECORD_HEAD, length)), at)
-        tally(opened(chunk, check=True), {}, at)
-        return chunk.size > 0
-
-
 class _Scan:
     """One scan: from record to record, and what it found."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
-        self._finder = _Finder(source)
+        self._finder = Finder(source)
         self._size = source.size
         self._summary = summary_of(source)
         places = []
@@ -679,114 +561,3 @@ def _run(start: int, end: int, first: int, last: int, counts: dict[int, int]) ->
     """A run of messages outside of chunks, as if it were a chunk that is not compressed."""
     size = end - start
     return ChunkPlace(start, size, "", start, size, size, first, last, {}, end, counts)
-
-
-# ------------------------------------------------------------------------------- what a chunk holds
-
-_HEAD = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("time", "<u8")]
-)
-_LEAST = MESSAGE.size - RECORD_HEAD
-
-
-@dataclass(frozen=True)
-class Tally:
-    """What a chunk holds.
-
-    Attributes
-    ----------
-    index : dict of int to (n, 2) uint64 array
-        Log time and offset of each message by channel id.
-    listed : bool
-        Whether the index that was given lists every message, and nothing else.
-    start, end : int
-        Earliest and latest log time [ns]; zero without messages.
-    declared : tuple of (int, memoryview)
-        Opcode and content of the schemas and channels among the records.
-    """
-
-    index: Index
-    listed: bool
-    start: int
-    end: int
-    declared: tuple[tuple[int, memoryview], ...]
-
-    @property
-    def counts(self) -> dict[int, int]:
-        """Number of messages by channel id."""
-        return {channel: len(entries) for channel, entries in self.index.items()}
-
-
-def tally(content: bytes, given: Index, offset: int) -> Tally:
-    """Count what a chunk holds.
-
-    Parameters
-    ----------
-    content : bytes
-        The chunk's content, decompressed.
-    given : Index
-        Its message indexes as the file has them; may be empty or wrong.
-    offset : int
-        Where the chunk stands in the file, for errors.
-
-    Raises
-    ------
-    LogError
-        If the content is not one record after the other.
-    """
-    given = {channel: entries for channel, entries in given.items() if len(entries)}
-    with suppress(LogError):
-        declared = _others(content, given) if given else None
-        if declared is not None:
-            return _summed(given, declared, listed=True)
-    index, declared = gone_through(content, offset)
-    return _summed(index, declared, listed=not index and not given)
-
-
-def _summed(index: Index, declared: list[tuple[int, memoryview]], *, listed: bool) -> Tally:
-    start = min((int(entries[:, 0].min()) for entries in index.values()), default=0)
-    end = max((int(entries[:, 0].max()) for entries in index.values()), default=0)
-    return Tally(index, listed, start, end, tuple(declared))
-
-
-def _others(content: bytes, given: Index) -> list[tuple[int, memoryview]] | None:
-    """The records besides the messages that the index lists; None if it is not exact.
-
-    It is exact if the messages that it lists, and other records between them, fill the chunk.
-    """
-    channel = np.concatenate([np.full(len(each), number) for number, each in given.items()])
-    time, start = np.concatenate(list(given.values())).T
-    if int(start.max()) > len(content) - MESSAGE.size:
-        return None
-    order = np.argsort(start, kind="stable")
-    channel, time, start = channel[order], time[order], start[order].astype(np.int64)
-    rows = _heads(content)[start].view(_HEAD)
-    length = rows["length"]
-    if (
-        np.any(length > len(content))
-        or np.any(length < _LEAST)
-        or np.any(rows["opcode"] != Opcode.MESSAGE)
-        or np.any(rows["channel"] != channel)
-        or np.any(rows["time"] != time)
-    ):
-        return None
-    end = start + RECORD_HEAD + length.astype(np.int64)
-    ends = np.concatenate([[0], end])
-    starts = np.concatenate([start, [len(content)]])
-    if np.any(ends > starts):
-        return None
-    found = []
-    view = memoryview(content)
-    for gap in np.flatnonzero(ends < starts).tolist():
-        for _, opcode, body in records(view[int(ends[gap]) : int(starts[gap])]):
-            if opcode == Opcode.MESSAGE:
-                return None
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                found.append((opcode, body))
-    return found
-
-
-def _heads(content: bytes) -> NDArray[np.void]:
-    """Every window of the content that is as long as a message's head."""
-    size = _HEAD.itemsize
-    return np.ndarray((len(content) - size + 1,), f"V{size}", content, 0, (1,))
