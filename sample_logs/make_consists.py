@@ -16,7 +16,7 @@ from trainlog.railway.consist import Consist, Coupler, RollingVehicle, Vehicle
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Brake
 
-# Paper 004 (Amirhosseini et al., 2024), section 5: 350 t, 250 kN, eq. (35).
+# Amirhosseini et al. (2024), section 5: 350 t, 250 kN, eq. (35).
 PAPER_MASS, PAPER_EFFORT = 350e3, 250e3
 PAPER_RESISTANCE = RunningResistance(2_090.0, 39.0, 0.675)
 

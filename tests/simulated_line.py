@@ -123,9 +123,9 @@ def trajectory_of(line: Line, train: Train, factors: tuple[float, ...]) -> Traje
     middling = configurations[len(factors) // 2]
     for k in range(width.size):
         v = speeds[len(factors) // 2, k]
-        room = ceiling[k + 1] ** 2 - v**2
+        spare = ceiling[k + 1] ** 2 - v**2
         drag = float(middling.resistance(v)) + middling.mass * track[k]
-        wanted = middling.inertia * room / (2.0 * width[k]) + drag
+        wanted = middling.inertia * spare / (2.0 * width[k]) + drag
         limit = min(120e3, 0.9 * train.max_traction_power / max(v, 1.0))
         traction[k] = min(max(wanted, 0.0), limit)
         for row, c in enumerate(configurations):

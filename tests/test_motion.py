@@ -1,140 +1,108 @@
-"""Smoothing: exact cases, outages, honest deviations, the process noise against van Loan."""
+"""The one motion of a train, against laws that have closed forms."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from filterpy.common import van_loan_discretization
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from estimators.motion import ACCELERATION_STD, ACCELERATION_TIME, _singer, smooth_motion
-from trainlog.errors import InputError
-
-Array = NDArray[np.float64]
-
-
-def run(duration: float = 400.0, step: float = 0.2) -> tuple[Array, Array, Array, Array]:
-    """A run between two stations: time, position, speed, acceleration."""
-    time = np.arange(0.0, duration, step)
-    acceleration = np.interp(
-        time,
-        [0, 20, 22, 60, 64, 250, 252, 290, 292, 400],
-        [0, 0, 0.8, 0.3, 0.0, 0.0, -0.7, -0.7, 0.0, 0.0],
-    )
-    speed = np.concatenate(
-        ([0.0], np.cumsum(0.5 * (acceleration[1:] + acceleration[:-1]) * np.diff(time)))
-    )
-    position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
-    return time, position, speed, acceleration
-
-
-@settings(max_examples=30, deadline=None)
-@given(step=st.floats(0.02, 10.0))
-def test_process_noise_is_van_loans(step: float) -> None:
-    rate = 1.0 / ACCELERATION_TIME
-    drift = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -rate]])
-    drive = np.array([[0.0], [0.0], [np.sqrt(2.0 * rate) * ACCELERATION_STD]])
-    transition, noise = _singer(np.array([step]))
-    expected_transition, expected_noise = van_loan_discretization(drift, drive, step)
-    np.testing.assert_allclose(transition[0], expected_transition, rtol=1e-9, atol=1e-9)
-    scale = np.sqrt(np.diag(noise[0]))
-    # The reference itself loses digits at short steps: relative to its largest entry.
-    tolerance = 1e-5 + 1e-15 / scale.min() ** 2
-    np.testing.assert_allclose(
-        noise[0] / np.outer(scale, scale),
-        expected_noise / np.outer(scale, scale),
-        rtol=1e-5,
-        atol=tolerance,
-    )
-
-
-def test_constant_speed_without_noise_is_exact() -> None:
-    time = np.arange(0.0, 50.0, 0.1)
-    motion = smooth_motion(time, np.full(time.size, 20.0), 1e-3, 100.0 + 20.0 * time, 1e-2)
-    np.testing.assert_allclose(motion.speed, 20.0, atol=1e-6)
-    np.testing.assert_allclose(motion.position, 100.0 + 20.0 * time, atol=1e-5)
-    np.testing.assert_allclose(motion.acceleration, 0.0, atol=1e-4)
-
-
-def test_smoothing_beats_the_measurement_and_the_deviations_are_honest() -> None:
-    time, position, speed, acceleration = run()
-    rng = np.random.default_rng(1)
-    inside, errors = [], []
-    for _ in range(5):
-        motion = smooth_motion(time, speed + 0.1 * rng.standard_normal(time.size), 0.1)
-        errors.append(motion.speed - speed)
-        inside.append(np.abs(motion.speed - speed) <= 1.96 * motion.speed_std)
-        assert np.abs(motion.position - position).max() < 4.0 * motion.position_std.max()
-        assert np.sqrt(np.mean((motion.acceleration - acceleration) ** 2)) < 0.1
-    assert np.sqrt(np.mean(np.square(errors))) < 0.05
-    assert np.mean(inside) >= 0.93
-
-
-def test_outage_is_bridged_and_the_deviation_says_so() -> None:
-    time, position, speed, _ = run()
-    rng = np.random.default_rng(2)
-    measured = speed + 0.1 * rng.standard_normal(time.size)
-    fix = position + 2.0 * rng.standard_normal(time.size)
-    lost = (time > 120.0) & (time < 150.0)
-    measured[lost] = np.nan
-    fix[lost] = np.nan
-    motion = smooth_motion(time, measured, 0.1, fix, 2.0)
-    middle = np.abs(time - 135.0) < 1.0
-    assert motion.speed_std[middle].min() > 5.0 * motion.speed_std[time < 100.0].mean()
-    assert np.all(np.abs(motion.speed - speed) < 4.0 * motion.speed_std)
-    assert np.all(np.abs(motion.position - position) < 4.0 * motion.position_std)
-    assert np.abs(motion.speed - speed)[lost].max() < 1.0
-
-
-def test_samples_without_measurement_change_nothing() -> None:
-    """Asking at more times is not knowing more."""
-    time, _, speed, _ = run(100.0, 1.0)
-    coarse = smooth_motion(time, speed, 0.1)
-    fine_time = np.arange(0.0, 99.01, 0.5)
-    fine_speed = np.full(fine_time.size, np.nan)
-    fine_speed[::2] = speed
-    fine = smooth_motion(fine_time, fine_speed, 0.1)
-    np.testing.assert_allclose(fine.speed[::2], coarse.speed, atol=1e-6)
-    np.testing.assert_allclose(fine.acceleration_std[::2], coarse.acceleration_std, rtol=1e-6)
-
-
-def test_time_reversed_motion_is_smoothed_alike() -> None:
-    """The smoother looks both ways: a trip run backwards has the same speeds."""
-    time, _, speed, _ = run(200.0, 0.5)
-    measured = speed + 0.1 * np.random.default_rng(3).standard_normal(time.size)
-    forward = smooth_motion(time, measured, 0.1)
-    backward = smooth_motion(time, measured[::-1], 0.1)
-    np.testing.assert_allclose(forward.speed, backward.speed[::-1], atol=1e-3)
-    np.testing.assert_allclose(
-        forward.acceleration[5:-5], -backward.acceleration[::-1][5:-5], atol=5e-3
-    )
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"time": [0.0, 1.0, 1.0]}, "does not increase"),
-        ({"time": [0.0, 1.0, np.nan]}, "finite times"),
-        ({"time": [0.0], "speed": [1.0]}, "at least two"),
-        ({"speed": [1.0, 2.0]}, "must fit 3 times"),
-        ({"speed": [np.nan] * 3}, "neither"),
-        ({"speed_std": 0.0}, "must be positive"),
-        ({"speed_std": [1.0, np.nan, 1.0]}, "must be positive"),
-        ({"position": [0.0, 1.0, 2.0]}, "belong together"),
-    ],
+from trainlog.railway.motion import (
+    SUBSTEPS,
+    Brakes,
+    Motion,
+    Traction,
+    brake_backwards,
+    braking_curve,
+    pull_forwards,
 )
-def test_bad_input_is_refused(change: dict[str, object], message: str) -> None:
-    arguments: dict[str, object] = {
-        "time": [0.0, 1.0, 2.0],
-        "speed": [1.0, 1.0, 1.0],
-        "speed_std": 0.1,
-    }
-    with pytest.raises(InputError, match=message):
-        smooth_motion(**(arguments | change))  # type: ignore[arg-type]
+
+LENGTH, CELLS = 4_000.0, 800
 
 
-def test_deviation_is_not_asked_for_where_nothing_was_measured() -> None:
-    motion = smooth_motion([0.0, 1.0, 2.0], [1.0, np.nan, 1.0], [0.1, np.nan, 0.1])
-    np.testing.assert_allclose(motion.speed[1], 1.0, atol=0.05)
+def motion(drag0: float = 0.0, drag1: float = 0.0, drag2: float = 0.0) -> Motion:
+    return Motion(
+        np.ones(1),
+        np.full((1, CELLS, SUBSTEPS + 1), drag0),
+        np.array([drag1]),
+        np.full((1, CELLS), drag2),
+        np.full(CELLS, LENGTH / CELLS),
+    )
+
+
+POSITIONS = np.linspace(0.0, LENGTH, CELLS + 1)
+FREE = np.full((1, CELLS + 1), np.inf)
+
+
+@given(st.floats(0.1, 2.0), st.floats(0.0, 0.09), st.sampled_from([1, 4]))
+def test_constant_effort_gives_constant_acceleration(a: float, drag: float, order: int) -> None:
+    pull = Traction(np.full(CELLS, a), np.array([np.inf]))
+    z, stalled = pull_forwards(FREE, 0.0, pull, motion(drag), order, 0.0)
+    np.testing.assert_allclose(z[0], (a - drag) * POSITIONS, rtol=1e-9, atol=1e-9)
+    assert stalled[0] == -1
+
+
+def test_constant_power_lets_the_cube_of_the_speed_grow_with_the_distance() -> None:
+    power, begin = 20.0, 10.0
+    pull = Traction(np.full(CELLS, np.inf), np.array([power]))
+    z, _ = pull_forwards(FREE, 0.5 * begin**2, pull, motion(), 4, 0.0)
+    np.testing.assert_allclose(np.sqrt(2.0 * z[0]) ** 3, begin**3 + 3.0 * power * POSITIONS, 1e-6)
+
+
+def test_an_effort_that_falls_with_the_speed_follows_its_curve() -> None:
+    """``dv/dt = a (1 - v/w)``: the distance to a speed is ``-w/a (v + w ln(1 - v/w))``."""
+    a, w = 0.8, 40.0
+    pull = Traction(
+        np.full(CELLS, np.inf), np.array([np.inf]), np.array([0.0, w]), np.array([a, 0.0])
+    )
+    z, _ = pull_forwards(FREE, 0.0, pull, motion(), 4, 0.0)
+    v = np.sqrt(2.0 * z[0, 1:])
+    needed = -w / a * (v + w * np.log(1.0 - v / w))
+    np.testing.assert_allclose(needed[20:], POSITIONS[21:], rtol=2e-3)
+    assert needed[-1] == pytest.approx(LENGTH, rel=1e-4)
+
+
+def test_steps_of_first_order_converge_to_those_of_fourth() -> None:
+    pull = Traction(np.full(CELLS, 0.9), np.array([15.0]))
+    ends = [
+        pull_forwards(FREE, 0.0, pull, motion(0.02, 1e-3, 1e-4), order, 0.0)[0][0, -1]
+        for order in (1, 4)
+    ]
+    assert ends[0] == pytest.approx(ends[1], rel=2e-3)
+    assert ends[0] != ends[1]
+
+
+def test_a_train_that_drag_overcomes_stalls_or_crawls() -> None:
+    pull = Traction(np.full(CELLS, 0.1), np.array([np.inf]))
+    z, stalled = pull_forwards(FREE, 10.0, pull, motion(0.2), 4, 0.0)
+    assert stalled[0] == np.flatnonzero(z[0] == 0.0)[0] - 1 == 19
+    z, stalled = pull_forwards(FREE, 10.0, pull, motion(0.2), 4, 0.125)
+    assert stalled[0] == -1
+    assert z[0, -1] == 0.125
+
+
+@given(st.floats(0.2, 1.5), st.floats(0.0, 0.1), st.floats(0.0, 0.1))
+def test_full_braking_backwards_adds_brake_and_drag(b: float, drag: float, pull: float) -> None:
+    most = np.full((1, CELLS), b)
+    brakes = Brakes(most, most, np.zeros_like(most), 0.0)
+    z = brake_backwards(FREE, 0.0, np.full(CELLS, pull), brakes, motion(drag))
+    np.testing.assert_allclose(z[0], (b + drag - pull) * (LENGTH - POSITIONS), rtol=1e-9, atol=1e-9)
+
+
+def test_a_dynamic_brake_is_limited_by_its_power() -> None:
+    """Power is force times speed, here that of the beginning of each cell."""
+    none, power = np.zeros((1, CELLS)), 10.0
+    brakes = Brakes(none + 9.0, none, none + 1.0, power)
+    z = brake_backwards(FREE, 0.0, np.zeros(CELLS), brakes, motion())
+    v = np.sqrt(2.0 * z[0])
+    braked = -np.diff(z[0]) / np.diff(POSITIONS)
+    np.testing.assert_allclose(braked, np.minimum(1.0, power / v[:-1]), rtol=1e-3)
+
+
+def test_the_braking_curve_of_one_deceleration_meets_the_limits() -> None:
+    limits = np.where(POSITIONS < 2_000.0, 30.0, 10.0)
+    curve = braking_curve(POSITIONS, limits, 0.5)
+    before = POSITIONS < 2_000.0
+    expected = np.minimum(30.0, np.sqrt(10.0**2 + 2.0 * 0.5 * (2_000.0 - POSITIONS[before])))
+    np.testing.assert_allclose(curve[before], expected)
+    np.testing.assert_allclose(curve[~before], 10.0)

@@ -108,7 +108,7 @@ def test_effort_falls_with_speed_at_the_power_limit() -> None:
 
 
 def test_creep_curves_peak_where_the_paper_says() -> None:
-    # Corrected values of paper 003, figure 2.
+    # Corrected values of Zhao et al. (2025), figure 2.
     assert DRY.peak_slip == pytest.approx(1.210, abs=5e-4)
     assert DRY.peak == pytest.approx(0.2862, abs=5e-5)
     assert WET.peak_slip == pytest.approx(2.984, abs=5e-4)
