@@ -110,6 +110,14 @@ def test_the_samples_profile_is_valid() -> None:
             HEAD + "[trip]\nload = {value=3, unit='t'}\nmass = {value=3, unit='t'}",
             "trip: give load or mass, not both",
         ),
+        (
+            HEAD + "[lines]\nkind='1'\npayload='2'\nkinds={I={typ='<i2'}}",
+            "lines.kinds.I.typ: unknown key 'typ' .*did you mean 'type'",
+        ),
+        (
+            HEAD + "[trip]\nload = {valu=3, unit='t'}",
+            "trip.load.valu: unknown key 'valu' .*did you mean 'value'",
+        ),
         (HEAD + "[repair]\nspike = false", "unknown key 'spike'; did you mean 'spikes'"),
         (HEAD + "[repair]\nspikes = 3", "repair.spikes: must be a valid boolean"),
         (

@@ -10,9 +10,9 @@ import datetime
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import pydantic
@@ -559,7 +559,9 @@ def profile_of(content: dict[str, Any], *, file: str | Path | None = None) -> Pr
 
 
 def _in_one_line(error: pydantic.ValidationError, file: str | Path | None) -> InputError:
-    first, *others = error.errors(include_url=False)
+    complaints = error.errors(include_url=False)
+    # A misspelt key goes before the one that is missing for it.
+    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
     place = "".join(f'."{part}"' if "/" in str(part) else f".{part}" for part in first["loc"])
     key = str(first["loc"][-1]) if first["loc"] else ""
     problem = must_be(first["msg"].removeprefix("Value error, "))
@@ -572,32 +574,27 @@ def _in_one_line(error: pydantic.ValidationError, file: str | Path | None) -> In
     else:
         problem, _, advice = problem.partition("; ")
         remedy = advice or None
-    if others:
-        problem += f" (and {len(others)} more)"
+    if len(complaints) > 1:
+        problem += f" (and {len(complaints) - 1} more)"
     return InputError(problem, file=file, place=place.lstrip(".") or None, remedy=remedy)
 
 
 def _keys_beside(place: tuple[int | str, ...]) -> Iterable[str]:
     """The keys that a profile knows at the same level as the key at `place`."""
-    sections: dict[str, type[BaseModel]] = {
-        "detect": Detection,
-        "file": FileOptions,
-        "time": TimeOptions,
-        "lines": LineOptions,
-        "rides": RideOptions,
-        "columns": Column,
-        "trip": TripOptions,
-        "limits": Limits,
-        "repair": Repair,
-    }
     model: type[BaseModel] = Profile
-    if len(place) > 1:
-        model = sections.get(str(place[0]), Profile)
-    if place[0] == "limits" and len(place) == 4:
-        model = Limit
-    if place[0] == "trip" and len(place) == 3:
-        model = Quantity
+    for part in place[:-1]:
+        field = model.model_fields.get(str(part))
+        if field is not None:  # else it is a name that the user chose
+            model = next(_models(field.annotation), model)
     return model.model_fields
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The parts of a profile that an annotation such as ``dict[str, Column] | None`` names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models(inner)
 
 
 def suggestion(name: str, known: Iterable[str], what: str = "known") -> str:
