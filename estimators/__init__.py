@@ -1,1 +1,43 @@
-"""Recursive estimators, filters and smoothers; they work on arrays, not on logs or files."""
+"""Recursive estimators, filters and smoothers; they work on arrays, not on logs or files.
+
+Examples
+--------
+>>> import estimators
+>>> detector = estimators.SlipDetector(axles=1, slip_std=0.05)
+>>> detector.update([[2.0], [2.1]]).tolist()
+[[False], [True]]
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from trainlog.public import names_on_first_use
+
+if TYPE_CHECKING:
+    from estimators.adhesion import AdhesionObserver as AdhesionObserver
+    from estimators.adhesion import smoothed_force as smoothed_force
+    from estimators.creep_curve import estimate_creep_curve as estimate_creep_curve
+    from estimators.linear_gaussian import LinearGaussian as LinearGaussian
+    from estimators.linear_gaussian import wandering_slope as wandering_slope
+    from estimators.motion import smooth_motion as smooth_motion
+    from estimators.odometry import OdometryFilter as OdometryFilter
+    from estimators.rls import RecursiveLeastSquares as RecursiveLeastSquares
+    from estimators.rls import edges_crossed as edges_crossed
+    from estimators.rls import periods_elapsed as periods_elapsed
+    from estimators.rls import record_with_resets as record_with_resets
+    from estimators.slip import SlipDetector as SlipDetector
+    from estimators.slip import train_speed as train_speed
+
+_NAMES = {
+    "estimators.adhesion": "AdhesionObserver smoothed_force",
+    "estimators.creep_curve": "estimate_creep_curve",
+    "estimators.linear_gaussian": "LinearGaussian wandering_slope",
+    "estimators.motion": "smooth_motion",
+    "estimators.odometry": "OdometryFilter",
+    "estimators.rls": "RecursiveLeastSquares edges_crossed periods_elapsed record_with_resets",
+    "estimators.slip": "SlipDetector train_speed",
+}
+"""Public names by the module that defines them."""
+
+__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
