@@ -108,8 +108,8 @@ class Layout:
         return len(self.template)
 
     @cached_property
-    def masks(self) -> NDArray[np.uint64]:
-        """Place, mask and value of words of eight bytes that cover the constants; (k, 3)."""
+    def constants(self) -> list[tuple[int, np.uint64, np.uint64]]:
+        """Place, mask and value of words of eight bytes that cover the constant bytes."""
         constant = np.ones(self.size, dtype=np.bool_)
         for kind, at, *_ in (self.record.fields or {}).values():
             constant[at : at + kind.itemsize] = False
@@ -119,15 +119,9 @@ class Layout:
             if at >= covered:
                 start = min(at, self.size - 8)
                 covered = start + 8
-                part = slice(start, covered)
-                words.append(
-                    (
-                        start,
-                        int.from_bytes(mask[part], "little"),
-                        int.from_bytes(self.template[part], "little"),
-                    )
-                )
-        return np.array(words, dtype=np.uint64)
+                halves = (part[start:covered] for part in (mask, self.template))
+                words.append((start, *(np.frombuffer(half, dtype="<u8")[0] for half in halves)))
+        return words
 
     def place(self, name: str) -> int:
         """Where a value begins in a record [bytes]."""
@@ -140,11 +134,10 @@ class Layout:
     def matches(self, rows: NDArray[np.void]) -> bool:
         """Whether each record has the constant bytes where they belong."""
         raw = rows.view(f"V{self.size}")
-        for at, mask, value in self.masks.tolist():
-            words = np.ndarray(raw.shape, "<u8", raw.data, at, (self.size,))
-            if np.any((words & np.uint64(mask)) != np.uint64(value)):
-                return False
-        return True
+        return all(
+            bool(np.all((np.ndarray(raw.shape, "<u8", raw.data, at, (self.size,)) & mask) == value))
+            for at, mask, value in self.constants
+        )
 
 
 def layout(channel: int, body: Iterable[bytes | Value]) -> Layout:

@@ -20,10 +20,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.codec import sample_codec
+from trainlog.mcap.codec import codec_for
 from trainlog.mcap.index import ChunkPlace, Contents
 from trainlog.mcap.records import POSITIONS_RECORD
-from trainlog.mcap.schemas import WireField
 from trainlog.mcap.source import Source
 from trainlog.mcap.tables import frames_in, topic_channels
 from trainlog.spans import Spans, merged_spans, spans_within
@@ -73,11 +72,7 @@ def _place(topic: str) -> int | None:
     """Where the position stands in a message as this version writes it; None if it has none."""
     if topic not in POSITION_TOPICS:
         return None
-    fields = [
-        WireField(item.name, number, item.per_axle)
-        for number, item in enumerate(TOPICS[topic].fields, start=1)
-    ]
-    return sample_codec(1, fields, {}).layout.place("position")
+    return codec_for(TOPICS[topic], 1, {}).layout.place("position")
 
 
 def position_ranges(contents: Contents, topic: str) -> list[tuple[ChunkPlace, Range]] | None:
