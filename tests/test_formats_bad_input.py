@@ -313,7 +313,7 @@ CONSIST_CASES = [
     (
         "vehicles.0.count",
         9,
-        "Amirhosseini et al. (2024), 8 wagons': 9 vehicles need 8",
+        "f.json: consist 'train of Amirhosseini et al. (2024), 8 wagons': 9 vehicles need 8",
     ),
     ("vehicles", [], "f.json, vehicles: has too few entries; give at least 1 item"),
     (
@@ -324,7 +324,11 @@ CONSIST_CASES = [
     ("couplers.0.stiffness.value", 0, "f.json, couplers[0]: coupler: stiffness 0.0 N/m is not"),
     ("couplers.0.slack.value", -3, "f.json, couplers[0]: coupler: slack -0.003 is negative"),
     ("couplers.0.stifness", 1, "f.json, couplers[0].stifness: unknown key 'stifness'"),
-    ("brake.lag.value", -1, "Amirhosseini et al. (2024), 8 wagons': a brake with a dead"),
+    (
+        "brake.lag.value",
+        -1,
+        "f.json: consist 'train of Amirhosseini et al. (2024), 8 wagons': a brake with a dead",
+    ),
     (
         "brake.propagation",
         {"value": 0, "unit": "m/s"},
