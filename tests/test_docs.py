@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from trainlog.cli import main as cli
 from trainlog.formats.samples import copy_samples
+from trainlog.topics import TOPICS
 
 CHECKOUT = Path(__file__).parents[1]
 PAGES = sorted([CHECKOUT / "README.md", *(CHECKOUT / "docs").glob("*.md")])
@@ -51,3 +53,27 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")):
         if not target.startswith(("http:", "https:")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def resolved(dotted: str) -> object:
+    """The module, class or function of a dotted name."""
+    parts = dotted.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[count:]:
+            found = getattr(found, name)
+        return found
+    raise ModuleNotFoundError(dotted)
+
+
+NAME = re.compile(r"`((?:trainlog|analysis|estimators)(?:\.\w+)+)(?:\([^`]*)?`")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_names_of_the_code_exist(page: Path) -> None:
+    messages = {topic.message for topic in TOPICS.values()}
+    for dotted in set(NAME.findall(page.read_text("utf-8"))) - messages:
+        resolved(dotted)
