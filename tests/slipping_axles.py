@@ -1,7 +1,7 @@
 """A small plant to judge the adhesion estimators by: a train whose powered axles can slip.
 
-Independent of `trainlog.simulation`, with the truth at every sample: paper 003, eq. (1), (8), (10),
-all at the wheel rim, with a slip protection that takes effort away and gives it back.
+Independent of `trainlog.simulation`, with the truth at every sample: Zhao et al. (2025), eqs. (1),
+(8), (10), all at the wheel rim, with a slip protection that takes effort away and gives it back.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def test_any_trip_is_fitted_or_refused(
 def test_windows_scatter_around_the_curve_as_they_say(fitted: list[TripFit]) -> None:
     for fit in fitted:
         points = fit.points
-        z = (points.resistance - fit.resistance(points.speed)) / points.std
+        z = (points.value - fit.resistance(points.speed)) / points.std
         assert np.median(np.abs(z)) < 1.5
 
 

@@ -23,11 +23,12 @@ from analysis.resistance import (
     summarised,
 )
 from analysis.resistance.combination import nearest_physical
-from analysis.resistance.fit import History, WindowPoints
+from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit
 from analysis.resistance.plot import draw_each_refused, draw_fits, draw_refused, draw_trip
 from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals, powers
+from analysis.resistance.windows import WindowPoints
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import read_parameters, write_parameters

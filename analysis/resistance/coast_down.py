@@ -231,7 +231,7 @@ def coast_down(
             moved.append(_located(trip, sources.line))
         except NotIdentifiableError as error:
             refused[trip.name] = str(error)
-    check_any(moved, refused)
+    check_not_empty(moved, refused)
     detection = _detected(moved, expected)
     fits: list[TripCoastDown] = []
     for (motion, travelled), segments in zip(moved, detection.segments, strict=True):
@@ -239,7 +239,7 @@ def coast_down(
             fits.append(fit_segments(motion, travelled, segments, expected))
         except NotIdentifiableError as error:
             refused[motion.trip] = str(error)
-    check_any(fits, refused)
+    check_not_empty(fits, refused)
     curve, between, ratio = combined(fits, expected)
     check_plausible(curve)
     check_supported(curve, speeds)
@@ -412,7 +412,7 @@ def _detected(moved: Sequence[tuple[Motion, Line]], expected: MassRatio) -> Dete
     return detect(blocks, (expected.value, expected.std))
 
 
-def check_any(found: Sequence[object], refused: dict[str, str]) -> None:
+def check_not_empty(found: Sequence[object], refused: dict[str, str]) -> None:
     """Refuse trips of which none is of use, with the reason for the first.
 
     Raises

@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.resistance.coasting_detection import SPACING, Segment
 from analysis.resistance.motion import Motion
 from analysis.resistance.noise import Expected, NoiseParts
-from analysis.resistance.recording import POSITION_STEP, Recording, SpeedScale, gradient_pieces
+from analysis.resistance.recording import Recording, SpeedScale, gradient_pieces, track_slope
 from analysis.resistance.regression import Regression, band_factor, curve_std, powers, regress
-from analysis.resistance.windows import WINDOW, Windows, build_windows
+from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_windows
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
@@ -158,25 +158,6 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class WindowPoints:
-    """The data as points of the curve, one a window; (n,) arrays.
-
-    Attributes
-    ----------
-    speed : array [m/s]
-    deceleration, std : array [m/s²]
-        By running resistance alone, from the window alone and the fitted k.
-    used : bool array
-        False for outliers.
-    """
-
-    speed: FloatArray
-    deceleration: FloatArray
-    std: FloatArray
-    used: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
 class TripCoastDown:
     """Running resistance over inertia as one trip's coasting shows it.
 
@@ -277,8 +258,6 @@ def coasting_recording(motion: Motion, line: Line, segments: tuple[Segment, ...]
         inside |= (time >= segment.start) & (time <= segment.end)
     position = np.interp(time, motion.time, np.nan_to_num(motion.position))
     section, nearest = gradient_pieces(line, position)
-    slope = line.track_acceleration(position + POSITION_STEP)
-    slope = (slope - line.track_acceleration(position - POSITION_STEP)) / (2.0 * POSITION_STEP)
     nothing = np.zeros(time.size)
     usable = motion.usable & np.isfinite(motion.position)
     between = np.interp(time, motion.time, usable.astype(np.float64))
@@ -289,7 +268,7 @@ def coasting_recording(motion: Motion, line: Line, segments: tuple[Segment, ...]
         braking=nothing,
         rotating_momentum=nothing,
         track=nothing,
-        track_slope=slope,
+        track_slope=track_slope(line, position),
         section=section,
         nearest_edge=nearest,
         # Between two samples both have to be usable.
@@ -417,7 +396,7 @@ def _points(windows: Windows, regression: Regression, theta: FloatArray) -> Wind
     y = np.concatenate([part.y for part in parts])
     return WindowPoints(
         speed=np.concatenate([part.mean_speed for part in parts]),
-        deceleration=(theta[0] * x[:, 0] - y) / duration,
+        value=(theta[0] * x[:, 0] - y) / duration,
         std=np.sqrt(2.0) * regression.noise.speed / duration,
         used=np.repeat([True, False], [part.count for part in parts]),
     )

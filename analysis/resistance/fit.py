@@ -27,7 +27,7 @@ from analysis.resistance.regression import (
     powers,
     regress,
 )
-from analysis.resistance.windows import Evidence, Windows, part_of
+from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
@@ -53,25 +53,6 @@ LARGEST_STD = 0.10
 
 SHORTEST_TIME = 200.0
 """Less usable time than this [s] is too short a trip."""
-
-
-@dataclass(frozen=True, eq=False)
-class WindowPoints:
-    """The data as points of the drag curve, one for every ten seconds; (n,) arrays.
-
-    Attributes
-    ----------
-    speed : array [m/s]
-    resistance, std : array [N]
-        Mean running resistance over this time, from these windows alone and the fitted mass.
-    used : bool array
-        False for outliers, which stand alone.
-    """
-
-    speed: FloatArray
-    resistance: FloatArray
-    std: FloatArray
-    used: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

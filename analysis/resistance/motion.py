@@ -9,6 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.resistance.recording import SpeedScale, speed_scale
+from analysis.resistance.windows import integral_up_to
 from estimators.motion import smooth_motion
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.trip import POSITION_TOPICS, Trip, seconds
@@ -138,20 +139,10 @@ def smoothed_over(time: FloatArray, values: FloatArray, reach: float) -> FloatAr
 
     Speed and what acts on it are averaged alike, so that the equation of motion still holds.
     """
-    area = np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))))
     low, high = np.maximum(time - reach, time[0]), np.minimum(time + reach, time[-1])
-    mean = _up_to(time, values, area, high) - _up_to(time, values, area, low)
-    return np.asarray(mean / (high - low))
-
-
-def _up_to(
-    time: FloatArray, values: FloatArray, area: FloatArray, instants: FloatArray
-) -> FloatArray:
-    """Integral up to `instants` of the straight lines between samples."""
-    index = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, time.size - 2)
-    into = instants - time[index]
-    slope = (values[index + 1] - values[index]) / (time[index + 1] - time[index])
-    return np.asarray(area[index] + into * (values[index] + 0.5 * slope * into))
+    column = values[:, None]
+    area = integral_up_to(time, column, high) - integral_up_to(time, column, low)
+    return np.asarray(area[:, 0] / (high - low))
 
 
 def _speed(trip: Trip, topic: str) -> tuple[str, pd.DatetimeIndex, FloatArray] | None:

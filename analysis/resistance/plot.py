@@ -87,7 +87,7 @@ def _together(axes: Axes, fits: Fits) -> None:
     drag = common.resistance(speed)
     if fits.trips:
         seen = np.concatenate([fit.points.speed[fit.points.used] for fit in fits.trips])
-        drag = np.concatenate([fit.points.resistance[fit.points.used] for fit in fits.trips])
+        drag = np.concatenate([fit.points.value[fit.points.used] for fit in fits.trips])
         axes.plot(
             KMH * seen,
             drag / KILONEWTON,
@@ -330,7 +330,7 @@ def _data(axes: Axes, fit: TripFit) -> None:
     points, used = fit.points, fit.points.used
     axes.errorbar(
         KMH * points.speed[used],
-        points.resistance[used] / KILONEWTON,
+        points.value[used] / KILONEWTON,
         yerr=points.std[used] / KILONEWTON,
         fmt=".",
         color=GREY,
@@ -341,13 +341,13 @@ def _data(axes: Axes, fit: TripFit) -> None:
     if not used.all():
         axes.plot(
             KMH * points.speed[~used],
-            points.resistance[~used] / KILONEWTON,
+            points.value[~used] / KILONEWTON,
             "x",
             color=RED,
             label=f"{int((~used).sum())} outliers, axes out",
         )
     draw_curve(axes, fit, speed, BLUE, "fitted, 95 % band of the whole curve")
-    axes.set_ylim(*resistance_limits(fit.resistance(speed), points.resistance[used]))
+    axes.set_ylim(*resistance_limits(fit.resistance(speed), points.value[used]))
     dress(axes, x="speed [km/h]", y="running resistance [kN]", title=_summary(fit))
     legend(axes, "upper left")
 
@@ -556,7 +556,7 @@ def _curve(axes: Axes, found: CoastDown) -> None:
 def _windows(axes: Axes, trips: Sequence[TripCoastDown]) -> None:
     speed, value, std, used = (
         np.concatenate([getattr(fit.points, name) for fit in trips])
-        for name in ("speed", "deceleration", "std", "used")
+        for name in ("speed", "value", "std", "used")
     )
     axes.errorbar(
         KMH * speed[used],

@@ -299,11 +299,7 @@ def prepare(
         braking=dynamic,
         rotating_momentum=_rotating_momentum(train, speed, wheels),
         track=line.track_acceleration(position),
-        track_slope=(
-            line.track_acceleration(position + POSITION_STEP)
-            - line.track_acceleration(position - POSITION_STEP)
-        )
-        / (2.0 * POSITION_STEP),
+        track_slope=track_slope(line, position),
         section=section,
         nearest_edge=nearest,
         usable=~bad,
@@ -517,6 +513,13 @@ def widened(time: FloatArray, mask: BoolArray) -> BoolArray:
     first = np.searchsorted(time, time - MARGIN, side="left")
     last = np.searchsorted(time, time + MARGIN, side="right")
     return np.asarray(marked[last] > marked[first])
+
+
+def track_slope(line: Line, position: FloatArray) -> FloatArray:
+    """Change of the track's deceleration with chainage [m/s² per m] at each position [m]."""
+    ahead, behind = position + POSITION_STEP, position - POSITION_STEP
+    change = line.track_acceleration(ahead) - line.track_acceleration(behind)
+    return np.asarray(change / (2.0 * POSITION_STEP))
 
 
 def gradient_pieces(

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.given import Given
-from analysis.resistance.coast_down import Sources, check_any, one_train, with_origin
+from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
 from analysis.resistance.coasting_detection import SHORTEST
 from analysis.resistance.coasting_fit import LARGEST_STD, SHORTEST_RANGE
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
@@ -135,7 +135,9 @@ def coast_down_without_gradient(
             continue
         parts.append(found)
         notes.append({"trip": trip.name, "accepted": True, "passages": int(found.piece.size)})
-    check_any(parts, {str(each["trip"]): str(each["reason"]) for each in notes if "reason" in each})
+    check_not_empty(
+        parts, {str(each["trip"]): str(each["reason"]) for each in notes if "reason" in each}
+    )
     rows = _joined(parts)
     _check_repeated(rows)
     return with_origin(replace(_solved(rows, notes), train=train), sources.digests)

@@ -150,6 +150,26 @@ class Windows:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class WindowPoints:
+    """The data as points of a drag curve, one for every ten seconds; (n,) arrays.
+
+    Attributes
+    ----------
+    speed : array [m/s]
+    value, std : array [N], or [m/s²] where the train coasted
+        Mean running resistance over this time, or that over inertia, from these windows alone and
+        the fitted mass, or mass over inertia.
+    used : bool array
+        False for outliers, which stand alone.
+    """
+
+    speed: FloatArray
+    value: FloatArray
+    std: FloatArray
+    used: NDArray[np.bool_]
+
+
 def build_windows(recording: Recording, width: float = WINDOW) -> Windows:
     """Cut the usable stretches of a recording into windows.
 
@@ -234,10 +254,10 @@ def _averaged(
 ) -> FloatArray:
     """Mean (m, c) over half of `width` to either side of `instants` of sampled values (n, c)."""
     low, high = instants - 0.5 * width, instants + 0.5 * width
-    return (_area(time, values, high) - _area(time, values, low)) / width
+    return (integral_up_to(time, values, high) - integral_up_to(time, values, low)) / width
 
 
-def _area(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
+def integral_up_to(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
     """Integral (m, c) up to `instants` of the straight lines between samples."""
     whole = _integral(time, values)
     index = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, time.size - 2)

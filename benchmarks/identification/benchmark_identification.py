@@ -3,11 +3,11 @@
     python benchmarks/identification/benchmark_identification.py [--trips 400] [--picture study.png]
 
 Trips are drawn, fitted and combined as the product does it (`study.py`). Peers in the same run:
-recursive least squares on differenced speed with the mass fixed (paper 004, eqs. 21-24) and
-ordinary least squares on integral windows of ten seconds. The error is the root mean square over
-5 to 55 m/s of the curve's relative error; the bound is that of Cramér and Rao (`bound.py`), below
-which no unbiased estimator comes. Medians of few groups scatter: beside the bound stands the range
-in which half of the groups would lie if nothing at all were lost.
+recursive least squares on differenced speed with the mass fixed (Amirhosseini et al., 2024, eqs.
+21-24) and ordinary least squares on integral windows of ten seconds. The error is the root mean
+square over 5 to 55 m/s of the curve's relative error; the bound is that of Cramér and Rao
+(`bound.py`), below which no unbiased estimator comes. Medians of few groups scatter: beside the
+bound stands the range in which half of the groups would lie if nothing at all were lost.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def compiled(rows: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def numpy_loop(rows: FloatArray, values: FloatArray) -> FloatArray:
-    """The conventional recursion, paper 004, eqs. (15)-(17)."""
+    """The conventional recursion, Amirhosseini et al. (2024), eqs. (15)-(17)."""
     theta, covariance = np.zeros(3), np.diag(PRIOR**2)
     for row, value in zip(rows, values, strict=True):
         product = covariance @ row

@@ -1,10 +1,11 @@
 """Simulated trips for the identification study, with everything that makes it hard.
 
-A train of paper 004 (350 t, eq. 35 without its slow variation) runs 60 km on lines and at speeds
-drawn anew for each trip, holding speed or powering and coasting, braking for lower limits.
-Recorded at 10 Hz: speed with 0.03 m/s of noise in steps of 0.01 m/s, effort, chainage summed up
-from that speed, and satellites' speed. What the estimator is given is wrong as in practice: each
-gradient of the map by 0.5 per mille, each change of gradient by up to 20 m, the mass by up to 10 %.
+A train of Amirhosseini et al. (2024) (350 t, eq. 35 without its slow variation) runs 60 km on
+lines and at speeds drawn anew for each trip, holding speed or powering and coasting, braking for
+lower limits. Recorded at 10 Hz: speed with 0.03 m/s of noise in steps of 0.01 m/s, effort,
+chainage summed up from that speed, and satellites' speed. What the estimator is given is wrong as
+in practice: each gradient of the map by 0.5 per mille, each change of gradient by up to 20 m, the
+mass by up to 10 %.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ PERIOD = 0.1
 
 
 PAPER = RunningResistance(2090.0, 39.0, 0.675)
-"""Paper 004, eq. (35), without the slow variation."""
+"""Amirhosseini et al. (2024), eq. (35), without the slow variation."""
 
 
 @dataclass(frozen=True)
