@@ -194,7 +194,7 @@ def test_a_late_train_catches_up_as_far_as_physics_allow() -> None:
     assert found["over"] <= 0.0
 
 
-def test_the_log_tells_the_reference_and_the_configuration(tmp_path: Path) -> None:
+def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None:
     train, trajectory = plan()
     (scenario,) = trajectory_scenarios(
         trajectory, hilly_line(), train, [LIGHT],
@@ -217,7 +217,7 @@ def test_the_log_tells_the_reference_and_the_configuration(tmp_path: Path) -> No
         draw_following([], tmp_path / "none.png")
 
 
-def test_where_the_map_was_not_observed_it_still_tells_what_is_likely() -> None:
+def test_where_the_map_was_not_observed_it_still_states_what_is_likely() -> None:
     track = map_of(steps((0.0, 0.2)), spread=0.1)
     layer = track.layers["wet"]
     unseen = replace(track, layers={"wet": replace(layer, observed=~layer.observed)})
@@ -243,15 +243,15 @@ def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> N
 # ---- by its own instruments -----------------------------------------------------------------
 
 
-def seen_by_itself(scenario: Scenario, told: list[Observation]) -> Scenario:
+def seen_by_itself(scenario: Scenario, observed: list[Observation]) -> Scenario:
     """The scenario with a driver who sees the train by its instruments; what he saw is kept."""
 
     def locates(sensors: Sensors, start: float) -> Locator:
         odometry = Odometry(sensors, start)
 
         def locate(reading: Reading) -> Observation:
-            told.append(odometry(reading))
-            return told[-1]
+            observed.append(odometry(reading))
+            return observed[-1]
 
         return locate
 
@@ -259,7 +259,7 @@ def seen_by_itself(scenario: Scenario, told: list[Observation]) -> Scenario:
 
 
 @pytest.mark.parametrize("name", [LIGHT, HEAVY])
-def test_it_keeps_limits_and_stop_by_what_its_own_instruments_tell(name: str) -> None:
+def test_it_keeps_limits_and_stop_by_what_its_own_instruments_measure(name: str) -> None:
     train, trajectory = plan()
 
     def follows() -> Follower:
@@ -268,8 +268,8 @@ def test_it_keeps_limits_and_stop_by_what_its_own_instruments_tell(name: str) ->
         )
 
     (scenario,) = trajectory_scenarios(trajectory, hilly_line(), train, [name], follows, seed=3)
-    told: list[Observation] = []
-    found = driven(seen_by_itself(replace(scenario, maximum_adhesion=slippery()), told))
+    observed: list[Observation] = []
+    found = driven(seen_by_itself(replace(scenario, maximum_adhesion=slippery()), observed))
     assert found["over"] <= 0.0
     assert abs(found["arrival"] - trajectory.times[trajectory.latest, -1]) < 1.5
     assert abs(found["position"][-1] - hilly_line().length) < 1.0
@@ -277,8 +277,8 @@ def test_it_keeps_limits_and_stop_by_what_its_own_instruments_tell(name: str) ->
     # And the odometry is as good as it says, which is never the truth.
     count = found["position"].size
     for quantity, least in (("position", 0.005), ("speed", 0.003)):
-        seen = np.array([getattr(each, quantity) for each in told])[:count]
-        std = np.array([getattr(each, f"{quantity}_std") for each in told])[:count]
+        seen = np.array([getattr(each, quantity) for each in observed])[:count]
+        std = np.array([getattr(each, f"{quantity}_std") for each in observed])[:count]
         moving = found["speed"] > 0.5
         off = np.abs(seen - found[quantity])[moving]
         assert np.mean(off > least) > 0.5
@@ -517,7 +517,7 @@ def test_a_map_of_another_line_and_a_layer_it_has_not_are_refused() -> None:
         Follower(trajectory, hilly_line(), train, condition=map_of(slippery()), layer="dry")
 
 
-def test_a_tuning_that_makes_no_sense_is_refused() -> None:
+def test_a_tuning_that_is_not_positive_is_refused() -> None:
     with pytest.raises(InputError, match="following: step 0"):
         Tuning(step=0.0)
 

@@ -12,10 +12,9 @@ import pytest
 from analysis.studies.hauck_2023 import model as dynamics
 from analysis.studies.hauck_2023 import reference as shooting
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.reference import node_count, reference, references
+from analysis.studies.hauck_2023.reference import node_count, reference
 from analysis.studies.hauck_2023.section import (
     Section,
-    adhesion_profile,
     check_timetable,
     fastest,
     least_time,
@@ -24,8 +23,6 @@ from analysis.studies.hauck_2023.section import (
     sections_of,
 )
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.condition import read_map
-from trainlog.formats.samples import sample
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.simulation.drivers import Stop
 
@@ -119,12 +116,12 @@ def test_a_timetable_that_cannot_be_kept_is_explained_before_any_solver(
     monkeypatch.setattr(shooting, "_solve", never)
     tight = section(120.0)
     with pytest.raises(InfeasibleError, match=r"A - B: the timetable allows 120 s, .* needs") as e:
-        references((tight,))
+        reference(tight)
     assert e.value.remedy is not None
     assert "later or more" in e.value.remedy
 
 
-def test_a_train_that_stalls_is_told_where() -> None:
+def test_a_train_that_stalls_is_refused_with_the_place() -> None:
     icy = StepProfile(np.array([0.0, 650.0, 1_500.0]), np.array([0.3, 0.003, 0.3]))
     with pytest.raises(InfeasibleError, match=r"comes to a stand at km 1\.[0-4]\d\d"):
         check_timetable((section(600.0, icy, slope=0.03),))
@@ -164,15 +161,6 @@ def test_stops_out_of_order_are_refused() -> None:
     third = Stop("C", 2_000.0, 400.0, 400.0)
     with pytest.raises(InputError, match="'B' and 'C' are not in the order of travel"):
         sections_of(line(), PUBLISHED_TRAIN, GRIP, (*stops, third))
-
-
-def test_a_map_with_holes_is_refused_unless_they_are_filled() -> None:
-    track = read_map(sample("CH_StGallen_Wil.map.json"))
-    with pytest.raises(InputError, match=r"holes: layer 'wet' was not observed in \d+ of"):
-        adhesion_profile(track, "wet")
-    filled = adhesion_profile(track, "wet", unobserved=0.08)
-    assert np.isfinite(filled.values).all()
-    assert filled.values.min() > 0.0
 
 
 def test_an_adhesion_of_zero_is_refused() -> None:

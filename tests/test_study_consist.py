@@ -138,7 +138,7 @@ def test_what_cannot_be_driven_is_refused(consist: Consist, speed: float, words:
         study.run(consist, SHORT, speed=speed)
 
 
-def test_a_train_that_cannot_climb_is_told() -> None:
+def test_a_train_that_cannot_climb_is_refused() -> None:
     steep = replace(SHORT, gradients=steps((0.0, 0.0), (600.0, 0.19)))
     with pytest.raises(InfeasibleError, match="does not get over line 'level': at km 0"):
         study.run(passenger(), steep, speed=15.0)

@@ -305,7 +305,7 @@ def test_learning_saves_from_a_rail_that_no_assumption_fits() -> None:
     assert pulled["learnt"] > 1.05 * pulled["taken for dry"]
 
 
-def test_a_map_tells_the_rail_under_each_axle_ahead() -> None:
+def test_a_map_gives_the_rail_under_each_axle_ahead() -> None:
     places = StepProfile(np.array([0.0, 100.0]), np.array([0.25, 0.10]))
     rail = rail_ahead(places, 99.0, 20.0, [0.0, 10.0], Tuning())
     wet = creep_coefficients(0.10)

@@ -52,7 +52,7 @@ def test_a_broken_constraint_shows(answers: dict[str, Trajectory]) -> None:
     assert excess["(8) t(s_e) [s]"] < 0.0
 
 
-def test_all_five_phases_occur_and_the_sum_of_the_costates_tells_them(
+def test_all_five_phases_occur_and_the_sum_of_the_costates_gives_them(
     answers: dict[str, Trajectory],
 ) -> None:
     seen = set()
@@ -76,13 +76,13 @@ def test_the_costates_add_up_to_the_switching_function(answers: dict[str, Trajec
 def test_the_multiplier_of_the_time_is_that_of_steady_cruising(
     answers: dict[str, Trajectory], name: str
 ) -> None:
-    told = study.cruise(answers[name])
-    assert told.price == pytest.approx(told.analytic, rel=5e-5)
+    cruise = study.cruise(answers[name])
+    assert cruise.price == pytest.approx(cruise.analytic, rel=5e-5)
     if name == "level-nominal":
         resistance = study.TRAIN.resistance
-        slope = resistance.r1 + 2.0 * resistance.r2 * told.speed
-        alone = told.speed**2 * slope / CHOSEN[1].inertia
-        assert told.price == pytest.approx(alone, rel=1e-3)
+        slope = resistance.r1 + 2.0 * resistance.r2 * cruise.speed
+        alone = cruise.speed**2 * slope / CHOSEN[1].inertia
+        assert cruise.price == pytest.approx(alone, rel=1e-3)
 
 
 def test_robustness_costs_little_and_saves_the_timetable(answers: dict[str, Trajectory]) -> None:
@@ -104,7 +104,7 @@ def test_robustness_costs_little_and_saves_the_timetable(answers: dict[str, Traj
     assert robust.speeds[:, -1].max() <= LEVEL.final_speed + 1e-5
 
 
-def test_who_coasts_too_long_comes_to_a_stand_and_is_told_where() -> None:
+def test_who_coasts_too_long_comes_to_a_stand_and_is_located() -> None:
     line = LEVEL.line
     weak = study.configurations({"easy": ((1.0, 1.0, 1.0), 1.0), "stuck": ((6.0, 1.0, 1.0), 1.0)})
     found = study.solved(LEVEL, weak[:1], "common", cells=120)
@@ -131,12 +131,12 @@ def test_the_command_writes_every_answer_with_its_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(study, "SHARES", (0.05,))
-    with console.capture() as told:
+    with console.capture() as captured:
         assert not command(
             ["study", "robust-minimax", "-o", str(tmp_path / "found"), "--cells", "60"]
         )
     for word in ("Price of robustness", "Section 3", "Cruising on level track", "spread"):
-        assert word in told.get()
+        assert word in captured.get()
     for name in study.questions(LEVEL, DOWNHILL, CHOSEN):
         found = read_trajectory(tmp_path / "found" / f"{name}.json")
         assert found.certificate["audit"]["passed"]

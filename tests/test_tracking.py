@@ -195,7 +195,7 @@ def test_the_guard_leaves_a_safe_lever_alone_and_cuts_an_unsafe_one(plan: Refere
 def test_a_late_driver_arrives_near_the_least_time_that_an_unknown_mass_allows(
     plan: Reference, mass: float
 ) -> None:
-    """Ten levers a second; with what the train tells of its mass the ceiling rises."""
+    """Ten levers a second; with what is learnt of the mass the ceiling rises."""
     controller = TrackingController(plan)
     section = plan.section
     t, c = section.tables, section.constants
@@ -273,7 +273,7 @@ def test_a_train_that_is_late_but_can_be_in_time_is_neither_late_nor_early(
     assert np.count_nonzero(np.diff(np.sign(at_work))) == 3
 
 
-def test_a_tuning_that_makes_no_sense_is_refused() -> None:
+def test_a_tuning_that_is_not_positive_is_refused() -> None:
     with pytest.raises(InputError, match="lever 0"):
         Tuning(lever=0.0)
 

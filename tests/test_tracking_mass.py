@@ -1,4 +1,4 @@
-"""The mass that a train tells of itself under way, and what its driver gains by it."""
+"""The mass that is learnt under way, and what a driver gains by it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ rotating = st.floats(0.0, tracking_mass.ROTATING)
 weights = st.floats(-0.15, 0.2)
 
 
-@given(mass=masses, share=rotating, told=st.lists(st.tuples(weights, st.floats(-0.9, 0.9))))
+@given(mass=masses, share=rotating, motions=st.lists(st.tuples(weights, st.floats(-0.9, 0.9))))
 def test_the_true_mass_is_never_excluded(
-    mass: float, share: float, told: list[tuple[float, float]]
+    mass: float, share: float, motions: list[tuple[float, float]]
 ) -> None:
     """Efforts that a train of `mass` and its rotating parts need for what it did."""
     found = ObservedMass(LIGHT, HEAVY)
     turning = share * LIGHT
-    for weight, acceleration in told:
+    for weight, acceleration in motions:
         pull = (mass + turning) * acceleration + mass * weight
         found.observe(pull, acceleration, weight)
         assert found.low <= mass + turning <= found.high
@@ -41,7 +41,7 @@ def test_a_second_of_traction_halves_what_was_not_known() -> None:
     assert found.high - found.low < 0.5 * before
 
 
-def test_coasting_tells_nothing() -> None:
+def test_coasting_shows_nothing() -> None:
     found = ObservedMass(LIGHT, HEAVY)
     assert not found.observe(-500.0, -0.03, 0.02)
     assert (found.low, found.high) == (LIGHT, HEAVY * (1.0 + tracking_mass.ROTATING))
@@ -55,12 +55,12 @@ def test_observations_that_contradict_each_other_open_all_again() -> None:
 
 
 def test_a_window_gives_the_mass_that_moved() -> None:
-    """States of the model itself; a lever that jumps, or a rail that changes, tells nothing."""
+    """States of the model itself; a lever that jumps, or a rail that changes, shows nothing."""
     states = dynamics.roll(500.0, 5.0, 0.4, 0.4, 1.0, 10, 80e3, FLAT, CONSTANTS)
     past = [tuple(row) for row in states]
-    told = window(past, 0.1, FLAT, CONSTANTS)
-    assert told is not None
-    pull, acceleration, weight = told
+    observed = window(past, 0.1, FLAT, CONSTANTS)
+    assert observed is not None
+    pull, acceleration, weight = observed
     assert abs(pull / (acceleration + weight) - 80e3) < 50.0
     jumped = [*past[:-1], (*past[-1][:2], 0.6)]
     assert window(jumped, 0.1, FLAT, CONSTANTS) is None

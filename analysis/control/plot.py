@@ -112,8 +112,8 @@ def _draw_speeds(axes: Axes, trips: Sequence[Trip], line: Line) -> None:
             axes.plot(_km(trip)[rows], speed[rows], color=RED, linestyle="", marker=".")
     for station in line.stations:
         axes.axvline(station.position / 1e3, color=PALE, linewidth=0.8, zorder=0)
-    told = f"{len(trips)} trip{'s' * (len(trips) > 1)}; slip protection acted {slips} times"
-    dress(axes, x="", y="km/h", title=f"Speed, {told}{' (red)' * (slips > 0)}")
+    title = f"{len(trips)} trip{'s' * (len(trips) > 1)}; slip protection acted {slips} times"
+    dress(axes, x="", y="km/h", title=f"Speed, {title}{' (red)' * (slips > 0)}")
     axes.legend(fontsize=8, frameon=False, ncols=3, loc="lower center")
 
 

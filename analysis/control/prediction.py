@@ -91,7 +91,7 @@ class Weights(NamedTuple):
 def expected_deceleration(
     p: float, v: float, estimate: TrainEstimate, route: RouteTables, limits: TrainLimits
 ) -> float:
-    """Deceleration without effort as believed [m/s²]."""
+    """Deceleration without effort as estimated [m/s²]."""
     drag = limits.r0 + (limits.r1 + (limits.r2 + value(route.tunnel, route.origin, p)) * v) * v
     along = limits.mass * value(route.track, route.origin, p)
     return ((1.0 + estimate.drag) * drag + along) / limits.inertia - estimate.drift
@@ -393,7 +393,7 @@ def rollout(
         goal = factor * factor * max(value(route.goal, route.origin, q), 0.0)
         found = min(max(min(goal, most), least), ceiling_square(q, route))
         if q < route.end:
-            # Where it would stall it crawls: the time tells, and the train pulls all it can.
+            # Where it would stall it crawls: the time shows it, and the train pulls all it can.
             found = max(found, CRAWL * CRAWL)
         after = math.sqrt(max(found, 0.0))
         if count < rows.shape[0] - 1:

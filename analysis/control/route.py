@@ -1,7 +1,7 @@
 """What a driver on a trajectory knows: the way ahead, and what every configuration can do on it.
 
 Tables along the run lie on a grid of `GRID` metres and are read on a line between two nodes. The
-train is known as far as the observed set tells: the hull of its configurations, whose corners
+train is known as far as the observed set goes: the hull of its configurations, whose corners
 decide what is safe, and from whose middle the controller starts.
 """
 

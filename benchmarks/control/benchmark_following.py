@@ -5,7 +5,7 @@
 The trajectory is for loads of 0 and 25 t, running resistances 10 % off either way and 92 to 100 %
 of the power, on St.Gallen-Wil with the sample map. The driver knows the set, not the train. Each
 train runs twice: with a driver who sees its true motion, and with one who knows of it what its own
-instruments tell. Beside them, at states along the way, the same programs by CVXPY and IPOPT
+instruments measure. Beside them, at states along the way, the same programs by CVXPY and IPOPT
 (processor time).
 """
 
@@ -46,12 +46,12 @@ FORMATS = ("{:+.1f} s", "{:+.0f} cm", "{:+.1f} %", "{:+.2f} km/h", "{:.0f}")
 
 @dataclass(frozen=True)
 class Case:
-    """Rail, what is known of it, and lateness [s]; whether every train is told."""
+    """Rail, what is known of it, and lateness [s]; whether every train is listed."""
 
     weather: str
     mapped: bool = True
     late: float = 0.0
-    told: bool = False
+    listed: bool = False
 
     def __str__(self) -> str:
         late = f", {self.late:.0f} s late" if self.late else ""
@@ -59,7 +59,7 @@ class Case:
 
 
 CASES = (
-    Case("dry", told=True), Case("wet", told=True),
+    Case("dry", listed=True), Case("wet", listed=True),
     Case("dry", mapped=False), Case("wet", mapped=False), Case("dry", late=LATE),
 )  # fmt: skip
 
@@ -110,17 +110,17 @@ def configurations(train: Train) -> list[Configuration]:
     return [middle, *ends]
 
 
-class Heard:
-    """An odometry of which is kept what it tells."""
+class KeptOdometry:
+    """An odometry whose observations are kept."""
 
     def __init__(self, sensors: Sensors, start: float) -> None:
         self._odometry = Odometry(sensors, start)
-        self.told: list[Observation] = []
+        self.seen: list[Observation] = []
 
     def __call__(self, reading: Reading) -> Observation:
         """As the odometry says."""
-        self.told.append(self._odometry(reading))
-        return self.told[-1]
+        self.seen.append(self._odometry(reading))
+        return self.seen[-1]
 
 
 def driven(scenario: Scenario) -> dict[str, FloatArray]:
@@ -175,7 +175,7 @@ class Trips:
     train: Train
     track: TrackConditionMap
     watched: list[Watched] = field(default_factory=list)
-    heard: list[Heard] = field(default_factory=list)
+    heard: list[KeptOdometry] = field(default_factory=list)
     moved: list[dict[str, FloatArray]] = field(default_factory=list)
 
     def driver(self, case: Case, margin: Margin) -> Watched:
@@ -188,9 +188,9 @@ class Trips:
         self.watched.append(Watched(follower))
         return self.watched[-1]
 
-    def odometry(self, sensors: Sensors, start: float) -> Heard:
-        """What tells a driver where he is."""
-        self.heard.append(Heard(sensors, start))
+    def odometry(self, sensors: Sensors, start: float) -> KeptOdometry:
+        """By what a driver sees where he is."""
+        self.heard.append(KeptOdometry(sensors, start))
         return self.heard[-1]
 
     def scenarios(self, case: Case, margin: Margin) -> list[Scenario]:
@@ -208,7 +208,7 @@ class Trips:
             rows[0].append(figures(driven(exact), exact))
             self.moved.append(driven(replace(measured, locates=self.odometry)))
             rows[1].append(figures(self.moved[-1], measured))
-            if case.told:
+            if case.listed:
                 name = self.trajectory.configurations[exact.row].name
                 table.add_row(name, str(case), *both(rows[0][-1], rows[1][-1]))
         table.add_row("worst of five", str(case), *both(worst(rows[0]), worst(rows[1])))
@@ -217,16 +217,16 @@ class Trips:
         table.add_section()
 
     def known(self) -> Table:
-        """How far what odometries told was from the truth."""
+        """How far what odometries observed was from the truth."""
         table = Table("by its own instruments", "RMS", "at most", "within 1.96 std", "std at most")
         for name, unit in (("position", "m"), ("speed", "m/s")):
             off, std = [], []
             for heard, found in zip(self.heard, self.moved, strict=True):
                 moving = found["speed"] > 0.5
-                told = heard.told[: moving.size]
-                seen = np.array([getattr(each, name) for each in told])
+                observed = heard.seen[: moving.size]
+                seen = np.array([getattr(each, name) for each in observed])
                 off.append(np.abs(seen - found[name])[moving])
-                std.append(np.array([getattr(each, f"{name}_std") for each in told])[moving])
+                std.append(np.array([getattr(each, f"{name}_std") for each in observed])[moving])
             error, spread = np.concatenate(off), np.concatenate(std)
             table.add_row(
                 f"{name}, {unit}", f"{np.sqrt(np.mean(error**2)):.3f}", f"{error.max():.2f}",

@@ -82,7 +82,7 @@ class SlidingModeController:
     Attributes
     ----------
     mass : float [kg]
-        That the controller believes.
+        That the controller assumes.
     convergence : float [1/s]
         lambda of eq. (27): on the sliding surface a position error decays at this rate.
     switching_effort : float [N]

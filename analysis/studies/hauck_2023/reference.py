@@ -157,18 +157,6 @@ def reference(section: Section, mass: float = NOMINAL_MASS) -> Reference:
     return found
 
 
-def references(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> tuple[Reference, ...]:
-    """References of all sections; the whole timetable is checked before the first is solved.
-
-    Raises
-    ------
-    InfeasibleError
-        As `reference`.
-    """
-    check_timetable(sections, mass)
-    return tuple(reference(section, mass) for section in sections)
-
-
 def warm_start(section: Section, times: FloatArray, mass: float) -> FloatArray:
     """A feasible guess: the fastest run below that speed with which it takes the time allowed.
 
@@ -306,7 +294,7 @@ def _interval(
         x = x + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         w = w + h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
     shoot = ca.Function("shoot", [p, v, u0, u1], [ca.vertcat(x, w), ca.vertcat(*kept)])
-    room = c.comfort
-    low = np.array([-room, -np.inf, -np.inf, -np.inf, -np.inf, 0.0])
-    high = np.array([room, 0.0, 0.0, 0.0, 0.0, np.inf])
+    most = c.comfort
+    low = np.array([-most, -np.inf, -np.inf, -np.inf, -np.inf, 0.0])
+    high = np.array([most, 0.0, 0.0, 0.0, 0.0, np.inf])
     return shoot, CHECKS, low, high

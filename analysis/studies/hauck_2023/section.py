@@ -8,12 +8,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.adhesion.demonstrated import usable_adhesion
 from analysis.control.route import GRID, value
 from analysis.studies.hauck_2023 import model as model
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, LeverTrain, Tables
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.railway import Line, StepProfile, TrackConditionMap
+from trainlog.railway import Line, StepProfile
 from trainlog.simulation.drivers import Stop, check_stops
 
 FloatArray = NDArray[np.float64]
@@ -156,7 +155,7 @@ def section_of(
         As travelled.
     train : LeverTrain
     maximum_adhesion : StepProfile
-        By position; see `adhesion_profile`.
+        By position.
     origin, destination : Stop
     driving, planning : Reserves
 
@@ -385,45 +384,6 @@ def smoothed_line(track: Line) -> Line:
     middles = starts + 0.5 * GRID
     mean = track.gradients.mean(middles - SMOOTHING, middles + SMOOTHING)
     return replace(track, gradients=StepProfile(starts, mean))
-
-
-def adhesion_profile(
-    track: TrackConditionMap,
-    layer: str,
-    *,
-    sigmas: float = 1.0,
-    unobserved: float | None = None,
-) -> StepProfile:
-    """Maximum adhesion along a line as a map knows it.
-
-    Parameters
-    ----------
-    track : TrackConditionMap
-    layer : str
-    sigmas : float
-        How cautious: standard deviations below the estimate.
-    unobserved : float, optional
-        What to count on where the map has no estimate and no more held without slip; without
-        it a map with holes is refused. See `analysis.adhesion.demonstrated`.
-
-    Raises
-    ------
-    InputError
-        If the map has no such layer, or holes.
-    """
-    if unobserved is not None and not 0.0 < unobserved < 1.0:
-        raise InputError(f"an adhesion of {unobserved} is not between 0 and 1")
-    assumed = np.inf if unobserved is None else unobserved
-    known = usable_adhesion(track, layer, sigmas=sigmas, assumed=assumed)
-    holes = ~np.isfinite(known.values)
-    if np.any(holes):
-        first = track.bin_length * int(np.argmax(holes))
-        raise InputError(
-            f"the map of line '{track.line}' has holes: layer '{layer}' was not observed in"
-            f" {np.count_nonzero(holes)} of {holes.size} bins, the first at km {first / 1e3:.3f}",
-            remedy="give the adhesion to count on where the map has no estimate",
-        )
-    return known.profile
 
 
 def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:

@@ -66,7 +66,7 @@ COASTING = 0.02
 """A lever below this is neither traction nor braking."""
 
 NO_MAP = StepProfile(np.zeros(1), np.array([0.999]))
-"""What a controller believes that knows no map: that the rail holds anything."""
+"""What a controller assumes that knows no map: that the rail holds anything."""
 
 Plan = tuple[Reference, ...]
 Track = Callable[[Iterable[Reference]], Iterable[Reference]]

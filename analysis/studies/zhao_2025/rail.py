@@ -62,7 +62,7 @@ CHANGE_RATE = 0.5
 """How often the rail is expected to become another one altogether [1/s]."""
 
 MODEL_STD = 0.005, 0.05
-"""Of what a creep curve tells: absolute, and relative to adhesion."""
+"""Of what a creep curve gives: absolute, and relative to adhesion."""
 
 SLOPE_STEP = 1e-3
 """For the slope of a creep curve [m/s]."""
@@ -104,7 +104,7 @@ class RailEstimator:
 
     The reference is where most adhesion is expected over all curves that are still possible, not
     the peak of the likeliest one: beyond the peak of a rail that is unlike its maximum suggests,
-    both a rail that gives little and a steep one explain what is seen, and only less slip tells.
+    both a rail that gives little and a steep one explain what is seen, and only less slip decides.
 
     Parameters
     ----------
