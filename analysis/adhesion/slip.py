@@ -16,7 +16,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from estimators.adhesion import smoothed_force
-from estimators.creep_curve import estimate_creep_curve
 from estimators.slip import (
     SLOPE_RATE,
     SLOPE_RATE_WITHOUT_BRAKE,
@@ -177,6 +176,9 @@ class SlipAnalysis:
             the largest slip, negative where the maximum was passed. NaN where too few samples show
             the curve.
         """
+        # filterpy takes half a second to import; the map does without it.
+        from estimators.creep_curve import estimate_creep_curve
+
         clock = np.asarray(self.time.as_unit("ns").asi8)
         time = (clock - clock[0]) / 1e9 if clock.size else np.empty(0)
         noise = adhesion_noise(time, self.adhesion) if len(self.events) else 0.0
