@@ -84,7 +84,7 @@ def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--journey", "j.json", "--km", "1:2"), "--km cannot be taken: --journey gives"),
         (("--journey", "j.json", "--initial-speed", "0"), "leave out --initial-speed"),
@@ -108,10 +108,10 @@ def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_p
     ids=lambda given: " ".join(map(str, given[-2:])) if isinstance(given, tuple) else "",
 )
 def test_bad_input_is_refused_before_anything_is_written(
-    words: tuple[object, ...], told: str, observed: Path, tmp_path: Path
+    words: tuple[object, ...], message: str, observed: Path, tmp_path: Path
 ) -> None:
     output = tmp_path / "t.json"
     with pytest.raises(InputError) as refusal:
         cli.run([str(word) for word in ("optimise", observed, *words, "-o", output)])
-    assert told in str(refusal.value)
+    assert message in str(refusal.value)
     assert not output.exists()

@@ -95,7 +95,7 @@ def test_phases_come_in_the_order_of_the_textbook(reference: Trajectory) -> None
 def test_costates_give_the_same_phases_as_the_controls(reference: Trajectory) -> None:
     switching = np.asarray(reference.certificate["switching"])
     reported = phases_by_switching(switching, band=3e-4)
-    # Where the control is singular the switching function says so only to within its band.
+    # Where the control is singular the switching function shows it only to within its band.
     agree = np.mean(reported == phases_of(reference, 0))
     assert agree >= 0.95
 

@@ -66,7 +66,7 @@ def audited(
 def test_the_optimiser_s_own_answer_passes(hilly: Trajectory) -> None:
     found, failures = audited(hilly)
     assert failures == []
-    # A trifle early is allowed, late is not.
+    # Slightly early is allowed, late is not.
     assert -5e-3 <= found.arrival.max() - hilly.running_time <= 1e-4
     assert found.shortfall.max() <= 1e-4
 

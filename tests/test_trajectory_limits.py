@@ -188,7 +188,7 @@ def test_same_question_same_answer(tmp_path: Path) -> None:
 
 
 def unreadable(line: Line) -> TrackConditionMap:
-    """A map that says of a bin that it was observed, and not what."""
+    """A map that marks a bin as observed and has no value there."""
     condition = slippery(line)
     layer = condition.layers["wet"]
     log_mean = layer.log_mean.copy()

@@ -110,7 +110,7 @@ def steps(*pairs: tuple[float, float]) -> StepProfile:
 
 
 def level_line(length: float = 48_531.0, *limits: tuple[float, float]) -> Line:
-    """TTOBench's reference: level, 140 km/h unless said otherwise [m, km/h]."""
+    """TTOBench's reference: level, 140 km/h unless stated otherwise [m, km/h]."""
     return Line(
         name="level",
         length=length,

@@ -32,7 +32,7 @@ EFFORT_TOLERANCE = 1e-6
 """Excess over a limit of power, effort or adhesion, relative."""
 
 END_TOLERANCE = 1e-3
-"""Excess over the speed asked for at the end [m/s]: at standstill less than a thousandth mm."""
+"""Excess over the speed required at the end [m/s]: at standstill less than a thousandth mm."""
 
 STOPPING_TOLERANCE = 1e-3
 """Distance by which a train may stop short of the end [m]."""
@@ -40,7 +40,7 @@ STOPPING_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """What the rollout of each configuration showed; (q,) arrays unless said otherwise.
+    """What the rollout of each configuration showed; (q,) arrays unless stated otherwise.
 
     Attributes
     ----------

@@ -77,7 +77,7 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
     curve = braking_curves(problem)
     low = np.argmin(curve, axis=1)
     for a, configuration in enumerate(run.configurations):
-        # A curve that has no room above 0 somewhere before its end: the slope is too steep.
+        # A curve that reaches 0 before its end: the slope is too steep.
         if curve[a, low[a]] <= 0.0 and low[a] < curve.shape[1] - 1:
             raise InfeasibleError(
                 f"configuration '{configuration.name}' cannot brake on the slope at"

@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Phase(IntEnum):
-    """Control phases of the robust maximum principle; paper 002, section 3."""
+    """Control phases of the robust maximum principle; Cunillera et al. (2022), section 3."""
 
     MAXIMUM_TRACTION = 0
     CRUISING = 1

@@ -23,7 +23,7 @@ Direction = Literal["forward", "reverse"]
 Objective = Literal["wheel", "line", "expected"]
 
 FEWEST_CELLS, MOST_CELLS = 20, 20_000
-"""Of the grid; far more than a line has metres to tell apart costs hours and gains nothing."""
+"""Of the grid; more cells than a line has metres cost hours and gain nothing."""
 
 _ENERGY = {"wheel": "at the wheel", "line": "from the line", "expected": "expected from the line"}
 

@@ -348,7 +348,7 @@ class QPSubproblem:
         """Squares of what the efforts change by from cell to cell.
 
         Speeds that are alternately higher and lower from node to node cost next to nothing, as
-        time and resistance of a cell depend on the sum of both its ends. Nobody could drive so.
+        time and resistance of a cell depend on the sum of both its ends. No driver could do so.
         """
         step, unknowns = self.problem.step, self.unknowns
         weight = np.minimum(step[1:] * step[:-1] / (step[1:] + step[:-1]), _SHORT_CELL)

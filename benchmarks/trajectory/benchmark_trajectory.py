@@ -122,8 +122,8 @@ def row(case: Case, repeats: int) -> str:
     if active <= LONGEST_FOR_IPOPT:
         result, other, reference = referee(case, found, max(1, repeats // 2))
         difference = certificate["energy"] / (result.energy * reference) - 1.0
-        told = f"{difference:+9.1e}" if result.solved else f"{'failed':>9s}"
-        words.append(f"{other:8.2f} {other / spent:6.1f} {told} ")
+        change = f"{difference:+9.1e}" if result.solved else f"{'failed':>9s}"
+        words.append(f"{other:8.2f} {other / spent:6.1f} {change} ")
     else:
         words.append(f"{'-':>8s} {'-':>6s} {'-':>9s} ")
     words.append(
