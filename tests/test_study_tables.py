@@ -128,3 +128,16 @@ def test_the_page_has_the_forces_of_the_sample_consists(name: str, speed: float)
 )
 def test_a_number_that_changed_shows(page: str, now: str, kept: bool) -> None:
     assert same(page, now) is kept
+
+
+def test_nothing_but_the_command_imports_a_study() -> None:
+    """The contract of `lint-imports` lists packages; this covers every module."""
+    root = PAGE.parents[1]
+    using = {
+        str(path.relative_to(root))
+        for package in ("trainlog", "analysis", "estimators")
+        for path in (root / package).rglob("*.py")
+        if re.search(r"^\s*(from|import) analysis\.studies", path.read_text("utf-8"), re.MULTILINE)
+        and "studies" not in path.parts
+    }
+    assert using == {"trainlog/cli/study.py"}
