@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from keyword import iskeyword
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from google.protobuf.descriptor import FieldDescriptor
@@ -445,14 +444,13 @@ def _ros_reader(
     name: str, types: Typesdict, readers: dict[str, Callable[[Any], Message]]
 ) -> Callable[[Any], Message]:
     """What turns the objects of rosbags for one kind of message into plain values."""
-    names, attributes = [], []
+    names: list[tuple[str, str]] = []
     others: list[tuple[str, Callable[[Any], Any]]] = []
     for field_name, description in types[name][1]:
         if field_name == _PLACEHOLDER:
             continue
-        names.append(field_name)
         # rosbags puts a line under names that Python needs itself.
-        attributes.append(f"{field_name}_" if iskeyword(field_name) else field_name)
+        names.append((field_name, f"{field_name}_" if iskeyword(field_name) else field_name))
         kind, element, _ = _element(description)
         if isinstance(element, str):
             if element not in readers:
@@ -463,25 +461,15 @@ def _ros_reader(
             others.append((field_name, _bytes))
         elif kind != _BASE:
             others.append((field_name, _ros_array))
-    if not names:
-        return _nothing
-    values = attrgetter(*attributes) if len(names) > 1 else _single(attributes[0])
 
     def read(message: Any) -> Message:
-        found = dict(zip(names, values(message), strict=True))
+        values = message.__dict__
+        found: Message = {each: values[attribute] for each, attribute in names}
         for field_name, plain in others:
             found[field_name] = plain(found[field_name])
         return found
 
     return read
-
-
-def _single(attribute: str) -> Callable[[Any], tuple[Any]]:
-    return lambda message: (getattr(message, attribute),)
-
-
-def _nothing(message: Any) -> Message:  # noqa: ARG001
-    return {}
 
 
 def _bytes(values: Any) -> Unexpanded:  # noqa: ARG001
