@@ -11,7 +11,7 @@ import pytest
 
 from trainlog.cli import main as cli
 from trainlog.formats.samples import copy_samples
-from trainlog.mcap.records import RECOVERY_RECORD
+from trainlog.mcap import records
 from trainlog.topics import TOPICS
 
 CHECKOUT = Path(__file__).parents[1]
@@ -76,6 +76,7 @@ NAME = re.compile(r"`((?:trainlog|analysis|estimators)(?:\.\w+)+)(?:\([^`]*)?`")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_names_of_the_code_exist(page: Path) -> None:
     # Names of messages and metadata records look alike.
-    messages = {topic.message for topic in TOPICS.values()} | {RECOVERY_RECORD}
+    messages = {topic.message for topic in TOPICS.values()}
+    messages |= {value for name, value in vars(records).items() if name.endswith("_RECORD")}
     for dotted in set(NAME.findall(page.read_text("utf-8"))) - messages:
         resolved(dotted)
