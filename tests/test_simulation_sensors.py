@@ -11,7 +11,7 @@ from simulated_line import hilly_line
 from trainlog.errors import InputError
 from trainlog.simulation import sensors as measuring
 from trainlog.simulation.sensors import Sensors
-from trainlog.units import NANOSECONDS
+from trainlog.units import EARTH_RADIUS, NANOSECONDS
 
 COUNT = 20_000
 
@@ -100,8 +100,8 @@ def test_gnss_noise_rates_and_outages() -> None:
     there = np.interp((fix.index.asi8 - time[0]).astype(float), (time - time[0]), position)
     assert not np.any((there >= 2_200.0) & (there < 2_800.0))
     latitude, longitude = line.geometry.at(there)  # type: ignore[union-attr]
-    north = np.radians(fix.latitude - latitude) * measuring.EARTH_RADIUS
-    east = np.radians(fix.longitude - longitude) * measuring.EARTH_RADIUS
+    north = np.radians(fix.latitude - latitude) * EARTH_RADIUS
+    east = np.radians(fix.longitude - longitude) * EARTH_RADIUS
     east *= np.cos(np.radians(47.0))
     for error in (north, east):
         assert 1.8 < np.std(error) < 4.0

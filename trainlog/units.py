@@ -27,6 +27,9 @@ PER_MILLE = 1e3
 NANOSECONDS = 1_000_000_000
 """In a second: times of logs are whole nanoseconds since 1970 UTC."""
 
+EARTH_RADIUS = 6_371_008.8
+"""Mean radius of the earth [m]."""
+
 GRAVITY = 9.81
 """Acceleration of gravity [m/s²], as in TTOBench and in all the studies but one."""
 

@@ -24,6 +24,7 @@ from scipy.optimize import isotonic_regression
 
 from trainlog.topics import ESTIMATED_STATE, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip
+from trainlog.units import EARTH_RADIUS
 
 FloatArray = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
@@ -41,9 +42,6 @@ CLOCKS: tuple[tuple[str, ...], ...] = (
     (GNSS_FIX.name, "latitude", "longitude"),
 )
 """Topics, and columns of them, from which a trip's position is known, the best first."""
-
-EARTH_RADIUS = 6_371_008.8
-"""Mean radius of the earth [m]."""
 
 
 @dataclass(frozen=True, eq=False)

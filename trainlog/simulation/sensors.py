@@ -18,12 +18,9 @@ from trainlog.errors import InputError
 from trainlog.railway import Line
 from trainlog.topics import ENVIRONMENT, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import frame_of
-from trainlog.units import NANOSECONDS
+from trainlog.units import EARTH_RADIUS, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
-
-EARTH_RADIUS = 6_371_008.8
-"""Mean radius of the earth [m]."""
 
 
 @dataclass(frozen=True, slots=True)
