@@ -68,6 +68,9 @@ _LONGEST_RECORD = 2**26
 _SEARCHED = 2**22
 """Where the beginning of a file is damaged, a chunk is sought in so much of it [bytes]."""
 
+_SURE = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE)
+"""Records that have a checksum, or are only taken if another record follows."""
+
 _CONVERTED = {b"\x89MCAP0\n": "CRLF to LF", b"\x89MCAP0\r\r\n": "LF to CRLF"}
 """How a file begins whose line ends a program has converted that took it for a text."""
 
@@ -179,13 +182,23 @@ class _Scan:
         at = min(len(MAGIC), self._size)
         if self._finder.read(0, len(MAGIC)) != MAGIC:
             self._lose(0, at, "the file does not begin as an MCAP file does", 0)
+        doubtful = at
         while at < self._size:
+            kind = self._finder.read(at, 1)[0]
             try:
-                at = self._step(at)
+                behind = self._step(at)
+                doubtful = behind if kind in _SURE else at
             except LogError as error:
-                behind = self._next(at + 1)
+                # Where bytes are missing, the record before may have taken the head of a chunk.
+                doubtful = max(doubtful, *(loss.end for loss in self._losses[-1:]), 0)
+                behind = self._finder.search(doubtful + 1, at)
+                if behind < at:
+                    at = doubtful
+                else:
+                    behind = self._next(at + 1)
                 self._lose(at, behind, error.problem, None)
-                at = behind
+                doubtful = behind
+            at = behind
         return self._settled()
 
     def _next(self, start: int) -> int:
@@ -504,8 +517,13 @@ class _Scan:
         readable = found.counts().total()
         listed = self._summary.contents.chunks if self._summary is not None else []
         held = sum(chunk.messages for chunk in listed)
-        if found.statistics is not None:
-            found.expected = found.statistics.message_count
+        statistics = found.statistics
+        if statistics is not None and (
+            # Without the footer no checksum holds for them: they must agree with themselves.
+            self._footer is not None
+            or statistics.message_count == sum(statistics.channel_message_counts.values())
+        ):
+            found.expected = statistics.message_count
         elif listed and all(chunk.indexes for chunk in listed):
             found.expected = held
         kept = {chunk.offset for chunk in found.chunks if not chunk.loose}
