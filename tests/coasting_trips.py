@@ -92,8 +92,8 @@ def driven(
             s += STEP * (v + 0.5 * STEP * force)
             v += STEP * force
             t += STEP
-    time, position, told, effort = np.array(rows).T
-    return time, position, told, effort
+    time, position, reported, effort = np.array(rows).T
+    return time, position, reported, effort
 
 
 def recorded(

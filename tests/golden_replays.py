@@ -62,7 +62,7 @@ def prepared(trip: Trip) -> Prepared:
     return prepare(trip, line_of(trip), train_of(trip))
 
 
-def told(result: EstimatorResult) -> dict[str, ArrayLike]:
+def reported(result: EstimatorResult) -> dict[str, ArrayLike]:
     """The figures that every estimator has."""
     return {
         "estimate": result.estimate,
@@ -93,7 +93,7 @@ def least_squares(trip: Trip) -> Figures:
         1e6,
         parameters=[0],
     )
-    return {"course": estimates} | told(estimator.result())
+    return {"course": estimates} | reported(estimator.result())
 
 
 def odometry(trip: Trip) -> Figures:
@@ -112,7 +112,7 @@ def odometry(trip: Trip) -> Figures:
     return {
         "course": np.array([each.estimate for each in every]),
         "std": np.array([[each.position_std, each.speed_std] for each in every]),
-    } | told(course[-1])
+    } | reported(course[-1])
 
 
 def wheels(trip: Trip) -> tuple[Array, Array, Array]:
@@ -126,7 +126,7 @@ def slip_detector(trip: Trip) -> Figures:
     _, speed, _ = wheels(trip)
     detector = SlipDetector(speed.shape[1], 0.05)
     slipping = detector.update(speed - np.nanmin(speed, axis=1, keepdims=True))
-    return {"slipping": np.sum(slipping, axis=0)} | told(detector.result())
+    return {"slipping": np.sum(slipping, axis=0)} | reported(detector.result())
 
 
 def adhesion_observer(trip: Trip) -> Figures:
@@ -135,7 +135,7 @@ def adhesion_observer(trip: Trip) -> Figures:
     weight = train.adhesive_weight(0.0) / train.axles.count
     observer = AdhesionObserver(speed.shape[1], train.axles.rotating_mass, 0.03, 0.12 * weight)
     found = observer.update(time, speed, effort)
-    return {"force": found.force, "std": found.std} | told(observer.result())
+    return {"force": found.force, "std": found.std} | reported(observer.result())
 
 
 def estimates(trip: Trip) -> Figures:
@@ -187,8 +187,8 @@ def map_update(trip: Trip) -> Figures:
 
 
 def cost(trip: Trip) -> Figures:
-    told = astuple(trip_cost(trip))
-    return {"cost": [value for value in told if isinstance(value, int | float)]}
+    reported = astuple(trip_cost(trip))
+    return {"cost": [value for value in reported if isinstance(value, int | float)]}
 
 
 def coasting(trip: Trip) -> Figures:

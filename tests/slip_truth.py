@@ -43,23 +43,23 @@ def spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 @dataclass
 class Score:
-    """Slips told and true; those within 0.15 m/s of the threshold may be either."""
+    """Slips reported and true; those within 0.15 m/s of the threshold may be either."""
 
     true: int = 0
     missed: int = 0
-    told: int = 0
+    reported: int = 0
     false: int = 0
 
     def count(self, each: Seen, margin: float = 0.15) -> None:
         truly = SlipDetector(each.slip.shape[1], 0.0).update(each.slip)
         for axle in range(each.slip.shape[1]):
-            size, told = np.abs(each.slip[:, axle]), each.found.slipping[:, axle]
+            size, reported = np.abs(each.slip[:, axle]), each.found.slipping[:, axle]
             for a, b in spans(truly[:, axle]):
                 if size[a:b].max() > 1.5 + margin:
                     self.true += 1
-                    self.missed += not told[a:b].any()
-            for a, b in spans(told):
-                self.told += 1
+                    self.missed += not reported[a:b].any()
+            for a, b in spans(reported):
+                self.reported += 1
                 self.false += bool(size[max(a - 1, 0) : b + 1].max() < 1.5 - margin)
 
     @property
@@ -68,7 +68,7 @@ class Score:
 
     @property
     def precision(self) -> float:
-        return 1.0 - self.false / max(self.told, 1)
+        return 1.0 - self.false / max(self.reported, 1)
 
 
 def onset_errors(each: Seen) -> FloatArray:

@@ -198,16 +198,16 @@ class TestObserver:
     def test_a_missing_wheel_speed_makes_it_invalid_until_it_returns(self) -> None:
         plant = run(rail(5, 0.4, bins=40))
         observer = AdhesionObserver(AXLES, ROTATING_MASS, 0.03, FORCE_RATE)
-        told = []
+        reported = []
         for k in range(300):
             speed = plant.wheel_speed[k].copy()
             speed[0] = np.nan if 200 <= k < 230 else speed[0]
             observer.update(plant.time[k], speed, plant.wheel_effort[k])
-            told.append(observer.result().valid)
-        assert not told[0]
-        assert all(told[50:200])
-        assert not any(told[210:230])
-        assert all(told[250:])
+            reported.append(observer.result().valid)
+        assert not reported[0]
+        assert all(reported[50:200])
+        assert not any(reported[210:230])
+        assert all(reported[250:])
 
     def test_reset_forgets(self) -> None:
         observer = AdhesionObserver(1, ROTATING_MASS, 0.05, FORCE_RATE)
@@ -268,7 +268,7 @@ class TestTrainSpeed:
         if satellites:
             noise = 0.1 * np.random.default_rng(0).standard_normal(reference[::4].size)
             reference[::4] = plant.speed[::4] + noise
-        # What is told of brake and resistance is wrong by 8 per mille of the train's weight.
+        # What is given of brake and resistance is wrong by 8 per mille of the train's weight.
         other = -8_000.0 * (plant.speed - 2.0) - 0.008 * 9.81 * INERTIA
         gained = impulse(plant.time, plant.wheel_speed, plant.wheel_effort, other, ROTATING_MASS)
         found = train_speed(

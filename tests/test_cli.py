@@ -114,10 +114,10 @@ def cut(tmp_path: Path) -> Path:
 def test_info_tells_what_is_left_of_a_cut_log(
     cut: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, told, _ = run(monkeypatch, capsys, "info", cut)
+    status, shown, _ = run(monkeypatch, capsys, "info", cut)
     assert status == 0
-    assert "/train/state" in told
-    assert "does not end properly" in told or "byte" in told
+    assert "/train/state" in shown
+    assert "does not end properly" in shown or "byte" in shown
 
 
 def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
@@ -177,11 +177,11 @@ def test_a_log_is_counted_into_a_map_once(
     track = tmp_path / "map.json"
     run(monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track)
     first = track.read_bytes()
-    status, told, _ = run(
+    status, shown, _ = run(
         monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track
     )
     assert status == 0
-    assert "not counted again" in told
+    assert "not counted again" in shown
     assert track.read_bytes() == first
 
 
@@ -190,14 +190,14 @@ def test_ingest_tells_what_it_repaired(
 ) -> None:
     known = ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
     profile = ("--profile", sample("recorder.profile.toml"))
-    status, told, _ = run(
+    status, shown, _ = run(
         monkeypatch, capsys, "ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path
     )
     assert status == 0
-    assert "rows read" in told
-    assert "time_backwards" in told
-    status, told, _ = run(monkeypatch, capsys, "info", tmp_path / "recorder.mcap")
-    assert "/train/axles" in told
+    assert "rows read" in shown
+    assert "time_backwards" in shown
+    status, shown, _ = run(monkeypatch, capsys, "info", tmp_path / "recorder.mcap")
+    assert "/train/axles" in shown
 
 
 def test_ingest_refuses_two_recordings_of_one_name(
@@ -228,11 +228,11 @@ def test_check_goes_on_behind_a_file_that_is_no_log(
 ) -> None:
     (tmp_path / "a.mcap").touch()
     (tmp_path / "b.mcap").write_bytes(sample("stopping.mcap").read_bytes())
-    status, told, complaint = run(monkeypatch, capsys, "check", tmp_path)
+    status, shown, complaint = run(monkeypatch, capsys, "check", tmp_path)
     assert status == 2
     assert complaint.count("\n") == 1
     assert "a.mcap, byte 0: is empty" in complaint
-    assert "b.mcap: is whole" in told
+    assert "b.mcap: is whole" in shown
 
 
 def test_recover_refuses_two_logs_of_one_name(
@@ -256,11 +256,11 @@ def test_brackets_in_names_and_findings_are_shown(
     recording = tmp_path / "run [1].csv"
     recording.write_bytes(sample("gnss.csv").read_bytes())
     profile = ("--profile", sample("recorder.profile.toml"))
-    status, told, _ = run(monkeypatch, capsys, "ingest", recording, *profile, "-o", tmp_path)
+    status, shown, _ = run(monkeypatch, capsys, "ingest", recording, *profile, "-o", tmp_path)
     assert status == 0
-    assert "run [1]: " in told
-    assert "not used: [time] of the profile" in told
-    assert "run [1].mcap" in told
+    assert "run [1]: " in shown
+    assert "not used: [time] of the profile" in shown
+    assert "run [1].mcap" in shown
 
 
 def test_a_recorded_trip_can_be_fitted_and_mapped(
@@ -276,9 +276,9 @@ def test_a_recorded_trip_can_be_fitted_and_mapped(
     status, _, complaint = run(monkeypatch, capsys, *update)
     assert status == 2
     assert "dry or wet" in complaint
-    status, told, _ = run(monkeypatch, capsys, *update, "--layer", "dry")
+    status, shown, _ = run(monkeypatch, capsys, *update, "--layer", "dry")
     assert status == 0
-    assert "dry" in told
+    assert "dry" in shown
 
 
 @pytest.mark.parametrize("fact", ["weather", "=wet", "weather=", "load=heavy", "load=nan"])
@@ -295,15 +295,15 @@ def test_facts_that_make_no_sense_are_refused(
 def test_help_teaches_every_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, told, _ = run(monkeypatch, capsys, "--help")
+    status, shown, _ = run(monkeypatch, capsys, "--help")
     assert status == 0
     for command in ("simulate", "ingest", "info", "fit", "map", "optimise", "replay", "demo"):
-        assert command in told
+        assert command in shown
     for words in demo.commands(Path("results")):
         verb = words[:2] if words[0] == "map" else words[:1]
-        status, told, _ = run(monkeypatch, capsys, *verb, "--help")
+        status, shown, _ = run(monkeypatch, capsys, *verb, "--help")
         assert status == 0
-        assert "Usage" in told
+        assert "Usage" in shown
 
 
 def test_help_breaks_where_the_terminal_ends_and_gives_an_example(
@@ -312,8 +312,8 @@ def test_help_breaks_where_the_terminal_ends_and_gives_an_example(
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 200)
     for verb in ("fit", "coast-down", "simulate", "map update", "map show", "demo", "samples"):
-        _, told, _ = run(monkeypatch, capsys, *verb.split(), "--help")
-        prose = [line.strip() for line in told.splitlines()[3:] if not line.startswith(("╭", "│"))]
+        _, shown, _ = run(monkeypatch, capsys, *verb.split(), "--help")
+        prose = [line.strip() for line in shown.splitlines()[3:] if not line.startswith(("╭", "│"))]
         example = f"Example: trainlog {verb} "
         assert any(line.startswith(example) for line in prose), verb
         # A paragraph shorter than the terminal stands in one line.
@@ -437,8 +437,8 @@ def test_outputs_are_checked_before_any_work(
         ["estimate", log, "-o", tmp_path],
         ["simulate", "-o", log],
     ):
-        status, told, complaint = run(monkeypatch, capsys, *words)
-        assert (status, complaint.count("\n"), told) == (2, 1, "")
+        status, shown, complaint = run(monkeypatch, capsys, *words)
+        assert (status, complaint.count("\n"), shown) == (2, 1, "")
     assert log.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["trip.mcap"]
 
@@ -470,8 +470,8 @@ def test_options_that_contradict_are_refused(
 ) -> None:
     status, _, complaint = run(monkeypatch, capsys, "simulate", *words, "-o", tmp_path / "out")
     assert status == 2
-    told = f"{words[0]} goes with --trajectory; give a trajectory, or leave out {words[0]}"
-    assert told in " ".join(complaint.split())
+    shown = f"{words[0]} goes with --trajectory; give a trajectory, or leave out {words[0]}"
+    assert shown in " ".join(complaint.split())
     assert not (tmp_path / "out").exists()
 
 

@@ -30,8 +30,8 @@ from trainlog.mcap import describe
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("demo") / "results"
-    with (output.parent / "told.txt").open("w", encoding="utf-8") as told:
-        demo.run_demo(output, Console(file=told, width=110), cli.run)
+    with (output.parent / "reported.txt").open("w", encoding="utf-8") as reported:
+        demo.run_demo(output, Console(file=reported, width=110), cli.run)
     return output
 
 
@@ -40,11 +40,11 @@ def logs(results: Path) -> list[Path]:
 
 
 def test_every_command_is_shown_and_the_next_ones_are_named(results: Path) -> None:
-    told = (results.parent / "told.txt").read_text("utf-8")
+    reported = (results.parent / "reported.txt").read_text("utf-8")
     for command in demo.commands(results):
-        assert f"$ trainlog {command[0]}" in told
-    assert told.rstrip().splitlines()[-4].startswith("Everything is in")
-    assert [line.split()[:2] for line in told.rstrip().splitlines()[-3:]] == [
+        assert f"$ trainlog {command[0]}" in reported
+    assert reported.rstrip().splitlines()[-4].startswith("Everything is in")
+    assert [line.split()[:2] for line in reported.rstrip().splitlines()[-3:]] == [
         ["trainlog", "replay"],
         ["trainlog", "optimise"],
         ["trainlog", "ingest"],

@@ -76,8 +76,8 @@ def test_the_bound_shrinks_with_what_is_told() -> None:
         replace(Study(), speed_noise=0.003, speed_resolution=0.001),
         replace(Study(), length=120e3),
     ):
-        told = size(np.linalg.inv(information(draw(better, 1), better)), better)
-        assert told < plain
+        reported = size(np.linalg.inv(information(draw(better, 1), better)), better)
+        assert reported < plain
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -39,8 +39,8 @@ def printed(width: int) -> list[str]:
 @pytest.mark.parametrize("width", [74, 80, 90, 110, 200])
 def test_words_stay_whole_while_there_is_room_for_the_longest(width: int) -> None:
     lines = printed(width)
-    told = " ".join(lines).split()
-    assert all(told.count(word) >= WORDS.count(word) for word in WORDS)
+    shown = " ".join(lines).split()
+    assert all(shown.count(word) >= WORDS.count(word) for word in WORDS)
     assert max(map(len, lines)) <= width
 
 
@@ -48,8 +48,8 @@ def test_words_stay_whole_while_there_is_room_for_the_longest(width: int) -> Non
 def test_however_narrow_the_page_nothing_is_lost(width: int) -> None:
     lines = printed(width)
     assert max(map(len, lines)) <= width
-    told = sorted(letter for line in lines for letter in line if letter not in " ─")
-    assert told == sorted(letter for letter in "Atable" + "".join(WORDS))
+    shown = sorted(letter for line in lines for letter in line if letter not in " ─")
+    assert shown == sorted(letter for letter in "Atable" + "".join(WORDS))
 
 
 def test_headings_are_broken_before_names_and_figures() -> None:

@@ -74,7 +74,7 @@ def test_sample_by_sample_equals_block_and_record() -> None:
 
 
 def test_forgetting_weighs_samples_exponentially() -> None:
-    """Paper 004, eqs. (19), (20): the sample k updates ago counts gamma^k."""
+    """Amirhosseini et al. (2024), eqs. (19), (20): the sample k updates ago counts gamma^k."""
     gamma, count = 0.9, 400
     rows, values = davis_samples(count, seed=4)
     estimator = RecursiveLeastSquares(PRIOR, forgetting=gamma)
@@ -241,7 +241,7 @@ def test_no_windup_over_a_million_samples_without_excitation(
     assert np.all(np.isfinite(result.estimate))
     assert not result.valid
     assert result.excitation < 0.01
-    # What the data do tell is known, the resistance at this one speed.
+    # What the data do determine is known, the resistance at this one speed.
     assert abs(rows[0] @ (result.estimate - TRUE)) < 0.2
     again, values = davis_samples(20, seed=13)
     estimator.update(again, values, 0.05**2)

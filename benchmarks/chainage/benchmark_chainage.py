@@ -145,12 +145,14 @@ def wheels(truth: Truth, generator):
     """Speed from the wheels at 10 Hz: a wrong diameter, noise, and slip every few minutes."""
     ticks = np.arange(truth.nanoseconds[0], truth.nanoseconds[-1], 100_000_000)
     _, speed = truth.at(ticks)
-    told = speed * (1.0 + 0.005 * generator.standard_normal())
+    measured = speed * (1.0 + 0.005 * generator.standard_normal())
     for begin in generator.uniform(0, ticks.size, int(ticks.size / 2000)).astype(int):
         slip = np.interp(np.arange(60), [0, 10, 50, 60], [0.0, 0.15, 0.15, 0.0])
-        told[begin : begin + 60] *= 1.0 + slip[: told[begin : begin + 60].size]
-    told = np.where(speed > 0.0, told + 0.05 * generator.standard_normal(told.size), 0.0)
-    return frame_of(TRAIN_STATE, ticks, {"speed": np.maximum(told, 0.0)})
+        measured[begin : begin + 60] *= 1.0 + slip[: measured[begin : begin + 60].size]
+    measured = np.where(
+        speed > 0.0, measured + 0.05 * generator.standard_normal(measured.size), 0.0
+    )
+    return frame_of(TRAIN_STATE, ticks, {"speed": np.maximum(measured, 0.0)})
 
 
 def errors(path: Path, receiver: Receiver, seed: int):
@@ -165,7 +167,7 @@ def errors(path: Path, receiver: Receiver, seed: int):
     ticks = np.arange(index[0], index[-1], 1_000_000_000)
     position, speed = truth.at(ticks)
 
-    def told(times, values):
+    def measured(times, values):
         return np.interp((ticks - ticks[0]) / 1e9, (times - ticks[0]) / 1e9, values)
 
     fix = trip["/gnss/fix"]
@@ -174,13 +176,13 @@ def errors(path: Path, receiver: Receiver, seed: int):
         track, track.plane(fix["latitude"].to_numpy(), fix["longitude"].to_numpy())
     )
     times = fix.index.as_unit("ns").asi8
-    naive = told(times, near)
-    raw = told(times[1:], np.diff(near) / np.diff(times / 1e9))
+    naive = measured(times, near)
+    raw = measured(times[1:], np.diff(near) / np.diff(times / 1e9))
     return {
-        "position": told(index, frame["position"]) - position,
-        "position_std": told(index, frame["position_std"]),
-        "speed": told(index, frame["speed"]) - speed,
-        "speed_std": told(index, frame["speed_std"]),
+        "position": measured(index, frame["position"]) - position,
+        "position_std": measured(index, frame["position_std"]),
+        "speed": measured(index, frame["speed"]) - speed,
+        "speed_std": measured(index, frame["speed_std"]),
         "naive": naive - position,
         "raw": raw - speed,
         "spent": np.array([spent]),

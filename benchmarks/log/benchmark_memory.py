@@ -22,7 +22,7 @@ LIMIT = 500.0
 
 
 def long_log(path: Path, gigabytes: float) -> None:
-    """Write the log and tell its size."""
+    """Write the log and return its size."""
     import pandas as pd
 
     from trainlog.mcap import LogWriter, read_log
@@ -84,15 +84,15 @@ def measured(arguments: list[str]) -> tuple[float, float, float, str]:
     """Peak resident memory [MB], time and processor time [s], and the last words of a command."""
     program = "import sys; from trainlog.cli.main import main; sys.argv[0] = 'trainlog'; main()"
     began = time.perf_counter()
-    with tempfile.TemporaryFile() as told:
+    with tempfile.TemporaryFile() as reported:
         process = subprocess.Popen(
-            [sys.executable, "-c", program, *arguments], stdout=told, stderr=told
+            [sys.executable, "-c", program, *arguments], stdout=reported, stderr=reported
         )
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         took = time.perf_counter() - began
-        told.seek(0)
-        words = told.read().decode(errors="replace").strip().splitlines()
+        reported.seek(0)
+        words = reported.read().decode(errors="replace").strip().splitlines()
     last = "" if process.returncode == 0 else f"exit {process.returncode}: {' '.join(words[-2:])}"
     return usage.ru_maxrss / 1024.0, took, usage.ru_utime + usage.ru_stime, last
 

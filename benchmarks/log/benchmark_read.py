@@ -8,7 +8,7 @@ The first compares a topic of ten doubles a message, to a DataFrame, with the of
 its protobuf decoder, small-mcap (if it is installed), Rerun's McapReader, Parquet, and with nothing
 but decompressing the same chunks. Times are the least of several runs in turns: processor time with
 one thread, wall clock where threads are compared. Large logs are made in a temporary folder, if
-there is room, and removed.
+there is space, and removed.
 """
 
 from __future__ import annotations
@@ -173,14 +173,14 @@ def long_log(size: float, folder: Path) -> Path:
 def part(size: float, repeats: int, folder: Path) -> None:
     """1 % of a log by time and by position, and its description, beside the whole."""
     path = long_log(size, folder)
-    told = describe(path)
-    assert told.first is not None
-    assert told.last is not None
-    assert told.position_span is not None
-    first = told.first + 0.5 * (told.last - told.first)
-    span = (first, first + 0.01 * (told.last - told.first))
-    start = told.position_span[0] + 0.5 * (told.position_span[1] - told.position_span[0])
-    stretch = (start, start + 0.01 * (told.position_span[1] - told.position_span[0]))
+    found = describe(path)
+    assert found.first is not None
+    assert found.last is not None
+    assert found.position_span is not None
+    first = found.first + 0.5 * (found.last - found.first)
+    span = (first, first + 0.01 * (found.last - found.first))
+    start = found.position_span[0] + 0.5 * (found.position_span[1] - found.position_span[0])
+    stretch = (start, start + 0.01 * (found.position_span[1] - found.position_span[0]))
     held = {
         "by time": sum(len(f) for f in read_log(path, time=span).topics.values()),
         "by position": sum(len(f) for f in read_log(path, position=stretch).topics.values()),
@@ -196,7 +196,7 @@ def part(size: float, repeats: int, folder: Path) -> None:
         time.perf_counter,
     )
     for name, each in seconds.items():
-        share = f", {held[name] / told.count:.2%} of the messages" if name in held else ""
+        share = f", {held[name] / found.count:.2%} of the messages" if name in held else ""
         print(f"  {name:12} {each:7.3f} s, {each / seconds['whole']:.2%} of the whole{share}")
 
 
@@ -215,7 +215,7 @@ def stream(size: float, folder: Path) -> None:
 
 
 def only(verb: str, path: str) -> None:
-    """Do one thing and tell the most memory that it took."""
+    """Do one thing and print the most memory that it took."""
     if verb == "describe":
         count = describe(path).count
     else:

@@ -405,7 +405,7 @@ ROUNDING = 0.01
 
 
 def suspect_units(table: Table, limits: Limits) -> Result:
-    """Tell columns that disagree by a factor that is too small to be refused."""
+    """Report columns that disagree by a factor that is too small to be refused."""
     findings: list[Finding] = []
     for name, ratio, problem in ratios(table, limits):
         size = max(ratio, 1.0 / ratio)
@@ -418,7 +418,7 @@ def suspect_units(table: Table, limits: Limits) -> Result:
 
 
 def find_quantised(table: Table, limits: Limits) -> Result:  # noqa: ARG001
-    """Tell columns whose steps are coarser than what they measure changes between two samples."""
+    """Report columns whose steps are coarser than what they measure changes between two samples."""
     findings: list[Finding] = []
     for name, values in table.signals.items():
         item = field_of(name)[2]

@@ -1,0 +1,51 @@
+"""Code, messages and documentation speak in the field's terms, without metaphors."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parents[1]
+
+AVOIDED = {
+    r"told|tells|tell": "a program states, reports or lists",
+    r"rooms?|doors?|house": "a package is a package, an entry point an entry point",
+    r"makes? no sense": "a value must be positive, finite, ...",
+    r"papers? 00\d": "a paper is cited by author and year",
+}
+
+MEANT = {
+    "stream.tell": "position in a file",
+    "doors and passengers": "doors of a train",
+    "doors, left": "doors of a train",
+    "door {i}": "doors of a train",
+    "door 0": "doors of a train",
+}
+"""Where such a word is the right one."""
+
+PATTERNS = ("*.md", "docs/*.md", *(f"{name}/**/*.py" for name in ("trainlog", "analysis")))
+FOLDERS = ("estimators", "benchmarks", "sample_logs", "tests")
+
+
+def files() -> list[Path]:
+    found = [path for pattern in PATTERNS for path in CHECKOUT.glob(pattern)]
+    found += [path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py")]
+    return sorted(path for path in found if path.name not in ("CHANGELOG.md", Path(__file__).name))
+
+
+def test_the_files_are_found() -> None:
+    assert len(files()) > 300
+
+
+@pytest.mark.parametrize("words", AVOIDED)
+def test_no_private_words(words: str) -> None:
+    pattern = re.compile(rf"\b(?:{words})\b", re.IGNORECASE)
+    lines = [
+        f"{path.relative_to(CHECKOUT)}:{number}: {line.strip()}"
+        for path in files()
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1)
+        if pattern.search(line) and not any(each in line for each in MEANT)
+    ]
+    assert not lines, f"{AVOIDED[words]}:\n" + "\n".join(lines)
