@@ -10,8 +10,7 @@ import numpy as np
 from rich.table import Table
 
 from analysis.adhesion.condition_map import summary
-from analysis.comparison.cost import compare, punctuality
-from analysis.comparison.table import running_times
+from analysis.comparison.cost import compare, punctuality, running_times
 from analysis.tables import as_page, excess, kwh, new_table
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.display import as_text

@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.resistance.coast_down import CoastDown, coast_down
+from analysis.resistance.coast_down import CoastDown, coast_down, without_gradient_table
 from analysis.resistance.coasting_fit import Curve, MassRatio, fit_segments, with_ratio
 from analysis.resistance.motion import motion_of, smoothed_over
 from analysis.resistance.plot import draw_without_gradient
-from analysis.resistance.table import without_gradient_table
 from analysis.resistance.unknown_gradient import coast_down_without_gradient, lever_at_rest
 from analysis.truth import truth_of
 from tests.coasting_trips import (

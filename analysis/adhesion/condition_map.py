@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Group
 
 from analysis.adhesion.evidence import (
     Evidence,
@@ -26,6 +27,7 @@ from analysis.adhesion.evidence import (
 )
 from analysis.adhesion.slip import TOPICS, SlipAnalysis, slip
 from analysis.given import Given, each_given
+from analysis.tables import new_table
 from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
@@ -175,7 +177,6 @@ class UpdatedMap:
         return repr(self.track) + (f"\n  held already: {skipped}" if skipped else "")
 
     def _repr_html_(self) -> str:
-        from analysis.adhesion.table import map_table
         from analysis.tables import as_page
 
         return self.track._repr_html_() + as_page(map_table(self.track))
@@ -418,3 +419,24 @@ def _lowest(track: TrackConditionMap, layer: ConditionLayer, spots: int) -> tupl
         )
         for i in chosen
     )
+
+
+def map_table(track: TrackConditionMap) -> Group:
+    """What a track-condition map knows, layer by layer, with its lowest spots."""
+    title = f"Track condition of {track.line}, {track.bin_length:.0f} m bins"
+    lowest = "lowest maximum adhesion (95 % band)"
+    table = new_table(title, "rail", "trips", "slip events", "observed", lowest)
+    for layer in summary(track):
+        spots = [
+            f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
+            for spot in layer.lowest
+        ]
+        share = layer.observed_bins / layer.bins
+        table.add_row(
+            layer.layer,
+            str(layer.trips),
+            str(layer.events),
+            f"{layer.observed_length / 1e3:.1f} km, {share:.0%}",
+            "\n".join(spots) or "nothing observed",
+        )
+    return Group(table, "Elsewhere demand never met the limit: there the map says nothing.")

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from rich.console import Group
 
 from analysis.given import Given, each_given
+from analysis.tables import kwh, new_table
 from trainlog.display import as_text
 from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
@@ -337,7 +339,6 @@ class Comparison:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        from analysis.comparison.table import savings_table
         from analysis.tables import as_page
 
         return as_page(savings_table(self))
@@ -434,3 +435,34 @@ def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:
         each = zip(names, (driver.stops, followed.stops), strict=True)
         return 3, " and ".join(f"{name} stopped {stops}x" for name, stops in each if stops)
     return None
+
+
+def savings_table(found: Comparison) -> Group:
+    """What following the trajectory saved, pair by pair and together."""
+    pairs = found.pairs
+    title = "Tractive energy at the wheel rims, running time, how often slip protection acted"
+    table = new_table(
+        title, "trip", "driver", "trajectory", "saved", "from the line", "behind it", "slips"
+    )
+    for pair in pairs:
+        driver, own = pair.driver, pair.trajectory
+        table.add_row(
+            driver.name,
+            f"{kwh(driver.traction)}, {driver.running_time:.0f} s",
+            f"{kwh(own.traction)}, {own.running_time:.0f} s",
+            f"{kwh(pair.traction)}, {pair.traction / driver.traction:.1%}",
+            kwh(pair.line),
+            "-" if own.late is None else f"{own.late:+.1f} s",
+            " / ".join("-" if each.slips is None else f"{each.slips}" for each in (driver, own)),
+        )
+    spent, saved = found.total_saved
+    trips = "1 trip" if len(pairs) == 1 else f"{len(pairs)} trips"
+    words = f"Saved on {trips}: {kwh(saved)} of {kwh(spent)}, {saved / spent:.1%};"
+    words += f" {kwh(sum(pair.line for pair in pairs))} from the line; {running_times(found)}."
+    return Group(table, words)
+
+
+def running_times(found: Comparison) -> str:
+    """Mean running times of both, in words."""
+    driver, trajectory = found.running_times
+    return f"{trajectory:.0f} s on the trajectory against {driver:.0f} s on average"

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from rich.console import Group
+from rich.table import Table
 
 from analysis.given import Given, each_given
 from analysis.resistance.coasting_detection import (
@@ -36,6 +38,7 @@ from analysis.resistance.coasting_fit import (
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, random_effects
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.resistance.regression import powers
+from analysis.tables import new_table
 from trainlog.display import as_text, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
@@ -46,7 +49,7 @@ from trainlog.mcap.stretches import stretches
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
-from trainlog.units import KMH
+from trainlog.units import GRAVITY, KMH, PER_MILLE
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +99,6 @@ class CoastDown:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        from analysis.resistance.table import coast_down_table
         from analysis.tables import as_page
 
         return as_page(coast_down_table(self))
@@ -510,3 +512,94 @@ def refusals(refused: dict[str, str]) -> list[dict[str, Any]]:
         {"trip": name, "accepted": False, "reason": reason}
         for name, reason in sorted(refused.items())
     ]
+
+
+def coast_down_table(found: CoastDown) -> Group:
+    """Each trip's coasting, the common curve with its band, and what was refused."""
+    table = new_table(
+        f"Coasting of {found.train or 'a train'}",
+        "trip",
+        "speed from",
+        "segments",
+        "coasted",
+        "km/h",
+        "windows",
+        "off by",
+    )
+    for fit in found.trips:
+        low, high = fit.curve.covered
+        speed = np.linspace(low, high, 21)
+        share = float(np.min(fit.curve.share(speed)))
+        table.add_row(
+            fit.trip,
+            fit.source,
+            f"{len(fit.segments)}"
+            + (f" ({len(fit.outlier_segments)} outliers)" if fit.outlier_segments else ""),
+            f"{fit.coasted:.0f} s",
+            f"{KMH * low:.0f} to {KMH * high:.0f}",
+            f"{fit.windows['used']}",
+            f"{196.0 * share:.1f} %" if np.isfinite(share) else "-",
+        )
+    words = [
+        "'Off by' is half the 95 % interval of the trip's own curve where it is known best.",
+        _ratio(found),
+    ]
+    words += [f"refused: {reason}" for reason in found.refused.values()]
+    return Group(table, _curve(found), *words)
+
+
+def without_gradient_table(result: CoastDownResult) -> Group:
+    """What is identified with the gradient unknown, and why the rest is not."""
+    table = new_table(
+        "Running resistance over inertia, gradient unknown", "quantity", "unit", "value", ""
+    )
+    for each in result.quantities:
+        value = "not identified"
+        if each.value is not None and each.std is not None:
+            value = f"{each.value:.3g} ± {1.96 * each.std:.2g}"
+        table.add_row(each.name, each.unit, value, each.reason or "")
+    words = [f"{len(result.pieces)} pieces of track were coasted more than once."]
+    words += [f"refused: {trip['reason']}" for trip in result.trips if not trip["accepted"]]
+    if result.curve is not None:
+        low, high = (KMH * float(result.curve.speeds[end]) for end in (0, -1))
+        words.append(f"The whole curve is supported from {low:.0f} to {high:.0f} km/h.")
+    return Group(table, *words)
+
+
+def _curve(found: CoastDown) -> Table:
+    """The common curve at rounded speeds."""
+    curve = found.curve
+    low, high = curve.supported or curve.covered
+    table = new_table(
+        "Running resistance of the coasting train, with its 95 % band",
+        "km/h",
+        "over inertia [m/s²]",
+        "over weight [per mille]",
+        "over mass [N/t]",
+    )
+    at = np.arange(np.ceil(KMH * low / 10.0) * 10.0, KMH * high + 1e-9, 10.0) / KMH
+    for speed in at if at.size else np.array([0.5 * (low + high)]):
+        value, (below, above) = float(curve(speed)), curve.band(speed)
+        weight, std = (float(part) for part in curve.per_weight(speed))
+        reach = 0.5 * float(above - below)
+        factor = reach / float(curve.std(speed))
+        table.add_row(
+            f"{KMH * speed:.0f}",
+            f"{value:.4f} ± {reach:.4f}",
+            f"{PER_MILLE * weight:.2f} ± {PER_MILLE * factor * std:.2f}",
+            f"{1e3 * GRAVITY * weight:.1f} ± {1e3 * GRAVITY * factor * std:.1f}",
+        )
+    return table
+
+
+def _ratio(found: CoastDown) -> str:
+    ratio = found.ratio
+    origin = {
+        "data": "determined by how the train coasts on different gradients",
+        "train file": "expected from the train's file; the data do not determine it better",
+        "any train": "assumed, as no train file is there; the data do not determine it better",
+    }[ratio.source]
+    return (
+        f"Mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f}: {origin}. The columns over"
+        " weight and over mass rest on it."
+    )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from rich.console import Group
 
 from analysis.given import Given, each_given
 from analysis.resistance.combination import SOFTWARE, CommonFit, combine, summarised
@@ -22,7 +23,9 @@ from analysis.resistance.recording import (
     check_recorded,
     scale_samples,
 )
+from analysis.resistance.regression import diagnosed
 from analysis.resistance.windows import Evidence, part_of, within
+from analysis.tables import new_table, with_band
 from trainlog.display import as_text, span
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
@@ -88,7 +91,6 @@ class Fits:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        from analysis.resistance.table import fit_table
         from analysis.tables import as_page
 
         return as_page(fit_table(self))
@@ -303,3 +305,61 @@ def _train_name(trip: Trip) -> str:
         return train_of(trip).name
     except LogError:
         return trip.metadata.get("train", "")
+
+
+def fit_table(fits: Fits) -> Group:
+    """Running resistance of each trip and of all together, with what it rests on."""
+    title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
+    table = new_table(
+        title, "trip", "r0", "r1", "r2", "mass", "power, kW", "kN at 80 km/h", "windows"
+    )
+    at = 80.0 / KMH
+    for fit in fits.trips:
+        table.add_row(
+            fit.trip,
+            *(
+                with_band(b, s)
+                for b, s in zip(fit.beta, np.sqrt(np.diag(fit.covariance)), strict=False)
+            ),
+            f"{fit.mass / 1e3:.1f} ± {1.96 * fit.mass_std / 1e3:.1f} t",
+            "-"
+            if fit.max_power is None or fit.max_power_std is None
+            else with_band(fit.max_power / 1e3, fit.max_power_std / 1e3),
+            with_band(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3),
+            f"{fit.windows['used']}",
+        )
+    common = fits.common
+    beta = (common.resistance.r0, common.resistance.r1, common.resistance.r2)
+    table.add_section()
+    table.add_row(
+        "together",
+        *(with_band(b, s) for b, s in zip(beta, np.sqrt(np.diag(common.covariance)), strict=True)),
+        "",
+        "",
+        with_band(float(common.resistance(at)) / 1e3, float(common.std(at)) / 1e3),
+        f"{sum(fit.windows['used'] for fit in fits.trips)}",
+    )
+    low, high = common.speed_range
+    words = [
+        "± is the 95 % band; a power is given where a trip reached it. Supported from"
+        f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
+        " correlated: trust the curve.",
+    ]
+    for fit in fits.trips:
+        words += [f"{fit.trip}: {doubt}" for doubt in diagnosed(fit.residuals).doubts]
+    words += [f"refused, {error.reason}: {error}" for error in fits.refused.values()]
+    words += _observed_set(fits)
+    return Group(table, *words)
+
+
+def _observed_set(fits: Fits) -> list[str]:
+    """What the observed set stands for."""
+    found = fits.parameters
+    words = (
+        f"{len(found.configurations)} configurations stand for {found.cover['trips']} trips: their"
+        f" worst case bounds {found.cover['level']:.1%} of trips like these"
+    )
+    if found.cover["level"] < found.cover["asked"]:
+        words += f", fewer than the {found.cover['asked']:.1%} asked for"
+    known = f"{fits.known} logs were not read: their summaries are known." if fits.known else ""
+    return [f"{words}.", *([known] if known else [])]

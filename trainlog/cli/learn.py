@@ -52,10 +52,9 @@ def fit(
 
     Example: trainlog fit results/trips -o results/parameters.json
     """
-    from analysis.resistance.logs import AllRefusedError
+    from analysis.resistance.logs import AllRefusedError, fit_table
     from analysis.resistance.logs import fit as fit_trips
     from analysis.resistance.plot import draw_each, draw_each_refused, draw_fits
-    from analysis.resistance.table import fit_table
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
@@ -123,9 +122,8 @@ def map_update(
 
     Example: trainlog map update results/trips --map results/map.json
     """
-    from analysis.adhesion.condition_map import adhesion_map
+    from analysis.adhesion.condition_map import adhesion_map, map_table
     from analysis.adhesion.plot import draw_map
-    from analysis.adhesion.table import map_table
     from trainlog.formats.condition import read_map, write_map
 
     destination(condition, ".json")
@@ -152,8 +150,8 @@ def map_show(
 
     Example: trainlog map show results/map.json --picture map.png
     """
+    from analysis.adhesion.condition_map import map_table
     from analysis.adhesion.plot import draw_map
-    from analysis.adhesion.table import map_table
     from trainlog.formats.condition import read_map
 
     if picture is not None:
@@ -190,7 +188,7 @@ def coast_down(
     Example: trainlog coast-down results/recorded -o results/coast-down.json
     """
     from analysis.resistance import coast_down as coasting
-    from analysis.resistance import plot, table, unknown_gradient
+    from analysis.resistance import plot, unknown_gradient
     from trainlog.formats.parameters import write_coast_down
 
     destination(output, ".json")
@@ -205,8 +203,8 @@ def coast_down(
     write_coast_down(result, output)
     if gradient == "unknown":
         plot.draw_without_gradient(result, shown)
-        console.print(table.without_gradient_table(result))
+        console.print(coasting.without_gradient_table(result))
     else:
         plot.draw_coast_down(found, shown)
-        console.print(table.coast_down_table(found))
+        console.print(coasting.coast_down_table(found))
     wrote(output, shown)
