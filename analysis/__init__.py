@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from analysis.adhesion.condition_map import adhesion_map as adhesion_map
     from analysis.adhesion.slip import slip as slip
     from analysis.comparison.cost import compare as compare
+    from analysis.control.follow import Follower as Follower
     from analysis.control.follow import follow as follow
     from analysis.estimates import with_estimates as with_estimates
     from analysis.geometry.centre_line import geometry_of as geometry_of
@@ -51,7 +52,7 @@ _NAMES = {
         "optimise TrajectoryProblem OptimiserOptions optimise_journey energy_against_time"
         " advice phases_of"
     ),
-    "analysis.control.follow": "follow",
+    "analysis.control.follow": "follow Follower",
     "analysis.comparison.cost": "compare",
     "analysis.reporting": "report",
     "analysis.estimates": "with_estimates",
