@@ -233,6 +233,10 @@ class _Scan:
             return at + len(MAGIC)
         if self._summary is not None and at == self._summary.start and self._data_end is None:
             self._data_end = self._summary.data_end, DataEnd(data_section_crc=0)
+            lost = self._losses[-1].end if self._losses else 0
+            if lost < at:
+                start = max(lost, self._summary.data_end)
+                self._lose(start, at, "the data section has no end", 0)
         opcode, length = finder.head(at)
         end = at + RECORD_HEAD + length
         if opcode == Opcode.CHUNK:
