@@ -145,7 +145,7 @@ def linearised(
     """
     n, dead = plan.size, past.size
     states, response = np.empty((n + 1, 2)), np.zeros((n + 1, 2, n))
-    kept, low, high = plan.copy(), np.empty(n), np.empty(n)
+    kept, low, high = np.empty(n), np.empty(n), np.empty(n)
     asked, slow = np.zeros(n * ticks), np.zeros(n * ticks, dtype=np.bool_)
     dp, dv, df = np.zeros(n), np.zeros(n), np.zeros(n)
     fade = math.exp(-TICK / limits.lag)
@@ -196,7 +196,8 @@ def linearised(
                 p += TICK * v + 0.5 * TICK * TICK * a
                 v += TICK * a
         states[k + 1, 0], states[k + 1, 1] = p, v
-        response[k + 1, 0], response[k + 1, 1] = dp, dv
+        for c in range(n):
+            response[k + 1, 0, c], response[k + 1, 1, c] = dp[c], dv[c]
     return states, response, kept, low, high
 
 
@@ -226,10 +227,18 @@ def condensed(
         Of the changes, then of the rows.
     """
     n = kept.size
-    a = np.array([[1.0, span], [0.0, 1.0]])
-    push = estimate.gain * np.array([0.5 * span * span, span])
+    a, push = np.zeros((2, 2)), np.empty(2)
+    a[0, 0], a[0, 1], a[1, 1] = 1.0, span, 1.0
+    push[0], push[1] = estimate.gain * (0.5 * span * span), estimate.gain * span
     terminal = terminal_weight(a, push, weight.position, weight.effort)
-    error, deviation = states - target, kept - aim
+    # Element by element: assignments of arrays and slices would take seconds to compile.
+    error, deviation = np.empty((n + 1, 2)), np.empty(n)
+    for k in range(n + 1):
+        error[k, 0], error[k, 1] = states[k, 0] - target[k, 0], states[k, 1] - target[k, 1]
+    least, most = np.empty(n), np.empty(n)
+    for i in range(n):
+        deviation[i] = kept[i] - aim[i]
+        least[i], most[i] = low[i] - kept[i], high[i] - kept[i]
     h, f = tracking_cost(response, error, deviation, terminal, weight.position, weight.effort)
     for i in range(n):
         # Changes are weighed as changes beyond those of the reference.
@@ -246,10 +255,8 @@ def condensed(
     for k in range(n + 1):
         squares[k] = ceiling_square(states[k, 0], route)
         slopes[k] = rate(route.ceiling, route.origin, states[k, 0])
-    upper, lower = np.empty(3 * n), np.empty(3 * n)
-    upper[:n], lower[:n] = high - kept, low - kept
-    free = np.zeros_like(states)
-    rows, upper[n:], lower[n:] = speed_rows(response, states, free, squares, slopes)
+    free = np.zeros((n + 1, 2))
+    rows, upper, lower = speed_rows(least, most, response, states, free, squares, slopes)
     return h, f, rows, upper, lower
 
 

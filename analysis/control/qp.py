@@ -21,6 +21,9 @@ FloatArray = NDArray[np.float64]
 SOFTNESS = 1e-7
 """Of the rows of a program: one over their quadratic weight."""
 
+UNBOUNDED = 1e30
+"""Bound of a row on the side on which it has none, as DAQP has it."""
+
 
 @dataclass(frozen=True, eq=False)
 class QPSubproblem:
@@ -88,16 +91,25 @@ def terminal_weight(a: FloatArray, b: FloatArray, weight: float, effort: float) 
 
     Of ``x[k+1] = A x[k] + b u[k]`` with the stage cost ``weight x[0]² + effort u²``; (2, 2) array.
     """
-    p = np.zeros((2, 2))
-    p[0, 0] = weight
+    # In scalars: the products of arrays would take seconds to compile.
+    a00, a01, a10, a11 = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
+    b0, b1 = b[0], b[1]
+    p00, p01, p11 = weight, 0.0, 0.0
     for _ in range(60):
-        pb = p @ b
-        gain = (a.T @ pb) / (effort + b @ pb)
-        new = a.T @ p @ a - np.outer(gain, a.T @ pb)
-        new[0, 0] += weight
-        if np.abs(new - p).max() < 1e-9 * np.abs(new).max():
+        # P A, then A' P A and A' P b; P is symmetric.
+        x00, x01 = p00 * a00 + p01 * a10, p00 * a01 + p01 * a11
+        x10, x11 = p01 * a00 + p11 * a10, p01 * a01 + p11 * a11
+        c0, c1 = x00 * b0 + x10 * b1, x01 * b0 + x11 * b1
+        over = effort + b0 * (p00 * b0 + p01 * b1) + b1 * (p01 * b0 + p11 * b1)
+        n00 = a00 * x00 + a10 * x10 - c0 * c0 / over + weight
+        n01 = a00 * x01 + a10 * x11 - c0 * c1 / over
+        n11 = a01 * x01 + a11 * x11 - c1 * c1 / over
+        change = max(abs(n00 - p00), abs(n01 - p01), abs(n11 - p11))
+        if change < 1e-9 * max(abs(n00), abs(n01), abs(n11)):
             break
-        p = 0.5 * (new + new.T)
+        p00, p01, p11 = n00, n01, n11
+    p = np.empty((2, 2))
+    p[0, 0], p[0, 1], p[1, 0], p[1, 1] = p00, p01, p01, p11
     return p
 
 
@@ -150,13 +162,15 @@ def tracking_cost(
 
 @njit(cache=True)
 def speed_rows(
-    response: FloatArray, states: FloatArray, free: FloatArray, squares: FloatArray,
-    slopes: FloatArray,
+    least: FloatArray, most: FloatArray, response: FloatArray, states: FloatArray,
+    free: FloatArray, squares: FloatArray, slopes: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Rows that keep the square of the speed below a ceiling, and the speed from below 0.
 
     Parameters
     ----------
+    least, most : (n,) arrays
+        Bounds of the changes of the inputs.
     response : (n + 1, 2, n) array
     states : (n + 1, 2) array
         About which the motion is linearised.
@@ -170,15 +184,20 @@ def speed_rows(
     Returns
     -------
     rows : (2n, n) array
-    upper, lower : (2n,) arrays
+    upper, lower : (3n,) arrays
+        Bounds of the changes, then of the rows.
     """
     n = states.shape[0] - 1
-    rows, upper, lower = np.empty((2 * n, n)), np.full(2 * n, 1e30), np.full(2 * n, -1e30)
+    rows, upper, lower = np.empty((2 * n, n)), np.empty(3 * n), np.empty(3 * n)
+    for k in range(n):
+        upper[k], lower[k] = most[k], least[k]
     for k in range(1, n + 1):
         v, slope = states[k, 1], slopes[k]
         for j in range(n):
             rows[k - 1, j] = 2.0 * v * response[k, 1, j] - slope * response[k, 0, j]
             rows[n + k - 1, j] = response[k, 1, j]
-        upper[k - 1] = squares[k] - v * v - 2.0 * v * free[k, 1] + slope * free[k, 0]
-        lower[n + k - 1] = -(v + free[k, 1])
+        upper[n + k - 1] = squares[k] - v * v - 2.0 * v * free[k, 1] + slope * free[k, 0]
+        lower[n + k - 1] = -UNBOUNDED
+        upper[2 * n + k - 1] = UNBOUNDED
+        lower[2 * n + k - 1] = -(v + free[k, 1])
     return rows, upper, lower

@@ -135,7 +135,7 @@ def condensed(
     free = np.zeros((n + 1, 2))
     free[0] = deviation
     last_a, last_b = np.eye(2), np.zeros(2)
-    upper, lower = np.empty(3 * n), np.full(3 * n, -1e30)
+    least, most = np.empty(n), np.empty(n)
     for k in range(n):
         p, v, u = states[k, 0], states[k, 1], levers[k]
         full = full_effort(v, c)
@@ -150,9 +150,9 @@ def condensed(
             response[k + 1, 1, j] = (
                 last_a[1, 0] * response[k, 0, j] + last_a[1, 1] * response[k, 1, j]
             )
-        response[k + 1, :, k] = last_b
-        least, most = bounds_over(p, v, states[k + 1, 0], states[k + 1, 1], t, c)
-        lower[k], upper[k] = least - u, most - u
+        response[k + 1, 0, k], response[k + 1, 1, k] = last_b[0], last_b[1]
+        low, high = bounds_over(p, v, states[k + 1, 0], states[k + 1, 1], t, c)
+        least[k], most[k] = low - u, high - u
     squares, slopes = np.empty(n + 1), np.empty(n + 1)
     for k in range(n + 1):
         p, v = states[k, 0], states[k, 1]
@@ -160,7 +160,7 @@ def condensed(
         slopes[k] = rate(t.ceiling, t.origin, p)
     terminal = terminal_weight(last_a, last_b, weight, effort)
     h, f = tracking_cost(response, states + free - target, levers - aim, terminal, weight, effort)
-    rows, upper[n:], lower[n:] = speed_rows(response, states, free, squares, slopes)
+    rows, upper, lower = speed_rows(least, most, response, states, free, squares, slopes)
     return h, f, rows, upper, lower
 
 

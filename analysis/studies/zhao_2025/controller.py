@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.control.qp import QPSubproblem, solve
+from analysis.control.qp import UNBOUNDED, QPSubproblem, solve
 from analysis.studies.zhao_2025 import model
 from analysis.studies.zhao_2025.model import MultiMotorLocomotive
 from trainlog.errors import InputError
@@ -29,9 +29,6 @@ FloatArray = NDArray[np.float64]
 
 BANDWIDTH = 6.0
 """Of a slip controller [rad/s]: of those from 1 to 8 the one that takes a locomotive farthest."""
-
-UNBOUNDED = 1e30
-"""What the solver takes for no bound."""
 
 
 @dataclass(frozen=True, slots=True)
