@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 
 from analysis.control.qp import SOFTNESS, solve, terminal_weight
 from analysis.control.route import value
@@ -122,6 +122,13 @@ def test_terminal_cost_is_the_fixed_point_of_riccati() -> None:
     q, r = np.diag([1.0, 0.0]), 0.01
     gain = (b @ p @ a) / (r + b @ p @ b)
     np.testing.assert_allclose(p, q + a.T @ p @ a - np.outer(a.T @ p @ b, gain), rtol=1e-6)
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.0, 1.2])
+def test_terminal_cost_is_that_of_the_stationary_regulator(gain: float) -> None:
+    a, b = np.array([[1.0, 0.9], [-0.02, 0.95]]), gain * np.array([0.5, 1.0])
+    expected = solve_discrete_are(a, b[:, None], np.diag([2.0, 0.0]), np.array([[0.1]]))
+    np.testing.assert_allclose(terminal_weight(a, b, 2.0, 0.1), expected, rtol=1e-6)
 
 
 @settings(max_examples=25, deadline=None)

@@ -19,7 +19,7 @@ from trainlog.display import as_html, as_text
 from trainlog.errors import LogError
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
 from trainlog.topics import Topic, column_field
-from trainlog.units import clock
+from trainlog.units import NANOSECONDS, clock
 from trainlog.version import __version__
 
 POSITION_TOPICS = ("/estimates/state", "/train/state")
@@ -312,7 +312,7 @@ def _rate(frame: pd.DataFrame) -> str:
     step = np.diff(pd.DatetimeIndex(frame.index).as_unit("ns").asi8)
     usual = float(np.median(step)) if step.size > 1 else 0.0
     regular = usual > 0.0 and np.mean(np.abs(step - usual) < 0.1 * usual) > 0.5
-    return f" at {1e9 / usual:.3g} Hz" if regular else ""
+    return f" at {NANOSECONDS / usual:.3g} Hz" if regular else ""
 
 
 def frame_of(

@@ -33,7 +33,7 @@ from trainlog.resampling import interpolated
 from trainlog.spans import in_spans
 from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL
 from trainlog.trip import Trip, frame_of, seconds
-from trainlog.units import KMH
+from trainlog.units import KMH, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -180,7 +180,7 @@ class SlipAnalysis:
         from estimators.creep_curve import estimate_creep_curve
 
         clock = np.asarray(self.time.as_unit("ns").asi8)
-        time = (clock - clock[0]) / 1e9 if clock.size else np.empty(0)
+        time = (clock - clock[0]) / NANOSECONDS if clock.size else np.empty(0)
         noise = adhesion_noise(time, self.adhesion) if len(self.events) else 0.0
         slip_std = float(np.hypot(wheel_noise(self.slip_speed), CURVE_SPEED_STD))
         columns = ["maximum", "maximum_std", "slope", "slope_std"]

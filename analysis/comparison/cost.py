@@ -22,6 +22,7 @@ from trainlog.railway import Line, Train
 from trainlog.resampling import joined_pieces
 from trainlog.topics import EVENTS, REFERENCE, STANDSTILL
 from trainlog.trip import Trip, seconds
+from trainlog.units import JOULES_PER_KWH
 
 FloatArray = NDArray[np.float64]
 
@@ -351,7 +352,7 @@ class Comparison:
         spent, saved = self.total_saved
         driver, own = self.running_times
         return {
-            "tractive energy": f"{saved / 3.6e6:.2f} of {spent / 3.6e6:.2f} kWh saved,"
+            "tractive energy": f"{saved / JOULES_PER_KWH:.2f} of {spent / JOULES_PER_KWH:.2f} kWh saved,"
             f" {saved / spent:.1%}",
             "running time": f"{own:.0f} s on the trajectory, {driver:.0f} s by the drivers",
         }

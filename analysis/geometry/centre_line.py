@@ -19,6 +19,7 @@ from trainlog.ingest.estimates import fixes_of
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile
 from trainlog.trip import Trip
+from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -196,7 +197,7 @@ def line_of(centre_line: CentreLine, name: str) -> Line:
     >>> line_of(centre_line, "from fixes").source.endswith("tunnels: not known")
     True
     """
-    limit = 5.0 / 3.6 * np.ceil(max(centre_line.fastest, 1.0) * 3.6 / 5.0)
+    limit = 5.0 / KMH * np.ceil(max(centre_line.fastest, 1.0) * KMH / 5.0)
     missing = sum(end - start for start, end in centre_line.unsupported)
     source = (
         f"{centre_line.geometry.quality}; chainage counts along the fitted curve;"

@@ -13,6 +13,7 @@ from analysis.resistance.windows import integral_up_to
 from estimators.motion import smooth_motion
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.trip import POSITION_TOPICS, Trip, seconds
+from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -186,7 +187,7 @@ def _seconds(index: pd.DatetimeIndex, origin: pd.Timestamp) -> FloatArray:
 
 def _noise_density(index: pd.DatetimeIndex, speed: FloatArray) -> float:
     """Variance of the noise times the sampling period: what averaging over a second leaves."""
-    period = float(np.median(np.diff(index.as_unit("ns").asi8))) / 1e9
+    period = float(np.median(np.diff(index.as_unit("ns").asi8))) / NANOSECONDS
     return max(_white_noise(speed), LEAST_NOISE) ** 2 * period
 
 

@@ -30,7 +30,7 @@ from trainlog.display import as_html, as_text
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
-from trainlog.units import clock
+from trainlog.units import JOULES_PER_KWH, clock
 
 FloatArray = NDArray[np.float64]
 
@@ -299,7 +299,7 @@ class JourneyPlan:
             rows["..."] = f"{len(self.sections)} sections in all"
         if "energy" in self.certificate:
             rows["energy"] = (
-                f"{self.certificate['energy'] / 3.6e6:.2f} kWh, gap {self.certificate['gap']:.3%}"
+                f"{self.certificate['energy'] / JOULES_PER_KWH:.2f} kWh, gap {self.certificate['gap']:.3%}"
             )
         return rows
 

@@ -37,6 +37,7 @@ from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
 from trainlog.display import as_html, as_text, picture
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.railway import Trajectory
+from trainlog.units import JOULES_PER_KWH
 
 FloatArray = NDArray[np.float64]
 
@@ -300,7 +301,7 @@ class Front:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        energies = (self.energies / 3.6e6).round(2)
+        energies = (self.energies / JOULES_PER_KWH).round(2)
         return as_html(self._title, self._summary(), picture(self.times, {"kWh": energies}))
 
     @property
@@ -313,7 +314,7 @@ class Front:
         shown = np.unique(np.linspace(0, self.times.size - 1, 8).astype(int)).tolist()
         for row in shown:
             rows[f"{self.times[row]:.1f} s"] = (
-                f"{self.energies[row] / 3.6e6:.2f} kWh, {self.prices[row] / 3.6e3:.1f} Wh a second"
+                f"{self.energies[row] / JOULES_PER_KWH:.2f} kWh, {self.prices[row] / 3.6e3:.1f} Wh a second"
             )
         return rows
 

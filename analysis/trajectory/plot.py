@@ -27,7 +27,7 @@ from analysis.plotting import (
 from analysis.trajectory.optimiser import Front
 from analysis.trajectory.phases import Phase, phases_of
 from trainlog.railway import Line, Trajectory
-from trainlog.units import KMH, PER_MILLE, clock
+from trainlog.units import JOULES_PER_KWH, KMH, PER_MILLE, clock
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ _POINTS = 8
 _FEW = 4
 """Other configurations up to which all are drawn in colours, and the costates of each."""
 
-_KWH = 3.6e6
+_KWH = JOULES_PER_KWH
 
 
 def draw_trajectory(

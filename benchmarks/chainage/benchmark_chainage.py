@@ -30,6 +30,7 @@ from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.sensors import correlated
 from trainlog.topics import GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
+from trainlog.units import NANOSECONDS
 
 PROFILE = Profile(format="trainlog/recorder-profile", version=1, name="none")
 
@@ -73,8 +74,8 @@ class Truth:
 
     def at(self, nanoseconds):
         """Position and speed at each time."""
-        elapsed = (self.nanoseconds - self.nanoseconds[0]) / 1e9
-        asked = (nanoseconds - self.nanoseconds[0]) / 1e9
+        elapsed = (self.nanoseconds - self.nanoseconds[0]) / NANOSECONDS
+        asked = (nanoseconds - self.nanoseconds[0]) / NANOSECONDS
         return np.interp(asked, elapsed, self.position), np.interp(asked, elapsed, self.speed)
 
 
@@ -96,9 +97,9 @@ def driven(path: Path, seed: int) -> Truth:
 def received(truth: Truth, receiver: Receiver, seed: int) -> Trip:
     """What the receiver makes of a trip."""
     generator = np.random.default_rng(seed)
-    period = round(1e9 / receiver.rate)
+    period = round(NANOSECONDS / receiver.rate)
     ticks = np.arange(truth.nanoseconds[0], truth.nanoseconds[-1], period)
-    seconds = (ticks - ticks[0]) / 1e9
+    seconds = (ticks - ticks[0]) / NANOSECONDS
     position, speed = truth.at(ticks)
     if receiver.lasting:
         error = [
@@ -164,11 +165,11 @@ def errors(path: Path, receiver: Receiver, seed: int):
     spent = time.process_time() - start
     frame = estimate.frame
     index = frame.index.as_unit("ns").asi8
-    ticks = np.arange(index[0], index[-1], 1_000_000_000)
+    ticks = np.arange(index[0], index[-1], NANOSECONDS)
     position, speed = truth.at(ticks)
 
     def measured(times, values):
-        return np.interp((ticks - ticks[0]) / 1e9, (times - ticks[0]) / 1e9, values)
+        return np.interp((ticks - ticks[0]) / NANOSECONDS, (times - ticks[0]) / NANOSECONDS, values)
 
     fix = trip["/gnss/fix"]
     track = track_of(truth.line.geometry)
@@ -177,7 +178,7 @@ def errors(path: Path, receiver: Receiver, seed: int):
     )
     times = fix.index.as_unit("ns").asi8
     naive = measured(times, near)
-    raw = measured(times[1:], np.diff(near) / np.diff(times / 1e9))
+    raw = measured(times[1:], np.diff(near) / np.diff(times / NANOSECONDS))
     return {
         "position": measured(index, frame["position"]) - position,
         "position_std": measured(index, frame["position_std"]),

@@ -26,6 +26,7 @@ from analysis.studies.hauck_2023.reference import Reference, reference
 from analysis.studies.hauck_2023.section import section_of
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.simulation.drivers import Stop
+from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ def section() -> Reference:
         name="benchmark",
         length=4_000.0,
         stations=(Station("A", 100.0), Station("B", 3_500.0)),
-        speed_limits=StepProfile(np.array([0.0, 1_500.0]), np.array([80.0, 60.0]) / 3.6),
+        speed_limits=StepProfile(np.array([0.0, 1_500.0]), np.array([80.0, 60.0]) / KMH),
         gradients=StepProfile(np.array([0.0, 800.0, 2_000.0]), np.array([0.0, 0.01, 0.0])),
     )
     rail = StepProfile(np.array([0.0, 1_200.0, 1_400.0]), np.array([0.3, 0.08, 0.3]))

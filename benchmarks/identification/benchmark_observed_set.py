@@ -26,6 +26,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import Configuration, Line, ParameterSet, Train
 from trainlog.simulation import draw_scenarios, simulate
+from trainlog.units import JOULES_PER_KWH
 
 RESERVE = 0.10
 """Of the timetable over the least time of the slowest configuration of the set."""
@@ -72,7 +73,7 @@ def judge(line: Line, train: Train, found: ParameterSet, true: list[Configuratio
         f"{np.mean(others <= ours.max()):10.1%}{np.mean(on_time):10.1%}{np.mean(in_power):10.1%}"
         f"{np.mean(on_time & in_power):8.1%}{max(late.max(), 0.0):9.2f}"
         f"{100.0 * max(power.max() - 1.0, 0.0):9.2f}"
-        f"{trajectory.certificate['energy'] / 3.6e6:10.2f}{trajectory.running_time:9.1f}{took:8.1f}"
+        f"{trajectory.certificate['energy'] / JOULES_PER_KWH:10.2f}{trajectory.running_time:9.1f}{took:8.1f}"
     )
 
 

@@ -21,7 +21,7 @@ from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Line, RunningResistance, Station, StepProfile, Train
 from trainlog.topics import GNSS_MOTION, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
-from trainlog.units import GRAVITY
+from trainlog.units import GRAVITY, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
@@ -167,7 +167,7 @@ def draw(study: Study, seed: int) -> Drawn:
 
 def trip_of(drawn: Drawn, study: Study, seed: int) -> Trip:
     """The trip as a log holds it: nothing in it is true that a train does not know."""
-    stamps = np.int64(1_700_000_000_000_000_000) + np.round(drawn.time * 1e9).astype(np.int64)
+    stamps = np.int64(1_700_000_000_000_000_000) + np.round(drawn.time * NANOSECONDS).astype(np.int64)
     nothing = np.zeros(drawn.time.size)
     train = Train(
         name="study",

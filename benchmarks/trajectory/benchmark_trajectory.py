@@ -34,8 +34,9 @@ from trainlog.railway import (
     Train,
     Trajectory,
 )
+from trainlog.units import JOULES_PER_KWH, KMH
 
-KWH = 3.6e6
+KWH = JOULES_PER_KWH
 LONGEST_FOR_IPOPT = 5
 """Active configurations beyond which IPOPT is not asked; it would take minutes."""
 
@@ -43,7 +44,7 @@ LEVEL = Line(
     name="level 48.5 km",
     length=48_531.0,
     stations=(Station("A", 0.0), Station("B", 48_531.0)),
-    speed_limits=StepProfile(np.array([0.0]), np.array([140.0 / 3.6])),
+    speed_limits=StepProfile(np.array([0.0]), np.array([140.0 / KMH])),
     gradients=StepProfile(np.array([0.0]), np.array([0.0])),
     source="TTOBench v1.5, 00_reference",
 )
@@ -152,7 +153,7 @@ def cases(long: bool) -> list[Case]:
         LEVEL,
         name="level, 100 km/h",
         speed_limits=StepProfile(
-            np.array([0.0, 25_000.0, 35_000.0]), np.array([140.0, 100.0, 140.0]) / 3.6
+            np.array([0.0, 25_000.0, 35_000.0]), np.array([140.0, 100.0, 140.0]) / KMH
         ),
     )
     found = [

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from trainlog.errors import InputError
+from trainlog.units import NANOSECONDS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -123,7 +124,7 @@ def _moment(
     edge = found["edge"] or ("end" if found["sign"] == "end-" else "start")
     from_edge = float(found["number"] or 0.0) * SECONDS[found["unit"] or "s"]
     try:
-        distance = pd.Timedelta(round(from_edge * 1e9), "ns")
+        distance = pd.Timedelta(round(from_edge * NANOSECONDS), "ns")
         return known[1] - distance if edge == "end" else known[0] + distance
     except (OverflowError, pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta) as error:
         raise InputError(

@@ -18,6 +18,7 @@ from trainlog.ingest.recording import Finding, FloatArray
 from trainlog.railway.line import Line
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of
+from trainlog.units import NANOSECONDS
 
 SPEED_STD = 0.5
 """Standard deviation of a satellite speed [m/s] where the receiver gives none."""
@@ -86,7 +87,7 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
 
 
 def _seconds(index: pd.DatetimeIndex) -> FloatArray:
-    return np.asarray((index.asi8 - index.asi8[0]) / 1e9)
+    return np.asarray((index.asi8 - index.asi8[0]) / NANOSECONDS)
 
 
 def fixes_of(trip: Trip) -> Fixes:
@@ -148,7 +149,7 @@ def _bridged(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
     time = index.as_unit("ns").asi8
     steps = np.diff(time)
     usual = int(np.median(steps))
-    lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_OUTAGE * 1e9))
+    lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_OUTAGE * NANOSECONDS))
     count = steps[lost] // usual
     start, width = np.repeat(time[lost], count), np.repeat(steps[lost] / count, count)
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)

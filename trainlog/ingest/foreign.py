@@ -37,6 +37,7 @@ from trainlog.ingest.recording import (
 )
 from trainlog.mcap import ForeignFrames, describe, frames_of
 from trainlog.topics import EVENTS, GNSS_FIX, IMU
+from trainlog.units import NANOSECONDS
 
 LOG_TIME, PUBLISH_TIME, STAMP = "log_time", "publish_time", "stamp"
 """What [time] of a profile can name besides a path."""
@@ -339,7 +340,7 @@ def _stamp(frame: pd.DataFrame, path: str) -> IntArray | None:
             whole, rest = (
                 frame[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in names
             )
-            usable = (np.abs(whole) < 2**33) & (rest >= 0.0) & (rest < 1e9)
+            usable = (np.abs(whole) < 2**33) & (rest >= 0.0) & (rest < NANOSECONDS)
             counted = [np.where(usable, part, 0.0).astype(np.int64) for part in (whole, rest)]
             return _plausible(np.where(usable, counted[0] * 10**9 + counted[1], NO_TIME))
     return None

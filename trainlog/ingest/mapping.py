@@ -29,7 +29,7 @@ from trainlog.ingest.recording import (
     Table,
     field_of,
 )
-from trainlog.units import to_si
+from trainlog.units import NANOSECONDS, to_si
 
 MAX_UNREADABLE = 0.5
 """Share of the cells of a number column that may be text before the column is refused."""
@@ -267,7 +267,7 @@ EARLIEST = pd.Timestamp("1980-01-06", tz="UTC").value
 
 LATEST = pd.Timestamp("2100-01-01", tz="UTC").value
 
-NANOSECONDS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+NANOSECONDS_PER = {"s": NANOSECONDS, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
 _WITH_OFFSET = r":\d\d.*(Z|z|[+-]\d\d(:?\d\d)?)$"
 
@@ -329,7 +329,7 @@ def from_parts(parts: list[FloatArray]) -> IntArray:
     months = (year - 1970) * 12 + month - 1
     days = months.astype("datetime64[M]").astype("datetime64[D]") + (day - 1)
     valid &= days.astype("datetime64[M]").astype(np.int64) == months
-    seconds = np.round(whole[5] * 1e9).astype(np.int64)
+    seconds = np.round(whole[5] * NANOSECONDS).astype(np.int64)
     time = days.astype(np.int64) * DAY + (hour * 60 + minute) * 60_000_000_000 + seconds
     return np.where(valid, time, NO_TIME)
 

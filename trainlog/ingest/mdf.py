@@ -26,7 +26,7 @@ from trainlog.extras import load
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import WORDS, Column, Profile, suggestion
 from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, field_of
-from trainlog.units import factor
+from trainlog.units import NANOSECONDS, factor
 
 UNITS = {
     "°C": "degC",
@@ -253,7 +253,7 @@ def _clock(signals: dict[str, Any], group: int, start: int) -> IntArray:
     key = next(key for key in signals if key.startswith(f"{group}:"))
     seconds = np.asarray(signals[key].timestamps, dtype=np.float64)
     sane = np.abs(seconds) < LONGEST  # False for NaN
-    since = np.round(np.where(sane, seconds, 0.0) * 1e9).astype(np.int64)
+    since = np.round(np.where(sane, seconds, 0.0) * NANOSECONDS).astype(np.int64)
     return np.where(sane, start + since, NO_TIME)
 
 

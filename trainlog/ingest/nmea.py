@@ -33,6 +33,7 @@ from trainlog.ingest.recording import (
     Recording,
     Table,
 )
+from trainlog.units import KMH
 
 KNOT = 1852.0 / 3600.0
 """Metres a second in one knot."""
@@ -276,7 +277,7 @@ def _gns(parsed: Any) -> dict[str, float]:
 
 def _vtg(parsed: Any) -> dict[str, float]:
     knots = {name: value * KNOT for name, value in _numbers(parsed, speed="sogn").items()}
-    return {name: value / 3.6 for name, value in _numbers(parsed, speed="sogk").items()} or knots
+    return {name: value / KMH for name, value in _numbers(parsed, speed="sogk").items()} or knots
 
 
 def _gst(parsed: Any) -> dict[str, float]:

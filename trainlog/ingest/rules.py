@@ -27,7 +27,7 @@ from trainlog.ingest.recording import (
     field_of,
 )
 from trainlog.ingest.report import changes
-from trainlog.units import factor
+from trainlog.units import NANOSECONDS, factor
 
 LIMITS: dict[str, Limit] = {
     "/train/state.position": Limit(unit="m", min=-1e6, max=1e7, rate=150.0, tolerance=20.0),
@@ -139,7 +139,7 @@ def blank_spikes(table: Table, limits: Limits) -> Result:
     never taken for one, whatever its sampling.
     """
     findings: list[Finding] = []
-    seconds = (table.time - table.time[0]) / 1e9
+    seconds = (table.time - table.time[0]) / NANOSECONDS
     for name, values in table.signals.items():
         limit = limit_of(name, limits)
         if limit.rate is None:
@@ -275,7 +275,7 @@ def _distance_ratio(
 ) -> Iterator[tuple[str, float, str]]:
     """Compare the change of position with the integral of speed, gaps left out."""
     known = np.isfinite(position) & np.isfinite(speed)
-    seconds = table.time[known] / 1e9
+    seconds = table.time[known] / NANOSECONDS
     step = np.diff(seconds)
     whole = step <= gap_threshold(table.time, limits)
     moved = float(np.sum(np.diff(position[known])[whole]))
@@ -299,7 +299,7 @@ def _fix_ratio(table: Table, name: str) -> Iterator[tuple[str, float, str]]:
     fixed = np.isfinite(latitude) & np.isfinite(longitude)
     if np.count_nonzero(fixed) < 3 or np.count_nonzero(np.isfinite(speed)) < 3:
         return
-    seconds = (table.time - table.time[0]) / 1e9
+    seconds = (table.time - table.time[0]) / NANOSECONDS
     known = np.isfinite(speed)
     at, speeds = seconds[known], speed[known]
     distance = np.concatenate(([0.0], np.cumsum(np.diff(at) * 0.5 * (speeds[1:] + speeds[:-1]))))
@@ -352,7 +352,7 @@ def _refuse_sign(table: Table) -> None:
 
 
 def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
-    seconds = (table.time - table.time[0]) / 1e9
+    seconds = (table.time - table.time[0]) / NANOSECONDS
     known = np.isfinite(speed)
     if np.count_nonzero(known) < 3:
         return

@@ -36,11 +36,12 @@ from trainlog.ingest.recording import (
     Table,
 )
 from trainlog.ingest.tabular import open_text
+from trainlog.units import NANOSECONDS
 
-WINDOW = 60 * 1_000_000_000
+WINDOW = 60 * NANOSECONDS
 """Time [ns] over which the offset of the logger's clock is taken as constant."""
 
-MAX_OFFSET_CHANGE = 1_000_000_000
+MAX_OFFSET_CHANGE = NANOSECONDS
 """Change of the offset [ns] from one window to the next beyond which the clock was restarted."""
 
 FIX = (2, 3, 4)
@@ -296,7 +297,7 @@ def _pvt_time(pvt: Any) -> IntArray:
     minute = from_parts([*parts, np.zeros(len(pvt))])
     valid = (pvt["valid"] & DATE_AND_TIME == DATE_AND_TIME) & (minute != NO_TIME)
     # The second may be 60, the nanoseconds are negative where it was rounded up.
-    second = pvt["second"].astype(np.int64) * 1_000_000_000 + pvt["nano"]
+    second = pvt["second"].astype(np.int64) * NANOSECONDS + pvt["nano"]
     return np.where(valid, minute + second, NO_TIME)
 
 
@@ -337,7 +338,7 @@ class _Offset:
         leaps = np.abs(np.diff(self.offset))
         if np.any(leaps > MAX_OFFSET_CHANGE):
             raise InputError(
-                f"the logger's clock was restarted: it leaps by {leaps.max() / 1e9:.0f} s against"
+                f"the logger's clock was restarted: it leaps by {leaps.max() / NANOSECONDS:.0f} s against"
                 " the receiver's",
                 remedy="split the file where the logger was started again",
             )

@@ -20,6 +20,7 @@ from trainlog.mcap.source import Source, in_file
 from trainlog.mcap.tables import topic_channels
 from trainlog.spans import ALWAYS
 from trainlog.trip import Trip
+from trainlog.units import NANOSECONDS
 
 ROWS = 750_000
 """Rows over all topics read up to which a log is one stretch."""
@@ -98,7 +99,7 @@ def stretches(
     if not borders:
         yield Stretch(read_log(path, topics), ALWAYS, 1, 1)
         return
-    margin = round(MARGIN * 1e9)
+    margin = round(MARGIN * NANOSECONDS)
     edges = [ALWAYS[0], *borders, ALWAYS[1] + 1]
     bare = read_log(path, [])
     for number in range(1, len(edges)):

@@ -159,7 +159,7 @@ class Train:
         if np.any(negative):
             raise InputError(
                 f"{where}: running resistance is negative at"
-                f" {3.6 * speeds[np.argmax(negative)]:.0f} km/h",
+                f" {KMH * speeds[np.argmax(negative)]:.0f} km/h",
                 place="running_resistance",
                 remedy="check the signs and units of r0, r1 and r2",
             )
@@ -267,7 +267,7 @@ class Configuration:
             at = speeds[int(np.argmax(drag < 0.0))]
             raise InputError(
                 f"configuration '{self.name}': running resistance is negative at"
-                f" {3.6 * at:.0f} km/h",
+                f" {KMH * at:.0f} km/h",
                 remedy="a fit outside its supported speed range; fit again with more speeds",
             )
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.train import Configuration
-from trainlog.units import KMH, clock
+from trainlog.units import JOULES_PER_KWH, KMH, clock
 
 FloatArray = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ class Trajectory:
         rows = {"running time": clock(self.running_time), "configurations": listed}
         if "energy" in certificate:
             rows["energy"] = (
-                f"{certificate['energy'] / 3.6e6:.2f} kWh, {self.energy_label};"
+                f"{certificate['energy'] / JOULES_PER_KWH:.2f} kWh, {self.energy_label};"
                 f" gap to the lower bound {certificate['gap']:.3%}"
             )
         if "audit" in certificate:

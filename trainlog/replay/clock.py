@@ -24,7 +24,7 @@ from scipy.optimize import isotonic_regression
 
 from trainlog.topics import ESTIMATED_STATE, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip
-from trainlog.units import EARTH_RADIUS
+from trainlog.units import EARTH_RADIUS, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
@@ -145,7 +145,7 @@ def clock_from(start: int, known: Mapping[tuple[str, ...], tuple[Any, ...]]) -> 
             return Clock(start, time, np.asarray(forward, dtype=np.float64))
     if CLOCKS[2] in known:
         time, speed = known[CLOCKS[2]]
-        steps = np.diff(time) / 1e9 * 0.5 * (speed[1:] + speed[:-1])
+        steps = np.diff(time) / NANOSECONDS * 0.5 * (speed[1:] + speed[:-1])
         return Clock(start, time, np.concatenate(([0.0], np.cumsum(steps))))
     if CLOCKS[3] in known:
         time, latitude, longitude = known[CLOCKS[3]]

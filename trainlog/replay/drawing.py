@@ -32,14 +32,14 @@ from trainlog.replay.samples import (
 from trainlog.replay.survey import Survey
 from trainlog.topics import EVENTS, GNSS_FIX, REFERENCE
 from trainlog.trip import Trip
-from trainlog.units import KMH
+from trainlog.units import KMH, NANOSECONDS
 
 TRACK: Colour = (95, 100, 115)
 STATION: Colour = (235, 235, 235)
 LAYERS: dict[str, Colour] = {"dry": (245, 205, 70), "wet": (90, 180, 240)}
 """Colours of the layers of a track-condition map; others are white."""
 
-SECOND, OUTAGE = 1_000_000_000, 15_000_000_000
+SECOND, OUTAGE = NANOSECONDS, 15_000_000_000
 """A second, and how long fixes are missing until the line along them is interrupted [ns]."""
 
 LOWEST, HIGHEST = 0.05, 0.40
@@ -180,7 +180,7 @@ def draw_condition(
 def draw_trajectory(recording: Any, trajectory: Trajectory, start: int) -> None:
     """Draw a trajectory as if it departed at `start` [ns since 1970 UTC]."""
     seconds = trajectory.times.mean(axis=0)
-    time = start + np.round(seconds * 1e9).astype(np.int64)
+    time = start + np.round(seconds * NANOSECONDS).astype(np.int64)
     slowest, fastest = trajectory.speeds.min(axis=0), trajectory.speeds.max(axis=0)
     instants = Instants(start, time, trajectory.positions)
     _send_span(recording, path_of("trajectory", "speed"), instants, slowest, fastest)
@@ -237,8 +237,8 @@ def check_line(condition: TrackConditionMap, line: Line, trip: str) -> None:
 
 def _passing(clock: Clock, position: FloatArray) -> Nanoseconds:
     """When the train was at each position [ns]."""
-    seconds = np.interp(position, clock.position, (clock.time - clock.start) / 1e9)
-    return clock.start + np.round(seconds * 1e9).astype(np.int64)
+    seconds = np.interp(position, clock.position, (clock.time - clock.start) / NANOSECONDS)
+    return clock.start + np.round(seconds * NANOSECONDS).astype(np.int64)
 
 
 def _draw_layer(

@@ -16,11 +16,12 @@ from trainlog.replay.curves import Colour, Curve
 from trainlog.resampling import interpolated
 from trainlog.topics import ESTIMATED_ADHESION, STANDSTILL, TRAIN_AXLES, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
+from trainlog.units import NANOSECONDS
 
 GAP_PERIODS = 5.0
 """Samples that are this many median periods apart have a gap between them."""
 
-SHORTEST_GAP = 1_000_000_000
+SHORTEST_GAP = NANOSECONDS
 """Shorter pauses are never a gap [ns]."""
 
 APPLIED = 0.02

@@ -19,6 +19,7 @@ from rerun.experimental import ViewerClient
 
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
+from trainlog.units import NANOSECONDS
 
 HOST = "127.0.0.1"
 """Rerun would else listen on every network."""
@@ -213,7 +214,7 @@ def _set_time(viewer: Any, timeline: str, at: int) -> None:
             f"the recording has no timeline '{timeline}'", remedy=f"it has: {', '.join(kinds)}"
         )
     kind = kinds[timeline]
-    viewer.set_time(timeline, play_state="paused", **{kind: at if kind == "sequence" else at / 1e9})
+    viewer.set_time(timeline, play_state="paused", **{kind: at if kind == "sequence" else at / NANOSECONDS})
 
 
 def _command(*arguments: str) -> list[str]:

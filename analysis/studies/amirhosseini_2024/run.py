@@ -25,6 +25,7 @@ from trainlog.topics import (
     TRUTH,
 )
 from trainlog.trip import Trip, frame_of
+from trainlog.units import NANOSECONDS
 
 SHIFTS = 5
 """Positions of the slopes within one sample."""
@@ -69,7 +70,7 @@ def trip_of(run: Run, seed: int) -> Trip:
     In ``/estimates/running_resistance`` ``r0`` is the estimate of a0 + f2, the slope included, as
     eq. (24) has it; the scalar variant knows only the sum, which stands in ``resistance``.
     """
-    time = START + np.round(run.time * 1e9).astype(np.int64)
+    time = START + np.round(run.time * NANOSECONDS).astype(np.int64)
     slopes = study.line(run.shift)
     estimates = {"resistance": run.estimate}
     if run.variant.parameters == 3:

@@ -21,7 +21,7 @@ from analysis.control.route import GRID, value
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Train
-from trainlog.units import GRAVITY
+from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class LeverTrain:
     k2: float
     k3: float
     max_acceleration: float = 1.0
-    max_speed: float = 120.0 / 3.6
+    max_speed: float = 120.0 / KMH
     source: str = ""
 
     def __post_init__(self) -> None:

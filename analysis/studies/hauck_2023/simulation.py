@@ -36,7 +36,7 @@ from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import Drive, Plant
 from trainlog.topics import REFERENCE, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
-from trainlog.units import GRAVITY
+from trainlog.units import GRAVITY, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -454,7 +454,7 @@ def trip_of(run: Run, weather: str, seed: int, start: int = START) -> Trip:
     trip = recorded(scenario, Samples(run.time, run.samples, run.demands))
     controls = trip[TRAIN_CONTROLS.name].copy()
     controls["lever"] = np.round(run.lever, 4) + 0.0
-    time = start + np.round(run.time * 1e9).astype(np.int64)
+    time = start + np.round(run.time * NANOSECONDS).astype(np.int64)
     effort = run.target[:, 2]
     followed: dict[str, ArrayLike] = {
         "speed": run.target[:, 1],

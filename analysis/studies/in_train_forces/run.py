@@ -24,7 +24,7 @@ from trainlog.topics import (
     TRAIN_VEHICLES,
 )
 from trainlog.trip import Trip, frame_of
-from trainlog.units import KMH
+from trainlog.units import KMH, NANOSECONDS
 
 DEFAULT_CONSIST = "freight_24_wagons.consist.json"
 """The sample that is run where none is named."""
@@ -70,7 +70,7 @@ def main(report: StudyReport, options: ConsistOptions) -> None:
 def consist_trip(run: ConsistRun) -> Trip:
     """The log of a consist's run: vehicles and couplers one by one, and the train as a whole."""
     consist, line = run.consist, run.line
-    time = START + np.round(run.time * 1e9).astype(np.int64)
+    time = START + np.round(run.time * NANOSECONDS).astype(np.int64)
     front = np.minimum(run.front, line.length)
     frames = (
         frame_of(TRAIN_STATE, time, {"position": run.front, "speed": run.speeds[:, 0]}),

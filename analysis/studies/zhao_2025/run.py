@@ -31,14 +31,14 @@ from trainlog.topics import (
     TRUTH,
 )
 from trainlog.trip import TRAIN_ATTACHMENT, Trip, frame_of
-from trainlog.units import GRAVITY
+from trainlog.units import GRAVITY, KMH, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
 LENGTH = 2_500.0
 """Of the line [m]; the paper's locomotive comes about 1,000 m far."""
 
-TOP_SPEED = 200.0 / 3.6
+TOP_SPEED = 200.0 / KMH
 """Of line and locomotive [m/s]; the runs know no limit but the motors'."""
 
 SPEED_STD = 0.01
@@ -78,7 +78,7 @@ def trip_of(run: Run) -> Trip:
     controller knows, here the truth.
     """
     locomotive = run.preset.locomotive
-    time = START + np.round(run.time * 1e9).astype(np.int64)
+    time = START + np.round(run.time * NANOSECONDS).astype(np.int64)
     effort = locomotive.effort_per_torque * run.torque
     total = effort.sum(axis=1)
     asked = np.full(time.size, locomotive.effort_per_torque * locomotive.total_torque)
@@ -200,7 +200,7 @@ def train(preset: Preset) -> Train:
 
 def _events(run: Run) -> pd.DataFrame:
     found = _event_rows(run.case)
-    when = START + np.round(np.array([time for time, *_ in found]) * 1e9).astype(np.int64)
+    when = START + np.round(np.array([time for time, *_ in found]) * NANOSECONDS).astype(np.int64)
     return frame_of(
         EVENTS,
         when,
