@@ -10,9 +10,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
-from trainlog.units import JOULES_PER_KWH
 
-JOULES_PER_KWH = JOULES_PER_KWH
+from trainlog.units import JOULES_PER_KWH
 
 PAGE = 110
 """Columns of a table in a notebook."""

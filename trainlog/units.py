@@ -27,6 +27,9 @@ PER_MILLE = 1e3
 NANOSECONDS = 1_000_000_000
 """In a second: times of logs are whole nanoseconds since 1970 UTC."""
 
+JOULES_PER_KWH = 3.6e6
+"""Joules in one kilowatt hour."""
+
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the earth [m]."""
 

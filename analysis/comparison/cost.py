@@ -352,8 +352,8 @@ class Comparison:
         spent, saved = self.total_saved
         driver, own = self.running_times
         return {
-            "tractive energy": f"{saved / JOULES_PER_KWH:.2f} of {spent / JOULES_PER_KWH:.2f} kWh saved,"
-            f" {saved / spent:.1%}",
+            "tractive energy": f"{saved / JOULES_PER_KWH:.2f} of"
+            f" {spent / JOULES_PER_KWH:.2f} kWh saved, {saved / spent:.1%}",
             "running time": f"{own:.0f} s on the trajectory, {driver:.0f} s by the drivers",
         }
 

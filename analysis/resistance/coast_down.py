@@ -29,7 +29,6 @@ from analysis.resistance.coasting_detection import (
     detect,
 )
 from analysis.resistance.coasting_fit import (
-    LARGEST_STD,
     Curve,
     MassRatio,
     TripCoastDown,
@@ -37,7 +36,7 @@ from analysis.resistance.coasting_fit import (
 )
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, random_effects
 from analysis.resistance.motion import TOPICS, Motion, motion_of
-from analysis.resistance.regression import powers
+from analysis.resistance.regression import LARGEST_STD, powers
 from analysis.tables import new_table
 from trainlog.display import as_text, span
 from trainlog.errors import InputError, NotIdentifiableError

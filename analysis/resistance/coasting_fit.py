@@ -22,7 +22,14 @@ from analysis.resistance.coasting_detection import SPACING, Segment
 from analysis.resistance.motion import Motion
 from analysis.resistance.noise import Expected, NoiseParts
 from analysis.resistance.recording import Recording, SpeedScale, gradient_pieces, track_slope
-from analysis.resistance.regression import Regression, band_factor, curve_std, powers, regress
+from analysis.resistance.regression import (
+    LARGEST_STD,
+    Regression,
+    band_factor,
+    curve_std,
+    powers,
+    regress,
+)
 from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_windows
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
@@ -43,9 +50,6 @@ LEAST_COASTING = 60.0
 
 SHORTEST_RANGE = 3.0
 """Speeds that differ by less than this [m/s] are one speed."""
-
-LARGEST_STD = 0.10
-"""Standard deviation of the curve, over the curve, up to which a speed is supported."""
 
 UNKNOWN_RATIO = (0.945, 0.02)
 """Mass over inertia of any train, and its standard deviation: rotating masses are 3 to 12 % of the

@@ -20,6 +20,7 @@ from analysis.resistance.recording import (
     speed_scale,
 )
 from analysis.resistance.regression import (
+    LARGEST_STD,
     Regression,
     Residuals,
     band_factor,
@@ -47,9 +48,6 @@ and band go down to standstill all the same."""
 
 LARGEST_CONDITION = 300.0
 """Column-normalised condition number beyond which the parameters cannot be separated."""
-
-LARGEST_STD = 0.10
-"""Standard deviation of the curve, over the curve, beyond which it is refused."""
 
 SHORTEST_TIME = 200.0
 """Less usable time than this [s] is too short a trip."""

@@ -53,6 +53,9 @@ FloatArray = NDArray[np.float64]
 CONFIDENCE = 0.95
 """Of every band."""
 
+LARGEST_STD = 0.10
+"""Standard deviation of a curve, over the curve, up to which it is known at a speed."""
+
 
 def powers(speed: ArrayLike) -> FloatArray:
     """``(1, v, v²)`` (..., 3) at each speed [m/s]."""

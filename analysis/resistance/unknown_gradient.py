@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from analysis.given import Given
 from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
 from analysis.resistance.coasting_detection import SHORTEST
-from analysis.resistance.coasting_fit import LARGEST_STD, SHORTEST_RANGE
+from analysis.resistance.coasting_fit import SHORTEST_RANGE
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
-from analysis.resistance.regression import band_factor, curve_std, powers
+from analysis.resistance.regression import LARGEST_STD, band_factor, curve_std, powers
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified

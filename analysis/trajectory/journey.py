@@ -24,7 +24,7 @@ from scipy.optimize import linprog
 from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, limiting_factors, place_of, seconds
-from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.optimiser import COARSE_CELLS, optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
 from trainlog.display import as_html, as_text
 from trainlog.errors import InfeasibleError, InputError
@@ -228,8 +228,6 @@ def _rounded(mixture: FloatArray) -> FloatArray:
     return np.asarray(kept / kept.sum())
 
 
-_COARSE_CELLS = 120
-
 _MIXTURES = 3
 """How often the mixture of configurations and the times are found in turn."""
 
@@ -299,7 +297,8 @@ class JourneyPlan:
             rows["..."] = f"{len(self.sections)} sections in all"
         if "energy" in self.certificate:
             rows["energy"] = (
-                f"{self.certificate['energy'] / JOULES_PER_KWH:.2f} kWh, gap {self.certificate['gap']:.3%}"
+                f"{self.certificate['energy'] / JOULES_PER_KWH:.2f} kWh,"
+                f" gap {self.certificate['gap']:.3%}"
             )
         return rows
 
@@ -382,7 +381,7 @@ def optimise_journey(
     low, high = _windows(sections, least, dwell, problem.reserve)
     _check_times(problem.line, journey, sections, fastest, low, high, dwell)
     parts, schedule = _Sections(problem, sections), Schedule(least, low, high, dwell)
-    coarse = OptimiserOptions(min(options.cells, _COARSE_CELLS))
+    coarse = OptimiserOptions(min(options.cells, COARSE_CELLS))
     times, saving, mixture = _planned(parts, schedule, coarse)
     found = parts.mixed(mixture).solve_all(times, options)
     totals = _totals(found)

@@ -314,7 +314,8 @@ class Front:
         shown = np.unique(np.linspace(0, self.times.size - 1, 8).astype(int)).tolist()
         for row in shown:
             rows[f"{self.times[row]:.1f} s"] = (
-                f"{self.energies[row] / JOULES_PER_KWH:.2f} kWh, {self.prices[row] / 3.6e3:.1f} Wh a second"
+                f"{self.energies[row] / JOULES_PER_KWH:.2f} kWh,"
+                f" {1e3 * self.prices[row] / JOULES_PER_KWH:.1f} Wh a second"
             )
         return rows
 

@@ -46,8 +46,6 @@ _POINTS = 8
 _FEW = 4
 """Other configurations up to which all are drawn in colours, and the costates of each."""
 
-_KWH = JOULES_PER_KWH
-
 
 def draw_trajectory(
     trajectory: Trajectory, line: Line, path: str | Path, *, row: int | None = None
@@ -96,7 +94,7 @@ def _title(trajectory: Trajectory) -> str:
     if "energy" not in certificate:
         return words
     return (
-        f"{words}\n{trajectory.energy_label} {certificate['energy'] / _KWH:.1f} kWh,"
+        f"{words}\n{trajectory.energy_label} {certificate['energy'] / JOULES_PER_KWH:.1f} kWh,"
         f" gap {100.0 * certificate['gap']:.3f} %"
     )
 
@@ -234,7 +232,11 @@ def draw_front(front: Front, path: str | Path) -> None:
     path : path
         PNG file.
     """
-    times, energies, prices = front.times, front.energies / _KWH, front.prices / _KWH
+    times, energies, prices = (
+        front.times,
+        front.energies / JOULES_PER_KWH,
+        front.prices / JOULES_PER_KWH,
+    )
     figure = new_figure(8.0, 6.5)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
     reach = 0.35 * float(max(times[-1] - times[0], 1.0)) / max(times.size - 1, 1)

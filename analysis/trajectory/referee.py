@@ -17,12 +17,10 @@ from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import power_cells, separates_dynamic_brake
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import paced_run
+from analysis.trajectory.sqp import LEAST_Z
 from trainlog.railway.motion import SUBSTEPS
 
 FloatArray = NDArray[np.float64]
-
-_FLOOR = 1e-5
-"""Smallest ``z`` between the two ends, as in `minimax` [m²/s²]."""
 
 _ROUNDED = 1e-6
 """Added to ``v²`` under the root, so that its slope is finite at standstill [m²/s²]."""
@@ -162,7 +160,7 @@ def _bounded(
 ) -> tuple[Any, FloatArray, FloatArray, FloatArray]:
     """All unknowns in one vector, with their bounds and where they start."""
     q, n = problem.shape
-    low_z = np.tile(np.maximum(problem.floor, _FLOOR), (q, 1))
+    low_z = np.tile(np.maximum(problem.floor, LEAST_Z), (q, 1))
     high_z = np.tile(problem.ceiling, (q, 1))
     low_z[:, 0] = high_z[:, 0] = problem.initial
     low_z[:, n], high_z[:, n] = 0.0, problem.final_ceiling

@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 _Limited = tuple[int, NDArray[np.int64], NDArray[np.int64]]
 """A configuration, cells in which its power is limited, and the rows of these limits."""
 
-_FLOOR = 1e-5
+LEAST_Z = 1e-5
 """Smallest ``z`` between the two ends [m²/s²]."""
 
 _NEAR_POWER = 1.5
@@ -366,7 +366,7 @@ class QPSubproblem:
         """Speed limits, initial and final speed, and the region where the model is trusted."""
         problem, z = self.problem, self.plan.z
         nearer = np.maximum(self.speed - radius * self.scale, 0.5 * self.speed)
-        low = np.maximum(0.5 * nearer**2, _FLOOR)
+        low = np.maximum(0.5 * nearer**2, LEAST_Z)
         high = np.minimum(problem.ceiling, 0.5 * (self.speed + radius * self.scale) ** 2)
         low = np.maximum(low, problem.floor)
         low[:, 0] = high[:, 0] = problem.initial

@@ -73,7 +73,8 @@ def judge(line: Line, train: Train, found: ParameterSet, true: list[Configuratio
         f"{np.mean(others <= ours.max()):10.1%}{np.mean(on_time):10.1%}{np.mean(in_power):10.1%}"
         f"{np.mean(on_time & in_power):8.1%}{max(late.max(), 0.0):9.2f}"
         f"{100.0 * max(power.max() - 1.0, 0.0):9.2f}"
-        f"{trajectory.certificate['energy'] / JOULES_PER_KWH:10.2f}{trajectory.running_time:9.1f}{took:8.1f}"
+        f"{trajectory.certificate['energy'] / JOULES_PER_KWH:10.2f}"
+        f"{trajectory.running_time:9.1f}{took:8.1f}"
     )
 
 

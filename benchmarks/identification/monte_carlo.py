@@ -167,7 +167,8 @@ def draw(study: Study, seed: int) -> Drawn:
 
 def trip_of(drawn: Drawn, study: Study, seed: int) -> Trip:
     """The trip as a log holds it: nothing in it is true that a train does not know."""
-    stamps = np.int64(1_700_000_000_000_000_000) + np.round(drawn.time * NANOSECONDS).astype(np.int64)
+    since = np.round(drawn.time * NANOSECONDS).astype(np.int64)
+    stamps = np.int64(1_700_000_000_000_000_000) + since
     nothing = np.zeros(drawn.time.size)
     train = Train(
         name="study",

@@ -2,13 +2,13 @@
 
     python benchmarks/map/by_days.py caution [--sigmas 0 1 2]
     python benchmarks/map/by_days.py cautious [--days 4]
-    python benchmarks/map/by_days.py trying [--days 4]
+    python benchmarks/map/by_days.py exploring [--days 4]
 
 ``caution``: a second day with the map of the first, read more or less cautiously, on a rail that
 holds as much as on the first day, and 5, 10 and 20 per cent less; a train of the least mass, which
 asks for the most adhesion. ``cautious``: four days as `trainlog study map-mpc` drives them.
-``trying``: four days on which the trains ask for all they want where no slip was seen before, as a
-map can only learn where it is asked. Takes minutes.
+``exploring``: four days on which the trains ask for all they want where no slip was seen before, as
+a map can only learn where adhesion is used. Takes minutes.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from analysis.studies.hauck_2023 import scenarios as study
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.scenarios import (
     LAYER,
-    cautious,
-    drive_days,
+    cautious_policy,
+    day_by_day,
+    exploring_policy,
     first_day,
     replanned,
     timetable_of,
-    trying,
 )
 from analysis.studies.hauck_2023.simulation import NO_MAP, Run, run, with_map
 from analysis.studies.hauck_2023.table import days_table
@@ -62,7 +62,7 @@ def caution(known: study.Setup, sigmas: Sequence[float], folder: Path) -> None:
     for level, met in rails.items():
         reported("no map", level, run("day 2", blind, met, PUBLISHED_TRAIN.mass))
     for each in sigmas:
-        counted = cautious(track, each)
+        counted = cautious_policy(track, each)
         above = np.count_nonzero(counted.values > rail(track.centres))
         print(
             f"{each:g} sigmas: {counted.values[counted.assumed].max():.3f} assumed;"
@@ -80,7 +80,7 @@ def caution(known: study.Setup, sigmas: Sequence[float], folder: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("caution", "cautious", "trying"))
+    parser.add_argument("what", choices=("caution", "cautious", "exploring"))
     parser.add_argument("--sigmas", type=float, nargs="+", default=[0.0, 1.0, 2.0])
     parser.add_argument("--days", type=int, default=4)
     options = parser.parse_args()
@@ -91,8 +91,8 @@ def main() -> None:
             return
         rails = [known.rails["bad"]] * options.days
         masses = study.drawn_masses(1, 3).tolist()
-        counting = trying if options.what == "trying" else cautious
-        days = drive_days(known.plan, rails, masses, Path(folder), 1, counting)
+        policy = exploring_policy if options.what == "exploring" else cautious_policy
+        *_, days = day_by_day(known.plan, rails, masses, Path(folder), 1, policy)
         console.print(days_table(days))
 
 

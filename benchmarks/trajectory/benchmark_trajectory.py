@@ -36,7 +36,6 @@ from trainlog.railway import (
 )
 from trainlog.units import JOULES_PER_KWH, KMH
 
-KWH = JOULES_PER_KWH
 LONGEST_FOR_IPOPT = 5
 """Active configurations beyond which IPOPT is not asked; it would take minutes."""
 
@@ -128,7 +127,7 @@ def row(case: Case, repeats: int) -> str:
     else:
         words.append(f"{'-':>8s} {'-':>6s} {'-':>9s} ")
     words.append(
-        f"{certificate['energy'] / KWH:9.3f} {100.0 * certificate['gap']:8.4f}"
+        f"{certificate['energy'] / JOULES_PER_KWH:9.3f} {100.0 * certificate['gap']:8.4f}"
         f" {audit['lateness']:+9.1e} {audit['overspeed']:+9.1e} {audit['power'] - 1.0:+9.1e}"
     )
     return " ".join(words)

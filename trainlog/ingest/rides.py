@@ -97,15 +97,15 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
     rides = _selected(table, options, profile.time.timezone)
     fixes, device = _fixes(places[0], profile, options)
     found: list[Recording] = []
-    fates: list[str] = []
+    reasons: list[str] = []
     counts: list[int] = []
     other = places[1] if path.name == options.fixes else places[0]
     for ride in rides:
         mine = _during(ride, fixes.tables[0], device)
         part = fixes.tables[0].take(mine)
         counts.append(len(part))
-        fates.append(_fate(ride, part, known=ride.device in device, options=options))
-        if not fates[-1]:
+        reasons.append(_reason_left_out(ride, part, known=ride.device in device, options=options))
+        if not reasons[-1]:
             found.append(replace(_recording(ride, part, fixes, options), inputs=(other,)))
     what = f"rides {options.selection}".strip()
     if not found:
@@ -114,9 +114,9 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
             file=path,
             remedy="are the two files of the same day?",
         )
-    lost = Counter(f"{what}: {fate}" for fate in fates if fate)
+    lost = Counter(f"{what}: {reason}" for reason in reasons if reason)
     not_used = {f"rides not {options.selection}".strip(): len(table) - len(rides)} | dict(lost)
-    attached = {RIDES_ATTACHMENT: _listed(rides, counts, fates, options)}
+    attached = {RIDES_ATTACHMENT: _listed(rides, counts, reasons, options)}
     found[0] = _with_cut_lines(found[0], fixes)
     return [replace(item, not_used=not_used, attachments=attached) for item in found]
 
@@ -201,7 +201,7 @@ def _during(ride: _Ride, fixes: Table, device: NDArray[np.object_]) -> BoolArray
     return np.asarray(inside & (device == ride.device))
 
 
-def _fate(ride: _Ride, fixes: Table, *, known: bool, options: RideOptions) -> str:
+def _reason_left_out(ride: _Ride, fixes: Table, *, known: bool, options: RideOptions) -> str:
     """Why a ride is no recording; empty if it is one."""
     if NO_TIME in (ride.begin, ride.end):
         return "departure or arrival is missing"
@@ -266,7 +266,9 @@ def _with_cut_lines(recording: Recording, every: Recording) -> Recording:
     )
 
 
-def _listed(rides: list[_Ride], counts: list[int], fates: list[str], options: RideOptions) -> bytes:
+def _listed(
+    rides: list[_Ride], counts: list[int], reasons: list[str], options: RideOptions
+) -> bytes:
     """What became of every ride, as CSV."""
     shown = pd.DataFrame(
         [
@@ -278,10 +280,10 @@ def _listed(rides: list[_Ride], counts: list[int], fates: list[str], options: Ri
                 "arrival": ride.cells[options.end],
                 "overlaps_next": int(ride.overlaps),
                 "fixes": count,
-                "trip": "" if fate else ride.name(options),
-                "why_not": fate,
+                "trip": "" if reason else ride.name(options),
+                "why_not": reason,
             }
-            for ride, count, fate in zip(rides, counts, fates, strict=True)
+            for ride, count, reason in zip(rides, counts, reasons, strict=True)
         ]
     )
     return shown.to_csv(index=False, lineterminator="\n").encode()

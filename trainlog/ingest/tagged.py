@@ -338,8 +338,8 @@ class _Offset:
         leaps = np.abs(np.diff(self.offset))
         if np.any(leaps > MAX_OFFSET_CHANGE):
             raise InputError(
-                f"the logger's clock was restarted: it leaps by {leaps.max() / NANOSECONDS:.0f} s against"
-                " the receiver's",
+                f"the logger's clock was restarted: it leaps by {leaps.max() / NANOSECONDS:.0f} s"
+                " against the receiver's",
                 remedy="split the file where the logger was started again",
             )
 

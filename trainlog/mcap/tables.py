@@ -125,7 +125,7 @@ def topic_channels(contents: Contents) -> list[TopicChannel]:
 
 
 @dataclass(frozen=True)
-class _Apart:
+class _SeparateRows:
     """Rows of a table that do not stand in its arrays: `count` from `start` on.
 
     `time` and `columns` are None where nothing could be read.
@@ -151,7 +151,7 @@ class _Table:
     time : (n,) uint64
     columns : (columns, n) float64
         Not of events, whose texts are kept apart.
-    apart : list of _Apart
+    apart : list of _SeparateRows
     """
 
     topic: Topic
@@ -159,7 +159,7 @@ class _Table:
     names: list[str]
     time: NDArray[np.uint64]
     columns: NDArray[np.float64]
-    apart: list[_Apart] = dataclass_field(default_factory=list)
+    apart: list[_SeparateRows] = dataclass_field(default_factory=list)
 
     def fill(self, start: int, count: int, time: NDArray[np.uint64], columns: Columns) -> bool:
         """Take messages to the rows from `start` on; False if the table has no place for them.
@@ -214,7 +214,7 @@ class _Table:
         parts: list[tuple[NDArray[np.uint64], Columns]] = []
         at = 0
         rows = len(self.time)
-        for each in [*sorted(self.apart, key=lambda each: each.start), _Apart(rows, 0)]:
+        for each in [*sorted(self.apart, key=lambda each: each.start), _SeparateRows(rows, 0)]:
             if at < each.start and not events:
                 held = dict(zip(self.names, self.columns[:, at : each.start], strict=True))
                 parts.append((self.time[at : each.start], held))
@@ -272,7 +272,7 @@ class _Outcome:
     place: ChunkPlace
     targets: list[_Target]
     damage: str | None = None
-    apart: list[tuple[_Target, _Apart]] = dataclass_field(default_factory=list)
+    apart: list[tuple[_Target, _SeparateRows]] = dataclass_field(default_factory=list)
 
 
 def frames_in(
@@ -303,7 +303,7 @@ def frames_in(
                 raise MisplacedError(outcome.damage, place=f"byte {outcome.place.offset}")
             contents.drop(outcome.place, outcome.damage)
         for target in outcome.targets if outcome.damage is not None else ():
-            target.table.apart.append(_Apart(target.start, target.count))
+            target.table.apart.append(_SeparateRows(target.start, target.count))
         for target, apart in outcome.apart:
             target.table.apart.append(apart)
     return {name: tables[name].frame() for name in TOPICS if name in tables}
@@ -442,7 +442,7 @@ def _fill(content: bytes, index: dict[int, _Offsets], outcome: _Outcome) -> None
         if found is None:
             each = np.empty(0, dtype=np.uint64) if offsets is None else offsets
             found = target.source.decoded(content, each, outcome.place.offset)
-        outcome.apart.append((target, _Apart(target.start, target.count, *found)))
+        outcome.apart.append((target, _SeparateRows(target.start, target.count, *found)))
 
 
 def _decoder_of(channel: Channel, schema: Schema) -> Callable[[bytes], Any]:

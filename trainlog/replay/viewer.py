@@ -214,7 +214,8 @@ def _set_time(viewer: Any, timeline: str, at: int) -> None:
             f"the recording has no timeline '{timeline}'", remedy=f"it has: {', '.join(kinds)}"
         )
     kind = kinds[timeline]
-    viewer.set_time(timeline, play_state="paused", **{kind: at if kind == "sequence" else at / NANOSECONDS})
+    shown = at if kind == "sequence" else at / NANOSECONDS
+    viewer.set_time(timeline, play_state="paused", **{kind: shown})
 
 
 def _command(*arguments: str) -> list[str]:

@@ -16,6 +16,7 @@ from analysis.control.route import GRID
 from analysis.studies.hauck_2023 import model as model
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
+from analysis.trajectory.table import OPTIMAL
 from trainlog.errors import InfeasibleError
 from trainlog.units import GRAVITY
 
@@ -35,9 +36,6 @@ FINE = 60
 
 SAMPLING = 1.0
 """Of what a controller tracks [s]."""
-
-SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
-"""Words of IPOPT that make an answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +131,7 @@ def reference(section: Section, mass: float = NOMINAL_MASS) -> Reference:
     guess = warm_start(section, times, mass)
     for strategy in ("monotone", "adaptive"):
         solved, stats = _solve(section, times, guess, mass, strategy)
-        if stats["return_status"] in SOLVED:
+        if stats["return_status"] in OPTIMAL:
             break
     else:
         raise InfeasibleError(

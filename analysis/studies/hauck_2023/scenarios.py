@@ -447,11 +447,11 @@ class Days:
         return np.array([each.late for each in day.runs])
 
 
-Counting = Callable[[TrackConditionMap], UsableAdhesion]
+AdhesionPolicy = Callable[[TrackConditionMap], UsableAdhesion]
 """What a day's controllers count on when they have a map."""
 
 
-def cautious(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion:
+def cautious_policy(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion:
     """The map's cautious estimate; elsewhere what was demonstrated, or what is typical of the line.
 
     Raises
@@ -463,8 +463,8 @@ def cautious(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion
     return usable_adhesion(track, LAYER, sigmas=sigmas, assumed=typical)
 
 
-def trying(track: TrackConditionMap) -> UsableAdhesion:
-    """The map's cautious estimate; elsewhere whatever the train can ask for, to see what holds."""
+def exploring_policy(track: TrackConditionMap) -> UsableAdhesion:
+    """The map's cautious estimate; elsewhere whatever the train can use, to see what holds."""
     return usable_adhesion(track, LAYER, sigmas=SIGMAS, assumed=float(NO_MAP.values[0]))
 
 
@@ -496,7 +496,7 @@ def first_day(
 
 def next_day(
     before: Day, plan: Plan, rail: StepProfile, folder: Path, seed: int,
-    counting: Counting = cautious, track: Track = iter,
+    policy: AdhesionPolicy = cautious_policy, track: Track = iter,
 ) -> Day:  # fmt: skip
     """The same trips on the day after, with the map of all logs so far.
 
@@ -510,11 +510,11 @@ def next_day(
     folder : path
     seed : int
         Of the sensors' noise.
-    counting : callable
+    policy : callable
     """
     number = before.number + 1
     learnt = adhesion_map(before.logs, before.track, LAYER).track
-    known = counting(learnt)
+    known = policy(learnt)
     made = replanned(plan, known.profile, before.plan if before.known else ())
     asked = timetable_of(plan)
     runs = tuple(
@@ -525,26 +525,13 @@ def next_day(
     return Day(number, learnt, known, made, rail, runs, logs)
 
 
-def drive_days(
-    plan: Plan,
-    rails: Sequence[StepProfile],
-    masses: Sequence[float],
-    folder: Path,
-    seed: int,
-    counting: Counting = cautious,
-) -> Days:
-    """One day on each rail; arguments as for `first_day` and `next_day`."""
-    *_, driven = day_by_day(plan, rails, masses, folder, seed, counting)
-    return driven
-
-
 def day_by_day(
     plan: Plan,
     rails: Sequence[StepProfile],
     masses: Sequence[float],
     folder: Path,
     seed: int,
-    counting: Counting = cautious,
+    policy: AdhesionPolicy = cautious_policy,
     track: Track = iter,
 ) -> Iterator[Days]:
     """After each day the days so far; arguments as for `first_day` and `next_day`.
@@ -558,7 +545,7 @@ def day_by_day(
     days = [first_day(plan, rails[0], masses, folder, seed, track)]
     yield Days(tuple(days), stops)
     for rail in rails[1:]:
-        days.append(next_day(days[-1], plan, rail, folder, seed, counting, track))
+        days.append(next_day(days[-1], plan, rail, folder, seed, policy, track))
         yield Days(tuple(days), stops)
 
 

@@ -34,6 +34,7 @@ from trainlog.simulation import Run as Samples
 from trainlog.simulation import Scenario, recorded
 from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import Drive, Plant
+from trainlog.simulation.recording import STANDING
 from trainlog.topics import REFERENCE, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
 from trainlog.units import GRAVITY, NANOSECONDS
@@ -52,9 +53,6 @@ SHORTEST_DWELL = 20.0
 
 SHORT_OF_STOP = 30.0
 """A train that stands before its stop so long after its arrival was due has arrived there [s]."""
-
-STANDING = 10.0
-"""Recorded after the last arrival [s]."""
 
 DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
 """The dynamic brake works down to where the holding brake is applied."""

@@ -38,7 +38,7 @@ STRATEGIES = (BLUE, ORANGE, GREEN, RED)
 SECONDS = "time [s]"
 
 
-class Look(TypedDict):
+class LineStyle(TypedDict):
     """Of a line."""
 
     color: str
@@ -104,7 +104,7 @@ def _draw_case(run: Run, stepped: Run | None, path: Path) -> None:
     figure = new_figure(11.0, 7.5)
     (slips, errors), (torques, used) = figure.subplots(2, 2, sharex=True)
     for axle, (colour, width) in enumerate(AXLES):
-        look = Look(color=colour, linewidth=width)
+        look = LineStyle(color=colour, linewidth=width)
         slips.plot(run.time, run.reference[:, axle], color=PALE, linewidth=7.0, zorder=1)
         slips.plot(run.time, run.slip[:, axle], label=f"axle {axle + 1}", **look)
         errors.plot(run.time, run.slip_error[:, axle], **look)
