@@ -53,6 +53,10 @@ RECEIVER_STDS = 2.0
 the wheel shows more than this many of its standard deviations."""
 
 
+_SPEED = (0.0, 1.0, 0.0, 0.0)
+"""The row of a measurement of the speed."""
+
+
 @dataclass(frozen=True, eq=False)
 class OdometryResult:
     """The motion now.
@@ -228,48 +232,64 @@ class OdometryFilter(Estimator):
         self._time, self._samples = np.array(time), self._samples + 1
         self._zeros = np.array(self._zeros + 1 if wheel_speed == 0.0 else 0)
         if self._zeros >= STANDING:
-            self._correct(0.0, (0.0, 1.0, 0.0, 0.0), STILL)
+            self._correct(0.0, _SPEED, STILL, math.inf)
         else:
             # The wheel shows w = v (1 + e), linear about the state: w + v e = (1 + e) v + v e.
-            speed, error = self._filter.x[1], self._filter.x[3]
-            shown = (0.0, 1.0 + error, 0.0, speed)
-            self._correct(wheel_speed + speed * error, shown, self._wheel_noise, GATE)
+            _, speed, _, error = self._filter.x.tolist()
+            self._correct(
+                wheel_speed + speed * error, (0.0, 1.0 + error, 0.0, speed), self._wheel_noise
+            )
         if self._filter.x[1] > RECEIVER_STDS * self._satellite_noise:
-            self._correct(satellite_speed, (0.0, 1.0, 0.0, 0.0), self._satellite_noise, GATE)
-        self._correct(balise, (1.0, 0.0, 0.0, 0.0), self._balise_noise)
+            self._correct(satellite_speed, _SPEED, self._satellite_noise)
+        self._correct(balise, (1.0, 0.0, 0.0, 0.0), self._balise_noise, math.inf)
         return self.result()
 
     def _predict(self, step: float, acceleration: float) -> None:
         """The motion over a step under the acceleration felt, less the accelerometer's bias."""
         known = not math.isnan(acceleration)
-        push = np.array([0.5 * step**2, step, 0.0, 0.0])
-        transition = np.eye(4)
-        transition[0, 1] = step
-        transition[:2, 2] = -push[:2] * known
+        far, fast = 0.5 * step**2, step
         rough = math.hypot(self._acceleration_noise, UNSTEADY) if known else UNMEASURED
-        noise = rough**2 * np.outer(push, push)
-        noise[2, 2] = 2.0 * ACCELEROMETER_BIAS_STD**2 * step / BIAS_TIME
+        wander = 2.0 * ACCELEROMETER_BIAS_STD**2 * step / BIAS_TIME
+        transition = np.array(
+            (
+                (1.0, step, -far * known, 0.0),
+                (0.0, 1.0, -fast * known, 0.0),
+                (0.0, 0.0, 1.0, 0.0),
+                (0.0, 0.0, 0.0, 1.0),
+            )
+        )
+        noise = np.array(
+            (
+                (rough**2 * far * far, rough**2 * far * fast, 0.0, 0.0),
+                (rough**2 * far * fast, rough**2 * fast * fast, 0.0, 0.0),
+                (0.0, 0.0, wander, 0.0),
+                (0.0, 0.0, 0.0, 0.0),
+            )
+        )
+        push = np.array((far, fast, 0.0, 0.0))
         self._filter.predict(acceleration if known else 0.0, push, transition, noise)
 
     def _correct(
-        self, value: float, shown: tuple[float, ...], std: float, gate: float = math.inf
+        self, value: float, shown: tuple[float, ...], std: float, gate: float = GATE
     ) -> None:
         """Take in one measurement, unless it is missing or too far from the expected one."""
         if math.isnan(value):
             return
         row = np.array([shown])
-        spread = (row @ self._filter.P @ row.T).item() + std**2
-        if abs(value - (row @ self._filter.x).item()) <= gate * math.sqrt(spread):
-            self._filter.update(value, std**2, row)
+        if gate < math.inf:
+            spread = (row @ self._filter.P @ row[0]).item() + std**2
+            if abs(value - (row @ self._filter.x).item()) > gate * math.sqrt(spread):
+                return
+        self._filter.update(value, std**2, row)
 
     def result(self) -> OdometryResult:
         """Position, speed and the instruments' errors now."""
-        variances = np.diagonal(self._covariance)
-        left = float(np.sqrt(np.max(variances[2:] / self._prior[2:])))
+        _, speed, bias, error = np.diagonal(self._covariance).tolist()
+        left = math.sqrt(max(bias / ACCELEROMETER_BIAS_STD**2, error / WHEEL_ERROR_STD**2))
         return OdometryResult(
             estimate=self._mean.copy(),
             covariance=self._covariance.copy(),
-            valid=bool(self._samples > 0 and variances[1] <= LARGEST_SPEED_STD**2),
+            valid=bool(self._samples > 0 and speed <= LARGEST_SPEED_STD**2),
             excitation=min(max(1.0 - left, 0.0), 1.0),
             standing=bool(self._zeros >= STANDING),
             samples=self._samples,
