@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from analysis.resistance.unknown_gradient import (
         coast_down_without_gradient as coast_down_without_gradient,
     )
-    from analysis.trajectory import OptimiserOptions as OptimiserOptions
-    from analysis.trajectory import TrajectoryProblem as TrajectoryProblem
-    from analysis.trajectory import advice as advice
-    from analysis.trajectory import energy_against_time as energy_against_time
-    from analysis.trajectory import optimise as optimise
-    from analysis.trajectory import optimise_journey as optimise_journey
-    from analysis.trajectory import phases_of as phases_of
+    from analysis.trajectory.journey import optimise_journey as optimise_journey
+    from analysis.trajectory.optimiser import energy_against_time as energy_against_time
+    from analysis.trajectory.optimiser import optimise as optimise
+    from analysis.trajectory.phases import advice as advice
+    from analysis.trajectory.phases import phases_of as phases_of
+    from analysis.trajectory.problem import OptimiserOptions as OptimiserOptions
+    from analysis.trajectory.problem import TrajectoryProblem as TrajectoryProblem
 
 _NAMES = {
     "analysis.resistance.logs": "fit",
@@ -48,10 +48,10 @@ _NAMES = {
     "analysis.resistance.unknown_gradient": "coast_down_without_gradient",
     "analysis.adhesion.slip": "slip",
     "analysis.adhesion.condition_map": "adhesion_map",
-    "analysis.trajectory": (
-        "optimise TrajectoryProblem OptimiserOptions optimise_journey energy_against_time"
-        " advice phases_of"
-    ),
+    "analysis.trajectory.optimiser": "optimise energy_against_time",
+    "analysis.trajectory.problem": "TrajectoryProblem OptimiserOptions",
+    "analysis.trajectory.journey": "optimise_journey",
+    "analysis.trajectory.phases": "advice phases_of",
     "analysis.control.follow": "follow Follower",
     "analysis.comparison.cost": "compare",
     "analysis.reporting": "report",

@@ -27,8 +27,9 @@ from analysis.control.route import (
     route_tables,
     train_limits,
 )
-from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError, LogError
 from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import ConditionLayer

@@ -12,9 +12,17 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, drawn, hilly_line, observed, optimised, slippery
 
-from analysis.trajectory import OptimiserOptions, Phase, TrajectoryProblem, energy_against_time
-from analysis.trajectory.phases import advice, agreement, phases_of, with_advice, write_advice
+from analysis.trajectory.optimiser import energy_against_time
+from analysis.trajectory.phases import (
+    Phase,
+    advice,
+    agreement,
+    phases_of,
+    with_advice,
+    write_advice,
+)
 from analysis.trajectory.plot import draw_front
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory import Phase, phases_of
-from analysis.trajectory.phases import phases_by_switching
+from analysis.trajectory.phases import Phase, phases_by_switching, phases_of
 from trainlog.railway import RunningResistance, Train, Trajectory
 
 KWH = 3.6e6

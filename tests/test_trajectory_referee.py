@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory import Phase
 from analysis.trajectory.discretisation import graded_mesh
-from analysis.trajectory.phases import phase_letters, phases_by_control, phases_by_switching
+from analysis.trajectory.phases import Phase, phase_letters, phases_by_control, phases_by_switching
 from analysis.trajectory.plot import draw_trajectory
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample

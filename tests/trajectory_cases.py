@@ -12,13 +12,9 @@ from typing import Any
 import numpy as np
 
 from analysis.studies.cunillera_2022.model import TRAIN
-from analysis.trajectory import (
-    JourneyPlan,
-    OptimiserOptions,
-    TrajectoryProblem,
-    optimise,
-    optimise_journey,
-)
+from analysis.trajectory.journey import JourneyPlan, optimise_journey
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.railway import (
     Configuration,
     CurvatureProfile,

@@ -354,7 +354,7 @@ def follow(
 
     Examples
     --------
-    >>> from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
+    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
     >>> from trainlog.formats.line import read_line
     >>> from trainlog.formats.train import read_train
     >>> from trainlog.railway import Configuration

@@ -126,7 +126,7 @@ def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
     >>> from trainlog.formats.line import read_line
     >>> from trainlog.formats.train import read_train
     >>> from trainlog.railway import Configuration
-    >>> from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
+    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> problem = TrajectoryProblem(line, train, [Configuration.of(train)], end=9_613.0)
@@ -249,7 +249,7 @@ def advice(
     >>> from trainlog.formats.line import read_line
     >>> from trainlog.formats.train import read_train
     >>> from trainlog.railway import Configuration
-    >>> from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
+    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> problem = TrajectoryProblem(line, train, [Configuration.of(train)], end=9_613.0)

@@ -25,8 +25,9 @@ from analysis.control.follow import Follower, run_of
 from analysis.control.odometry import MARGIN, Odometry
 from analysis.control.qp import QPSubproblem
 from analysis.control.route import Margin
-from analysis.trajectory import TrajectoryProblem, optimise
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.formats.condition import read_map
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

@@ -16,9 +16,9 @@ from time import process_time
 import numpy as np
 
 from analysis.resistance import TripFit, TripRefusedError, fit_trip, parameter_set
-from analysis.trajectory import optimise
 from analysis.trajectory.discretisation import discretise, tapered_as
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.rollout import cell_times, rollout
 from trainlog.formats.line import read_line

@@ -17,7 +17,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import atomic_write
 from trainlog.formats.ttobench import read_track, read_train

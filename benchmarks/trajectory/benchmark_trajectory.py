@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from analysis.studies.cunillera_2022.model import TRAIN as VIRM6
-from analysis.trajectory import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.trajectory.discretisation import discretise, tapered_as
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.referee import IpoptResult, solve_with_ipopt
 from analysis.trajectory.rollout import paced_run
 from trainlog.formats.line import read_line

@@ -21,7 +21,7 @@ from trainlog.errors import InputError
 from trainlog.units import KMH
 
 if TYPE_CHECKING:
-    from analysis.trajectory import OptimiserOptions, TrajectoryProblem
+    from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
     from trainlog.railway import Line, Trajectory
 
 app = typer.Typer()
@@ -119,8 +119,8 @@ def optimise(
     Example: trainlog optimise results/parameters.json -o results/trajectory.json
     """
     from analysis.comparison.cost import fastest_nonstop
-    from analysis.trajectory import OptimiserOptions, TrajectoryProblem
-    from analysis.trajectory import optimise as solve
+    from analysis.trajectory.optimiser import optimise as solve
+    from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
     from trainlog.formats.condition import read_map
     from trainlog.formats.parameters import read_parameters
 
@@ -218,7 +218,7 @@ def _journey(
     output: Path,
 ) -> None:
     """Optimise a journey; a file a section, numbered."""
-    from analysis.trajectory import optimise_journey
+    from analysis.trajectory.journey import optimise_journey
     from analysis.trajectory.table import journey_table
     from trainlog.formats.line import read_journey
 
@@ -231,7 +231,7 @@ def _journey(
 
 def _front(problem: TrajectoryProblem, options: OptimiserOptions, output: Path) -> None:
     """Energy against running time, printed and drawn."""
-    from analysis.trajectory import energy_against_time
+    from analysis.trajectory.optimiser import energy_against_time
     from analysis.trajectory.plot import draw_front
     from analysis.trajectory.table import front_table
 

@@ -19,12 +19,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.trajectory import OptimiserOptions, optimise
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import braking_curves, fastest_run
 from analysis.trajectory.feasibility import lowest_end_speed
+from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.phases import Phase, phases_by_switching, phases_of
-from analysis.trajectory.problem import Braking, TrajectoryProblem
+from analysis.trajectory.problem import Braking, OptimiserOptions, TrajectoryProblem
 from trainlog.railway import (
     Configuration,
     Line,
