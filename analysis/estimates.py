@@ -18,7 +18,7 @@ from estimators.motion import smooth_motion
 from trainlog import __version__
 from trainlog.errors import LogError, TrainlogError
 from trainlog.mcap import LogWriter
-from trainlog.mcap.stretches import stretches
+from trainlog.mcap.reader import stretches
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of, seconds
 

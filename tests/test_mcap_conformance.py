@@ -14,8 +14,8 @@ from mcap_judge import messages_in
 
 from trainlog.mcap import account_of, describe, frames_of, recover
 from trainlog.mcap.index import attachment_data
+from trainlog.mcap.records import Source
 from trainlog.mcap.scan import contents_of, scanned
-from trainlog.mcap.source import Source
 
 
 def test_the_suite_has_all_its_files() -> None:

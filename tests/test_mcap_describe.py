@@ -17,7 +17,7 @@ from rich.console import Console
 import trainlog
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import LogDescription, describe, read_log, write_log
-from trainlog.mcap.show import render
+from trainlog.mcap.description import render
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trainlog.mcap.chunks import plan_of, stream_of
-from trainlog.mcap.codec import MESSAGE, Value, gather, layout, scatter, varint
-from trainlog.mcap.schemas import descriptor_set
+from trainlog.mcap.codec import Value, descriptor_set, gather, layout, scatter, varint
+from trainlog.mcap.records import MESSAGE
 from trainlog.topics import GNSS_FIX, TOPICS, Topic
 from trainlog.trip import frame_of
 

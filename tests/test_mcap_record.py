@@ -22,7 +22,7 @@ from mcap_trips import ATTACHMENTS, METADATA, START, assert_same, trip_of
 import trainlog
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import OverloadWarning, Recording, read_log, write_log, writer
-from trainlog.mcap.chunks import PackedChunk, RawChunk
+from trainlog.mcap.chunks import Chunk
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -196,10 +196,10 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     opened = threading.Event()
     compress = writer.packed
 
-    def held(raw: RawChunk) -> PackedChunk:
+    def held(chunk: Chunk) -> Chunk:
         if threading.current_thread().name == "trainlog.record":
             assert opened.wait(30)
-        return compress(raw)
+        return compress(chunk)
 
     monkeypatch.setattr(writer, "packed", held)
     return opened

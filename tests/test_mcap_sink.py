@@ -13,19 +13,19 @@ from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Schema
 from mcap.stream_reader import StreamReader
 
-from trainlog.mcap.chunks import PackedChunk, RawChunk, packed
-from trainlog.mcap.codec import MESSAGE
+from trainlog.mcap.chunks import Chunk, packed
+from trainlog.mcap.records import MESSAGE
 from trainlog.mcap.writer import Sink
 
 TIMES = [5, 3, 9]
 
 
-def raw_chunk(channel: int = 7, times: list[int] | None = None) -> RawChunk:
+def raw_chunk(channel: int = 7, times: list[int] | None = None) -> Chunk:
     """Messages of four bytes, as a program might write them: not in the order of time."""
     times = TIMES if times is None else times
     data = b"".join(MESSAGE.pack(5, 26, channel, n, t, t) + b"data" for n, t in enumerate(times))
     index = [[t, 35 * n] for n, t in enumerate(times)]
-    return RawChunk(
+    return Chunk(
         data, min(times), max(times), {channel: np.array(index, dtype=np.uint64).reshape(-1, 2)}
     )
 
@@ -52,7 +52,7 @@ def test_chunks_may_be_copied_as_they_are() -> None:
     stream = BytesIO()
     sink = Sink(stream, profile="ros2")
     declare(sink)
-    plain = PackedChunk("", raw.data, len(raw.data), 0, raw.start, raw.end, raw.index)
+    plain = replace(raw, size=len(raw.data))
     sink.put_chunk(plain)
     sink.put_chunk(replace(packed(raw_chunk(times=[2, 4])), index={}))
     sink.put_attachment(Attachment(1, 2, "notes", "text/plain", b"words"))

@@ -23,7 +23,7 @@ from rerun.chunk import McapReader
 
 from trainlog.errors import LogError
 from trainlog.mcap import describe, read_log, tables, write_log
-from trainlog.mcap.schemas import descriptor_set
+from trainlog.mcap.codec import descriptor_set
 from trainlog.topics import (
     EVENTS,
     GNSS_FIX,

@@ -33,7 +33,7 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
 from trainlog.formats.files import sha256_of
 from trainlog.mcap import read_log
-from trainlog.mcap.stretches import stretches
+from trainlog.mcap.reader import stretches
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
 from trainlog.railway.line import Line

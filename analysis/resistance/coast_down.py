@@ -44,7 +44,7 @@ from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256_of
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
-from trainlog.mcap.stretches import stretches
+from trainlog.mcap.reader import stretches
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip

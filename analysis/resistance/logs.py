@@ -32,7 +32,7 @@ from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
 from trainlog.mcap import read_log
-from trainlog.mcap.stretches import stretches
+from trainlog.mcap.reader import stretches
 from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip, seconds
 from trainlog.units import KMH

@@ -34,8 +34,8 @@ from trips import read_officially, trip_of, write_officially
 
 from trainlog.mcap import LogWriter, describe, read_log, stream_log, write_log
 from trainlog.mcap.index import fetched
+from trainlog.mcap.records import Source
 from trainlog.mcap.scan import contents_of
-from trainlog.mcap.source import Source
 from trainlog.topics import TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 

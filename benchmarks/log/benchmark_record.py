@@ -22,7 +22,7 @@ from small_mcap import McapWriter
 from trips import START, message_of
 
 import trainlog
-from trainlog.mcap.schemas import descriptor_set
+from trainlog.mcap.codec import descriptor_set
 from trainlog.topics import TRAIN_AXLES, TRAIN_STATE, Topic
 
 VALUES: dict[str, tuple[Topic, dict[str, object]]] = {

@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 from small_mcap import McapWriter
 
-from trainlog.mcap.schemas import descriptor_set
+from trainlog.mcap.codec import descriptor_set
 from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, Topic
 from trainlog.trip import Trip, frame_of
 

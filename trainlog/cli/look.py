@@ -40,7 +40,7 @@ def info(logs: LogsOrConsists) -> None:
     from analysis.consist_table import consist_tables
     from trainlog.formats.train import read_consist
     from trainlog.mcap import describe
-    from trainlog.mcap.show import render
+    from trainlog.mcap.description import render
 
     for log in logs_in(logs):
         if log.name.endswith(".consist.json"):

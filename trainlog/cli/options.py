@@ -156,7 +156,7 @@ def part_of(
         If the log cannot be read, or nothing of it is in that part.
     """
     from trainlog.mcap import stream_log
-    from trainlog.mcap.source import nothing_of
+    from trainlog.mcap.records import nothing_of
 
     time, position = times(start, end, source_span(log)), stretch(km)
     empty = True

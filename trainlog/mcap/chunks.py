@@ -17,14 +17,15 @@ from trainlog.errors import LogError
 from trainlog.mcap.codec import (
     SEQUENCE,
     Codec,
-    checksum,
+    channel_of,
     codec_for,
     encode_events,
     scatter,
+    schema_of,
     table_of,
 )
-from trainlog.mcap.positions import Range, range_in
-from trainlog.mcap.schemas import channel_of, schema_of
+from trainlog.mcap.records import checksum
+from trainlog.mcap.selection import Range, range_in
 from trainlog.topics import EVENTS, TOPICS, Topic, column_field
 from trainlog.trip import Trip
 
@@ -281,19 +282,24 @@ def _axles(topic: Topic, frame: pd.DataFrame) -> dict[str, int]:
 
 
 @dataclass(frozen=True)
-class RawChunk:
-    """The content of one chunk before compression.
+class Chunk:
+    """A chunk as it will stand in a file.
 
     Attributes
     ----------
     data : bytes-like
-        Message records (and, in files of other programs, schemas and channels).
+        Its content: message records (and, in files of other programs, schemas and channels).
     start, end : int
         Earliest and latest log time of its messages [ns].
     index : dict of int to (n, 2) uint64 array
         Log time and offset of each message by channel id, for the channels it holds.
     positions : dict of str to (float, float)
         Least and greatest position [m] by topic, for the topics that have one.
+    compression : str
+        Of `data`: ``"zstd"``, ``"lz4"`` or ``""``.
+    size, checksum : int
+        Length [bytes] and CRC-32 of its content before compression, zero until that is `packed`; a
+        checksum of zero in a file stands for none.
     """
 
     data: bytes | bytearray | memoryview
@@ -301,34 +307,9 @@ class RawChunk:
     end: int
     index: dict[int, NDArray[np.uint64]]
     positions: dict[str, Range] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class PackedChunk:
-    """A chunk as it will stand in a file.
-
-    Attributes
-    ----------
-    compression : str
-        ``"zstd"``, ``"lz4"`` or ``""``.
-    data : bytes-like
-        Its content, compressed.
-    size : int
-        Length of its content before compression [bytes].
-    checksum : int
-        CRC-32 of its content before compression; 0 if there is none.
-    start, end, index, positions
-        As in `RawChunk`.
-    """
-
-    compression: str
-    data: bytes | memoryview
-    size: int
-    checksum: int
-    start: int
-    end: int
-    index: dict[int, NDArray[np.uint64]]
-    positions: dict[str, Range] = field(default_factory=dict)
+    compression: str = ""
+    size: int = 0
+    checksum: int = 0
 
 
 class _Compressor(threading.local):
@@ -341,17 +322,14 @@ class _Compressor(threading.local):
 _compressor = _Compressor()
 
 
-def packed(raw: RawChunk) -> PackedChunk:
+def packed(chunk: Chunk) -> Chunk:
     """The chunk compressed, with its checksum. Runs in any thread, mostly without the GIL."""
-    return PackedChunk(
-        "zstd",
-        _compressor.zstd.compress(raw.data),
-        len(raw.data),
-        checksum(raw.data),
-        raw.start,
-        raw.end,
-        raw.index,
-        raw.positions,
+    return replace(
+        chunk,
+        data=_compressor.zstd.compress(chunk.data),
+        compression="zstd",
+        size=len(chunk.data),
+        checksum=checksum(chunk.data),
     )
 
 
@@ -379,7 +357,7 @@ class Plan:
         """How many chunks there are."""
         return len(self.sizes)
 
-    def chunk(self, number: int) -> RawChunk:
+    def chunk(self, number: int) -> Chunk:
         """Lay out one chunk."""
         parts = [
             (stream, slice(int(cut[number]), int(cut[number + 1])), offsets)
@@ -398,7 +376,7 @@ class Plan:
             for stream, rows, offsets in parts
         }
         positions = {topic: each for topic, each in ranges.items() if each is not None}
-        return RawChunk(data.data, start, end, index, positions)
+        return Chunk(data.data, start, end, index, positions)
 
     def behind(self, number: int) -> list[Stream]:
         """The messages of the streams from chunk `number` on."""

@@ -22,7 +22,7 @@ from trainlog.formats.parquet import (
 from trainlog.mcap.description import LogDescription, describe
 from trainlog.mcap.foreign import frames_of
 from trainlog.mcap.reader import stream_log
-from trainlog.mcap.source import nothing_of
+from trainlog.mcap.records import nothing_of
 from trainlog.mcap.writer import LogWriter
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from trainlog.errors import LogError
 from trainlog.mcap.account import Account
-from trainlog.mcap.codec import MESSAGE, RECORD_HEAD
 from trainlog.mcap.foreign_decoders import (
     DEEPEST,
     LONG_ARRAY,
@@ -34,9 +33,17 @@ from trainlog.mcap.foreign_decoders import (
 )
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched
 from trainlog.mcap.reader import check_data_section, report_losses
-from trainlog.mcap.records import Index, index_of, opened
+from trainlog.mcap.records import (
+    MESSAGE,
+    RECORD_HEAD,
+    Index,
+    Source,
+    in_file,
+    index_of,
+    opened,
+    shown,
+)
 from trainlog.mcap.scan import contents_used
-from trainlog.mcap.source import Source, in_file, shown
 
 MOST_COLUMNS = 2_000
 """Columns of a topic; names that are made up message by message must not fill the memory."""

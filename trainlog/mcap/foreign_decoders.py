@@ -24,7 +24,7 @@ from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from trainlog.extras import load
-from trainlog.mcap.source import shown
+from trainlog.mcap.records import shown
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict

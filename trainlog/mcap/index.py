@@ -29,20 +29,23 @@ from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
 from trainlog.mcap.account import Account, Loss, Unfinished
-from trainlog.mcap.codec import RECORD_HEAD, checksum
 from trainlog.mcap.records import (
     DECLARATIONS,
+    RECORD_HEAD,
     RECORDING_RECORD,
     Index,
+    Source,
     StoredChunk,
+    checksum,
+    damaged,
     index_of,
     opened,
     parsed,
     records,
+    shown,
     stored_chunk,
     stored_index,
 )
-from trainlog.mcap.source import Source, damaged, shown
 
 MAGIC: bytes = MCAP0_MAGIC
 """The first and the last eight bytes of every MCAP file."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,23 +25,25 @@ from trainlog.mcap.index import (
     attachment_data,
     checksum_of,
 )
-from trainlog.mcap.positions import spans_in_log
 from trainlog.mcap.records import (
     FORMAT_RECORD,
     PROVENANCE_RECORD,
     RECORDING_RECORD,
     RECOVERY_RECORD,
     TRIP_RECORD,
+    Source,
+    in_file,
+    shown,
+    threads_of,
+    unusable,
 )
-from trainlog.mcap.scan import contents_used, scanned
-from trainlog.mcap.source import Source, in_file, shown, threads_of, unusable
-from trainlog.mcap.tables import TopicChannel, Wanted, frames_in, topic_channels
-from trainlog.spans import ALWAYS, Spans, position_limits, time_limits
-from trainlog.topics import SCHEMA_VERSION, TOPICS, Topic, column_field
+from trainlog.mcap.scan import contents_of, contents_used, scanned
+from trainlog.mcap.selection import Selection, Topics, chunks_within, selection_of, spans_of
+from trainlog.mcap.tables import TopicChannel, frames_in, topic_channels
+from trainlog.spans import ALWAYS, Spans
+from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import Trip
-
-Topics = Iterable[str] | Mapping[str, Iterable[str] | None]
-"""Names of topics, or the columns asked for by topic, None for all."""
+from trainlog.units import NANOSECONDS
 
 _MOST_NAMED = 8
 """Topics of a foreign file that an error names."""
@@ -169,115 +171,6 @@ def stream_log(
     return _pieces(path, selection_of(topics, time, position), rows)
 
 
-# ------------------------------------------------------------------------- what is asked for
-
-
-@dataclass(frozen=True)
-class Selection:
-    """A part of a log.
-
-    Attributes
-    ----------
-    columns : Wanted
-    time : (Any, Any) or None
-        As given; checked.
-    span : (int, int)
-        The same [ns since 1970 UTC].
-    position : (float, float) or None
-        As given; checked.
-    whole : bool
-        Whether it leaves out nothing.
-    """
-
-    columns: Wanted
-    time: tuple[Any, Any] | None
-    span: tuple[int, int]
-    position: tuple[float | None, float | None] | None
-    whole: bool
-
-    @property
-    def stretch(self) -> tuple[float, float]:
-        """The position's limits [m]; infinite where open."""
-        return position_limits(*(self.position or (None, None)))
-
-
-def selection_of(
-    topics: Topics | None,
-    time: tuple[Any, Any] | None,
-    position: tuple[float | None, float | None] | None,
-) -> Selection:
-    """The part of a log that is asked for, checked.
-
-    Raises
-    ------
-    LogError
-        If there is no such topic or column.
-    InputError
-        If a limit is no time or no position, or the limits are in the wrong order.
-    """
-    ends = _pair("time", time)
-    stretch = _pair("position", position)
-    span = ALWAYS if ends is None else time_limits(*ends)
-    if stretch is not None:
-        position_limits(*stretch)
-    whole = topics is None and ends is None and stretch is None
-    return Selection(_columns(topics), ends, span, stretch, whole)
-
-
-def _pair(name: str, limits: Sequence[Any] | None) -> tuple[Any, Any] | None:
-    if limits is None:
-        return None
-    if isinstance(limits, str) or not hasattr(limits, "__len__") or len(limits) != 2:
-        raise InputError(f"{name} is {limits!r}, not two limits", remedy=f"give {name}=(from, to)")
-    return limits[0], limits[1]
-
-
-def _columns(topics: Topics | None) -> Wanted:
-    if topics is None:
-        return dict.fromkeys(TOPICS)
-    if isinstance(topics, str):
-        topics = [topics]
-    asked = topics if isinstance(topics, Mapping) else dict.fromkeys(topics)
-    for name in asked:
-        if name not in TOPICS:
-            raise LogError(f"there is no topic {name}", remedy=f"topics are {', '.join(TOPICS)}")
-    return {
-        name: None if names is None else _known(TOPICS[name], names)
-        for name, names in asked.items()
-    }
-
-
-def _known(topic: Topic, names: Iterable[str]) -> frozenset[str]:
-    names = frozenset([names] if isinstance(names, str) else names)
-    for name in sorted(names):
-        try:
-            column_field(topic, name)
-        except KeyError:
-            raise LogError(
-                f"{topic.name} has no column {name}",
-                remedy=f"its fields are {', '.join(item.name for item in topic.fields)}; a field "
-                "with one value for each axle has columns such as wheel_speed_1",
-            ) from None
-    return names
-
-
-def chunks_within(chunks: Iterable[ChunkPlace], spans: Spans) -> list[ChunkPlace]:
-    """The chunks that can hold messages in any of the spans of time."""
-    listed = list(chunks)
-    if len(spans) == 1 and tuple(spans[0]) == ALWAYS:
-        return listed
-    if not len(spans) or not listed:
-        return []
-    highest = np.iinfo(np.int64).max
-    first = np.array([min(place.start, highest) for place in listed], dtype=np.int64)
-    last = np.array([min(place.end, highest) for place in listed], dtype=np.int64)
-    # The first span that ends at or after the chunk's start must begin before its end.
-    number = np.searchsorted(spans[:, 1], first)
-    begins = np.append(spans[:, 0], highest)[number]
-    held = (number < len(spans)) & (begins <= last)
-    return [listed[index] for index in np.flatnonzero(held)]
-
-
 # ------------------------------------------------------------------------------- the file's part
 
 
@@ -315,24 +208,6 @@ def _trip_of(source: Source, contents: Contents, selection: Selection, threads: 
     if selection.time is not None or selection.position is not None:
         trip = trip.cut(spans)
     return trip.with_slice(time=selection.time, position=selection.position)
-
-
-def spans_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Spans:
-    """The spans of time that are asked for.
-
-    Raises
-    ------
-    LogError
-        If a stretch of the line is asked for and the log does not know where the train was.
-    MisplacedError
-        As `trip_of`.
-    """
-    first, last = selection.span
-    if selection.position is None:
-        return np.array([[first, last]], dtype=np.int64)
-    spans = spans_in_log(source, contents, selection.stretch, threads)
-    spans = spans[(spans[:, 1] >= first) & (spans[:, 0] <= last)]
-    return np.clip(spans, first, last)
 
 
 def bare_trip(source: Source, contents: Contents) -> Trip:
@@ -603,3 +478,115 @@ def _cut(frames: _Frames, rows: int) -> Iterator[_Frames]:
                 left -= ends[name]
         yield {name: frame.iloc[: ends[name]] for name, frame in frames.items()}
         frames = {name: frame.iloc[ends[name] :] for name, frame in frames.items()}
+
+
+# ------------------------------------------------------------------------------ in stretches
+
+ROWS = 750_000
+"""Rows over all topics read up to which a log is one stretch."""
+
+FINER = 5
+"""Of a longer log a stretch has so many times fewer: beside it stands what was made of the rest."""
+
+MARGIN = 60.0
+"""Time that is read before and after a stretch [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A part of a trip.
+
+    Attributes
+    ----------
+    trip : Trip
+        The rows of the stretch, and of the margins before and after it. Named as the whole.
+    span : (int, int)
+        First and last instant of the stretch itself [ns since 1970 UTC]; the stretches of a trip
+        share none, and none lies between them.
+    number, count : int
+        Which of how many, from 1.
+    """
+
+    trip: Trip
+    span: tuple[int, int]
+    number: int
+    count: int
+
+    def named(self) -> Trip:
+        """The trip; one of several stretches has its number in the name."""
+        if self.count == 1:
+            return self.trip
+        name = f"{self.trip.name} ({self.number} of {self.count})"
+        return replace(self.trip, metadata={**self.trip.metadata, "trip": name})
+
+    def core(self, trip: Trip) -> Trip:
+        """The rows of the stretch itself in a trip made of it, without the margins."""
+        return trip if self.count == 1 else trip.cut(np.array([self.span], dtype=np.int64))
+
+
+def stretches(
+    path: str | Path, topics: Sequence[str] | None = None, *, rows: int | None = None
+) -> Iterator[Stretch]:
+    """Read a log in stretches, in the order of time.
+
+    Parameters
+    ----------
+    path : path
+    topics : sequence of str, optional
+        Default: all.
+    rows : int, optional
+        A log with so many rows over these topics is one stretch; the stretches of a longer one
+        have `FINER` times fewer, without their margins. Default: `ROWS`.
+
+    Yields
+    ------
+    Stretch
+        One at least.
+
+    Raises
+    ------
+    LogError, InputError
+        As `read_log`.
+
+    Examples
+    --------
+    >>> [part.number for part in stretches("sample_logs/nonstop.mcap", ["/train/state"])]
+    [1]
+    >>> len(list(stretches("sample_logs/nonstop.mcap", ["/train/state"], rows=5_000))) > 1
+    True
+    """
+    borders = _borders(path, topics, rows or ROWS)
+    if not borders:
+        yield Stretch(read_log(path, topics), ALWAYS, 1, 1)
+        return
+    margin = round(MARGIN * NANOSECONDS)
+    edges = [ALWAYS[0], *borders, ALWAYS[1] + 1]
+    bare = read_log(path, [])
+    for number in range(1, len(edges)):
+        first, last = edges[number - 1], edges[number] - 1
+        time = (
+            None if number == 1 else pd.Timestamp(max(first - margin, 0), tz="UTC"),
+            None if number == len(edges) - 1 else pd.Timestamp(last + margin, tz="UTC"),
+        )
+        part = replace(read_log(path, topics, time=time), provenance=bare.provenance)
+        yield Stretch(part, (first, last), number, len(edges) - 1)
+
+
+def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[int]:
+    """Times [ns] at which a log is parted: where chunks begin, so that few are read twice."""
+    with Source(path) as source, in_file(path):
+        contents = contents_of(source)
+        channels = {
+            each.channel.id
+            for each in topic_channels(contents)
+            if topics is None or each.topic.name in topics
+        }
+        chunks = sorted(contents.chunks, key=lambda place: place.start)
+    held = [sum(n for channel, n in each.counts.items() if channel in channels) for each in chunks]
+    if sum(held) <= rows:
+        return []
+    count = -(-sum(held) * FINER // rows)
+    before = np.cumsum(held) - held
+    wanted = np.arange(1, count) * (sum(held) / count)
+    firsts = np.unique(np.clip(np.searchsorted(before, wanted), 1, len(chunks) - 1))
+    return sorted({int(chunks[index].start) for index in firsts.tolist()})

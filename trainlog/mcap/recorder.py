@@ -30,10 +30,8 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import writing_error
 from trainlog.mcap.chunks import Listed, Samples, Stream, known_topic
-from trainlog.mcap.codec import HIGHEST_LEVEL, codec_for, event_record
-from trainlog.mcap.records import RECORDING_RECORD
-from trainlog.mcap.schemas import channel_of, schema_of
-from trainlog.mcap.source import in_file
+from trainlog.mcap.codec import HIGHEST_LEVEL, channel_of, codec_for, event_record, schema_of
+from trainlog.mcap.records import RECORDING_RECORD, in_file
 from trainlog.mcap.writer import RecordingFile, metadata_records
 from trainlog.topics import EVENTS, TOPICS, Topic
 from trainlog.trip import Trip

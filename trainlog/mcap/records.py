@@ -1,4 +1,4 @@
-"""Records of an MCAP file, taken apart with every length checked, and the names of ours.
+"""An MCAP file read at any place, and its records, taken apart with every length checked.
 
 The official package reads records from a stream and trusts their lengths; here a length that
 leads out of the file, or a content that does not parse, is a `LogError` at a byte offset.
@@ -6,27 +6,186 @@ leads out of the file, or a content that does not parse, is a `LogError` at a by
 
 from __future__ import annotations
 
+import os
 import struct
 import threading
 from array import array
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, Protocol, TypeVar
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NoReturn, Protocol, TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
+from isal import isal_zlib
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from trainlog.errors import LogError
-from trainlog.mcap.codec import MESSAGE, RECORD_HEAD, checksum
-from trainlog.mcap.source import damaged, shown
+from trainlog.errors import InputError, LogError
+from trainlog.formats.files import refuse_reading
+
+MESSAGE = struct.Struct("<BQHIQQ")
+"""Head of a message record: opcode, length, channel, sequence, log time, publish time."""
+
+
+RECORD_HEAD = 9
+"""Bytes of opcode and length before the content of any record."""
+
+
+_LONGEST = 60
+"""Texts from a file are cut to this many characters in a message."""
+
+
+def damaged(offset: int, problem: str) -> LogError:
+    """The error that says at which byte a file is damaged."""
+    return LogError(problem, place=f"byte {offset}", remedy="copy or record it again")
+
+
+def unusable(problem: str) -> LogError:
+    """The error for something that whoever wrote the file has got wrong."""
+    return LogError(problem, remedy="write it again with a program that keeps to the format")
+
+
+def nothing_of(path: str | Path) -> LogError:
+    """The error for a part that was asked for and holds nothing."""
+    return LogError(
+        "holds nothing of the part asked for",
+        file=path,
+        remedy=f"see 'trainlog info {path}' for its topics, times and positions",
+    )
+
+
+def shown(text: str) -> str:
+    """A text from a file, for a message: on one line, of bounded length, in quotes."""
+    cut = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
+    return repr(cut)
+
+
+@contextmanager
+def in_file(path: str | Path) -> Iterator[None]:
+    """Name the file in any LogError that the block raises."""
+    try:
+        yield
+    except LogError as error:
+        raise LogError(error.problem, file=path, place=error.place, remedy=error.remedy) from error
+
+
+class Source:
+    """A file open for reading at any place, from several threads at once.
+
+    It is a context manager that closes the file.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    path : Path
+    size : int
+        Length of the file when it was opened [bytes].
+
+    Raises
+    ------
+    InputError
+        If it is missing, not a regular file, or may not be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            # Opening a pipe would wait for its other end.
+            regular = not self.path.exists() or self.path.is_file() or self.path.is_dir()
+            self._file = self.path.open("rb", buffering=0) if regular else None
+        except (OSError, ValueError) as error:
+            self._refuse(error)
+        if self._file is None:
+            raise InputError("is not a regular file", file=path, remedy="copy it to a file first")
+        self._lock = threading.Lock()
+        self.size = os.fstat(self._file.fileno()).st_size
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+    def read(self, offset: int, length: int) -> bytes:
+        """The bytes from `offset`, as many as `length` or the end of the file allow.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read any more, or has become shorter than it was.
+        """
+        length = max(0, min(length, self.size - offset))
+        parts = []
+        while length:
+            try:
+                part = self._read(offset, length)
+            except (OSError, ValueError) as error:
+                self._refuse(error)
+            if not part:
+                raise InputError(
+                    "became shorter while it was read",
+                    file=self.path,
+                    place=f"byte {offset}",
+                    remedy="read it when no other program changes it",
+                )
+            parts.append(part)
+            offset += len(part)
+            length -= len(part)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def _read(self, offset: int, length: int) -> bytes:
+        assert self._file is not None
+        if hasattr(os, "pread"):
+            return os.pread(self._file.fileno(), length, offset)
+        with self._lock:
+            self._file.seek(offset)
+            return self._file.read(length) or b""
+
+    def _refuse(self, error: OSError | ValueError) -> NoReturn:
+        if isinstance(error, OSError):
+            refuse_reading(self.path, error)
+        raise InputError(
+            f"cannot be read: {error}", file=self.path, remedy="check the path"
+        ) from error
+
+
+def threads_of(threads: int | None) -> int:
+    """How many threads work: as many as asked for, or one a processor, at most four.
+
+    Raises
+    ------
+    InputError
+        If that is no whole number from 1 on.
+    """
+    if threads is None:
+        return min(4, os.cpu_count() or 1)
+    if not isinstance(threads, int) or threads < 1:
+        raise InputError(f"threads is {threads}", remedy="give a whole number from 1 on")
+    return threads
+
+
+# -------------------------------------------------------------------------------------- records
 
 FORMAT_RECORD = "trainlog.format"
 """Metadata record that says which version of the table of topics the file follows."""
@@ -46,7 +205,7 @@ RECOVERY_RECORD = "trainlog.recovery"
 with the account of what was lost."""
 
 POSITIONS_RECORD = "trainlog.positions"
-"""Metadata record that holds the positions in each chunk, see `trainlog.mcap.positions`."""
+"""Metadata record that holds the positions in each chunk, see `trainlog.mcap.selection`."""
 
 Index = dict[int, NDArray[np.uint64]]
 """Log time and offset in the chunk, shape (n, 2), of the messages by channel id."""
@@ -407,3 +566,23 @@ def _heads(content: bytes) -> NDArray[np.void]:
     """Every window of the content that is as long as a message's head."""
     size = _HEAD.itemsize
     return np.ndarray((len(content) - size + 1,), f"V{size}", content, 0, (1,))
+
+
+_VECTOR = np.zeros(64)
+
+
+def checksum(data: bytes | bytearray | memoryview, before: int = 0) -> int:
+    """CRC-32 of data, continued from that of what stands before.
+
+    On Intel's processors the function of isal leaves the upper halves of the vector registers in
+    use. All of Python is then slower, building a tuple by three times, until a function clears them
+    as those of numpy do.
+
+    Examples
+    --------
+    >>> checksum(b"789", checksum(b"123456")) == checksum(b"123456789") == 0xCBF43926
+    True
+    """
+    found: int = isal_zlib.crc32(data, before)
+    np.add(_VECTOR, _VECTOR, out=_VECTOR)
+    return found

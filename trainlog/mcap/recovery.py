@@ -12,8 +12,7 @@ from mcap.records import Attachment
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write
 from trainlog.mcap.account import Account
-from trainlog.mcap.chunks import PackedChunk, RawChunk, packed
-from trainlog.mcap.codec import RECORD_HEAD, checksum
+from trainlog.mcap.chunks import Chunk, packed
 from trainlog.mcap.index import (
     AttachmentPlace,
     ChunkPlace,
@@ -26,13 +25,16 @@ from trainlog.mcap.reader import step_of, stream_log
 from trainlog.mcap.records import (
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
+    RECORD_HEAD,
     RECOVERY_RECORD,
     Index,
+    Source,
+    checksum,
+    in_file,
     opened,
     tally,
 )
 from trainlog.mcap.scan import check_is_mcap, scanned
-from trainlog.mcap.source import Source, in_file
 from trainlog.mcap.tables import topic_channels
 from trainlog.mcap.writer import Sink
 
@@ -194,7 +196,7 @@ def _attachment(source: Source, place: AttachmentPlace) -> Attachment:
     )
 
 
-def _chunk(source: Source, place: ChunkPlace) -> PackedChunk:
+def _chunk(source: Source, place: ChunkPlace) -> Chunk:
     """The chunk as it is stored, or made again without messages that no channel explains."""
     chunk = fetched(source, place)
     content = opened(chunk)
@@ -202,7 +204,7 @@ def _chunk(source: Source, place: ChunkPlace) -> PackedChunk:
     kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
     if place.loose or len(kept) < len(index):
         return packed(_only(content, kept))
-    return PackedChunk(
+    return Chunk(
         compression=chunk.compression,
         data=chunk.data,
         size=chunk.size,
@@ -218,7 +220,7 @@ def _index(source: Source, place: ChunkPlace) -> Index:
     return fetched_index(source, place, place.counts) if place.indexes else {}
 
 
-def _only(content: bytes, index: Index) -> RawChunk:
+def _only(content: bytes, index: Index) -> Chunk:
     """A chunk of nothing but the messages that the index lists, in the order they had."""
     listed = [
         (int(offset), int(time), channel)
@@ -231,7 +233,7 @@ def _only(content: bytes, index: Index) -> RawChunk:
         (length,) = struct.unpack_from("<Q", content, offset + 1)
         moved[channel].append((time, len(data)))
         data += content[offset : offset + RECORD_HEAD + length]
-    return RawChunk(
+    return Chunk(
         data,
         min((time for _, time, _ in listed), default=0),
         max((time for _, time, _ in listed), default=0),

@@ -24,11 +24,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from numpy.typing import NDArray
 
 from trainlog.errors import LogError
-from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather
+from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather, topic_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
-from trainlog.mcap.records import Index, index_of, message_data, opened
-from trainlog.mcap.schemas import topic_of
-from trainlog.mcap.source import Source, unusable
+from trainlog.mcap.records import Index, Source, index_of, message_data, opened, unusable
 from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, column_field
 from trainlog.trip import frame_of
 

@@ -42,17 +42,18 @@ from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_write, writing_error
-from trainlog.mcap.chunks import PackedChunk, Plan, Stream, packed, plan_of, stream_of, topics_of
-from trainlog.mcap.codec import checksum
-from trainlog.mcap.positions import Entry, encoded
+from trainlog.mcap.chunks import Chunk, Plan, Stream, packed, plan_of, stream_of, topics_of
 from trainlog.mcap.records import (
     FORMAT_RECORD,
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
     RECORDING_RECORD,
     TRIP_RECORD,
+    checksum,
+    in_file,
+    threads_of,
 )
-from trainlog.mcap.source import in_file, threads_of
+from trainlog.mcap.selection import Entry, encoded
 from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import Trip
 
@@ -238,14 +239,14 @@ class LogWriter:
                 self._sink.put_metadata(PROVENANCE_RECORD, later)
             self._sink.finish()
 
-    def _packed(self, plan: Plan, chunks: int) -> Iterator[PackedChunk]:
+    def _packed(self, plan: Plan, chunks: int) -> Iterator[Chunk]:
         """The first chunks of a plan, in order, however many threads make them."""
         if self._threads == 1 or chunks < 2:
             yield from (packed(plan.chunk(number)) for number in range(chunks))
             return
-        waiting: deque[Future[PackedChunk]] = deque()
+        waiting: deque[Future[Chunk]] = deque()
         for number in range(chunks):
-            waiting.append(self._pool.submit(_made, plan, number))
+            waiting.append(self._pool.submit(lambda each: packed(plan.chunk(each)), number))
             if len(waiting) > 2 * self._threads:
                 yield waiting.popleft().result()
         while waiting:
@@ -265,10 +266,6 @@ class LogWriter:
         for name, content in sorted(self._attachments.items()):
             sink.put_attachment(attachment_of(name, content, start))
         return sink
-
-
-def _made(plan: Plan, number: int) -> PackedChunk:
-    return packed(plan.chunk(number))
 
 
 class RecordingFile:
@@ -477,7 +474,7 @@ class Sink:
             )
         )
 
-    def put_chunk(self, chunk: PackedChunk) -> None:
+    def put_chunk(self, chunk: Chunk) -> None:
         """Write a chunk, just compressed or taken from another file, and its message indexes."""
         name = chunk.compression.encode()
         length = _CHUNK_HEAD.size - 9 + len(name) + 8 + len(chunk.data)
