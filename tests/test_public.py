@@ -44,3 +44,11 @@ def test_importing_the_packages_loads_neither_pandas_nor_a_solver() -> None:
     code = f"import sys, {', '.join(PACKAGES)}; print([m for m in {HEAVY} if m in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_every_public_function_and_class_has_an_example(name: str) -> None:
+    package = importlib.import_module(name)
+    public = {each: getattr(package, each) for each in package.__all__}
+    without = [each for each, it in public.items() if callable(it) and ">>> " not in it.__doc__]
+    assert without == []

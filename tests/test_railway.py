@@ -56,6 +56,13 @@ def test_steps_hold_from_their_position_to_the_next() -> None:
     np.testing.assert_array_equal(LINE.speed_limit([0.0, 399.9, 400.0, 999.0]), [20, 20, 30, 30])
 
 
+def test_profiles_take_lists_and_refuse_what_is_no_number() -> None:
+    made = StepProfile([0.0, 400.0], [20.0, 30.0])  # type: ignore[arg-type]
+    assert made == LINE.speed_limits
+    with pytest.raises(InputError, match="values must be numbers"):
+        StepProfile([0.0], ["fast"])  # type: ignore[arg-type,list-item]
+
+
 def test_mean_of_a_step_profile_is_its_integral() -> None:
     mean = LINE.gradients.mean(np.array([200.0, 0.0]), np.array([300.0, 1000.0]))
     np.testing.assert_allclose(mean, [-0.005, (2.5 - 5.0) / 1000.0])

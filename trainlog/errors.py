@@ -22,6 +22,14 @@ class TrainlogError(Exception):
         Where in that file: ``"row 17, column speed"``, ``"byte 40960"``, ``"km 12.350"``.
     remedy : str, optional
         What the user can do about it.
+
+    Examples
+    --------
+    >>> error = LogError("has no speed", file="run.mcap", place="row 17", remedy="record it")
+    >>> str(error)
+    'run.mcap, row 17: has no speed; record it'
+    >>> isinstance(error, TrainlogError)
+    True
     """
 
     def __init__(
@@ -42,20 +50,54 @@ class TrainlogError(Exception):
 
 
 class InputError(TrainlogError):
-    """A file or an argument that cannot be used: missing, malformed, wrong unit, nonsensical."""
+    """A file or an argument that cannot be used: missing, malformed, wrong unit, nonsensical.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trainlog.read_line("absent.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
 
 
 class LogError(TrainlogError):
-    """An MCAP log that is damaged, foreign or lacks what is asked for."""
+    """An MCAP log that is damaged, foreign or lacks what is asked for.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trainlog.read("sample_logs/README.md")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.LogError: sample_logs/README.md, byte 0: is not an MCAP file but...
+    """
 
 
 class NotIdentifiableError(TrainlogError):
-    """The data do not determine what is asked: too little excitation, too short, too many gaps."""
+    """The data do not determine what is asked: too little excitation, too short, too many gaps.
+
+    Examples
+    --------
+    >>> str(NotIdentifiableError("no trip coasted", remedy="give trips with coasting"))
+    'no trip coasted; give trips with coasting'
+    """
 
 
 class InfeasibleError(TrainlogError):
-    """No trajectory satisfies the constraints; the message says which one and by how much."""
+    """No trajectory satisfies the constraints; the message says which one and by how much.
+
+    Examples
+    --------
+    >>> str(InfeasibleError("500 s are too short", remedy="at least 520 s are needed"))
+    '500 s are too short; at least 520 s are needed'
+    """
 
 
 class MissingExtraError(TrainlogError):
-    """A package that an extra of trainlog installs is missing; the message names the extra."""
+    """A package that an extra of trainlog installs is missing; the message names the extra.
+
+    Examples
+    --------
+    >>> str(MissingExtraError("this needs the package rerun, which is not installed"))
+    'this needs the package rerun, which is not installed'
+    """

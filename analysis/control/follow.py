@@ -111,6 +111,21 @@ class Follower:
     InputError
         If the trajectory is of another line or train, leaves the line, does not end at a
         standstill; or the map is of another line.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> trajectory = trainlog.Trajectory(
+    ...     line.name, train.name, np.array([0.0, 500.0, 1000.0]),
+    ...     (trainlog.Configuration.of(train),),
+    ...     np.array([[0.0, 20.0, 0.0]]), np.array([[0.0, 50.0, 100.0]]),
+    ...     np.array([53e3, 0.0]), np.array([[0.0, 53e3]]), 100.0,
+    ... )
+    >>> Follower(trajectory, line, train).unsolved
+    0
     """
 
     def __init__(

@@ -33,10 +33,11 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from analysis.resistance.fit import TripFit
+from analysis.resistance.fit import TripFit, curve_words
 from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import band_factor, curve_std, powers
 from trainlog import __version__
+from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.summaries import (
     COLUMNS,
@@ -49,6 +50,7 @@ from trainlog.formats.summaries import (
     surveys_of,
 )
 from trainlog.railway.resistance import RunningResistance
+from trainlog.units import KMH
 
 SOFTWARE = f"trainlog {__version__}"
 
@@ -356,6 +358,29 @@ class CommonFit:
     betas: FloatArray
     covariances: FloatArray
 
+    def __repr__(self) -> str:
+        return as_text(self._title, self._summary())
+
+    def _repr_html_(self) -> str:
+        speed = np.linspace(0.0, self.asked[1], 100)
+        low, high = self.band(speed)
+        curves = {"running resistance [kN]": self.resistance(speed) / 1e3}
+        curves |= {"95 % band, lower": low / 1e3, "upper": high / 1e3}
+        return as_html(self._title, self._summary(), picture(speed, curves))
+
+    @property
+    def _title(self) -> str:
+        count = len(self.trips)
+        return f"Running resistance of {self.train} on {count} trip{'s' if count != 1 else ''}"
+
+    def _summary(self) -> dict[str, str]:
+        top = self.asked[1]
+        return {
+            "curve": curve_words(self),
+            "between trips": f"{float(self.spread(top)) / 1e3:.2f} kN at {KMH * top:.0f} km/h",
+            "speeds": f"{span(self.speed_range, KMH)} km/h",
+        }
+
     def std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of the mean curve [N] at each speed [m/s]."""
         return curve_std(self.covariance, speed)
@@ -385,6 +410,14 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
         If there is no trip that determines the curve.
     InputError
         If the trips belong to different trains, or one appears twice.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from analysis.resistance.fit import fit_trip
+    >>> common = combine([fit_trip(trainlog.read("sample_logs/nonstop.mcap"))])
+    >>> common.trips, bool(abs(common.resistance(25.0) / 12e3 - 1.0) < 0.2)
+    (('trip-01',), True)
     """
     rows = accepted(trips)
     top = float(rows["asked_highest"].min())

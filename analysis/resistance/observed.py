@@ -125,6 +125,14 @@ def parameter_set(
         If there is no trip that determines the curve.
     InputError
         If the trips belong to different trains, or one appears twice.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from analysis.resistance.fit import fit_trip
+    >>> found = parameter_set([fit_trip(trainlog.read("sample_logs/nonstop.mcap"))])
+    >>> [each.name for each in found.configurations]
+    ['trip-01']
     """
     every = ordered(trips) if isinstance(trips, pd.DataFrame) else summarised(trips)
     rows = accepted(every)

@@ -70,6 +70,12 @@ class TripRefusedError(NotIdentifiableError):
         One of `REASONS`.
     timeline : Timeline or None
         What was masked; None if nothing could be made of the recording.
+
+    Examples
+    --------
+    >>> error = TripRefusedError("short", "only 90 s can be used", remedy="drive longer")
+    >>> error.reason, str(error)
+    ('short', 'only 90 s can be used; drive longer')
     """
 
     def __init__(

@@ -120,6 +120,12 @@ def coast_down_without_gradient(
         speeds, or the speeds' differences do not determine the resistance to 10 %.
     InputError
         If the trips are of different trains, or a trip appears twice.
+
+    Examples
+    --------
+    >>> coast_down_without_gradient("sample_logs/nonstop.mcap")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.NotIdentifiableError: with the gradient unknown, 26 passages over...
     """
     sources = Sources.of(trips, line, (*TOPICS, "/train/controls"))
     _, train = one_train(sources.trips)

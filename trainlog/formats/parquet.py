@@ -233,6 +233,16 @@ def read_parquet(folder: str | Path, topics: Selection | None = None) -> Trip:
         If a file of the folder is missing or damaged.
     InputError
         If there is no such folder, it holds no trip, or a later version wrote it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.mcap import read_log
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_parquet(read_log("sample_logs/nonstop.mcap"), f"{folder}/trip")
+    ...     trip = read_parquet(f"{folder}/trip", {"/train/state": ["speed"]})
+    >>> list(trip), list(trip["/train/state"].columns)
+    (['/train/state'], ['speed'])
     """
     with _opened(Path(folder), topics) as (trip, files):
         frames = {name: file.frame(file.read()) for name, file in files.items()}

@@ -193,6 +193,14 @@ class DamageWarning(UserWarning):
     file : str
         The file's path.
     account : Account
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import trainlog
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", DamageWarning)  # a damaged log is then an error
+    ...     trip = trainlog.read("sample_logs/nonstop.mcap")
     """
 
     def __init__(self, file: str, account: Account) -> None:

@@ -72,6 +72,15 @@ class TrackConditionMap:
     layers : dict of str to ConditionLayer
     trips : tuple of dict
         Provenance: name and SHA-256 of every log counted in, and its layer.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track.bins, sorted(track.layers)
+    (1183, ['dry', 'wet'])
+    >>> track.lower_bound("wet", [5_000.0]).shape
+    (1,)
     """
 
     line: str

@@ -51,6 +51,12 @@ class Coupler:
     buffing_stiffness, buffing_nonlinearity : float or None
         Of the spring that is pushed together, as side buffers are, where it is another than the one
         that is pulled apart.
+
+    Examples
+    --------
+    >>> coupler = Coupler(stiffness=1e6, slack=0.01)
+    >>> coupler.force([-0.02, 0.005, 0.02])
+    array([-10000.,      0.,  10000.])
     """
 
     stiffness: float
@@ -138,6 +144,14 @@ class Vehicle:
     max_traction_power : float [W]
         At the wheel rims.
     max_braking_effort : float [N]
+
+    Examples
+    --------
+    >>> from trainlog.railway import RunningResistance
+    >>> resistance = RunningResistance(900.0, 0.0, 4.0)
+    >>> wagon = Vehicle("wagon", 80_000.0, 14.0, resistance, rotating_mass=2_000.0)
+    >>> wagon.inertia
+    82000.0
     """
 
     name: str
@@ -185,6 +199,15 @@ class Consist:
     source : str
     assumed : tuple of str
         Fields that the source does not give: they hold assumptions.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> consist = trainlog.read_consist("sample_logs/freight_24_wagons.consist.json")
+    >>> len(consist.vehicles) - len(consist.couplers)
+    1
+    >>> consist.as_one().mass == consist.mass
+    True
     """
 
     name: str

@@ -18,6 +18,12 @@ class TimingPoint:
         Since the start of the journey.
     lowest_speed, highest_speed : float or None [m/s]
         Both 0 where the train stands.
+
+    Examples
+    --------
+    >>> point = TimingPoint(5_000.0, earliest=240.0, latest=270.0)
+    >>> point.latest - point.earliest
+    30.0
     """
 
     position: float
@@ -41,6 +47,15 @@ class Journey:
     points : tuple of TimingPoint
         At least departure and arrival, ordered by position.
     source : str
+
+    Examples
+    --------
+    >>> at_rest = {"lowest_speed": 0.0, "highest_speed": 0.0}
+    >>> start = TimingPoint(0.0, latest=0.0, **at_rest)
+    >>> end = TimingPoint(5_000.0, latest=300.0, **at_rest)
+    >>> journey = Journey("shuttle", "short", (start, end))
+    >>> len(journey.points)
+    2
     """
 
     name: str

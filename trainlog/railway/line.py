@@ -22,6 +22,16 @@ from trainlog.units import GRAVITY, KMH
 FloatArray = NDArray[np.float64]
 
 
+def _hold_as_arrays(profile: object, *names: str) -> None:
+    """Turn fields of a frozen dataclass into arrays, so that lists can be given."""
+    for name in names:
+        try:
+            values = np.asarray(getattr(profile, name), dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{type(profile).__name__}: {name} must be numbers") from None
+        object.__setattr__(profile, name, values)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StepProfile:
     """A piecewise constant quantity: each value holds from its position to the next.
@@ -31,12 +41,19 @@ class StepProfile:
     positions : (n,) array [m]
         Strictly increasing, the first is 0.
     values : (n,) array
+
+    Examples
+    --------
+    >>> limits = StepProfile([0.0, 500.0], [20.0, 30.0])
+    >>> limits([100.0, 500.0, 900.0])
+    array([20., 30., 30.])
     """
 
     positions: FloatArray
     values: FloatArray
 
     def __post_init__(self) -> None:
+        _hold_as_arrays(self, "positions", "values")
         check_positions("profile", self.positions, self.values)
 
     def __call__(self, position: ArrayLike) -> FloatArray:
@@ -87,6 +104,12 @@ class CurvatureProfile:
         Start of each element; strictly increasing, the first is 0.
     start, end : (n,) array [1/m]
         Curvature at the start and at the end of each element.
+
+    Examples
+    --------
+    >>> curve = CurvatureProfile([0.0, 100.0, 200.0], [0.0, 0.0, 2e-3], [0.0, 2e-3, 2e-3])
+    >>> curve.at([50.0, 150.0, 250.0], 300.0)
+    array([0.   , 0.001, 0.002])
     """
 
     positions: FloatArray
@@ -94,6 +117,7 @@ class CurvatureProfile:
     end: FloatArray
 
     def __post_init__(self) -> None:
+        _hold_as_arrays(self, "positions", "start", "end")
         check_positions("curvature", self.positions, self.start)
         check_positions("curvature", self.positions, self.end)
 
@@ -121,7 +145,14 @@ class CurvatureProfile:
 
 @dataclass(frozen=True, slots=True)
 class Tunnel:
-    """A tunnel from `position` over `length` [m] with a `cross_section` [m²]."""
+    """A tunnel from `position` over `length` [m] with a `cross_section` [m²].
+
+    Examples
+    --------
+    >>> tunnel = Tunnel(position=2_000.0, length=450.0, cross_section=46.0)
+    >>> tunnel.position + tunnel.length
+    2450.0
+    """
 
     position: float
     length: float
@@ -130,7 +161,13 @@ class Tunnel:
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A stopping place: name and chainage [m]."""
+    """A stopping place: name and chainage [m].
+
+    Examples
+    --------
+    >>> Station("Gossau", 10_500.0)
+    Station(name='Gossau', position=10500.0)
+    """
 
     name: str
     position: float
@@ -146,6 +183,13 @@ class Geometry:
     latitudes, longitudes : (n,) array [deg]
     quality : str
         How it was obtained: ``"surveyed"``, ``"reconstructed from curvature"`` ...
+
+    Examples
+    --------
+    >>> course = Geometry([0.0, 1_000.0], [50.83, 50.82], [12.92, 12.92], "surveyed")
+    >>> latitude, longitude = course.at([500.0])
+    >>> latitude.round(3), longitude.round(3)
+    (array([50.825]), array([12.92]))
     """
 
     positions: FloatArray
@@ -154,6 +198,7 @@ class Geometry:
     quality: str
 
     def __post_init__(self) -> None:
+        _hold_as_arrays(self, "positions", "latitudes", "longitudes")
         if self.positions.shape != self.latitudes.shape or self.positions.size < 2:
             raise InputError("geometry: needs at least two points, each with two coordinates")
         check_positions("geometry", self.positions - self.positions[0], self.latitudes)
@@ -257,6 +302,21 @@ class Line:
         ETCS braking parameters of the track by their published names and in published units.
     survey : Survey or None
         How well the gradients are known, where it is.
+
+    Examples
+    --------
+    >>> from trainlog.railway import Station, StepProfile
+    >>> line = Line(
+    ...     name="short",
+    ...     length=1_000.0,
+    ...     stations=(Station("A", 0.0), Station("B", 1_000.0)),
+    ...     speed_limits=StepProfile([0.0, 500.0], [20.0, 30.0]),
+    ...     gradients=StepProfile([0.0], [0.005]),
+    ... )
+    >>> line.speed_limit([100.0, 600.0])
+    array([20., 30.])
+    >>> line.reversed().gradient(100.0).item()
+    -0.005
     """
 
     name: str

@@ -28,6 +28,12 @@ class RunningResistance:
     r0 : float [N]
     r1 : float [N/(m/s)]
     r2 : float [N/(m/s)²]
+
+    Examples
+    --------
+    >>> resistance = RunningResistance(r0=2_000.0, r1=50.0, r2=5.0)
+    >>> resistance([0.0, 10.0, 20.0])
+    array([2000., 3000., 5000.])
     """
 
     r0: float

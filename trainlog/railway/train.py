@@ -27,6 +27,12 @@ class Axles:
     wheel_radius : float [m]
     rotating_mass : float [kg]
         Inertia of one powered axle with its motor, over the wheel radius squared.
+
+    Examples
+    --------
+    >>> axles = Axles(count=2, adhesive_mass=32_000.0)
+    >>> axles.adhesive_mass / axles.count
+    16000.0
     """
 
     count: int = 4
@@ -37,7 +43,13 @@ class Axles:
 
 @dataclass(frozen=True, slots=True)
 class Brake:
-    """How the friction brake follows its demand: dead time, then a first-order lag [s]."""
+    """How the friction brake follows its demand: dead time, then a first-order lag [s].
+
+    Examples
+    --------
+    >>> Brake(dead_time=1.0, lag=0.8)
+    Brake(dead_time=1.0, lag=0.8)
+    """
 
     dead_time: float = 0.6
     lag: float = 0.4
@@ -101,6 +113,13 @@ class Train:
     source : str
     assumed : tuple of str
         Fields that the source does not give: they hold assumptions.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> train.tractive_effort_limit([0.0, 30.0]).round(-3).tolist()
+    [200000.0, 87000.0]
     """
 
     name: str
@@ -247,6 +266,14 @@ class Configuration:
     resistance : RunningResistance
     max_power : float [W]
         Traction power at the wheel rims.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> loaded = Configuration.of(train, load=10_000.0, name="loaded")
+    >>> loaded.mass - train.mass, loaded.inertia > loaded.mass
+    (10000.0, True)
     """
 
     name: str
@@ -312,6 +339,15 @@ class ParameterSet:
     cover : dict
         Share of trips whose running times and energies the set bounds: ``asked`` for, and
         ``level`` reached; ``trips`` fitted, and ``refused`` by reason. Empty if it was not said.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> empty, full = (Configuration.of(train, load, f"{load:.0f} kg") for load in (0.0, 2e4))
+    >>> found = ParameterSet(train.name, (empty, full))
+    >>> [each.name for each in found.configurations]
+    ['0 kg', '20000 kg']
     """
 
     train: str

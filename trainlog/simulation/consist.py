@@ -107,6 +107,15 @@ class ConsistPlant:
     ------
     InputError
         If the step is too coarse for the couplers or for the brake.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> consist = trainlog.read_consist("sample_logs/freight_24_wagons.consist.json")
+    >>> plant = ConsistPlant(consist)
+    >>> state = plant.at(speed=20.0)
+    >>> plant.coupler_forces(state).size == state.speeds.size - 1
+    True
     """
 
     def __init__(

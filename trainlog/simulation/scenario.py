@@ -89,6 +89,15 @@ class Scenario:
     locates : callable or None
         Makes the locator that gives that driver place and speed, from the train's sensors and the
         place where it starts; None: he sees the true motion.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> scenario = draw_scenarios(line, train, 1, seed=3)[0]
+    >>> scenario.mass >= train.mass, scenario.direction
+    (True, 'forward')
     """
 
     name: str
@@ -378,6 +387,24 @@ def trajectory_scenarios(
     ------
     InputError
         If the trajectory has no such configuration or leaves the line.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> nominal = trainlog.Configuration.of(train)
+    >>> trajectory = trainlog.Trajectory(
+    ...     line.name, train.name, np.array([0.0, 500.0, 1000.0]), (nominal,),
+    ...     np.array([[0.0, 20.0, 0.0]]), np.array([[0.0, 50.0, 100.0]]),
+    ...     np.array([53e3, 0.0]), np.array([[0.0, 53e3]]), 100.0,
+    ... )
+    >>> from analysis.control.follow import Follower
+    >>> driver = lambda: Follower(trajectory, line, train)
+    >>> driven = trajectory_scenarios(trajectory, line, train, ["nominal"], driver)
+    >>> [each.name for each in driven]
+    ['driven-nominal']
     """
     trajectory.check(line.name, train.name)
     _check_brakes(train)
