@@ -18,28 +18,31 @@ if TYPE_CHECKING:
     from analysis.adhesion.condition_map import adhesion_map as adhesion_map
     from analysis.adhesion.slip import slip as slip
     from analysis.comparison.cost import compare as compare
-    from analysis.control.follow import Follower as Follower
-    from analysis.control.follow import follow as follow
+    from analysis.control.follow import Follower as Follower, follow as follow
     from analysis.estimates import with_estimates as with_estimates
-    from analysis.geometry.centre_line import geometry_of as geometry_of
-    from analysis.geometry.centre_line import line_of as line_of
+    from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
     from analysis.reporting import report as report
-    from analysis.resistance import TripRefusedError as TripRefusedError
-    from analysis.resistance import combine as combine
-    from analysis.resistance import fit_trip as fit_trip
-    from analysis.resistance import parameter_set as parameter_set
+    from analysis.resistance import (
+        TripRefusedError as TripRefusedError,
+        combine as combine,
+        fit_trip as fit_trip,
+        parameter_set as parameter_set,
+    )
     from analysis.resistance.coast_down import coast_down as coast_down
     from analysis.resistance.logs import fit as fit
     from analysis.resistance.unknown_gradient import (
         coast_down_without_gradient as coast_down_without_gradient,
     )
     from analysis.trajectory.journey import optimise_journey as optimise_journey
-    from analysis.trajectory.optimiser import energy_against_time as energy_against_time
-    from analysis.trajectory.optimiser import optimise as optimise
-    from analysis.trajectory.phases import advice as advice
-    from analysis.trajectory.phases import phases_of as phases_of
-    from analysis.trajectory.problem import OptimiserOptions as OptimiserOptions
-    from analysis.trajectory.problem import TrajectoryProblem as TrajectoryProblem
+    from analysis.trajectory.optimiser import (
+        energy_against_time as energy_against_time,
+        optimise as optimise,
+    )
+    from analysis.trajectory.phases import advice as advice, phases_of as phases_of
+    from analysis.trajectory.problem import (
+        OptimiserOptions as OptimiserOptions,
+        TrajectoryProblem as TrajectoryProblem,
+    )
 
 _NAMES = {
     "analysis.resistance.logs": "fit",

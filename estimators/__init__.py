@@ -15,19 +15,24 @@ from typing import TYPE_CHECKING
 from trainlog.public import names_on_first_use
 
 if TYPE_CHECKING:
-    from estimators.adhesion import AdhesionObserver as AdhesionObserver
-    from estimators.adhesion import smoothed_force as smoothed_force
+    from estimators.adhesion import (
+        AdhesionObserver as AdhesionObserver,
+        smoothed_force as smoothed_force,
+    )
     from estimators.creep_curve import estimate_creep_curve as estimate_creep_curve
-    from estimators.linear_gaussian import LinearGaussian as LinearGaussian
-    from estimators.linear_gaussian import wandering_slope as wandering_slope
+    from estimators.linear_gaussian import (
+        LinearGaussian as LinearGaussian,
+        wandering_slope as wandering_slope,
+    )
     from estimators.motion import smooth_motion as smooth_motion
     from estimators.odometry import OdometryFilter as OdometryFilter
-    from estimators.rls import RecursiveLeastSquares as RecursiveLeastSquares
-    from estimators.rls import edges_crossed as edges_crossed
-    from estimators.rls import periods_elapsed as periods_elapsed
-    from estimators.rls import record_with_resets as record_with_resets
-    from estimators.slip import SlipDetector as SlipDetector
-    from estimators.slip import train_speed as train_speed
+    from estimators.rls import (
+        RecursiveLeastSquares as RecursiveLeastSquares,
+        edges_crossed as edges_crossed,
+        periods_elapsed as periods_elapsed,
+        record_with_resets as record_with_resets,
+    )
+    from estimators.slip import SlipDetector as SlipDetector, train_speed as train_speed
 
 _NAMES = {
     "estimators.adhesion": "AdhesionObserver smoothed_force",

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from analysis.tables import new_table
-from trainlog.cli import demo, terminal
-from trainlog.cli import main as cli
+from trainlog.cli import demo, main as cli, terminal
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 
 

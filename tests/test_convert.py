@@ -16,8 +16,7 @@ from trainlog.cli.main import run
 from trainlog.cli.options import stretch, times
 from trainlog.errors import InputError, LogError
 from trainlog.formats.parquet import read_parquet, write_parquet
-from trainlog.mcap import DamageWarning, read_log, write_log
-from trainlog.mcap import convert as module
+from trainlog.mcap import DamageWarning, convert as module, read_log, write_log
 from trainlog.mcap.convert import convert, span_of
 from trainlog.topics import EVENTS, TRAIN_STATE
 from trainlog.trip import Trip, frame_of

@@ -17,8 +17,7 @@ from rich.console import Console
 import trainlog
 from analysis.comparison.cost import compare, punctuality
 from analysis.truth import curve_error, map_error, truth_of
-from trainlog.cli import demo
-from trainlog.cli import main as cli
+from trainlog.cli import demo, main as cli
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of
 from trainlog.formats.condition import read_map

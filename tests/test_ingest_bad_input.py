@@ -9,8 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from ingest_logs import PLAIN, clean_run, plain_profile, plain_rows, plain_text, ublox, write
 
 from trainlog.errors import InputError

@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import pyubx2
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from ingest_logs import plain_profile
 from recorder_files import (
     checked,

@@ -21,8 +21,7 @@ from foreign_logs import (
 )
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros1.decoder import DecoderFactory as Ros1DecoderFactory

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from foreign_logs import COVARIANCE, FIX_1, FIX_2, ForeignLog, cdr, json_log
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap_mutations import mutated
 from mcap_protobuf.schema import build_file_descriptor_set
 

@@ -9,8 +9,7 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from trainlog.mcap.chunks import plan_of, stream_of
 from trainlog.mcap.codec import Value, descriptor_set, gather, layout, scatter, varint

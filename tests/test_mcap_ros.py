@@ -5,8 +5,7 @@ import sys
 
 import pytest
 from foreign_logs import FIX_1, FIX_2, ForeignLog, cdr, cdr_numbers, schema_text
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from trainlog.errors import MissingExtraError
 from trainlog.mcap import frames_of

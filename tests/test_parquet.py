@@ -12,8 +12,7 @@ import pandas as pd
 import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.mcap_trips import START, assert_same, trip_of, trips
 from trainlog.errors import InputError, LogError

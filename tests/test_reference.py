@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.studies.hauck_2023 import model as dynamics
-from analysis.studies.hauck_2023 import reference as shooting
+from analysis.studies.hauck_2023 import model as dynamics, reference as shooting
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import node_count, reference
 from analysis.studies.hauck_2023.section import (

@@ -13,8 +13,7 @@ from analysis.estimates import estimate_log, with_estimates
 from analysis.resistance.logs import TOPICS, fit_log
 from tests.mcap_trips import assert_same, trip_of
 from trainlog.formats.samples import folder
-from trainlog.mcap import read_log, write_log
-from trainlog.mcap import reader as module
+from trainlog.mcap import read_log, reader as module, write_log
 from trainlog.mcap.reader import stretches
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip

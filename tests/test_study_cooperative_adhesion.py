@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from analysis.estimates import with_estimates
-from analysis.studies.zhao_2025 import model as model
-from analysis.studies.zhao_2025 import simulation as study
+from analysis.studies.zhao_2025 import model as model, simulation as study
 from analysis.studies.zhao_2025.controller import (
     CooperativeController,
     NonlinearReferee,

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.studies.hauck_2023 import scenarios as study
-from analysis.studies.hauck_2023 import simulation as driving
+from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.plot import draw_days, draw_study

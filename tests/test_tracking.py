@@ -7,14 +7,12 @@ from functools import cache
 import cvxpy as cp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.linalg import expm, solve_discrete_are
 
 from analysis.control.qp import SOFTNESS, solve, terminal_weight
 from analysis.control.route import value
-from analysis.studies.hauck_2023 import model as dynamics
-from analysis.studies.hauck_2023 import tracking as kernels
+from analysis.studies.hauck_2023 import model as dynamics, tracking as kernels
 from analysis.studies.hauck_2023.controller import (
     GENTLE,
     HOLDING_SPEED,

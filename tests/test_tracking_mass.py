@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from analysis.studies.hauck_2023 import controller as tracking_mass
-from analysis.studies.hauck_2023 import model as dynamics
+from analysis.studies.hauck_2023 import controller as tracking_mass, model as dynamics
 from analysis.studies.hauck_2023.controller import ObservedMass, window
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 

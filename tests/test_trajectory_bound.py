@@ -7,8 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, hilly_line, observed, optimised
 
 from analysis.trajectory.active_set import initial_guess

@@ -52,8 +52,7 @@ def fit(
 
     Example: trainlog fit results/trips -o results/parameters.json
     """
-    from analysis.resistance.logs import AllRefusedError, fit_table
-    from analysis.resistance.logs import fit as fit_trips
+    from analysis.resistance.logs import AllRefusedError, fit as fit_trips, fit_table
     from analysis.resistance.plot import draw_each, draw_each_refused, draw_fits
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
@@ -187,8 +186,7 @@ def coast_down(
 
     Example: trainlog coast-down results/recorded -o results/coast-down.json
     """
-    from analysis.resistance import coast_down as coasting
-    from analysis.resistance import plot, unknown_gradient
+    from analysis.resistance import coast_down as coasting, plot, unknown_gradient
     from trainlog.formats.parameters import write_coast_down
 
     destination(output, ".json")

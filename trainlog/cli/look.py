@@ -125,8 +125,7 @@ def compare(
 
     Example: trainlog compare results/trips --with results/driven
     """
-    from analysis.comparison.cost import compare as compare_trips
-    from analysis.comparison.cost import savings_table
+    from analysis.comparison.cost import compare as compare_trips, savings_table
 
     for each in followed:
         if len(followed) > 1:

@@ -83,8 +83,8 @@ def simulate(
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
     """
     from trainlog.mcap import write_log
-    from trainlog.simulation import draw_scenarios
     from trainlog.simulation import (
+        draw_scenarios,
         simulate as drive,
     )
 

@@ -16,8 +16,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from trainlog.errors import InputError
-from trainlog.formats import line as line_format
-from trainlog.formats import train as train_format
+from trainlog.formats import line as line_format, train as train_format
 from trainlog.formats.files import read_json, to_bytes, write_bytes
 from trainlog.formats.schema import (
     INFINITY,

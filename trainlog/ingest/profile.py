@@ -22,8 +22,7 @@ from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.schema import must_be
-from trainlog.topics import TOPICS
-from trainlog.topics import Field as Item
+from trainlog.topics import TOPICS, Field as Item
 from trainlog.units import factor, to_si
 
 PROFILE_FORMAT = "trainlog/recorder-profile"

@@ -16,8 +16,7 @@ from keyword import iskeyword
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from google.protobuf.descriptor import FieldDescriptor
-from google.protobuf.message import DecodeError
-from google.protobuf.message import Message as ProtobufMessage
+from google.protobuf.message import DecodeError, Message as ProtobufMessage
 from google.protobuf.unknown_fields import UnknownFieldSet
 from mcap.exceptions import McapError
 from mcap.records import Channel, Schema

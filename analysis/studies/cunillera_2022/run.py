@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from analysis.studies.cunillera_2022 import model as study
-from analysis.studies.cunillera_2022 import table
+from analysis.studies.cunillera_2022 import model as study, table
 from analysis.studies.cunillera_2022.plot import draw_others
 from analysis.studies.report import StudyReport
 from analysis.trajectory.plot import draw_trajectory

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.control.qp import QPSubproblem, solve
 from analysis.control.route import value
-from analysis.studies.hauck_2023 import model as model
-from analysis.studies.hauck_2023 import tracking as kernels
+from analysis.studies.hauck_2023 import model as model, tracking as kernels
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference
 from trainlog.errors import InputError

@@ -30,8 +30,7 @@ from trainlog import __version__
 from trainlog.errors import InfeasibleError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.adhesion import DRY, WET
-from trainlog.simulation import Run as Samples
-from trainlog.simulation import Scenario, recorded
+from trainlog.simulation import Run as Samples, Scenario, recorded
 from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import Drive, Plant
 from trainlog.simulation.recording import STANDING
