@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from estimators.creep_curve import estimate_creep_curve as estimate_creep_curve
     from estimators.linear_gaussian import (
         LinearGaussian as LinearGaussian,
-        wandering_slope as wandering_slope,
+        random_walk_slope as random_walk_slope,
     )
     from estimators.motion import smooth_motion as smooth_motion
     from estimators.odometry import OdometryFilter as OdometryFilter
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "estimators.adhesion": "AdhesionObserver smoothed_force",
     "estimators.creep_curve": "estimate_creep_curve",
-    "estimators.linear_gaussian": "LinearGaussian wandering_slope",
+    "estimators.linear_gaussian": "LinearGaussian random_walk_slope",
     "estimators.motion": "smooth_motion",
     "estimators.odometry": "OdometryFilter",
     "estimators.rls": "RecursiveLeastSquares edges_crossed periods_elapsed record_with_resets",

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.interface import CALIBRATED, Estimator
-from estimators.linear_gaussian import Filtered, LinearGaussian, wandering_slope
+from estimators.linear_gaussian import Filtered, LinearGaussian, random_walk_slope
 from estimators.slip import samples_of
 from trainlog.errors import InputError
 
@@ -185,7 +185,7 @@ class AdhesionObserver(Estimator):
     ) -> Filtered:
         shift = np.zeros((*speed.shape, 2))
         shift[:, :, 0] = (0.5 * steps / self._rotating_mass)[:, None] * (effort[1:] + effort[:-1])
-        transition, noise = wandering_slope(steps, self._force_rate, -1.0 / self._rotating_mass)
+        transition, noise = random_walk_slope(steps, self._force_rate, -1.0 / self._rotating_mass)
         model = LinearGaussian(transition, noise, np.array([[[1.0, 0.0]]]), shift=shift)
         run = model.smooth if smooth else model.filter
         return run(speed[:, :, None], self._speed_std**2, self._mean, self._covariance)

@@ -63,7 +63,7 @@ def measure(
 
 
 @njit(inline="always")  # type: ignore[untyped-decorator]
-def hold(
+def update_parameter(
     size: int,
     upper: FloatArray,
     diagonal: FloatArray,
@@ -96,7 +96,7 @@ def hold(
 
 
 @njit(inline="always")  # type: ignore[untyped-decorator]
-def wander(
+def add_variance(
     upper: FloatArray,
     diagonal: FloatArray,
     dyad: FloatArray,
@@ -187,23 +187,23 @@ def recursion(size: int) -> Callable[..., FloatArray]:
         innovations = np.empty_like(values)
         scratch, weights, leak = np.empty_like(prior), np.empty_like(prior), np.empty_like(prior)
         inverse = 1.0 / forgetting
-        wanders, forgets = False, forgetting < 1.0
+        walks, forgets = False, forgetting < 1.0
         # Before the guard the covariance is at most (prior + walk) / forgetting: this information
         # brings it back to the prior. The trace bounds what it is in any direction.
         for i in range(size):
             weights[i] = 1.0 / prior[i]
             leak[i] = (prior[i] * (1.0 - forgetting) + walk[i]) / (prior[i] * (prior[i] + walk[i]))
-            wanders = wanders or walk[i] > 0.0
+            walks = walks or walk[i] > 0.0
         for k in range(len(rows)):
-            if wanders:
+            if walks:
                 for i in range(size):
-                    wander(upper, diagonal, scratch, i, walk[i])
+                    add_variance(upper, diagonal, scratch, i, walk[i])
             if forgets:
                 for i in range(size):
                     diagonal[i] *= inverse
-            if (wanders or forgets) and trace(size, upper, diagonal, weights) > 1.0:
+            if (walks or forgets) and trace(size, upper, diagonal, weights) > 1.0:
                 for i in range(size):
-                    hold(size, upper, diagonal, scratch, i, leak[i])
+                    update_parameter(size, upper, diagonal, scratch, i, leak[i])
             # A variance that is the same for all samples comes once.
             variance = noise[k] if len(noise) > 1 else noise[0]
             innovation = values[k]

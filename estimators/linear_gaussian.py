@@ -178,7 +178,7 @@ class Filtered:
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
-def wandering_slope(
+def random_walk_slope(
     steps: FloatArray, rate: float, factor: float = 1.0
 ) -> tuple[FloatArray, FloatArray]:
     """Transition and process noise of ``dx/dt = factor b``, ``db = rate dB``, a Brownian motion.
@@ -197,7 +197,7 @@ def wandering_slope(
     Examples
     --------
     >>> import numpy as np
-    >>> transition, noise = wandering_slope(np.array([2.0]), rate=1.0)
+    >>> transition, noise = random_walk_slope(np.array([2.0]), rate=1.0)
     >>> transition[0].tolist(), noise[0].round(3).tolist()
     ([[1.0, 2.0], [0.0, 1.0]], [[2.667, 2.0], [2.0, 2.0]])
     """

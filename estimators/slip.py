@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.interface import Estimator
-from estimators.linear_gaussian import LinearGaussian, wandering_slope
+from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -309,7 +309,7 @@ def train_speed(
     gate = np.tile([HOLDING_GATE, HOLDING_STDS], (known.shape[1], 1))
     gate[0] = np.inf
     row = np.tile([1.0, 0.0], (1, known.shape[1], 1))
-    model = LinearGaussian(*wandering_slope(steps, slope_rate), row, gate=gate)
+    model = LinearGaussian(*random_walk_slope(steps, slope_rate), row, gate=gate)
     start = np.diag([UNKNOWN_SPEED**2, UNKNOWN_SLOPE**2])
     found = model.smooth(known, variances, np.zeros(2), start)
     return TrainSpeed(found.means[:, 0] + gained, found.std[:, 0])

@@ -8,7 +8,7 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
-from estimators.linear_gaussian import LinearGaussian, wandering_slope
+from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def test_the_smoother_is_the_regression_over_all_samples() -> None:
     """A line without process noise: least squares, whose covariance no smoother can invert."""
     time = np.arange(20.0)
     measured = 3.0 + 0.5 * time + np.random.default_rng(1).standard_normal(20)
-    transition, noise = wandering_slope(np.diff(time, prepend=0.0), rate=0.0)
+    transition, noise = random_walk_slope(np.diff(time, prepend=0.0), rate=0.0)
     model = LinearGaussian(transition, noise, np.array([[[1.0, 0.0]]]))
     found = model.smooth(measured[:, None], 1.0, np.zeros(2), 1e8 * np.eye(2))
     rows = np.column_stack([np.ones(20), time])
@@ -86,7 +86,7 @@ def test_the_smoother_is_the_regression_over_all_samples() -> None:
 
 def test_the_noise_of_a_wandering_slope_adds_up() -> None:
     """Two steps of 1 s are one of 2 s, whatever the factor."""
-    (one, q_one), (two, q_two) = (wandering_slope(np.array([s]), 0.7, -3.0) for s in (1.0, 2.0))
+    (one, q_one), (two, q_two) = (random_walk_slope(np.array([s]), 0.7, -3.0) for s in (1.0, 2.0))
     np.testing.assert_allclose(one[0] @ one[0], two[0])
     np.testing.assert_allclose(one[0] @ q_one[0] @ one[0].T + q_one[0], q_two[0])
 

@@ -14,8 +14,8 @@ from analysis.control.qp import SOFTNESS, solve, terminal_weight
 from analysis.control.route import value
 from analysis.studies.hauck_2023 import model as dynamics, tracking as kernels
 from analysis.studies.hauck_2023.controller import (
-    GENTLE,
     HOLDING_SPEED,
+    RETURN_ACCELERATION,
     Method,
     TrackingController,
     Tuning,
@@ -229,7 +229,7 @@ def test_a_late_driver_arrives_near_the_least_time_that_an_unknown_mass_allows(
 def test_a_train_that_is_off_returns_without_a_jerk(off: float) -> None:
     """Never past its target, at a speed that never changes faster than is gentle."""
     left, rate = returning(off, 300).T
-    assert np.all(np.abs(np.diff(rate)) <= GENTLE * SAMPLING + 1e-9)
+    assert np.all(np.abs(np.diff(rate)) <= RETURN_ACCELERATION * SAMPLING + 1e-9)
     assert np.all(left * np.sign(off) >= 0.0)
     assert abs(left[0]) <= abs(off) + 1e-9
     assert abs(left[-1]) < 0.01

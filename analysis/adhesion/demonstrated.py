@@ -1,8 +1,8 @@
 """Adhesion that a controller may count on, bin by bin, and how the map came by it.
 
 Slip shows the maximum where it is met. Everywhere else a trip only demonstrates the adhesion that
-it used without slip; and where little was used the map knows nothing, so that what is counted on
-there is an assumption, and is called one.
+it used without slip; and where little was used the map holds no evidence, so that what is counted
+on there is an assumption, and is called one.
 
 This is right for what is planned ahead and must hold: trajectories, references, the guarantees of
 studies. A driver on the way, who sees slip and eases off, expects the likely where the map was not
@@ -73,7 +73,7 @@ def usable_adhesion(
     sigmas : float
         How cautious.
     assumed : float
-        Where the map knows nothing; by default there is no limit.
+        Where the map holds no evidence; by default there is no limit.
 
     Raises
     ------

@@ -47,7 +47,7 @@ SHORTEST = 3
 SLOW = 1.0
 """Below this speed [m/s] nothing is learnt: brakes fade and grip."""
 
-SURE = 2.0
+GUARD_SIGMAS = 2.0
 """Standard deviations by which a train may be elsewhere, or faster."""
 
 CREEPING, MOVING_UP = 0.3, 10.0
@@ -98,7 +98,7 @@ class Follower:
     departure : float [s]
         When it departs; the timetable is that of a departure at `DEPARTURE`.
     margin : Margin, optional
-        Where position and speed are known less well than that, at `SURE` standard deviations, the
+        Where position and speed are known less well than that, at `GUARD_SIGMAS`, the
         guard takes the rest off as well.
 
     Attributes
@@ -273,8 +273,8 @@ class Follower:
         lead = 2
         if dynamic_braking(seen.speed, limits) < limits.braking:
             lead += len(self._past) + round(2.0 * limits.lag / TICK)
-        beyond = max(SURE * seen.position_std - self._margin.position, 0.0)
-        speed = seen.speed + max(SURE * seen.speed_std - self._margin.speed, 0.0)
+        beyond = max(GUARD_SIGMAS * seen.position_std - self._margin.position, 0.0)
+        speed = seen.speed + max(GUARD_SIGMAS * seen.speed_std - self._margin.speed, 0.0)
         return min(
             float(
                 prediction.guarded(

@@ -37,7 +37,7 @@ SHARE = 0.96
 BLENDING = 0.995
 """Of the largest braking effort; while the dynamic brake takes over, friction lags behind."""
 
-UNEVEN = 0.95
+ADHESION_SHARE = 0.95
 """Of the map's adhesion that is used: the powered axles do not share the effort alike."""
 
 UNSEEN_SIGMAS = 1.0
@@ -225,8 +225,8 @@ def route_tables(
         end=run.end,
         track=run.line.track_acceleration(places),
         tunnel=run.train.tunnel_coefficient(run.line.tunnel_cross_section(places)),
-        pulling=UNEVEN * _lowest_around(pulling),
-        adhesion=UNEVEN * _lowest_around(braking),
+        pulling=ADHESION_SHARE * _lowest_around(pulling),
+        adhesion=ADHESION_SHARE * _lowest_around(braking),
         ceiling=highest,
         goal=goal,
         last_pull=float(trajectory.positions[pulls[-1] + 1]),

@@ -206,7 +206,7 @@ CERTAIN = 0.95
 """A block belongs to a coasting segment if it is coasting with this probability."""
 
 SHORTEST = 8.0
-"""Segments shorter than this [s] are not used: a moment without effort proves nothing."""
+"""Segments shorter than this [s] are not used: a moment without effort is no evidence."""
 
 LEVELS = Levels.usual()
 """Levels of effort that coasting is distinguished from."""

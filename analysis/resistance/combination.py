@@ -177,7 +177,7 @@ class Effects:
 
 
 def random_effects(
-    values: FloatArray, variances: FloatArray, expected: FloatArray, trust: float
+    values: FloatArray, variances: FloatArray, expected: FloatArray, prior_trips: float
 ) -> Effects:
     """Mean of trips that differ, and the best estimate of each.
 
@@ -188,12 +188,12 @@ def random_effects(
     variances : (k, 3, 3) array
     expected : (3, 3) array
         Variance between trips that is expected beforehand.
-    trust : float
+    prior_trips : float
         This expectation counts as much as so many trips.
     """
     # Sums about the middle of the values: what trips have in common would cancel digits.
     middle = values.mean(axis=0)
-    trips = _Trips((values - middle).T, variances[:, *_TRIANGLE].T, expected, trust)
+    trips = _Trips((values - middle).T, variances[:, *_TRIANGLE].T, expected, prior_trips)
     between = expected.copy()
     for _ in range(ROUNDS):
         first = trips.step(between)
@@ -229,7 +229,7 @@ class _Trips:
     values: FloatArray
     variances: FloatArray
     expected: FloatArray
-    trust: float
+    prior_trips: float
 
     def weights(self, between: FloatArray, part: slice = slice(None)) -> FloatArray:
         """Upper triangles (6, n) of the weights, by cofactors."""
@@ -276,8 +276,8 @@ class _Trips:
         s += np.einsum("ijlm,jl->im", weights, variance + np.outer(mean, mean))
         count = self.values.shape[1]
         total = count * between + between @ s @ between
-        total = 0.5 * (total + total.T) + self.trust * self.expected
-        return np.asarray(total / (count + self.trust))
+        total = 0.5 * (total + total.T) + self.prior_trips * self.expected
+        return np.asarray(total / (count + self.prior_trips))
 
     def single(
         self, between: FloatArray, mean: FloatArray, variance: FloatArray

@@ -402,8 +402,8 @@ def _whitened(
 STEP = 0.25
 """Of the differences, in standard deviations of what is expected of a size."""
 
-ASKED = 4
-"""The first so many parameters are asked for; those after them are nuisances."""
+PARAMETERS_OF_INTEREST = 4
+"""The first so many parameters are estimated; those after them are nuisance parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -465,4 +465,5 @@ def _judged(likelihood: Likelihood, place: FloatArray) -> tuple[float, FloatArra
 
 def _size(covariance: FloatArray) -> float:
     """Logarithm of a covariance's size: mean over the parameters that are asked for."""
-    return float(np.linalg.slogdet(covariance[:ASKED, :ASKED])[1]) / ASKED
+    count = PARAMETERS_OF_INTEREST
+    return float(np.linalg.slogdet(covariance[:count, :count])[1]) / count

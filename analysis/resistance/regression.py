@@ -108,7 +108,7 @@ LAGS = 10
 DOUBTFUL = 1e-3
 """Probability below which a property is called missing; trips are many, false alarms few."""
 
-UNEVEN = (0.7, 1.4)
+RESIDUAL_STD_RANGE = (0.7, 1.4)
 """Standard deviation outside this range means that the noise is not as large as estimated."""
 
 
@@ -177,7 +177,7 @@ def diagnosed(residuals: Residuals) -> Diagnosis:
     moving = spread and float(np.ptp(residuals.speed)) > 0.0
     flatness = float(spearmanr(residuals.speed, value).pvalue) if moving else 1.0
     doubts = []
-    if not UNEVEN[0] <= std <= UNEVEN[1]:
+    if not RESIDUAL_STD_RANGE[0] <= std <= RESIDUAL_STD_RANGE[1]:
         doubts.append(f"residuals of {std:.2f} standard deviations: the noise is misjudged")
     if independence < DOUBTFUL:
         doubts.append(

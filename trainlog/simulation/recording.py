@@ -74,7 +74,7 @@ def drive(scenario: Scenario) -> Run:
     else:
         origin, patience = float(trajectory.positions[0]), 3.0 * trajectory.running_time
     state = plant.at(origin)
-    sight = scenario.sight(origin)
+    observed = scenario.driver_observation(origin)
     steps = round(PERIOD / plant.parameters.step)
     rate = round(scenario.sensors.rate * PERIOD)
     blocks: list[FloatArray] = []
@@ -85,7 +85,7 @@ def drive(scenario: Scenario) -> Run:
     position, speed = origin, 0.0
     while True:
         time = len(blocks) * PERIOD
-        wanted = driver.demand(sight(Observation(time, position, speed, acceleration)))
+        wanted = driver.demand(observed(Observation(time, position, speed, acceleration)))
         demands.append((wanted.tractive_effort, wanted.braking_effort))
         if arrived is None and driver.finished:
             arrived = time

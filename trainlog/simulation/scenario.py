@@ -181,7 +181,7 @@ class Scenario:
             return self.follows()
         return TimetableDriver(self.travelled, self.train, self.stops, self.habits, self.mass)
 
-    def sight(self, start: float) -> Callable[[Observation], Observation]:
+    def driver_observation(self, start: float) -> Callable[[Observation], Observation]:
         """What its driver sees of the true motion of a train that starts at `start` [m]."""
         if self.locates is None:
             return lambda motion: motion

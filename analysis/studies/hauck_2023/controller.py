@@ -45,7 +45,7 @@ STEADY = 0.03
 SLOWEST = 2.0
 """Speed at which a train still shows its mass: creep takes a share of slower ones [m/s]."""
 
-EVEN = 1.1
+EVEN_ADHESION = 1.1
 """How far the rail's adhesion may change in a window: wheels gain slip where it falls."""
 
 
@@ -69,7 +69,7 @@ class ObservedMass:
     high: float = np.inf
 
     def __post_init__(self) -> None:
-        self._forget()
+        self._restart()
 
     @property
     def middle(self) -> float:
@@ -94,13 +94,13 @@ class ObservedMass:
         found = (pull + rotating[:, None] * weight) / (gained + TOLERANCE * np.array([-1.0, 1.0]))
         low, high = max(self.low, float(found.min())), min(self.high, float(found.max()))
         if low > high:
-            self._forget()
+            self._restart()
             return True
         smaller = low > self.low or high < self.high
         self.low, self.high = low, high
         return smaller
 
-    def _forget(self) -> None:
+    def _restart(self) -> None:
         self.low, self.high = self.lightest, self.heaviest * (1.0 + ROTATING)
 
 
@@ -126,7 +126,7 @@ def window(
         return None
     position, speed, lever = position[SETTLING:], speed[SETTLING:], lever[SETTLING + 1 :]
     grip = [value(t.adhesion, t.origin, p) for p in position]
-    if max(grip) > EVEN * min(grip):
+    if max(grip) > EVEN_ADHESION * min(grip):
         return None
     sine = np.array([value(t.sine, t.origin, p) for p in position])
     weight = GRAVITY * float(np.mean(sine + c.rolling * np.sqrt(1.0 - sine**2)))
@@ -144,11 +144,11 @@ LATEST = 0.97
 RETURN = 20.0
 """Time constant of leads, and with which a train that is near its target returns to it [s]."""
 
-GENTLE = 0.05
+RETURN_ACCELERATION = 0.05
 """With which the speed of a train that returns comes back to the target's, at most [m/s²]."""
 
 NEAR = 1.0
-"""A train within this [m] of its target is the program's own affair."""
+"""A train within this [m] of its target is brought back by the program alone."""
 
 
 def latest(run: RunArrays, due: float, count: int) -> FloatArray:
@@ -222,9 +222,9 @@ def paced(run: RunArrays, pace: float, steps: int) -> FloatArray:
 def returning(off: float, steps: int) -> FloatArray:
     """How a train that is off its target returns to it: what is left, and its rate.
 
-    By `RETURN` near the target; from farther away its speed changes by `GENTLE`. Within `NEAR`
-    nothing is left: a program that has to hold a distance cannot make up for what no model
-    knows.
+    By `RETURN` near the target; from farther away its speed changes by `RETURN_ACCELERATION`.
+    Within `NEAR` nothing is left: a program that has to hold a distance cannot make up for errors
+    of the model.
 
     Parameters
     ----------
@@ -238,13 +238,13 @@ def returning(off: float, steps: int) -> FloatArray:
     """
     time = SAMPLING * np.arange(steps + 1, dtype=np.float64)
     size = abs(off) ** 3 / (off**2 + NEAR**2)
-    near = min(size, GENTLE * RETURN**2)
-    rate = np.sqrt((near / RETURN) ** 2 + 2.0 * GENTLE * (size - near))
-    begun = (rate - near / RETURN) / GENTLE
-    far = size - rate * time + 0.5 * GENTLE * time**2
+    near = min(size, RETURN_ACCELERATION * RETURN**2)
+    rate = np.sqrt((near / RETURN) ** 2 + 2.0 * RETURN_ACCELERATION * (size - near))
+    begun = (rate - near / RETURN) / RETURN_ACCELERATION
+    far = size - rate * time + 0.5 * RETURN_ACCELERATION * time**2
     fading = near * np.exp(-(time - begun) / RETURN)
     left = np.where(time < begun, far, fading)
-    change = np.where(time < begun, rate - GENTLE * time, fading / RETURN)
+    change = np.where(time < begun, rate - RETURN_ACCELERATION * time, fading / RETURN)
     return np.asarray(np.sign(off) * np.column_stack([left, -change]))
 
 
@@ -272,7 +272,7 @@ APPROACH = 4.0
 LAST = 15.0
 """Nothing but the stop is ahead within this time [s]."""
 
-HARD = 0.9
+HARD_BRAKING = 0.9
 """Share of the brake from which a train is driven to the place before that, too."""
 
 HASTE = 0.985
@@ -482,7 +482,7 @@ class TrackingController:
         )
         if not self._arriving:
             most = kernels.bounds_over(position, speed, position, speed, t, c)[0]
-            self._arriving = 2.0 * left < APPROACH * speed or lever < HARD * most
+            self._arriving = 2.0 * left < APPROACH * speed or lever < HARD_BRAKING * most
         return lever if self._arriving else None
 
     def _demanded(self, time: float, position: float, speed: float) -> float:

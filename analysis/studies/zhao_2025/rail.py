@@ -51,7 +51,7 @@ STRETCH_STD = 0.5
 SLIPS = np.linspace(0.05, 8.0, 160)
 """Slip speeds of which one is sought [m/s]."""
 
-WANDER = 0.05
+DIFFUSION = 0.05
 """Share of the probability that moves to each neighbouring maximum from sample to sample."""
 
 ADHESION_RATE = 0.5
@@ -172,16 +172,16 @@ class RailEstimator:
         adhesion = force.force[-1] / self._locomotive.loads
         if last is not None:
             noise = force.std[-1] / self._locomotive.loads
-            self._weigh(0.5 * (slip + last), adhesion, noise)
+            self._bayes_update(0.5 * (slip + last), adhesion, noise)
         self._slip, self._time = slip, self._time + self._period
         return self._estimate(adhesion)
 
-    def _weigh(self, slip: FloatArray, adhesion: FloatArray, noise: FloatArray) -> None:
-        """Let the rail wander, then weigh every curve by what was measured."""
+    def _bayes_update(self, slip: FloatArray, adhesion: FloatArray, noise: FloatArray) -> None:
+        """Bayes' rule on the grid: the rail's diffusion, then the measurement's likelihood."""
         ends = self._probability[:, :1], self._probability, self._probability[:, -1:]
         padded = np.concatenate(ends, axis=1)
-        probability = (1.0 - 2.0 * WANDER) * self._probability
-        probability += WANDER * (padded[:, :-2] + padded[:, 2:])
+        probability = (1.0 - 2.0 * DIFFUSION) * self._probability
+        probability += DIFFUSION * (padded[:, :-2] + padded[:, 2:])
         change = CHANGE_RATE * self._period
         probability = (1.0 - change) * probability + change * self._prior
         expected = _creep(slip[:, None], self._curves)
