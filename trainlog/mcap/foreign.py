@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, takewhile
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -184,44 +184,6 @@ def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:
 # -------------------------------------------------------------------------------------- columns
 
 
-@dataclass(frozen=True)
-class Length:
-    """The length of an array, given before its elements so that changing ones are found."""
-
-    count: int
-
-
-def leaves(message: Message, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Path and value of everything a message says; arrays are announced by their `Length`.
-
-    Yields
-    ------
-    path : str
-    value : bool, int, float, str, Length or Unexpanded
-    """
-    for name, value in message.items():
-        if value is None:
-            continue
-        kind = type(value)
-        path = f"{prefix}.{name}" if prefix else name
-        if kind is float or kind is int or kind is str or kind is bool:
-            yield path, value
-        elif depth >= DEEPEST:
-            yield path, TOO_DEEP
-        elif kind is dict:
-            yield from leaves(value, path, depth + 1)
-        elif kind is list and len(value) > MOST_ELEMENTS:
-            yield path, LONG_ARRAY
-        elif kind is list:
-            yield path, Length(len(value))
-            elements = {f"{path}[{at}]": element for at, element in enumerate(value)}
-            yield from leaves(elements, "", depth + 1)
-        elif kind is Unexpanded:
-            yield path, value
-        else:
-            yield path, Unexpanded(f"a {kind.__name__}, not expanded")
-
-
 class _Column:
     """The values of one path; `rows` are the messages that have one."""
 
@@ -229,14 +191,6 @@ class _Column:
         self.rows = array("q")
         self.kinds: set[type] = set()
         self.pieces: list[Any] = []
-
-    def put(self, row: int, value: Any) -> None:
-        """Add one value."""
-        if not self.pieces or not isinstance(self.pieces[-1], list):
-            self.pieces.append([])
-        self.pieces[-1].append(value)
-        self.rows.append(row)
-        self.kinds.add(type(value))
 
     def extend(self, rows: Iterable[int], values: Sequence[Any], kinds: set[type]) -> None:
         """Add the values of many messages."""
@@ -309,75 +263,73 @@ class Columns:
         """Turn the messages that wait into columns."""
         batch, self._batch, self._waiting = self._batch, [], 0
         rows = range(self._count, self._count + len(batch))
-        self._count = rows.stop
         if batch:
-            self._spread(batch, rows, "", 0)
+            self._spread(rows, batch, "", 0)
+        self._count = rows.stop
 
-    def _spread(self, messages: Sequence[Message], rows: range, prefix: str, depth: int) -> None:
-        """Take messages, or messages within them, that stand at the same path of all rows."""
-        names = list(messages[0])
-        if any(message.keys() != messages[0].keys() for message in messages):
-            for row, message in zip(rows, messages, strict=True):
-                self._take(row, message, prefix, depth)
-            return
-        for name in names:
-            path = f"{prefix}.{name}" if prefix else name
-            self._take_column(rows, path, list(map(itemgetter(name), messages)), depth)
+    def _spread(
+        self, rows: Sequence[int], messages: Sequence[Message], prefix: str, depth: int
+    ) -> None:
+        """Take messages, or messages within them, that stand at the same path."""
+        for name, (held, values) in _by_name(rows, messages).items():
+            self._take(held, f"{prefix}.{name}" if prefix else name, values, depth)
 
-    def _take_column(self, rows: range, path: str, values: Sequence[Any], depth: int) -> None:
-        """Take what stands at the same path of all rows."""
+    def _take(self, rows: Sequence[int], path: str, values: Sequence[Any], depth: int) -> None:
+        """Take what stands at the same path of all these rows."""
         kinds = set(map(type, values))
         if kinds <= _PLAIN:
             self._extend(rows, path, values, kinds)
-        elif kinds == {dict} and depth < DEEPEST:
-            self._spread(values, rows, path, depth + 1)
-        elif kinds == {list} and depth < DEEPEST and len(lengths := set(map(len, values))) == 1:
-            (length,) = lengths
-            if length > MOST_ELEMENTS:
-                self._take_each(rows, path, values, depth)
-                return
-            self._announce(path, length, len(values))
-            for at in range(length):
-                elements = list(map(itemgetter(at), values))
-                self._take_column(rows, f"{path}[{at}]", elements, depth + 1)
+        elif len(kinds) > 1:
+            for held, same in _by_kind(rows, values):
+                self._take(held, path, same, depth)
+        elif kinds == {Unexpanded}:
+            for reason, count in Counter(value.reason for value in values).items():
+                self._skip(path, reason, count)
+        elif not kinds <= {dict, list}:
+            (kind,) = kinds
+            if kind is not type(None):
+                self._skip(path, f"a {kind.__name__}, not expanded", len(values))
+        elif depth >= DEEPEST:
+            self._skip(path, TOO_DEEP.reason, len(values))
+        elif kinds == {dict}:
+            self._spread(rows, values, path, depth + 1)
         else:
-            self._take_each(rows, path, values, depth)
+            self._take_lists(rows, path, values, depth)
 
-    def _take_each(self, rows: range, path: str, values: Sequence[Any], depth: int) -> None:
-        for row, value in zip(rows, values, strict=True):
-            self._take(row, {path: value}, "", depth)
+    def _take_lists(
+        self, rows: Sequence[int], path: str, values: Sequence[list[Any]], depth: int
+    ) -> None:
+        """Take the elements of arrays; of changing lengths only until that shows."""
+        lengths = Counter(map(len, values))
+        for length in [each for each in lengths if each > MOST_ELEMENTS]:
+            self._skip(path, LONG_ARRAY.reason, lengths.pop(length))
+        if path in self._lengths or len(self._lengths) < MOST_COLUMNS:
+            self._lengths.setdefault(path, Counter()).update(lengths)
+        for length in lengths:
+            held, lists = rows, values
+            if len(lengths) > 1 or len(values) > lengths[length]:
+                pairs = zip(rows, values, strict=True)
+                held, lists = zip(*(pair for pair in pairs if len(pair[1]) == length), strict=True)
+            for at in range(length):
+                self._take(held, f"{path}[{at}]", list(map(itemgetter(at), lists)), depth + 1)
 
-    def _take(self, row: int, message: Message, prefix: str, depth: int) -> None:
-        """Take what one message says."""
-        for path, value in leaves(message, prefix, depth):
-            if isinstance(value, Unexpanded):
-                self._skip(path, value.reason)
-            elif isinstance(value, Length):
-                self._announce(path, value.count)
-            elif (column := self._column(path, row)) is not None:
-                column.put(row, value)
-
-    def _extend(self, rows: range, path: str, values: Sequence[Any], kinds: set[type]) -> None:
-        column = self._column(path, rows.start, len(rows))
-        if column is not None:
-            column.extend(rows, values, kinds)
-
-    def _column(self, path: str, row: int, messages: int = 1) -> _Column | None:
-        """The column at `path`, to take values from `row` on; None if it cannot."""
+    def _extend(
+        self, rows: Sequence[int], path: str, values: Sequence[Any], kinds: set[type]
+    ) -> None:
         column = self._columns.get(path)
         if column is None:
             if len(self._columns) >= MOST_COLUMNS:
-                self._skip("", _TOO_MANY, messages)
-                return None
+                self._skip("", _TOO_MANY, len(rows))
+                return
             column = self._columns[path] = _Column()
-        elif column.rows and column.rows[-1] >= row:
-            self._skip(path, _TWICE, messages)
-            return None
-        return column
-
-    def _announce(self, path: str, length: int, messages: int = 1) -> None:
-        if path in self._lengths or len(self._lengths) < MOST_COLUMNS:
-            self._lengths.setdefault(path, Counter())[length] += messages
+        elif column.rows and column.rows[-1] >= self._count:
+            known = set(takewhile(lambda row: row >= self._count, reversed(column.rows)))
+            new = {row: each for row, each in zip(rows, values, strict=True) if row not in known}
+            if len(new) < len(rows):
+                self._skip(path, _TWICE, len(rows) - len(new))
+            rows, values, kinds = [*new], [*new.values()], set(map(type, new.values()))
+        if len(rows):
+            column.extend(rows, values, kinds)
 
     def _skip(self, path: str, reason: str, messages: int = 1) -> None:
         known = (path, reason) in self.skipped or len(self.skipped) < MOST_COLUMNS
@@ -387,6 +339,34 @@ class Columns:
         self._columns = {
             path: column for path, column in self._columns.items() if not path.startswith(start)
         }
+
+
+def _by_name(
+    rows: Sequence[int], messages: Sequence[Message]
+) -> Mapping[str, tuple[Sequence[int], list[Any]]]:
+    """What messages say under each name, and in which rows."""
+    if all(message.keys() == messages[0].keys() for message in messages):
+        return {name: (rows, list(map(itemgetter(name), messages))) for name in messages[0]}
+    found: dict[str, tuple[list[int], list[Any]]] = {}
+    for row, message in zip(rows, messages, strict=True):
+        for name, value in message.items():
+            held, values = found.setdefault(name, ([], []))
+            held.append(row)
+            values.append(value)
+    return found
+
+
+def _by_kind(
+    rows: Sequence[int], values: Sequence[Any]
+) -> Iterable[tuple[Sequence[int], Sequence[Any]]]:
+    """Numbers and texts, and values of each other kind, with their rows."""
+    found: dict[type, tuple[list[int], list[Any]]] = {}
+    for row, value in zip(rows, values, strict=True):
+        kind = str if type(value) in _PLAIN else type(value)
+        held, same = found.setdefault(kind, ([], []))
+        held.append(row)
+        same.append(value)
+    return found.values()
 
 
 def _array(column: _Column, count: int) -> Any:
