@@ -41,6 +41,7 @@ from trainlog.mcap.records import (
     index_of,
     opened,
     parsed,
+    record_head,
     records,
     shown,
     stored_chunk,
@@ -395,18 +396,9 @@ def heads(source: Source, start: int, end: int) -> Iterator[tuple[int, int, int]
     """
     at, base, window = start, start, b""
     while at < end:
-        if at + RECORD_HEAD > end:
-            raise damaged(at, "the file ends inside a record")
         if not base <= at <= base + len(window) - RECORD_HEAD:
             base, window = at, source.read(at, _WINDOW)
-        opcode, length = struct.unpack_from("<BQ", window, at - base)
-        if length > end - at - RECORD_HEAD:
-            raise damaged(
-                at,
-                f"a record of {length:,} bytes begins and only {end - at - RECORD_HEAD:,} follow",
-            )
-        if opcode == 0:
-            raise damaged(at, "there is no record with opcode 0")
+        opcode, length = record_head(window[at - base :][:RECORD_HEAD], at, end)
         yield at, opcode, length
         at += RECORD_HEAD + length
 

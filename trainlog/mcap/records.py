@@ -224,6 +224,7 @@ _HEAD = np.dtype(
 )
 """What is compared of a message with its index."""
 
+_RECORD_HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
@@ -270,20 +271,29 @@ def records(data: memoryview, start: int = 0) -> Iterator[tuple[int, int, memory
     """
     at = start
     while at < len(data):
-        if at + RECORD_HEAD > len(data):
-            raise damaged(at, "the file ends inside a record")
-        opcode, length = struct.unpack_from("<BQ", data, at)
+        opcode, length = record_head(data[at : at + RECORD_HEAD], at, len(data))
         behind = at + RECORD_HEAD + length
-        if behind > len(data):
-            raise damaged(
-                at,
-                f"a record of {length:,} bytes begins and only "
-                f"{len(data) - at - RECORD_HEAD:,} follow",
-            )
-        if opcode == 0:
-            raise damaged(at, "there is no record with opcode 0")
         yield at, opcode, data[at + RECORD_HEAD : behind]
         at = behind
+
+
+def record_head(head: bytes | memoryview, at: int, end: int) -> tuple[int, int]:
+    """Opcode and length of the content of the record that begins with `head`, at byte `at`.
+
+    Raises
+    ------
+    LogError
+        If none can stand there, before `end`.
+    """
+    if len(head) < RECORD_HEAD or at + RECORD_HEAD > end:
+        raise damaged(at, "the file ends inside a record")
+    opcode, length = _RECORD_HEAD.unpack(head)
+    if opcode == 0:
+        raise damaged(at, "there is no record with opcode 0")
+    rest = end - at - RECORD_HEAD
+    if length > rest:
+        raise damaged(at, f"a record of {length:,} bytes begins and only {rest:,} bytes follow")
+    return opcode, length
 
 
 class _Exact(ReadDataStream):  # type: ignore[misc]

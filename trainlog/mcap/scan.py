@@ -55,6 +55,7 @@ from trainlog.mcap.records import (
     measured,
     opened,
     parsed,
+    record_head,
     stored_chunk,
     stored_index,
     tally,
@@ -625,16 +626,7 @@ class Finder:
 
     def head(self, at: int) -> tuple[int, int]:
         """Opcode and length of the record at `at`; a LogError if none can stand there."""
-        head = self.read(at, RECORD_HEAD)
-        if len(head) < RECORD_HEAD:
-            raise damaged(at, "the file ends inside a record")
-        opcode, length = struct.unpack("<BQ", head)
-        if opcode == 0:
-            raise damaged(at, "there is no record with opcode 0")
-        rest = self.size - at - RECORD_HEAD
-        if length > rest:
-            raise damaged(at, f"a record of {length:,} bytes begins and only {rest:,} bytes follow")
-        return opcode, length
+        return record_head(self.read(at, RECORD_HEAD), at, self.size)
 
     def follows(self, at: int) -> bool:
         """Whether at `at` the file ends, even inside a record, or a record begins, by its head."""
