@@ -121,17 +121,27 @@ def topic_channels(contents: Contents) -> list[TopicChannel]:
     return found
 
 
-@dataclass(frozen=True)
-class _SeparateRows:
-    """Rows of a table that do not stand in its arrays: `count` from `start` on.
+@dataclass
+class _Part:
+    """The messages of one channel in a chunk: `count` rows of a table from `start` on.
 
-    `time` and `columns` are None where nothing could be read.
+    Attributes
+    ----------
+    source : TopicChannel
+    table : _Table
+    start, count : int
+    separate : (times, columns) or None
+        Where they do not fit into the table's arrays; `_LOST` where nothing could be read.
     """
 
+    source: TopicChannel
+    table: _Table
     start: int
     count: int
-    time: NDArray[np.uint64] | None = None
-    columns: Columns | None = None
+    separate: tuple[NDArray[np.uint64], Columns] | None = None
+
+
+_LOST: tuple[NDArray[np.uint64], Columns] = np.empty(0, dtype=np.uint64), {}
 
 
 @dataclass
@@ -147,8 +157,9 @@ class _Table:
         Columns, in the order of the frame.
     time : (n,) uint64
     columns : (columns, n) float64
-        Not of events, whose texts are kept apart.
-    apart : list of _SeparateRows
+        Not of events, whose texts are separate.
+    parts : list of _Part
+        In the order of their rows.
     """
 
     topic: Topic
@@ -156,7 +167,7 @@ class _Table:
     names: list[str]
     time: NDArray[np.uint64]
     columns: NDArray[np.float64]
-    apart: list[_SeparateRows] = dataclass_field(default_factory=list)
+    parts: list[_Part] = dataclass_field(default_factory=list)
 
     def fill(self, start: int, count: int, time: NDArray[np.uint64], columns: Columns) -> bool:
         """Take messages to the rows from `start` on; False if the table has no place for them.
@@ -204,20 +215,16 @@ class _Table:
     def _joined(
         self,
     ) -> tuple[NDArray[np.uint64], list[str], NDArray[np.float64] | dict[str, Any]]:
-        """Times and columns with what stands apart in its place."""
+        """Times and columns with what is separate in its place."""
         events = self.topic is EVENTS
-        if not self.apart and not events:
+        if not events and all(part.separate is None for part in self.parts):
             return self.time, self.names, self.columns
         parts: list[tuple[NDArray[np.uint64], Columns]] = []
-        at = 0
-        rows = len(self.time)
-        for each in [*sorted(self.apart, key=lambda each: each.start), _SeparateRows(rows, 0)]:
-            if at < each.start and not events:
-                held = dict(zip(self.names, self.columns[:, at : each.start], strict=True))
-                parts.append((self.time[at : each.start], held))
-            if each.time is not None and each.columns is not None:
-                parts.append((each.time, each.columns))
-            at = each.start + each.count
+        for part in self.parts:
+            rows = slice(part.start, part.start + part.count)
+            held = dict(zip(self.names, self.columns[:, rows], strict=True))
+            parts.append(part.separate or (self.time[rows], held))
+        parts = [part for part in parts if part is not _LOST]
         time = np.concatenate([np.empty(0, np.uint64), *(each for each, _ in parts)])
         if events:
             texts = [columns for _, columns in parts] or [_columns_of(EVENTS, [])]
@@ -252,26 +259,6 @@ class _Table:
         return [name for name in ordered if self.wanted is None or name in self.wanted]
 
 
-@dataclass(frozen=True)
-class _Target:
-    """Where the messages of one channel in a chunk go: `count` rows of a table from `start` on."""
-
-    source: TopicChannel
-    table: _Table
-    start: int
-    count: int
-
-
-@dataclass
-class _Outcome:
-    """What became of a chunk."""
-
-    place: ChunkPlace
-    targets: list[_Target]
-    damage: str | None = None
-    apart: list[tuple[_Target, _SeparateRows]] = dataclass_field(default_factory=list)
-
-
 def frames_in(
     source: Source,
     contents: Contents,
@@ -294,15 +281,14 @@ def frames_in(
         each.channel.id: each for each in topic_channels(contents) if each.topic.name in columns
     }
     tables = _tables(channels.values(), chunks, columns)
-    for outcome in _outcomes(source, chunks, channels, tables, threads):
-        if outcome.damage is not None:
+    work = _work(chunks, channels, tables)
+    for (place, parts), damage in zip(work, _damages(source, work, threads), strict=True):
+        if damage is not None:
             if contents.indexed:
-                raise MisplacedError(outcome.damage, place=f"byte {outcome.place.offset}")
-            contents.drop(outcome.place, outcome.damage)
-        for target in outcome.targets if outcome.damage is not None else ():
-            target.table.apart.append(_SeparateRows(target.start, target.count))
-        for target, apart in outcome.apart:
-            target.table.apart.append(apart)
+                raise MisplacedError(damage, place=f"byte {place.offset}")
+            contents.drop(place, damage)
+            for part in parts:
+                part.separate = _LOST
     return {name: tables[name].frame() for name in TOPICS if name in tables}
 
 
@@ -346,61 +332,60 @@ def _empty_table(topic: Topic, held: set[str], rows: int, wanted: frozenset[str]
     return table
 
 
-def _outcomes(
-    source: Source,
-    chunks: Sequence[ChunkPlace],
-    channels: dict[int, TopicChannel],
-    tables: dict[str, _Table],
-    threads: int,
-) -> Iterator[_Outcome]:
-    """Read the chunks that hold any of the channels, and say what became of each, in order."""
+def _work(
+    chunks: Sequence[ChunkPlace], channels: dict[int, TopicChannel], tables: dict[str, _Table]
+) -> list[tuple[ChunkPlace, list[_Part]]]:
+    """The chunks that hold any of the channels, each with the rows that its messages take."""
     filled = dict.fromkeys(tables, 0)
     work = []
     for place in chunks:
-        targets = []
+        parts = []
         for number, count in place.counts.items():
             if number in channels:
-                each = channels[number]
-                start = filled[each.topic.name]
-                targets.append(_Target(each, tables[each.topic.name], start, count))
-                filled[each.topic.name] += count
-        if targets:
-            work.append(_Outcome(place, targets))
+                name = channels[number].topic.name
+                parts.append(_Part(channels[number], tables[name], filled[name], count))
+                tables[name].parts.append(parts[-1])
+                filled[name] += count
+        if parts:
+            work.append((place, parts))
+    return work
+
+
+def _damages(
+    source: Source, work: list[tuple[ChunkPlace, list[_Part]]], threads: int
+) -> Iterator[str | None]:
+    """Fill the tables from chunks; for each in order what is wrong with it, None if nothing is."""
     if threads == 1 or len(work) == 1:
-        for outcome in work:
-            _read(source, outcome)
-            yield outcome
+        yield from (_read(source, *each) for each in work)
         return
     batches = [work[at : at + _AT_ONCE] for at in range(0, len(work), _AT_ONCE)]
     with ThreadPoolExecutor(threads) as pool:
         try:
-            for batch in pool.map(lambda batch: [_read(source, each) for each in batch], batches):
+            for batch in pool.map(lambda batch: [_read(source, *each) for each in batch], batches):
                 yield from batch
         finally:
             pool.shutdown(cancel_futures=True)
 
 
-def _read(source: Source, outcome: _Outcome) -> _Outcome:
-    """Fill the tables from one chunk."""
-    place = outcome.place
+def _read(source: Source, place: ChunkPlace, parts: list[_Part]) -> str | None:
+    """Fill the tables from one chunk; what is wrong with it, None if nothing is."""
     try:
         chunk = fetched(source, place)
         content = opened(chunk, check=True)
     except LogError as error:
-        outcome.damage = error.problem
-        return outcome
+        return error.problem
     try:
         with suppress(LogError):
-            _fill(content, _offsets(source, place, content, outcome.targets), outcome)
-            return outcome
+            _fill(content, _offsets(source, place, content, parts), place, parts)
+            return None
         # An index that does not fit the chunk is made again from the chunk's records.
-        _fill(content, _starts(index_of(content, place.offset)), outcome)
+        _fill(content, _starts(index_of(content, place.offset)), place, parts)
     except LogError as error:
         if chunk.checksum and not isinstance(error, MisplacedError):
             # These are the bytes that were written.
             raise
-        outcome.damage = error.problem
-    return outcome
+        return error.problem
+    return None
 
 
 def _starts(index: Index) -> dict[int, _Offsets]:
@@ -408,38 +393,37 @@ def _starts(index: Index) -> dict[int, _Offsets]:
 
 
 def _offsets(
-    source: Source, place: ChunkPlace, content: bytes, targets: list[_Target]
+    source: Source, place: ChunkPlace, content: bytes, parts: list[_Part]
 ) -> dict[int, _Offsets]:
-    """Where in the chunk the messages of the targets begin, by channel id."""
-    sole = targets[0]
+    """Where in the chunk the messages of the parts begin, by channel id."""
+    sole = parts[0]
     size = sole.source.codec.layout.size if sole.source.codec is not None else 0
     if len(place.counts) == 1 and size * sole.count == len(content):
         return {sole.source.channel.id: None}
     if place.indexes:
-        index = _starts(
-            fetched_index(source, place, [target.source.channel.id for target in targets])
-        )
+        index = _starts(fetched_index(source, place, [part.source.channel.id for part in parts]))
         # An index that leads to one message twice leaves out another.
         if all(bool(np.all(each[1:] > each[:-1])) for each in index.values() if each is not None):
             return index
     return _starts(index_of(content, place.offset))
 
 
-def _fill(content: bytes, index: dict[int, _Offsets], outcome: _Outcome) -> None:
-    """Take the messages of a chunk to their tables, or apart where they do not fit."""
-    outcome.apart = []
-    for target in outcome.targets:
-        offsets = index.get(target.source.channel.id, np.empty(0, dtype=np.uint64))
-        found = target.source.arrays(content, offsets)
-        if found is not None and target.table.fill(target.start, target.count, *found):
-            continue
-        if found is None and offsets is None:
-            index = _starts(index_of(content, outcome.place.offset))
-            offsets = index.get(target.source.channel.id)
-        if found is None:
+def _fill(
+    content: bytes, index: dict[int, _Offsets], place: ChunkPlace, parts: list[_Part]
+) -> None:
+    """Take the messages of a chunk to their tables; those that do not fit are separate."""
+    for part in parts:
+        number = part.source.channel.id
+        offsets = index.get(number, np.empty(0, dtype=np.uint64))
+        part.separate = part.source.arrays(content, offsets)
+        if part.separate is not None and part.table.fill(part.start, part.count, *part.separate):
+            part.separate = None
+        elif part.separate is None:
+            if offsets is None:
+                index = _starts(index_of(content, place.offset))
+                offsets = index.get(number)
             each = np.empty(0, dtype=np.uint64) if offsets is None else offsets
-            found = target.source.decoded(content, each, outcome.place.offset)
-        outcome.apart.append((target, _SeparateRows(target.start, target.count, *found)))
+            part.separate = part.source.decoded(content, each, place.offset)
 
 
 def _decoder_of(channel: Channel, schema: Schema) -> Callable[[bytes], Any]:
