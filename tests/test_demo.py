@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
@@ -197,3 +198,17 @@ def test_pictures_and_the_replay_are_there(results: Path) -> None:
     for name in ("parameters.png", "map.png", "trajectory.png"):
         assert (results / name).read_bytes().startswith(b"\x89PNG")
     assert (results / "replay.rrd").read_bytes()[:4] == b"RRF2"
+
+
+def test_ctrl_c_in_one_command_ends_the_whole_chain(tmp_path: Path) -> None:
+    """A part of the trips must not become figures of the demo."""
+    ran: list[str] = []
+
+    def interrupted_at_simulate(step: list[str]) -> int:
+        ran.append(step[0])
+        return 130 if step[0] == "simulate" else 0
+
+    with pytest.raises(typer.Exit) as ended:
+        demo.run_demo(tmp_path / "results", Console(quiet=True), interrupted_at_simulate)
+    assert ended.value.exit_code == 130
+    assert ran == ["samples", "simulate"]

@@ -92,8 +92,10 @@ def test_nothing_is_typical_of_a_line_on_which_no_maximum_was_seen() -> None:
 
 
 def test_an_assumption_of_nothing_and_a_map_without_its_settings_are_refused() -> None:
-    with pytest.raises(InputError, match=r"assumed adhesion of 0\.0 is not positive"):
+    with pytest.raises(InputError, match=r"above 0 and at most 1, not 0"):
         usable_adhesion(made(), "wet", assumed=0.0)
+    with pytest.raises(InputError, match=r"above 0 and at most 1, not 8"):
+        usable_adhesion(made(), "wet", assumed=8.0)
     with pytest.raises(InputError, match="lacks the setting 'trip_std'"):
         usable_adhesion(replace(made(), settings={}), "wet", assumed=0.05)
 

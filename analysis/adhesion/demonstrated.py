@@ -80,9 +80,9 @@ def usable_adhesion(
     InputError
         If the map has no such layer, or the assumption is not positive.
     """
-    if not assumed > 0.0:
+    if not (0.0 < assumed <= 1.0 or assumed == np.inf):
         raise InputError(
-            f"an assumed adhesion of {assumed} is not positive",
+            f"an assumed adhesion must be above 0 and at most 1, not {assumed:g}",
             remedy="assume what the worst of rails would bear, 0.05 for instance",
         )
     known = track.lower_bound(layer, track.centres, sigmas)

@@ -200,8 +200,8 @@ class TrajectoryProblem:
             )
         if not (reserve >= 0.0 and np.isfinite(reserve)):
             raise InputError(
-                f"{where}: the reserve must be 0 or more, not {reserve:.0%}",
-                remedy="give a part of the least time, as 0.07",
+                f"{where}: the reserve must be 0 or more, not {100.0 * reserve:g} %",
+                remedy="7 per cent over the least time are 0.07 in Python, 7 on the command line",
             )
 
     def _check_windows(self, where: str) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
+import typer
 from rich.console import Console
 from rich.text import Text
 
@@ -68,7 +69,7 @@ def _clear(output: Path) -> None:
     marker.write_text("Results of 'trainlog demo'; the next demo replaces this folder.\n", "utf-8")
 
 
-def run_demo(output: Path, console: Console, run: Callable[[list[str]], object]) -> None:
+def run_demo(output: Path, console: Console, run: Callable[[list[str]], int]) -> None:
     """Run the whole chain and say where the results are.
 
     Parameters
@@ -77,12 +78,14 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], object])
         Folder of the results; earlier results of the demo in it are replaced.
     console : rich Console
     run : callable
-        Runs one command, given as a list of arguments.
+        Runs one command, given as a list of arguments, and returns its exit status.
 
     Raises
     ------
     InputError
         If the folder holds files that are not the demo's.
+    typer.Exit
+        If a command ended with another status than 0, such as that of Ctrl-C.
     """
     begin = perf_counter()
     _clear(output)
@@ -92,7 +95,8 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], object])
         console.rule(Text(passed, style="dim"), align="left")
         shown = Text(f"$ trainlog {shlex.join(step)}", style="bold")
         console.print(shown, highlight=False, soft_wrap=True)
-        run(step)
+        if status := run(step):
+            raise typer.Exit(status)
     console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")
     console.print(f"Everything is in {output}. Next, try:", highlight=False)
     for command in (

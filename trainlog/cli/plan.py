@@ -83,8 +83,9 @@ def optimise(
         typer.Option(help="Journey file: stops and passing points; one trajectory a section."),
     ] = None,
     dwell: Annotated[
-        float, typer.Option(min=0.0, help="With --journey: least standing time at a stop (s).")
-    ] = 0.0,
+        float | None,
+        typer.Option(min=0.0, help="With --journey: least standing time at a stop (s)."),
+    ] = None,
     km: Annotated[
         str | None,
         typer.Option("--km", help="Only between, in the direction of travel: 3.2:7.5, 3.2:, :7.5."),
@@ -130,9 +131,12 @@ def optimise(
     if journey is not None:
         rivals = {**times, "--pareto": pareto or None, **ends}
         _refuse("--journey gives times, places and speeds itself", rivals)
+    else:
+        _refuse("there is no --journey with stops", {"--dwell": dwell}, "or give a journey")
     if running_time is not None:
-        _refuse("--running-time gives the time", {"--as-fast-as": as_fast_as})
+        _refuse("--running-time gives the time", {"--as-fast-as": as_fast_as, "--reserve": reserve})
     if as_fast_as is not None:
+        _refuse("--as-fast-as gives the time", {"--reserve": reserve})
         _refuse("--as-fast-as is the time from end to end of the line", ends)
     if condition is None:
         of_map = {"--assumed-adhesion": assumed_adhesion, "--sigmas": sigmas}
@@ -176,7 +180,7 @@ def optimise(
     )
     options = OptimiserOptions(cells, referee)
     if journey is not None:
-        _journey(problem, options, journey, dwell, output)
+        _journey(problem, options, journey, dwell or 0.0, output)
         return
     with working(f"optimising over {len(observed.configurations)} configurations"):
         trajectory = solve(problem, options)

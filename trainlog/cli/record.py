@@ -50,7 +50,7 @@ def simulate(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
     line: LineOption = None,
     train: TrainOption = None,
-    count: Annotated[int, typer.Option(min=1, help="Trips to drive.")] = 12,
+    count: Annotated[int | None, typer.Option(min=1, help="Trips of drivers; default: 12.")] = None,
     seed: Seed = 1,
     trajectory: Annotated[
         Path | None, typer.Option(help="Follow this trajectory instead of a driver's habits.")
@@ -58,7 +58,8 @@ def simulate(
     configurations: Annotated[
         str | None,
         typer.Option(
-            help="With --trajectory: 'hardest' (default), 'all', or names separated by commas."
+            help="With --trajectory: 'hardest' (default: most and least resistance, least power),"
+            " 'all', or names separated by commas."
         ),
     ] = None,
     weather: Annotated[
@@ -94,7 +95,13 @@ def simulate(
             {"configurations": configurations, "weather": weather, "map": condition}
             | {"late": late or None}
         )
-        scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
+        scenarios = draw_scenarios(the_line, the_train, count=count or 12, seed=seed)
+    elif count is not None:
+        raise InputError(
+            "--count is the number of drivers' trips; along a trajectory there is one for each"
+            " configuration",
+            remedy="leave out --count, or choose with --configurations",
+        )
     else:
         from analysis.control.follow import following_scenarios
         from trainlog.formats.condition import read_map
