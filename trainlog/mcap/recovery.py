@@ -148,10 +148,7 @@ def _check_readable(contents: Contents, account: Account) -> None:
 
 def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Sink) -> None:
     """Write everything that was found, in the order in which a log has it."""
-    for schema in contents.schemas.values():
-        sink.declare(schema)
-    for channel in contents.channels.values():
-        sink.declare(channel)
+    sink.declare(*contents.schemas.values(), *contents.channels.values())
     for record in contents.metadata:
         # Chunks have moved; where the train was in each is found without that record, too.
         if record.name not in (RECOVERY_RECORD, POSITIONS_RECORD):

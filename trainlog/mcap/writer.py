@@ -13,7 +13,7 @@ import os
 import struct
 import sys
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -224,9 +224,7 @@ class LogWriter:
             self._sink = self._opened(self._file)
         if self._sink is None:
             return
-        for stream in self._pending.values():
-            self._sink.declare(stream.schema)
-            self._sink.declare(stream.channel)
+        self._sink.declare(*_declared(self._pending.values()))
         full = len(plan) if last else max(0, len(plan) - 1)
         for chunk in self._packed(plan, full):
             self._sink.put_chunk(chunk)
@@ -254,18 +252,18 @@ class LogWriter:
 
     def _opened(self, file: BinaryIO) -> Sink:
         """The file begun: what explains it comes first, so that a cut file still has it."""
-        sink = Sink(file)
         streams = self._pending.values()
-        for stream in streams:
-            sink.declare(stream.schema)
-        for stream in streams:
-            sink.declare(stream.channel)
-        for name, values in (self._described or {}).items():
-            sink.put_metadata(name, values)
         start = min((int(each.time[0]) for each in streams if len(each.time)), default=0)
-        for name, content in sorted(self._attachments.items()):
-            sink.put_attachment(attachment_of(name, content, start))
+        sink = Sink(file)
+        declared = [*(each.schema for each in streams), *(each.channel for each in streams)]
+        sink.explain(declared, self._described or {}, self._attachments, start)
         return sink
+
+
+def _declared(streams: Iterable[Stream]) -> Iterator[Schema | Channel]:
+    """The schema and the channel of each stream."""
+    for stream in streams:
+        yield from (stream.schema, stream.channel)
 
 
 class RecordingFile:
@@ -297,12 +295,7 @@ class RecordingFile:
         """Write what explains the recording; InputError, and no file, if it cannot be written."""
         try:
             self._sink = Sink(self._file)
-            for record in declared:
-                self._sink.declare(record)
-            for name, values in described.items():
-                self._sink.put_metadata(name, values)
-            for name, content in sorted(attachments.items()):
-                self._sink.put_attachment(attachment_of(name, content, 0))
+            self._sink.explain(declared, described, attachments, 0)
         except OSError as error:
             self._file.close()
             self._path.unlink(missing_ok=True)
@@ -316,9 +309,7 @@ class RecordingFile:
         OSError
             If they cannot be written, or the file is no longer at its place.
         """
-        for stream in streams:
-            self._sink.declare(stream.schema)
-            self._sink.declare(stream.channel)
+        self._sink.declare(*_declared(streams))
         topics = {stream.channel.id: stream.channel.topic for stream in streams}
         plan = plan_of(streams, period=_UNBOUNDED)
         for number in range(len(plan)):
@@ -354,12 +345,6 @@ class RecordingFile:
         """Take away the part of a record that a failed write may have left."""
         self._file.truncate(self._sink.position)
         self._file.seek(self._sink.position)
-
-
-def attachment_of(name: str, content: bytes, time: int) -> Attachment:
-    """The attachment record of a file carried along since `time` [ns]."""
-    media = "application/json" if name.endswith(".json") else "application/octet-stream"
-    return Attachment(create_time=0, log_time=time, name=name, media_type=media, data=content)
 
 
 def metadata_records(trip: Trip) -> dict[str, dict[str, str]]:
@@ -444,13 +429,29 @@ class Sink:
         self._positions: dict[str, list[Entry]] = {}
         self._put(MCAP0_MAGIC + record_bytes(Header(profile=profile, library="trainlog")))
 
-    def declare(self, record: Schema | Channel) -> None:
-        """Write a schema or a channel; once, however often it is declared."""
-        known: dict[int, Schema] | dict[int, Channel]
-        known = self._schemas if isinstance(record, Schema) else self._channels
-        if record.id not in known:
-            self._put(record_bytes(record))
-            known[record.id] = record
+    def explain(
+        self,
+        declared: Iterable[Schema | Channel],
+        described: dict[str, dict[str, str]],
+        attachments: dict[str, bytes],
+        time: int,
+    ) -> None:
+        """Write what explains a trip: schemas and channels, metadata, files carried along."""
+        self.declare(*declared)
+        for name, values in described.items():
+            self.put_metadata(name, values)
+        for name, data in sorted(attachments.items()):
+            media = "application/json" if name.endswith(".json") else "application/octet-stream"
+            self.put_attachment(Attachment(0, time, name, media, data))
+
+    def declare(self, *records: Schema | Channel) -> None:
+        """Write schemas and channels; each once, however often it is declared."""
+        for record in records:
+            known: dict[int, Schema] | dict[int, Channel]
+            known = self._schemas if isinstance(record, Schema) else self._channels
+            if record.id not in known:
+                self._put(record_bytes(record))
+                known[record.id] = record
 
     def put_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
