@@ -127,10 +127,8 @@ def span_of(source: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
     """
     if Path(source).is_dir():
         return time_span(source)
-    topics = describe(source).topics
-    firsts = [topic.first for topic in topics if topic.first is not None]
-    lasts = [topic.last for topic in topics if topic.last is not None]
-    return (min(firsts), max(lasts)) if firsts and lasts else None
+    found = describe(source)
+    return None if found.first is None or found.last is None else (found.first, found.last)
 
 
 def _check_target(source: Path, target: Path) -> None:

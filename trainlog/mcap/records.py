@@ -485,17 +485,23 @@ class Tally:
         Log time and offset of each message by channel id.
     listed : bool
         Whether the index that was given lists every message, and nothing else.
-    start, end : int
-        Earliest and latest log time [ns]; zero without messages.
-    declared : tuple of (int, memoryview)
+    declared : list of (int, memoryview)
         Opcode and content of the schemas and channels among the records.
     """
 
     index: Index
     listed: bool
-    start: int
-    end: int
-    declared: tuple[tuple[int, memoryview], ...]
+    declared: list[tuple[int, memoryview]]
+
+    @property
+    def start(self) -> int:
+        """Earliest log time [ns]; zero without messages."""
+        return min((int(entries[:, 0].min()) for entries in self.index.values()), default=0)
+
+    @property
+    def end(self) -> int:
+        """Latest log time [ns]; zero without messages."""
+        return max((int(entries[:, 0].max()) for entries in self.index.values()), default=0)
 
     @property
     def counts(self) -> dict[int, int]:
@@ -524,15 +530,9 @@ def tally(content: bytes, given: Index, offset: int) -> Tally:
     with suppress(LogError):
         declared = _others(content, given) if given else None
         if declared is not None:
-            return _summed(given, declared, listed=True)
+            return Tally(given, True, declared)
     index, declared = gone_through(content, offset)
-    return _summed(index, declared, listed=not index and not given)
-
-
-def _summed(index: Index, declared: list[tuple[int, memoryview]], *, listed: bool) -> Tally:
-    start = min((int(entries[:, 0].min()) for entries in index.values()), default=0)
-    end = max((int(entries[:, 0].max()) for entries in index.values()), default=0)
-    return Tally(index, listed, start, end, tuple(declared))
+    return Tally(index, not index and not given, declared)
 
 
 def _others(content: bytes, given: Index) -> list[tuple[int, memoryview]] | None:
