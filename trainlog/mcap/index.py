@@ -31,6 +31,7 @@ from trainlog.errors import LogError
 from trainlog.mcap.account import Account, Loss, Unfinished
 from trainlog.mcap.records import (
     DECLARATIONS,
+    KINDS,
     RECORD_HEAD,
     RECORDING_RECORD,
     Index,
@@ -295,7 +296,7 @@ def _collect(opcode: int, content: memoryview, at: int, found: Summary) -> None:
     if opcode == Opcode.CHUNK_INDEX:
         found.contents.chunks.append(_chunk_place(content, at))
     elif opcode in DECLARATIONS:
-        found.contents.declare(parsed(DECLARATIONS[opcode], content, at))
+        found.contents.declare(parsed(KINDS[opcode], content, at))
     elif opcode == Opcode.STATISTICS:
         found.contents.statistics = parsed(Statistics, content, at)
     elif opcode == Opcode.ATTACHMENT_INDEX:
@@ -375,7 +376,7 @@ def _complete(source: Source, summary: Summary) -> bool:
                 if opcode == Opcode.METADATA:
                     found.metadata.append(parsed(Metadata, content, at))
                 else:
-                    found.declare(parsed(DECLARATIONS[opcode], content, at))
+                    found.declare(parsed(KINDS[opcode], content, at))
     counts = found.counts()
     if not counts.keys() <= found.channels.keys():
         return False

@@ -25,7 +25,19 @@ from isal import isal_zlib
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 from numpy.typing import NDArray
 
 from trainlog.errors import InputError, LogError
@@ -210,11 +222,23 @@ POSITIONS_RECORD = "trainlog.positions"
 Index = dict[int, NDArray[np.uint64]]
 """Log time and offset in the chunk, shape (n, 2), of the messages by channel id."""
 
-DECLARATIONS: dict[int, Any] = {
+KINDS: dict[int, Any] = {
+    Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.STATISTICS: Statistics,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.SUMMARY_OFFSET: SummaryOffset,
+    Opcode.DATA_END: DataEnd,
+    Opcode.FOOTER: Footer,
 }
-"""What explains messages, by opcode."""
+"""Records but for chunks, their messages and indexes, and attachments, by opcode."""
+
+DECLARATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
+"""What explains messages."""
 
 _LARGEST_CHUNK = 2**30
 """Larger chunks are refused: a damaged length must not exhaust the memory [bytes]."""

@@ -11,22 +11,18 @@ import struct
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import (
-    AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
     Metadata,
-    MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 from numpy.typing import NDArray
 
@@ -45,7 +41,7 @@ from trainlog.mcap.index import (
     summary_of,
 )
 from trainlog.mcap.records import (
-    DECLARATIONS,
+    KINDS,
     MESSAGE,
     RECORD_HEAD,
     Index,
@@ -77,21 +73,6 @@ _SURE = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE)
 
 _CONVERTED = {b"\x89MCAP0\n": "CRLF to LF", b"\x89MCAP0\r\r\n": "LF to CRLF"}
 """How a file begins whose line ends a program has converted that took it for a text."""
-
-_KINDS: dict[int, Any] = {
-    Opcode.HEADER: Header,
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
-    Opcode.STATISTICS: Statistics,
-    Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
-    Opcode.SUMMARY_OFFSET: SummaryOffset,
-    Opcode.DATA_END: DataEnd,
-    Opcode.FOOTER: Footer,
-}
-"""Small records, by opcode."""
 
 
 def contents_of(source: Source) -> Contents:
@@ -267,7 +248,7 @@ class _Scan:
         if opcode == Opcode.MESSAGE_INDEX:
             self._take_index(at, end, *stored_index(content, at))
             return
-        record, length = measured(_KINDS[opcode], content, at)
+        record, length = measured(KINDS[opcode], content, at)
         if length < len(content):
             self._check_end(at, end)
         if isinstance(record, Schema | Channel):
@@ -328,7 +309,7 @@ class _Scan:
             chunk = stored_chunk(record, at)
             content = opened(chunk, check=True)
             held = tally(content, index, at)
-            declared = [parsed(DECLARATIONS[opcode], body, at) for opcode, body in held.declared]
+            declared = [parsed(KINDS[opcode], body, at) for opcode, body in held.declared]
         except LogError as error:
             self._check_end(at, behind)
             found = self._finder.search(at + 1, behind)
