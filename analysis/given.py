@@ -32,5 +32,9 @@ def each_given(trips: Given | Iterable[Given]) -> Iterator[Trip | Path]:
         path = Path(given)
         inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
         if not inside:
-            raise InputError("the folder holds no logs (*.mcap)", file=path)
+            raise InputError(
+                "the folder holds no logs (*.mcap)",
+                file=path,
+                remedy="name another folder, or make logs of recordings with 'trainlog ingest'",
+            )
         yield from inside

@@ -86,8 +86,7 @@ def test_bad_files_are_refused_in_one_line(
     assert complaint.startswith("trainlog: ")
     assert bad.name in complaint
     assert "Traceback" not in complaint
-    left = [path for path in tmp_path.rglob("*") if path not in (*broken.values(), output)]
-    assert [path for path in left if path.is_file()] == []
+    assert [path for path in tmp_path.rglob("*") if path not in broken.values()] == []
 
 
 @pytest.mark.parametrize("kind", ["missing", "empty", "foreign", "nonsensical"])
@@ -222,6 +221,60 @@ def test_a_recording_is_not_overwritten_by_the_log_that_is_made_of_it(
     assert recording.read_bytes() == sample("gnss.csv").read_bytes()
 
 
+@pytest.mark.parametrize("command", ["ingest", "estimate", "import", "simulate"])
+def test_a_folder_for_results_named_as_a_file_is_refused(
+    command: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = {"simulate": [], "ingest": [sample("gnss.csv")]}.get(command, [sample("stopping.mcap")])
+    output = tmp_path / "trip.mcap"
+    status, _, complaint = run(monkeypatch, capsys, command, *given, "-o", output)
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert f"{output}: is the name of a .mcap file, and a folder is needed; name a" in complaint
+    assert not output.exists()
+
+
+def test_a_format_can_be_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("ingest", sample("gnss.csv"), "-o", tmp_path / "out", "--format")
+    status, _, complaint = run(monkeypatch, capsys, *words, "gnns")
+    assert status == 2
+    assert "no format 'gnns'" in complaint
+    status, _, complaint = run(monkeypatch, capsys, *words, "gpx")
+    assert status == 2
+    assert "gnss.csv" in complaint
+    status, _, _ = run(monkeypatch, capsys, *words, "ublox")
+    assert status == 0
+
+
+def test_a_damaged_log_is_reported_once_a_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = sample("nonstop.mcap").read_bytes()
+    half = tmp_path / "half.mcap"
+    half.write_bytes(log[: len(log) // 2])
+    for words in (
+        ("fit", half, "-o", tmp_path / "fit.json"),
+        ("map", "update", half, "--layer", "dry", "--map", tmp_path / "map.json"),
+        ("replay", half, "-o", tmp_path / "half.rrd", "--no-viewer"),
+    ):
+        status, _, complaint = run(monkeypatch, capsys, *words)
+        assert status == 0
+        assert complaint.count("trainlog: warning: ") == 1, words
+        assert complaint.startswith(f"trainlog: warning: {half}: is damaged: ")
+
+
+def test_a_folder_without_logs_is_refused_with_a_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, complaint = run(monkeypatch, capsys, "fit", tmp_path, "-o", tmp_path / "fit.json")
+    assert status == 2
+    assert "the folder holds no logs (*.mcap); name another folder, or make logs" in complaint
+
+
 def test_check_goes_on_behind_a_file_that_is_no_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -340,7 +393,9 @@ def test_what_a_value_may_be_is_told_in_our_own_words(
     )
     assert status == 2
     assert "Value error" not in complaint
-    assert "not one of 'recourse', 'common'; see 'trainlog --help'" in " ".join(complaint.split())
+    assert "not one of 'recourse', 'common'; see 'trainlog optimise --help'" in " ".join(
+        complaint.split()
+    )
 
 
 def test_a_demo_does_not_run_into_a_file(

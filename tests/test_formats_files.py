@@ -11,6 +11,7 @@ import pytest
 from trainlog.errors import InputError
 from trainlog.formats.files import (
     atomic_write,
+    output_folder,
     parse_json,
     read_bytes,
     read_json,
@@ -141,6 +142,10 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         (b"", "a.json: is empty; expected JSON"),
         (b" \n", "a.json: is empty; expected JSON"),
         (b'{"a": [1, 2', "a.json, line 1, column 12: the file ends in the middle: truncated?"),
+        (b'{"a": 1,\n "b": "cut he', "a.json, line 2, column 7: the file ends in the middle: trun"),
+        (b'{"a": tru', "a.json, line 1, column 7: the file ends in the middle: truncated?; copy"),
+        (b'{"a": 1.', "a.json, line 1, column 8: the file ends in the middle: truncated?; copy"),
+        (b'{"a": "caf\xc3', "a.json, byte 10: the file ends in the middle: truncated?; copy the"),
         (b'{"a": 1,\n "b": }', "a.json, line 2, column 7: is not JSON: Expecting value"),
         (b'{"a": 1}\n{', "a.json, line 2, column 1: is not JSON: Extra data"),
         (b'{"a": "caf\xe9"}', "a.json, byte 10: is not UTF-8 text"),
@@ -157,6 +162,34 @@ def test_text_that_is_not_json_is_refused_with_its_place(data: bytes, message: s
         parse_json(data, file="a.json")
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
+
+
+def test_a_folder_for_results_is_made_only_for_results(tmp_path: Path) -> None:
+    with output_folder(tmp_path / "a" / "b"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError), output_folder(tmp_path / "a" / "b"):
+        read_bytes(tmp_path / "gone")
+    assert list(tmp_path.iterdir()) == []
+    with output_folder(tmp_path / "a" / "b") as folder:
+        (folder / "note.txt").write_text("x")
+    assert (tmp_path / "a" / "b" / "note.txt").exists()
+    (tmp_path / "empty").mkdir()
+    with output_folder(tmp_path / "empty"):
+        pass
+    assert (tmp_path / "empty").is_dir(), "it was there before"
+
+
+def test_a_folder_for_results_has_not_the_name_of_a_file(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InputError, match=r"trip\.mcap: is the name of a \.mcap file.*name a folder"),
+        output_folder(tmp_path / "trip.mcap"),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "trip.mcap").mkdir()
+    with output_folder(tmp_path / "trip.mcap") as folder:
+        assert folder.is_dir()
 
 
 def test_a_byte_order_mark_is_no_mistake() -> None:

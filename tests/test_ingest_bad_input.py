@@ -13,7 +13,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from ingest_logs import PLAIN, clean_run, plain_profile, plain_rows, plain_text, ublox, write
 
 from trainlog.errors import InputError
-from trainlog.ingest import ingest, report_of
+from trainlog.formats.samples import sample
+from trainlog.ingest import ingest, ingest_each, report_of
 
 
 def refused(path: Path, message: str, **options: object) -> str:
@@ -83,10 +84,42 @@ def test_each_unusable_file_gives_one_line(tmp_path: Path, data: bytes, message:
 
 def test_missing_files_and_folders(tmp_path: Path) -> None:
     refused(tmp_path / "none.csv", "does not exist; check the path")
-    refused(tmp_path, "is a folder; check the path")
+    refused(tmp_path, "is a folder; name a file in it")
     for format in ("csv", "parquet", "ublox"):
         refused(tmp_path / "none.csv", "does not exist", format=format)
         refused(tmp_path, "is a folder", format=format)
+
+
+@pytest.mark.parametrize("old", [b"\r\n", b"\n"])
+def test_a_log_with_converted_line_ends_is_recognised(tmp_path: Path, old: bytes) -> None:
+    new = {b"\r\n": b"\n", b"\n": b"\r\n"}[old]
+    path = tmp_path / "run.mcap"
+    path.write_bytes(sample("stopping.mcap").read_bytes().replace(old, new))
+    refused(path, "byte 0: is an MCAP file whose line ends were converted.*binary mode")
+    refused(path, "byte 0: is an MCAP file whose line ends were converted", profile=None)
+
+
+def test_rows_that_run_backwards_in_time(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", plain_rows(3000)[::-1])
+    refused(path, "row 3: time decreases from row to row, at 2999 of 2999 steps; reverse the order")
+
+
+def test_a_wrong_column_names_the_profile_to_correct(tmp_path: Path) -> None:
+    profile = tmp_path / "mine.profile.toml"
+    wrong = (
+        sample("recorder.profile.toml")
+        .read_text()
+        .replace('columns = ["Date"', 'columns = ["xDate"', 1)
+    )
+    profile.write_text(wrong)
+    message = f"no column 'x.*; correct the profile {re.escape(str(profile))}$"
+    refused(sample("recorder.csv"), message, profile=profile)
+
+
+def test_the_profile_may_be_given_by_position(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", plain_rows())
+    assert ingest(path, plain_profile()).name == "run"
+    assert [trip.name for trip in ingest_each(path, plain_profile())] == ["run"]
 
 
 def test_unknown_formats_are_named(tmp_path: Path) -> None:

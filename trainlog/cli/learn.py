@@ -10,7 +10,7 @@ import typer
 from trainlog.cli.options import Logs, destination, logs_in
 from trainlog.cli.terminal import console, progress_bar, wrote
 from trainlog.errors import InputError
-from trainlog.formats.files import made_folder
+from trainlog.formats.files import made_folder, output_folder
 
 app = typer.Typer()
 map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
@@ -95,11 +95,10 @@ def estimate(
     """
     from analysis.estimates import estimate_log
 
-    with progress_bar() as progress:
+    with output_folder(output), progress_bar() as progress:
         for log in progress.track(logs_in(logs), description="estimating"):
             if (output / log.name).resolve() == log.resolve():
                 raise InputError("would be overwritten", file=log, remedy="name another folder")
-            made_folder(output)
             for refusal in estimate_log(log, output / log.name):
                 words = f"  not estimated: {refusal}"
                 progress.console.print(words, highlight=False, markup=False, soft_wrap=True)

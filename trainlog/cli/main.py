@@ -116,9 +116,8 @@ def main() -> None:
     """
     try:
         with warnings.catch_warnings():
-            # A log that a command reads twice is reported once.
-            warnings.simplefilter("once", UserWarning)
-            warnings.showwarning = _warn
+            warnings.simplefilter("always", UserWarning)
+            warnings.showwarning = _Once()
             status = run(sys.argv[1:])
     except TrainlogError as error:
         status = _complain(str(error))
@@ -126,7 +125,9 @@ def main() -> None:
         message = error.format_message() if hasattr(error, "format_message") else str(error)
         # Where a value is not one of several, its checker puts "Value error" before our message.
         message = message.replace("Value error, ", "")
-        status = _complain(f"{message.rstrip('.')}; see 'trainlog --help'")
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context is not None else "trainlog"
+        status = _complain(f"{message.rstrip('.')}; see '{command} --help'")
     except OSError as error:
         # The packages below turn the errors they expect into TrainlogError; this is a full disk, a
         # lost drive, a forbidden folder met elsewhere.
@@ -143,7 +144,20 @@ def _complain(message: str) -> int:
     return 2
 
 
-def _warn(message: Warning | str, *_: object, **__: object) -> None:
-    """One yellow line for a warning, such as that a log is damaged and what of it is lost."""
-    line = " ".join(f"trainlog: warning: {message}".split())
-    errors.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+class _Once:
+    """Shows each warning of a command in one yellow line, once; a damaged log once a file.
+
+    The filter "once" of `warnings` forgets what it has shown whenever a library changes filters,
+    and the account of a damaged log depends on which of its topics are read.
+    """
+
+    def __init__(self) -> None:
+        self._shown: set[str] = set()
+
+    def __call__(self, message: Warning | str, *_: object, **__: object) -> None:
+        line = " ".join(f"trainlog: warning: {message}".split())
+        file = getattr(message, "file", None)
+        known = line if file is None else str(Path(file).resolve())
+        if known not in self._shown:
+            self._shown.add(known)
+            errors.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)

@@ -182,7 +182,11 @@ def logs_in(paths: list[Path]) -> list[Path]:
     for path in paths:
         inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
         if not inside:
-            raise InputError("the folder holds no logs (*.mcap)", file=path)
+            raise InputError(
+                "the folder holds no logs (*.mcap)",
+                file=path,
+                remedy="name another folder, or make logs of recordings with 'trainlog ingest'",
+            )
         found += inside
     return found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -37,7 +38,7 @@ from trainlog.cli.terminal import (
     wrote,
 )
 from trainlog.errors import InputError, LogError
-from trainlog.formats.files import made_folder
+from trainlog.formats.files import output_folder
 from trainlog.trip import Trip
 
 app = typer.Typer()
@@ -112,9 +113,8 @@ def simulate(
             configurations=configurations or "hardest", weather=weather or "dry", late=late,
             condition_map=None if condition is None else read_map(condition), seed=seed,
         )  # fmt: skip
-    made_folder(output)
     followed = []
-    with progress_bar() as progress:
+    with output_folder(output), progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
             trip = drive(scenario)
             write_log(trip, output / f"{trip.name}.mcap")
@@ -147,6 +147,9 @@ def ingest(
     profile: Annotated[
         Path | None, typer.Option(help="TOML profile: columns, units, signs, time format.")
     ] = None,
+    format: Annotated[
+        str | None, typer.Option(help="Name of the format, such as csv; default: detected.")
+    ] = None,
     line: Annotated[Path | None, typer.Option(help="Line it was driven on, if known.")] = None,
     train: Annotated[Path | None, typer.Option(help="Train that drove, if known.")] = None,
     reverse: Annotated[
@@ -173,29 +176,30 @@ def ingest(
     distinct([recording.stem for recording in recordings], recordings)
     metadata = pairs(facts or [])
     written: set[Path] = set()
-    for recording in recordings:
-        shown: set[str] = set()
-        trips = ingest_each(
-            recording,
-            profile=profile,
-            line=the_line,
-            train=the_train,
-            direction="reverse" if reverse else None,
-            metadata=metadata,
-        )
-        for target, trip in _named(recording, output, trips):
-            _check_target(target, recording, recordings, written)
-            written.add(target)
-            made_folder(output)
-            write_log(trip, target)
-            console.print(about(trip), highlight=False, markup=False)
-            lines = [line for line in report_of(trip).lines() if line not in shown]
-            console.print(
-                *(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False
+    with output_folder(output):
+        for recording in recordings:
+            shown: set[str] = set()
+            trips = ingest_each(
+                recording,
+                profile,
+                format=format,
+                line=the_line,
+                train=the_train,
+                direction="reverse" if reverse else None,
+                metadata=metadata,
             )
-            # What the file holds besides its trips is shown with the first of them.
-            shown.update(line for line in lines if line.startswith("not used: "))
-            wrote(target)
+            for target, trip in _named(recording, output, trips):
+                _check_target(target, recording, recordings, written)
+                written.add(target)
+                write_log(trip, target)
+                console.print(about(trip), highlight=False, markup=False)
+                lines = [line for line in report_of(trip).lines() if line not in shown]
+                console.print(
+                    *(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False
+                )
+                # What the file holds besides its trips is shown with the first of them.
+                shown.update(line for line in lines if line.startswith("not used: "))
+                wrote(target)
 
 
 def _check_target(
@@ -255,9 +259,8 @@ def recover(
                 remedy="name a folder",
             )
         distinct([log.name for log in found], found)
-        made_folder(output)
     refused = 0
-    with progress_bar() as progress:
+    with output_folder(output) if several else nullcontext(), progress_bar() as progress:
         for log in progress.track(found, description="recovering"):
             target = output / log.name if several else destination(output, ".mcap")
             try:
@@ -285,9 +288,9 @@ def import_(
     """
     from trainlog.formats.ttobench import convert
 
-    made_folder(output)
-    for file in files:
-        wrote(convert(file, output))
+    with output_folder(output):
+        for file in files:
+            wrote(convert(file, output))
 
 
 @line_app.command("build")

@@ -10,7 +10,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -29,6 +29,24 @@ _REMEDIES = {
     errno.EFBIG: "write to a file system that holds files of this size",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
+
+_FILE_SUFFIXES = frozenset(
+    [
+        ".csv",
+        ".gpx",
+        ".html",
+        ".json",
+        ".mcap",
+        ".mf4",
+        ".nmea",
+        ".parquet",
+        ".png",
+        ".rrd",
+        ".toml",
+        ".txt",
+    ]
+)
+"""Suffixes of files that trainlog reads or writes: no folder is made that has one of them."""
 
 
 @contextmanager
@@ -184,6 +202,41 @@ def made_folder(path: str | os.PathLike[str]) -> Path:
     return made
 
 
+@contextmanager
+def output_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A folder to write several files to, made if need be; nothing is left of it if none came.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made, or its name is that of a file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as results:
+    ...     with output_folder(Path(results) / "trips") as folder:
+    ...         pass  # nothing is written
+    ...     folder.exists()
+    False
+    """
+    wanted = Path(path)
+    if wanted.suffix.lower() in _FILE_SUFFIXES and not wanted.is_dir():
+        raise InputError(
+            f"is the name of a {wanted.suffix} file, and a folder is needed",
+            file=wanted,
+            remedy=f"name a folder, such as {wanted.with_suffix('')}",
+        )
+    missing = [folder for folder in (wanted, *wanted.parents) if not folder.exists()]
+    try:
+        yield made_folder(wanted)
+    finally:
+        for folder in missing:
+            # Fails if something is in it: then it stays.
+            with suppress(OSError):
+                folder.rmdir()
+
+
 def sha256(data: bytes) -> str:
     """SHA-256 of `data`, as 64 hexadecimal digits.
 
@@ -242,6 +295,8 @@ def parse_json(data: bytes, *, file: str | Path) -> Any:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if error.reason == "unexpected end of data":
+            raise _truncated(file, f"byte {error.start}") from error
         found = mistaken_json(data[:LOOKED_AT])
         problem = "is not UTF-8 text" if found is None else f"is not JSON but {found}"
         raise InputError(
@@ -252,18 +307,37 @@ def parse_json(data: bytes, *, file: str | Path) -> Any:
     try:
         return json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
-        ends = error.pos >= len(text.rstrip())
+        place = f"line {error.lineno}, column {error.colno}"
+        if _ends_in_the_middle(error):
+            raise _truncated(file, place) from error
         raise InputError(
-            "the file ends in the middle: truncated?" if ends else f"is not JSON: {error.msg}",
+            f"is not JSON: {error.msg}",
             file=file,
-            place=f"line {error.lineno}, column {error.colno}",
-            remedy="copy the file again" if ends else "correct it there or just before",
+            place=place,
+            remedy="correct it there or just before",
         ) from error
     except InputError as error:
         place = error.place or _constant_place(text)
         raise InputError(error.problem, file=file, place=place, remedy=error.remedy) from error
     except RecursionError as error:
         raise InputError("is nested too deeply", file=file, remedy="expected JSON") from error
+
+
+def _truncated(file: str | Path, place: str) -> InputError:
+    return InputError(
+        "the file ends in the middle: truncated?",
+        file=file,
+        place=place,
+        remedy="copy the file again",
+    )
+
+
+def _ends_in_the_middle(error: json.JSONDecodeError) -> bool:
+    """Whether the text ceases to be JSON because it ends: in a string, a word, or between two."""
+    if error.msg.startswith("Unterminated string"):
+        return True
+    rest = error.doc[error.pos :].rstrip()
+    return error.msg != "Extra data" and re.fullmatch(r"[\w.+\\-]*", rest) is not None
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -469,7 +543,7 @@ def mistaken_log(start: bytes) -> tuple[str, str]:
     'is not an MCAP file but a bag of ROS 1'
     """
     if not start:
-        return "is empty", "expected a log in the MCAP format"
+        return "is empty", "give another log; was the recorder stopped at once?"
     for beginning, what, remedy in _BEGINNINGS:
         if start.startswith(beginning):
             return f"is not an MCAP file but {what}", remedy

@@ -22,7 +22,14 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
-from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions, suggestion
+from trainlog.ingest.profile import (
+    PROFILE_FORMAT,
+    Column,
+    MismatchError,
+    Profile,
+    TimeOptions,
+    suggestion,
+)
 from trainlog.ingest.recording import (
     NO_TIME,
     BoolArray,
@@ -217,7 +224,7 @@ class _Reader:
                 if series is not None:
                     values[source] = series
                 elif not column.optional:
-                    raise InputError(
+                    raise MismatchError(
                         f"topic {topic} has no field '{path}' (columns.\"{name}\")",
                         file=self.path,
                         remedy=suggestion(path, [str(each) for each in frame.columns], "fields"),
@@ -311,7 +318,7 @@ class _Reader:
                 )
         names = [*self.found.frames, *self.held]
         several = [name for name in self.found.frames if _plain(name) == topic]
-        return InputError(
+        return MismatchError(
             f"no topic '{topic}'" if not several else f"topic {topic} has several schemas",
             file=self.path,
             remedy=suggestion(topic, dict.fromkeys(several or names), "topics"),

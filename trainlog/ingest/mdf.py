@@ -24,7 +24,7 @@ import pyarrow as pa
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
-from trainlog.ingest.profile import WORDS, Column, Profile, suggestion
+from trainlog.ingest.profile import WORDS, Column, MismatchError, Profile, suggestion
 from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, field_of
 from trainlog.units import NANOSECONDS, factor
 
@@ -177,7 +177,7 @@ def _place(mdf: Any, channel: str, optional: bool, path: Path) -> Place | None:
         )
     if optional:
         return None
-    raise InputError(
+    raise MismatchError(
         f"no channel '{channel}'", file=path, remedy=suggestion(channel, known, "channels")
     )
 

@@ -17,7 +17,7 @@ from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.ingest.estimates import estimated_state
-from trainlog.ingest.profile import Limits, Profile, TripOptions, parse_profile
+from trainlog.ingest.profile import Limits, MismatchError, Profile, TripOptions, parse_profile
 from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
 from trainlog.ingest.registry import Format, format_of, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report
@@ -104,8 +104,8 @@ Direction = Literal["forward", "reverse"]
 
 def ingest(
     path: str | Path,
-    *,
     profile: str | Path | Profile | None = None,
+    *,
     format: str | None = None,
     line: Line | None = None,
     train: Train | None = None,
@@ -165,8 +165,8 @@ def ingest(
 
 def ingest_each(
     path: str | Path,
-    *,
     profile: str | Path | Profile | None = None,
+    *,
     format: str | None = None,
     line: Line | None = None,
     train: Train | None = None,
@@ -239,7 +239,15 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
     rules, carried = _profile(profile)
     chosen = format_of(source, format or (rules.file.format if rules else None))
     with _naming(source):
-        read = chosen.read(source, rules)
+        try:
+            read = chosen.read(source, rules)
+        except MismatchError as error:
+            if profile is None or isinstance(profile, Profile):
+                raise
+            remedy = f"{error.remedy}; correct the profile {profile}"
+            raise InputError(
+                error.problem, file=error.file, place=error.place, remedy=remedy
+            ) from error
     recordings = (read,) if isinstance(read, Recording) else tuple(read)
     if not recordings:
         raise InputError(

@@ -596,6 +596,10 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(inner)
 
 
+class MismatchError(InputError):
+    """A file lacks what its profile names: one of the two has to be corrected."""
+
+
 def suggestion(name: str, known: Iterable[str], what: str = "known") -> str:
     """Remedy for a name that is not among the `known` ones: close matches, then all of them."""
     names = [str(candidate) for candidate in known]

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Literal
 
 from trainlog.errors import InputError
+from trainlog.formats.files import refuse_reading
 from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
 from trainlog.ingest.mdf import is_mdf, read_mdf
@@ -29,6 +30,7 @@ from trainlog.ingest.recording import Recording
 from trainlog.ingest.rides import read_rides
 from trainlog.ingest.tabular import is_delimited, is_parquet, read_delimited, read_parquet
 from trainlog.ingest.tagged import read_tagged
+from trainlog.mcap.scan import converted_line_ends
 
 GROUP = "trainlog.ingest"
 """Group of entry points."""
@@ -200,10 +202,13 @@ def format_of(path: Path, name: str | None) -> Format:
     for candidate in known.values():
         if candidate.recognises(head):
             return candidate
+    converted = converted_line_ends(head)
+    if converted is not None:
+        raise InputError(converted[0], file=path, place="byte 0", remedy=converted[1])
     raise InputError(
         f"is of no format that trainlog knows; it begins with {head[:8].hex(' ')}",
         file=path,
-        remedy=f"formats: {', '.join(known)}; name one if you know better",
+        remedy=f"formats: {', '.join(known)}; name one (--format, format=) if you know better",
     )
 
 
@@ -213,10 +218,7 @@ def _head(path: Path) -> bytes:
         with path.open("rb") as stream:
             head = stream.read(HEAD)
     except OSError as error:
-        reason = "is a folder" if path.is_dir() else (error.strerror or str(error)).lower()
-        raise InputError(
-            reason if path.exists() else "does not exist", file=path, remedy="check the path"
-        ) from error
+        refuse_reading(path, error)
     if not head:
         raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
     return head

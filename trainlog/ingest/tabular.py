@@ -18,7 +18,7 @@ import pyarrow.parquet
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import recording_of, wanted_columns
-from trainlog.ingest.profile import FileOptions, Profile, suggestion
+from trainlog.ingest.profile import FileOptions, MismatchError, Profile, suggestion
 from trainlog.ingest.recording import SHOWN_ROWS, Cells, Finding, IntArray, Raw, Recording
 
 MAX_RAGGED = 0.5
@@ -146,14 +146,14 @@ class TextFile:
             )
         if name in self.options.aliases:
             spellings = self.options.aliases[name]
-            raise InputError(
+            raise MismatchError(
                 f"no column of the {name}",
                 file=self.path,
                 place=place,
                 remedy=f"expected one called {' or '.join(spellings)}",
             )
         alone = len(self.names) == 1
-        raise InputError(
+        raise MismatchError(
             f"no column '{name}'",
             file=self.path,
             place=place,
@@ -357,7 +357,7 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
         wanted = list(dict.fromkeys(wanted_columns(profile, names, path)))
         for name in wanted:
             if name not in names:
-                raise InputError(
+                raise MismatchError(
                     f"no column '{name}'", file=path, remedy=suggestion(name, names, "columns")
                 )
         data.seek(0)

@@ -110,17 +110,30 @@ def check_is_mcap(source: Source) -> None:
         return
     if source.read(max(0, source.size - len(MAGIC)), len(MAGIC)) == MAGIC:
         return
-    for magic, conversion in _CONVERTED.items():
-        if start.startswith(magic):
-            raise LogError(
-                f"is an MCAP file whose line ends were converted from {conversion}, as in a text",
-                place="byte 0",
-                remedy="copy it again in binary mode; in git, '*.mcap -text' in .gitattributes",
-            )
+    converted = converted_line_ends(start)
+    if converted is not None:
+        raise LogError(converted[0], place="byte 0", remedy=converted[1])
     searched = min(source.size, _SEARCHED)
     if Finder(source).search(0, searched) == searched:
         what, remedy = mistaken_log(start)
         raise LogError(what, place="byte 0", remedy=remedy)
+
+
+def converted_line_ends(start: bytes) -> tuple[str, str] | None:
+    r"""Problem and remedy if a file that begins with `start` is MCAP with converted line ends.
+
+    Examples
+    --------
+    >>> converted_line_ends(b"\x89MCAP0\n")[0]
+    'is an MCAP file whose line ends were converted from CRLF to LF, as in a text'
+    """
+    for magic, conversion in _CONVERTED.items():
+        if start.startswith(magic):
+            return (
+                f"is an MCAP file whose line ends were converted from {conversion}, as in a text",
+                "copy it again in binary mode; in git, '*.mcap -text' in .gitattributes",
+            )
+    return None
 
 
 def scanned(source: Source) -> Contents:
