@@ -48,6 +48,7 @@ def broken(tmp_path: Path) -> dict[str, Path]:
 
 COMMANDS: dict[str, list[str]] = {
     "fit": ["fit", "BAD", "-o", "OUT.json"],
+    "fit --per-trip": ["fit", "BAD", "-o", "OUT.json", "--per-trip", "OUT"],
     "estimate": ["estimate", "BAD", "-o", "OUT"],
     "map update": ["map", "update", "BAD", "--map", "OUT.json"],
     "map show": ["map", "show", "BAD", "--picture", "OUT.png"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,7 +11,7 @@ import typer
 from trainlog.cli.options import Logs, destination, logs_in
 from trainlog.cli.terminal import console, progress_bar, wrote
 from trainlog.errors import InputError
-from trainlog.formats.files import made_folder, output_folder
+from trainlog.formats.files import output_folder
 
 app = typer.Typer()
 map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
@@ -64,24 +65,24 @@ def fit(
         raise InputError(
             f"--cover {cover:g} must be above 0 and below 100", remedy="give a share in %"
         )
-    drawn = None if per_trip is None else made_folder(per_trip)
-    # Summaries first: the logs that they hold need not be read.
-    paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
-    with progress_bar() as progress:
-        given = progress.track(paths, description="fitting")
-        try:
-            fits = fit_trips(given, cover=cover / 100.0, most=configurations)
-        except AllRefusedError as error:
-            if drawn is not None:
-                wrote(*draw_each_refused(error.refused, drawn))
-            raise
-    write_parameters(fits.parameters, output)
-    write_summaries(fits.summaries, kept)
-    draw_fits(fits, shown)
-    console.print(fit_table(fits))
-    wrote(output, kept, shown)
-    if drawn is not None:
-        wrote(*draw_each(fits, drawn))
+    with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
+        # Summaries first: the logs that they hold need not be read.
+        paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
+        with progress_bar() as progress:
+            given = progress.track(paths, description="fitting")
+            try:
+                fits = fit_trips(given, cover=cover / 100.0, most=configurations)
+            except AllRefusedError as error:
+                if drawn is not None:
+                    wrote(*draw_each_refused(error.refused, drawn))
+                raise
+        write_parameters(fits.parameters, output)
+        write_summaries(fits.summaries, kept)
+        draw_fits(fits, shown)
+        console.print(fit_table(fits))
+        wrote(output, kept, shown)
+        if drawn is not None:
+            wrote(*draw_each(fits, drawn))
 
 
 @app.command(rich_help_panel="Learn")
