@@ -154,6 +154,17 @@ def test_wrong_words_are_explained_in_one_line(
     assert "--help" in complaint
 
 
+def test_a_cover_below_one_per_cent_is_taken_for_a_fraction_and_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("fit", sample("nonstop.mcap"), "-o", tmp_path / "p.json", "--cover", "0.95")
+    status, _, complaint = run(monkeypatch, capsys, *words)
+    assert status == 2
+    shown = "--cover 0.95 must be at least 1 and below 100; give a share in %, such as 95"
+    assert shown in " ".join(complaint.split())
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_timetable_that_cannot_be_kept_is_explained(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

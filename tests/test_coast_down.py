@@ -322,7 +322,20 @@ def test_the_command_tells_in_one_line_why_not(tmp_path: Path) -> None:
     with pytest.raises(NotIdentifiableError, match="coasting") as refusal:
         run(["coast-down", str(log), "-o", str(tmp_path / "r.json")])
     assert len(str(refusal.value).splitlines()) == 1
+    assert refusal.value.file == log
     assert not (tmp_path / "r.json").exists()
+    write_log(replace(trip, metadata={**trip.metadata, "trip": "again"}), tmp_path / "again.mcap")
+    with pytest.raises(NotIdentifiableError, match=r"\(logs short.mcap, again.mcap\)"):
+        coast_down([log, tmp_path / "again.mcap"])
+
+
+def test_what_is_not_distinguished_from_traction_is_stated_in_plain_words() -> None:
+    drive = [(50.0, 0.5), (60.0, -0.05), (30.0, -0.3), (40.0, 0.4), (90.0, -0.02), (30.0, -0.2)]
+    time, position, speed, _ = driven(HILLY, CURVE, drive, speed=12.0)
+    with pytest.raises(NotIdentifiableError) as refusal:
+        coast_down([recorded(time, position, speed, line=HILLY)])
+    words = "coasting could not be distinguished from slight traction or braking (gain"
+    assert words in str(refusal.value)
 
 
 # ------------------------------------------------------------------------------ gradient unknown

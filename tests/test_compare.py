@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from analysis.comparison import cost
-from analysis.comparison.cost import compare, punctuality, trip_cost
+from analysis.comparison.cost import compare, punctuality, savings_table, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
@@ -159,3 +159,22 @@ def test_nothing_comparable_is_reported() -> None:
     stopping = trip("driven-b", stop=True, configuration="b")
     with pytest.raises(LogError, match="driver: 'b' stopped 1x and 'driven-b' stopped 1x; needs"):
         compare([backwards, trip("b", stop=True)], [*followed, stopping])
+
+
+def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
+    path = sample("nonstop.mcap")
+    words = "trip 'trip-01' did not follow a trajectory; give trips recorded by"
+    with pytest.raises(LogError, match=words) as refused:
+        compare(path, path)
+    assert refused.value.file == path
+    with pytest.raises(LogError, match="'b' did not follow a trajectory, nor did 1 other;"):
+        compare([trip("a")], [trip("b"), trip("c")])
+    with pytest.raises(LogError, match="no trip that followed a trajectory was given"):
+        compare([trip("a")], [])
+
+
+def test_what_is_saved_is_named_as_saved_and_one_pair_is_one() -> None:
+    found = compare([trip("a", effort=60_000.0)], [trip("b", configuration="a")])
+    headings = [str(column.header) for column in savings_table(found).renderables[0].columns]
+    assert "saved from the line" in headings
+    assert "1 pair of trips" in repr(found)

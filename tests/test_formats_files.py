@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import trainlog
 from trainlog.errors import InputError
 from trainlog.formats.files import (
     atomic_write,
@@ -194,3 +195,29 @@ def test_a_folder_for_results_has_not_the_name_of_a_file(tmp_path: Path) -> None
 
 def test_a_byte_order_mark_is_no_mistake() -> None:
     assert parse_json(b'\xef\xbb\xbf{"a": 1}', file="a.json") == {"a": 1}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("write", "Trip"),
+        ("write_parquet", "Trip"),
+        ("write_line", "Line"),
+        ("write_journey", "Journey"),
+        ("write_train", "Train"),
+        ("write_consist", "Consist"),
+        ("write_map", "TrackConditionMap"),
+        ("write_parameters", "ParameterSet"),
+        ("write_trajectory", "Trajectory"),
+    ],
+)
+def test_what_a_file_cannot_hold_is_named(name: str, kind: str, tmp_path: Path) -> None:
+    write, path = getattr(trainlog, name), tmp_path / "file"
+    remedy = f"was given where a {kind} is expected; give the {kind} first, then the path"
+    with pytest.raises(InputError, match=rf"3 \(int\) {remedy}"):
+        write(3, path)
+    with pytest.raises(InputError, match=rf"^'a.mcap' \(str\) {remedy}"):
+        write("a.mcap", path)
+    with pytest.raises(InputError, match=rf"^a list {remedy}"):
+        write([], path)
+    assert not path.exists()

@@ -90,5 +90,5 @@ def test_refusals_say_why_in_a_word_and_show_where() -> None:
         if reason in timeline.masks:
             assert timeline.masks[reason].mean() > 0.9
     with pytest.raises(TripRefusedError) as caught:
-        fit_trip(trip(noise=1.0, seed=1), speeds=(0.5, 60.0))
+        fit_trip(trip(noise=1.0, seed=1), speeds=(0.5, 44.0))
     assert caught.value.reason == "excitation"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ from hypothesis import example, given, settings, strategies as st
 from numpy.typing import NDArray
 from resistance_trips import LINE, RESISTANCE, TRAIN, changed, constant_speed, random_trip, trip
 
+import analysis
 from analysis.estimates import with_estimates, without_wheel_error
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.coast_down import coast_down
@@ -20,7 +22,7 @@ from analysis.resistance.fit import mass_prior
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.regression import band_factor, curve_std, powers
 from analysis.resistance.windows import build_windows
-from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
@@ -395,7 +397,7 @@ def test_speeds_beyond_the_data_are_refused() -> None:
     fit = fit_trip(slow, speeds=(8.0, 18.0))
     assert in_band(fit, RESISTANCE)
     with pytest.raises(NotIdentifiableError, match="of itself only"):
-        fit_trip(trip(noise=1.0, seed=1), speeds=(0.5, 60.0))
+        fit_trip(trip(noise=1.0, seed=1), speeds=(0.5, 44.0))
 
 
 def test_bad_trips_are_refused() -> None:
@@ -457,3 +459,30 @@ def test_chainage_without_balises_is_left_alone() -> None:
     speed = np.full(time.size, 20.0)
     position = 1.01 * 20.0 * time
     np.testing.assert_array_equal(without_wheel_error(time, speed, position, 1.0), position)
+
+
+@pytest.mark.parametrize(
+    "speeds", [(30.0, 10.0), (-1.0, 20.0), (5.0, np.nan), (5.0, np.inf), (5.0,), 5.0, (5.0, 5.0)]
+)
+def test_speeds_that_bound_no_range_are_refused(speeds: Any) -> None:
+    for fitted in (fit_trip, analysis.fit):
+        with pytest.raises(InputError, match=r"must be a lowest and a higher, .* in m/s"):
+            fitted(sample("nonstop.mcap"), speeds)
+
+
+def test_speeds_in_kilometres_an_hour_are_refused() -> None:
+    for fitted in (fit_trip, analysis.fit):
+        with pytest.raises(InputError, match="give the speeds in m/s, not in km/h"):
+            fitted(sample("nonstop.mcap"), (40.0, 120.0))
+
+
+def test_a_log_is_fitted_as_the_trip_that_it_holds(tmp_path: Path) -> None:
+    path = sample("nonstop.mcap")
+    assert fit_trip(path).beta.tolist() == fit_trip(read_log(path)).beta.tolist()
+    with pytest.raises(InputError, match=r"3 \(int\) was given where a Trip or str or Path is"):
+        fit_trip(3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="is a folder; one trip is expected; give one log"):
+        fit_trip(tmp_path)
+    for one in (3, [3]):
+        with pytest.raises(InputError, match=r"3 \(int\) was given"):
+            analysis.fit(one)  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ from analysis.resistance import (
 )
 from analysis.resistance.combination import nearest_physical
 from analysis.resistance.fit import History
-from analysis.resistance.logs import AllRefusedError, fit
+from analysis.resistance.logs import AllRefusedError, fit, fit_table
 from analysis.resistance.plot import draw_each_refused, draw_fits, draw_refused, draw_trip
 from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals, powers
@@ -282,7 +282,9 @@ def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
     with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as stated:
         fit([tmp_path / "dull.mcap"])
     assert draw_each_refused(stated.value.refused, tmp_path) == [tmp_path / "dull.png"]
-    with pytest.raises(NotIdentifiableError, match="no log was given"):
+    with pytest.raises(
+        NotIdentifiableError, match=r"^no log was given; give logs, folders of logs, or"
+    ):
         fit([])
 
 
@@ -318,3 +320,21 @@ def test_five_times_twelve_simulated_trips() -> None:
     assert np.median(single) <= 0.08
     assert np.quantile(single, 0.9) <= 0.08
     assert np.all(np.array(twelve) <= 0.02)
+
+
+def test_a_cover_that_is_no_fraction_and_a_set_of_none_are_refused() -> None:
+    for cover in (95.0, -1.0, 0.0, 1.0, np.nan):
+        with pytest.raises(InputError, match="must be a fraction above 0 and below 1"):
+            fit(sample("nonstop.mcap"), cover=cover)
+    for most in (0, -3):
+        with pytest.raises(InputError, match=f"most {most} must be a whole number .* 1 or more"):
+            fit(sample("nonstop.mcap"), most=most)
+    with pytest.raises(InputError, match="a fraction above 0 and at most 1"):
+        parameter_set([], cover=95.0)
+
+
+def test_one_configuration_of_one_trip_is_stated_in_the_singular() -> None:
+    fits = fit(sample("nonstop.mcap"))
+    words = fit_table(fits).renderables
+    assert any("1 configuration stands for 1 trip: its worst" in str(each) for each in words)
+    assert "1 configuration, whose worst case bounds" in repr(fits)

@@ -99,6 +99,17 @@ def _points(
     return found
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things, in the singular or the plural.
+
+    Examples
+    --------
+    >>> counted(1, "trip"), counted(2, "trip")
+    ('1 trip', '2 trips')
+    """
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def span(values: ArrayLike, factor: float = 1.0, digits: int = 0) -> str:
     """Least and greatest of some values, as ``60 to 125``, or the one value that they all have.
 

@@ -8,13 +8,13 @@ other sample shows that the maximum is at least what is in use.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.given import Given, trip_of
 from estimators.adhesion import smoothed_force
 from estimators.slip import (
     SLOPE_RATE,
@@ -27,7 +27,6 @@ from estimators.slip import (
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
-from trainlog.mcap import read_log
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans
@@ -240,7 +239,7 @@ class SlipAnalysis:
         )
 
 
-def slip(trip: Trip | str | Path) -> SlipAnalysis:
+def slip(trip: Given) -> SlipAnalysis:
     """Slip, adhesion in use and slip events of a trip that carries its line and its train.
 
     Parameters
@@ -260,7 +259,7 @@ def slip(trip: Trip | str | Path) -> SlipAnalysis:
     >>> found.adhesion.shape[1], found.events["kind"].unique().tolist()
     (4, ['traction', 'braking'])
     """
-    trip = trip if isinstance(trip, Trip) else read_log(trip, TOPICS)
+    trip = trip_of(trip, TOPICS)
     train, line = train_of(trip), line_of(trip)
     frame = trip["/train/axles"]
     wheels, efforts = _recorded(trip, frame, train)

@@ -13,7 +13,7 @@ from rich.console import Group
 
 from analysis.given import Given, each_given
 from analysis.tables import kwh, new_table
-from trainlog.display import as_text
+from trainlog.display import as_text, counted
 from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
 from trainlog.mcap import read_log
@@ -346,7 +346,7 @@ class Comparison:
 
     @property
     def _title(self) -> str:
-        return f"Drivers beside the trajectory: {len(self.pairs)} pairs of trips"
+        return f"Drivers beside the trajectory: {counted(len(self.pairs), 'pair')} of trips"
 
     def _summary(self) -> dict[str, str]:
         spent, saved = self.total_saved
@@ -386,7 +386,7 @@ def compare(drivers: Given | Iterable[Given], followed: Given | Iterable[Given])
     Raises
     ------
     LogError
-        If no pair is comparable.
+        If no trip followed a trajectory, or no pair is comparable.
 
     Examples
     --------
@@ -400,11 +400,13 @@ def compare(drivers: Given | Iterable[Given], followed: Given | Iterable[Given])
     0.0
     """
     by_name = {_described(trip).name: trip for trip in each_given(drivers)}
+    candidates = [(_described(trip), trip) for trip in each_given(followed)]
+    candidates = _that_followed(candidates)
     pairs, unlike = [], list[tuple[int, str]]()
-    for trip in each_given(followed):
-        observed = by_name.get(_described(trip).metadata.get("configuration", ""))
+    for described, trip in candidates:
+        observed = by_name.get(described.metadata["configuration"])
         if observed is None:
-            name = _described(trip).name
+            name = described.name
             unlike.append((0, f"there is no trip of the configuration that '{name}' drove with"))
             continue
         driver, cost = trip_cost(observed), trip_cost(trip)
@@ -414,12 +416,29 @@ def compare(drivers: Given | Iterable[Given], followed: Given | Iterable[Given])
         else:
             unlike.append(differs)
     if not pairs:
-        nearest = max(unlike, key=lambda each: each[0], default=(0, "no trip followed one"))[1]
+        nearest = max(unlike, key=lambda each: each[0])[1]
         raise LogError(
             f"no trip that followed the trajectory has a comparable trip by a driver: {nearest}",
             remedy="needs one non-stop trip of the same configuration, direction and distance",
         )
     return Comparison(tuple(pairs))
+
+
+def _that_followed(trips: Sequence[tuple[Trip, Recorded]]) -> list[tuple[Trip, Recorded]]:
+    """The trips, each with its description first, that state the configuration they drove with."""
+    remedy = "give trips recorded by 'trainlog simulate --trajectory' or analysis.follow"
+    if not trips:
+        raise LogError("no trip that followed a trajectory was given", remedy=remedy)
+    followed = [each for each in trips if each[0].metadata.get("configuration")]
+    if followed:
+        return followed
+    described, recorded = trips[0]
+    others = f", nor did {counted(len(trips) - 1, 'other')}" if len(trips) > 1 else ""
+    raise LogError(
+        f"trip '{described.name}' did not follow a trajectory{others}",
+        file=None if isinstance(recorded, Trip) else recorded,
+        remedy=remedy,
+    )
 
 
 def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:
@@ -443,7 +462,7 @@ def savings_table(found: Comparison) -> Group:
     pairs = found.pairs
     title = "Tractive energy at the wheel rims, running time, how often slip protection acted"
     table = new_table(
-        title, "trip", "driver", "trajectory", "saved", "from the line", "behind it", "slips"
+        title, "trip", "driver", "trajectory", "saved", "saved from the line", "behind it", "slips"
     )
     for pair in pairs:
         driver, own = pair.driver, pair.trajectory
@@ -457,8 +476,8 @@ def savings_table(found: Comparison) -> Group:
             " / ".join("-" if each.slips is None else f"{each.slips}" for each in (driver, own)),
         )
     spent, saved = found.total_saved
-    trips = "1 trip" if len(pairs) == 1 else f"{len(pairs)} trips"
-    words = f"Saved on {trips}: {kwh(saved)} of {kwh(spent)}, {saved / spent:.1%};"
+    words = f"Saved on {counted(len(pairs), 'trip')}:"
+    words += f" {kwh(saved)} of {kwh(spent)}, {saved / spent:.1%};"
     words += f" {kwh(sum(pair.line for pair in pairs))} from the line; {running_times(found)}."
     return Group(table, words)
 

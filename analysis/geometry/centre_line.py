@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
-from trainlog.display import as_html, picture
+from trainlog.display import as_html, counted, picture
 from trainlog.errors import InputError
 from trainlog.ingest.chainage import Fixes, Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
@@ -114,8 +114,8 @@ class CentreLine:
         """What was found, in words."""
         known = self.support > 0
         found = [
-            f"{self.length / 1e3:.3f} km from {len(self.used)} trips, {self.fixes} fixes,"
-            f" {self.rejected} set aside",
+            f"{self.length / 1e3:.3f} km from {counted(len(self.used), 'trip')},"
+            f" {self.fixes} fixes, {self.rejected} set aside",
             f"standard deviation across the track {np.median(self.std[known]):.1f} m,"
             f" at most {self.std[known].max():.1f} m; {np.mean(self.support > 1):.0%} of the line"
             " rests on more than one trip",
@@ -344,7 +344,7 @@ def _centre_line(
     support = np.sum([_supported(at, places) for places in on_curve], axis=0)
     std = np.hypot(curve.std(at), _between(curve, used) / np.sqrt(np.maximum(support, 1)))
     quality = (
-        f"fitted to the satellite fixes of {len(used)} trips (standard deviation"
+        f"fitted to the satellite fixes of {counted(len(used), 'trip')} (standard deviation"
         f" {np.median(std[support > 0]):.1f} m across the track); not surveyed"
     )
     kept = thinned(position, points, TOLERANCE)

@@ -20,6 +20,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from trainlog.display import counted
 from trainlog.railway.geometry import to_plane
 from trainlog.trip import Trip
 
@@ -44,9 +45,10 @@ def draw_centre_line(centre_line: CentreLine, trips: Sequence[Trip], path: str |
     _curvature(bend, centre_line)
     _support(figure.add_subplot(grid[2], sharex=bend), centre_line)
     refused = f", {len(centre_line.refused)} refused" if centre_line.refused else ""
+    used = counted(len(centre_line.used), "trip")
     headline(
         figure,
-        f"{centre_line.length / KILOMETRE:.3f} km from {len(centre_line.used)} trips{refused},"
+        f"{centre_line.length / KILOMETRE:.3f} km from {used}{refused},"
         f" {centre_line.fixes} fixes, {centre_line.rejected} of them set aside",
     )
     write_figure(figure, path)

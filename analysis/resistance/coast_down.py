@@ -8,7 +8,8 @@ that differ widen the band instead of biasing it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,10 +36,11 @@ from analysis.resistance.coasting_fit import (
     fit_segments,
 )
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, random_effects
+from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.resistance.regression import LARGEST_STD, powers
 from analysis.tables import new_table
-from trainlog.display import as_text, span
+from trainlog.display import as_text, counted, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256_of
@@ -140,11 +142,14 @@ class Sources:
         For trips that carry none.
     digests : dict of str to str
         SHA-256 of the log of each trip that came from one, and of the file of the ``line``.
+    logs : tuple of Path
+        That were read.
     """
 
     trips: tuple[Trip, ...]
     line: Line | None
     digests: dict[str, str]
+    logs: tuple[Path, ...] = ()
 
     @staticmethod
     def of(
@@ -155,10 +160,12 @@ class Sources:
         """The trips and the line given, read where they are paths."""
         found: list[Trip] = []
         digests: dict[str, str] = {}
+        logs: list[Path] = []
         for given in each_given(trips):
             if isinstance(given, Trip):
                 found.append(given)
                 continue
+            logs.append(given)
             digest = sha256_of(given)
             for stretch in stretches(given, topics):
                 found.append(stretch.named())
@@ -167,7 +174,26 @@ class Sources:
         if isinstance(line, str | Path):
             digests["line"] = sha256_of(line)
             line = read_line(line)
-        return Sources(tuple(sorted(found, key=lambda trip: trip.name)), line, digests)
+        every = tuple(sorted(found, key=lambda trip: trip.name))
+        return Sources(every, line, digests, tuple(logs))
+
+    @contextmanager
+    def named_in_errors(self) -> Iterator[None]:
+        """What the trips do not determine is reported with the logs that were read."""
+        try:
+            yield
+        except NotIdentifiableError as error:
+            if not self.logs:
+                raise
+            names = ", ".join(log.name for log in self.logs[:3])
+            more = f" and {len(self.logs) - 3} more" if len(self.logs) > 3 else ""
+            alone = len(self.logs) == 1
+            raise NotIdentifiableError(
+                error.problem if alone else f"{error.problem} (logs {names}{more})",
+                file=self.logs[0] if alone else None,
+                place=error.place,
+                remedy=error.remedy,
+            ) from error
 
 
 def with_origin(result: CoastDownResult, digests: dict[str, str]) -> CoastDownResult:
@@ -212,7 +238,8 @@ def coast_down(
         If there is no speed or no chainage, no coasting is found, the train coasted too shortly or
         at one speed only, or the curve is not known to 10 % at the speeds asked for.
     InputError
-        If the trips are of different trains, or a trip appears twice.
+        If the trips are of different trains, a trip appears twice, or the speeds are not finite
+        or not in order.
     LogError
         If a trip carries no line and none is given.
 
@@ -222,7 +249,13 @@ def coast_down(
     >>> bool(found.curve.supported[1] > 25.0)
     True
     """
+    check_speeds(speeds)
     sources = Sources.of(trips, line)
+    with sources.named_in_errors():
+        return _coast_down(sources, speeds)
+
+
+def _coast_down(sources: Sources, speeds: tuple[float, float] | None) -> CoastDown:
     train, name = one_train(sources.trips)
     expected = MassRatio.expected(train)
     refused: dict[str, str] = {}
@@ -424,7 +457,8 @@ def check_not_empty(found: Sequence[object], refused: dict[str, str]) -> None:
     if found:
         return
     first = next(iter(refused.values()), "no trip was given")
-    others = f" (and {len(refused) - 1} more trips refused)" if len(refused) > 1 else ""
+    more = len(refused) - 1
+    others = f" (and {counted(more, 'more trip')} refused)" if more > 0 else ""
     raise NotIdentifiableError(f"no trip shows the running resistance by coasting{others}; {first}")
 
 

@@ -390,9 +390,9 @@ def detect(blocks: Sequence[Blocks], ratio: tuple[float, float]) -> Detection:
         )
     if evidence < EVIDENCE:
         raise NotIdentifiableError(
-            "no coasting was found: the motion is explained as well by a driver who always held"
-            f" some effort (log-likelihood gained by coasting {evidence:.1f}, needed"
-            f" {EVIDENCE:.0f})",
+            "no coasting was found: coasting could not be distinguished from slight traction"
+            f" or braking (gain in log-likelihood {evidence:.1f}, at least"
+            f" {EVIDENCE:.0f} is needed)",
             remedy="give a recording in which the train rolls freely for tens of seconds",
         )
     return Detection(segments, tuple(blocks), probabilities, theta, evidence)

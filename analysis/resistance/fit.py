@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from analysis.given import Given, trip_of
 from analysis.resistance.noise import Expected
 from analysis.resistance.power import power_limit
 from analysis.resistance.recording import (
@@ -30,6 +31,7 @@ from analysis.resistance.regression import (
 )
 from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
 from trainlog.display import as_html, as_text, picture, span
+from trainlog.errors import InputError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
 from trainlog.railway.line import Line, StepProfile
@@ -40,6 +42,9 @@ from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
+
+TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
+"""What is read of each log."""
 
 LOWEST_SPEED = 10.0
 """Lowest speed that is asked for unless the caller says otherwise [m/s]: below it a train is only
@@ -234,17 +239,17 @@ def curve_words(fit: Curve) -> str:
     )
 
 
-def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
+def fit_trip(trip: Given, speeds: tuple[float, float] | None = None) -> TripFit:
     """Fit running resistance and mass to a trip.
 
     Parameters
     ----------
-    trip : Trip
-        With ``/train/state`` and ``/train/controls``, its line and its train; ``/train/axles``
-        and ``/gnss/motion`` make the fit sharper.
+    trip : Trip or path
+        A trip at hand, or a log, with ``/train/state`` and ``/train/controls``, its line and its
+        train; ``/train/axles`` and ``/gnss/motion`` make the fit sharper.
     speeds : (float, float) [m/s], optional
-        Speeds between which the curve is asked for; default 10 m/s to the line's highest
-        speed that the train can do.
+        Speeds between which the curve is asked for, at most the highest that the line or the
+        train allows; default 10 m/s to the line's highest speed that the train can do.
 
     Returns
     -------
@@ -256,14 +261,18 @@ def fit_trip(trip: Trip, speeds: tuple[float, float] | None = None) -> TripFit:
         If the trip does not determine the curve; the message says why.
     LogError
         If the trip lacks its line or its train, or time does not increase.
+    InputError
+        If the speeds are not finite, not in order, or higher than line and train allow; or the
+        trip is neither a trip nor the path of a log.
 
     Examples
     --------
-    >>> import trainlog
-    >>> fit = fit_trip(trainlog.read("sample_logs/nonstop.mcap"))
+    >>> fit = fit_trip("sample_logs/nonstop.mcap")
     >>> bool(abs(fit.mass - 145e3) < 1e3), fit.windows["used"] > 800
     (True, True)
     """
+    check_speeds(speeds)
+    trip = trip_of(trip, TOPICS)
     check_recorded(trip)
     line, train = line_of(trip), train_of(trip)
     scale, origin = scale_of(trip), origin_of(trip)
@@ -310,8 +319,10 @@ def fit_evidence(
     ------
     TripRefusedError
         If the trip does not determine the curve.
+    InputError
+        If the speeds are higher than line and train allow.
     """
-    asked = speeds or (LOWEST_SPEED, _line_speed(line, train))
+    asked = _asked(speeds, line, train)
     windows, timeline = evidence.windows, evidence.timeline
     _check_windows(name, evidence)
     mass, mass_std = mass_prior(train)
@@ -403,8 +414,45 @@ def mass_prior(train: Train) -> tuple[float, float]:
     return train.mass + 0.5 * largest, largest
 
 
-def _line_speed(line: Line, train: Train) -> float:
-    return float(min(np.max(line.speed_limits.values), train.max_speed))
+def check_speeds(speeds: tuple[float, float] | None) -> None:
+    """Refuse speeds that bound no range.
+
+    Parameters
+    ----------
+    speeds : (float, float) [m/s] or None
+
+    Raises
+    ------
+    InputError
+        Unless 0 <= lowest < highest and both are finite.
+    """
+    if speeds is None:
+        return
+    try:
+        low, high = (float(speed) for speed in speeds)
+    except (TypeError, ValueError):
+        low = high = np.nan
+    if not 0.0 <= low < high < np.inf:
+        raise InputError(
+            f"speeds {speeds!r} must be a lowest and a higher, finite speed of 0 or more, in m/s",
+            remedy="give for instance speeds=(10.0, 30.0)",
+        )
+
+
+def _asked(speeds: tuple[float, float] | None, line: Line, train: Train) -> tuple[float, float]:
+    """Speeds [m/s] between which the curve is asked for."""
+    limits = float(np.max(line.speed_limits.values)), train.max_speed
+    if speeds is None:
+        return LOWEST_SPEED, min(limits)
+    check_speeds(speeds)
+    low, high = (float(speed) for speed in speeds)
+    if high > max(limits):
+        raise InputError(
+            f"speeds ({low:g}, {high:g}) m/s exceed what line and train allow,"
+            f" {max(limits):.1f} m/s ({KMH * max(limits):.0f} km/h)",
+            remedy="give the speeds in m/s, not in km/h",
+        )
+    return low, high
 
 
 def _digest(profile: StepProfile) -> str:

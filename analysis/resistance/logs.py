@@ -13,8 +13,16 @@ from rich.console import Group
 
 from analysis.given import Given, each_given
 from analysis.resistance.combination import SOFTWARE, CommonFit, combine, summarised
-from analysis.resistance.fit import TripFit, curve_words, fit_evidence, fit_trip, origin_of
-from analysis.resistance.observed import COVER, LISTED, parameter_set
+from analysis.resistance.fit import (
+    TOPICS,
+    TripFit,
+    check_speeds,
+    curve_words,
+    fit_evidence,
+    fit_trip,
+    origin_of,
+)
+from analysis.resistance.observed import COVER, LISTED, check_choice, parameter_set
 from analysis.resistance.recording import (
     ScaleSamples,
     SpeedScale,
@@ -26,7 +34,7 @@ from analysis.resistance.recording import (
 from analysis.resistance.regression import diagnosed
 from analysis.resistance.windows import Evidence, part_of, within
 from analysis.tables import new_table, with_band
-from trainlog.display import as_text, span
+from trainlog.display import as_text, counted, span
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
@@ -36,9 +44,6 @@ from trainlog.mcap.reader import stretches
 from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip, seconds
 from trainlog.units import KMH
-
-TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
-"""What is read of each log."""
 
 
 class AllRefusedError(NotIdentifiableError):
@@ -99,8 +104,8 @@ class Fits:
     def _title(self) -> str:
         accepted = int(np.count_nonzero(self.summaries["refused"] == ""))
         return (
-            f"Running resistance of {self.common.train}: {accepted}"
-            f" trip{'s' * (accepted != 1)} accepted, {len(self.summaries) - accepted} refused"
+            f"Running resistance of {self.common.train}: {counted(accepted, 'trip')} accepted,"
+            f" {len(self.summaries) - accepted} refused"
         )
 
     def _summary(self) -> dict[str, str]:
@@ -110,8 +115,8 @@ class Fits:
             "together": curve_words(common),
             "mass": f"{span(mass, 1e-3, 1)} t",
             "supported": f"{span(common.speed_range, KMH)} km/h",
-            "observed set": f"{len(found.configurations)} configurations, which bound"
-            f" {found.cover['level']:.1%} of trips like these",
+            "observed set": f"{counted(len(found.configurations), 'configuration')}, whose worst"
+            f" case bounds {found.cover['level']:.1%} of trips like these",
         }
         reasons = [f"{trip} ({error.reason})" for trip, error in self.refused.items()]
         if reasons:
@@ -175,9 +180,10 @@ def fit(
     speeds : (float, float) [m/s], optional
         Speeds between which the curve is asked for; see `fit_trip`.
     cover : float
-        Share of trips whose running times and energies the observed set is to bound.
+        Share of trips whose running times and energies the observed set is to bound, as a
+        fraction above 0 and below 1.
     most : int, optional
-        At most so many configurations in the set.
+        At most so many configurations in the set, 1 or more.
 
     Returns
     -------
@@ -187,10 +193,13 @@ def fit(
     ------
     AllRefusedError
         If no trip determines the curve; it holds why each does not.
+    NotIdentifiableError
+        If no log was given.
     LogError
         If a file is not a log, or a trip lacks its line or its train.
     InputError
-        If the trips are of different trains, one appears twice, or a file of summaries is none.
+        If the trips are of different trains, one appears twice, a file of summaries is none, or
+        `speeds`, `cover` or `most` is out of its range.
 
     Examples
     --------
@@ -200,17 +209,24 @@ def fit(
     >>> bool(abs(fits.common.resistance(25.0) / 12e3 - 1.0) < 0.2)
     True
     """
+    check_speeds(speeds)
+    check_choice(cover, most)
     read = _Read()
     for given in each_given(trips):
         read.add(given, speeds)
     rows = summarised(read.trips, read.refused, trains=read.trains, digests=read.digests)
     summaries = merged([*read.earlier, rows])
+    if summaries.empty:
+        raise NotIdentifiableError(
+            "the summaries that were given hold no trip" if read.earlier else "no log was given",
+            remedy="give logs, folders of logs, or summaries of earlier fits",
+        )
     if not (summaries["refused"] == "").any():
-        first = next(iter(summaries["message"]), "no log was given")
+        first = summaries["message"].iloc[0]
         others = len(summaries) - 1
         raise AllRefusedError(
             f"no trip determines the running resistance; {first}"
-            + (f"; nor do the other {others}" if others > 0 else ""),
+            + (f"; nor do{'es' * (others == 1)} {counted(others, 'other')}" if others else ""),
             remedy="give longer or more varied trips; 'trainlog fit --per-trip FOLDER' draws why"
             " each was refused",
             refused=read.refused,
@@ -355,11 +371,17 @@ def fit_table(fits: Fits) -> Group:
 def _observed_set(fits: Fits) -> list[str]:
     """What the observed set stands for."""
     found = fits.parameters
+    count = len(found.configurations)
     words = (
-        f"{len(found.configurations)} configurations stand for {found.cover['trips']} trips: their"
+        f"{counted(count, 'configuration')} stand{'s' * (count == 1)} for"
+        f" {counted(found.cover['trips'], 'trip')}: {'its' if count == 1 else 'their'}"
         f" worst case bounds {found.cover['level']:.1%} of trips like these"
     )
     if found.cover["level"] < found.cover["asked"]:
         words += f", fewer than the {found.cover['asked']:.1%} asked for"
-    known = f"{fits.known} logs were not read: their summaries are known." if fits.known else ""
-    return [f"{words}.", *([known] if known else [])]
+    if not fits.known:
+        return [f"{words}."]
+    were = (
+        "was not read: its summary is" if fits.known == 1 else "were not read: their summaries are"
+    )
+    return [f"{words}.", f"{counted(fits.known, 'log')} {were} known."]

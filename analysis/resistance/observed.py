@@ -45,6 +45,7 @@ from analysis.resistance.combination import (
 )
 from analysis.resistance.fit import TripFit
 from analysis.resistance.regression import powers
+from trainlog.errors import InputError
 from trainlog.formats.summaries import PARAMETERS, covariances_of, ordered, parameters_of
 from trainlog.railway.train import Configuration, ParameterSet
 
@@ -112,10 +113,10 @@ def parameter_set(
         others were, has the lower power of the two next in mass: so the set has the powers that
         were seen, and a few low ones more. Where none was, the train's file gives the power.
     cover : float
-        Share of trips whose running times and energies the set is to bound; as many
-        configurations as that takes.
+        Share of trips whose running times and energies the set is to bound, as a fraction above
+        0 and at most 1 (all trips); as many configurations as that takes.
     most : int, optional
-        At most so many configurations; the level that they reach is stated.
+        At most so many configurations, 1 or more; the level that they reach is stated.
     common : CommonFit, optional
         Of these trips, where it is at hand; default: `combine` makes it.
 
@@ -124,16 +125,17 @@ def parameter_set(
     NotIdentifiableError
         If there is no trip that determines the curve.
     InputError
-        If the trips belong to different trains, or one appears twice.
+        If the trips belong to different trains, one appears twice, or `cover` or `most` is out
+        of its range.
 
     Examples
     --------
-    >>> import trainlog
     >>> from analysis.resistance.fit import fit_trip
-    >>> found = parameter_set([fit_trip(trainlog.read("sample_logs/nonstop.mcap"))])
+    >>> found = parameter_set([fit_trip("sample_logs/nonstop.mcap")])
     >>> [each.name for each in found.configurations]
     ['trip-01']
     """
+    check_choice(cover, most, all_trips=True)
     every = ordered(trips) if isinstance(trips, pd.DataFrame) else summarised(trips)
     rows = accepted(every)
     common = common or combine(rows)
@@ -190,6 +192,34 @@ def parameter_set(
             "between": common.between.tolist(),
         },
     )
+
+
+def check_choice(cover: float, most: int | None, *, all_trips: bool = False) -> None:
+    """Refuse a share, or a number of configurations, that no set can be asked for.
+
+    Parameters
+    ----------
+    cover : float
+    most : int or None
+    all_trips : bool
+        Whether a `cover` of 1, all the trips given, may be asked for.
+
+    Raises
+    ------
+    InputError
+        Unless 0 < `cover` < 1, and `most` is None or an integer of 1 or more.
+    """
+    if not (0.0 < cover < 1.0 or (all_trips and cover == 1.0)):
+        end = "at most 1" if all_trips else "below 1"
+        raise InputError(
+            f"cover {cover:g} must be a fraction above 0 and {end}",
+            remedy="give for instance cover=0.95 for 95 % of trips",
+        )
+    if most is not None and (most < 1 or most != int(most)):
+        raise InputError(
+            f"most {most:g} must be a whole number of configurations, 1 or more",
+            remedy="give most=None for as many as the cover takes",
+        )
 
 
 def choose(features: FloatArray, cover: float, most: int | None = None) -> Chosen:

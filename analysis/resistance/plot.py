@@ -44,6 +44,7 @@ from analysis.resistance.fit import TripFit
 from analysis.resistance.logs import Fits
 from analysis.resistance.recording import Timeline, TripRefusedError
 from analysis.resistance.regression import LAGS, Residuals, diagnosed, powers
+from trainlog.display import counted
 from trainlog.formats.parameters import CoastDownResult
 from trainlog.formats.summaries import parameters_of
 from trainlog.units import KMH
@@ -71,12 +72,10 @@ def draw_fits(fits: Fits, path: str | Path) -> None:
     _observed(right, fits)
     _per_trip(below, fits)
     draw_correlation(corner, fits.common.covariance, "correlation of the mean's coefficients")
+    trips = counted(len(fits.common.trips), "trip")
     count = len(fits.summaries) - len(fits.common.trips)
     refused = f", {count} refused" if count else ""
-    headline(
-        figure,
-        f"{fits.common.train}: running resistance from {len(fits.common.trips)} trips{refused}",
-    )
+    headline(figure, f"{fits.common.train}: running resistance from {trips}{refused}")
     write_figure(figure, path)
 
 
@@ -150,7 +149,7 @@ def _per_trip(axes: Axes, fits: Fits) -> None:
     reach = 1.96 * np.sqrt(accepted["covariance_mass_mass"].to_numpy(np.float64)) / TONNE
     if len(accepted) > MOST_NAMED:
         axes.hist(mass, bins=40, color=SKY)
-        dress(axes, x="mass [t]", y="trips", title=f"mass of {len(accepted)} trips")
+        dress(axes, x="mass [t]", y="trips", title=f"mass of {counted(len(accepted), 'trip')}")
         return
     rows = np.arange(len(accepted))
     axes.errorbar(

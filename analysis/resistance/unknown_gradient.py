@@ -125,9 +125,14 @@ def coast_down_without_gradient(
     --------
     >>> coast_down_without_gradient("sample_logs/nonstop.mcap")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    trainlog.errors.NotIdentifiableError: with the gradient unknown, 26 passages over...
+    trainlog.errors.NotIdentifiableError: sample_logs/nonstop.mcap: with the gradient unknown,...
     """
     sources = Sources.of(trips, line, (*TOPICS, "/train/controls"))
+    with sources.named_in_errors():
+        return _without_gradient(sources, spans)
+
+
+def _without_gradient(sources: Sources, spans: Mapping[str, Spans] | None) -> CoastDownResult:
     _, train = one_train(sources.trips)
     parts: list[Passages] = []
     notes: list[dict[str, object]] = []

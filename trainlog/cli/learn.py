@@ -61,9 +61,10 @@ def fit(
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
     kept = destination(output.with_suffix(SUFFIX), SUFFIX)
-    if not 0.0 < cover < 100.0:
+    if not 1.0 <= cover < 100.0:
         raise InputError(
-            f"--cover {cover:g} must be above 0 and below 100", remedy="give a share in %"
+            f"--cover {cover:g} must be at least 1 and below 100",
+            remedy="give a share in %, such as 95",
         )
     with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
         # Summaries first: the logs that they hold need not be read.

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from trainlog.errors import InputError
-from trainlog.formats.files import plain, read_bytes, write_bytes
+from trainlog.formats.files import check_written, plain, read_bytes, write_bytes
 from trainlog.formats.parameters import Details
 from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
@@ -142,4 +142,5 @@ def write_map(condition: TrackConditionMap, path: str | Path) -> None:
     ...     read_map(Path(folder) / "copy.map.json").bins
     1183
     """
+    check_written(condition, TrackConditionMap)
     write_bytes(path, map_to_bytes(condition))

@@ -182,6 +182,39 @@ def read_bytes(path: str | Path) -> bytes:
         refuse_reading(path, error)
 
 
+def check_kind(value: object, *kinds: type, remedy: str | None = None) -> None:
+    """Refuse what is given where something of another kind is expected.
+
+    Raises
+    ------
+    InputError
+        If `value` is of none of the `kinds`; names what was given.
+
+    Examples
+    --------
+    >>> check_kind(3, str, Path)
+    Traceback (most recent call last):
+    trainlog.errors.InputError: 3 (int) was given where a str or Path is expected
+    """
+    if isinstance(value, kinds):
+        return
+    shown = repr(value) if isinstance(value, str | int | float | Path) or value is None else ""
+    expected = " or ".join(kind.__name__ for kind in kinds)
+    named = f"{shown[:80]} ({type(value).__name__})" if shown else f"a {type(value).__name__}"
+    raise InputError(f"{named} was given where a {expected} is expected", remedy=remedy)
+
+
+def check_written(value: object, kind: type) -> None:
+    """Refuse to write what is not of the kind that a file holds.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    check_kind(value, kind, remedy=f"give the {kind.__name__} first, then the path")
+
+
 def made_folder(path: str | os.PathLike[str]) -> Path:
     """A folder to write to, made if need be.
 

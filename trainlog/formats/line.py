@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.schema import (
     INFINITY,
     MISSING,
@@ -253,6 +253,7 @@ def write_line(line: Line, path: str | Path) -> None:
     ...     read_line(Path(folder) / "copy.line.json").name
     'CH_StGallen_Wil'
     """
+    check_written(line, Line)
     write_bytes(path, line_to_bytes(line))
 
 
@@ -357,4 +358,5 @@ def write_journey(journey: Journey, path: str | Path) -> None:
     ...     read_journey(Path(folder) / "r1.journey.json") == journey
     True
     """
+    check_written(journey, Journey)
     write_bytes(path, journey_to_bytes(journey))

@@ -14,7 +14,7 @@ from pydantic import Field, JsonValue
 
 from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
-from trainlog.formats.files import plain, read_bytes, shortest, write_bytes
+from trainlog.formats.files import check_written, plain, read_bytes, shortest, write_bytes
 from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Configuration, ParameterSet
@@ -210,6 +210,7 @@ def write_parameters(parameters: ParameterSet, path: str | Path) -> None:
     ...     read_parameters(Path(folder) / "flirt.parameters.json").configurations[0].mass
     122000.0
     """
+    check_written(parameters, ParameterSet)
     write_bytes(path, parameters_to_bytes(parameters))
 
 

@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from pydantic import Field
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.files import atomic_folder, read_bytes, sha256
+from trainlog.formats.files import atomic_folder, check_written, read_bytes, sha256
 from trainlog.formats.schema import File, Part
 from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
 from trainlog.topics import SCHEMA_VERSION, TOPICS, column_field
@@ -112,6 +112,7 @@ def write_parquet(trip: Trip, folder: str | Path) -> None:
     >>> again["/train/state"].equals(trip["/train/state"])
     True
     """
+    check_written(trip, Trip)
     with parquet_writer(folder) as writer:
         writer.add(trip)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.railway.resistance import RunningResistance
@@ -236,6 +236,7 @@ def write_train(train: Train, path: str | Path) -> None:
     ...     read_train(Path(folder) / "copy.train.json") == train
     True
     """
+    check_written(train, Train)
     write_bytes(path, train_to_bytes(train))
 
 
@@ -413,4 +414,5 @@ def write_consist(consist: Consist, path: str | Path) -> None:
     ...     read_consist(Path(folder) / "copy.consist.json").name
     'freight train, 24 wagons'
     """
+    check_written(consist, Consist)
     write_bytes(path, consist_to_bytes(consist))

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from trainlog.errors import InputError
-from trainlog.formats.files import plain, read_bytes, write_bytes
+from trainlog.formats.files import check_written, plain, read_bytes, write_bytes
 from trainlog.formats.parameters import ConfigurationPart, Details
 from trainlog.formats.schema import Array, File, FloatArray, Quantity, built
 from trainlog.railway.trajectory import Trajectory
@@ -136,4 +136,5 @@ def write_trajectory(trajectory: Trajectory, path: str | Path) -> None:
     >>> again.running_time
     100.0
     """
+    check_written(trajectory, Trajectory)
     write_bytes(path, trajectory_to_bytes(trajectory))

@@ -41,7 +41,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.files import atomic_write, writing_error
+from trainlog.formats.files import atomic_write, check_kind, check_written, writing_error
 from trainlog.mcap.chunks import Chunk, Plan, Stream, packed, plan_of, stream_of, topics_of
 from trainlog.mcap.records import (
     FORMAT_RECORD,
@@ -91,7 +91,7 @@ def write_log(
         If the trip cannot be written: a topic or column that the table does not have, times that
         run backwards, metadata that are not text.
     InputError
-        If `path` cannot be written.
+        If what is given is no trip, or `path` cannot be written.
 
     Examples
     --------
@@ -104,6 +104,7 @@ def write_log(
     >>> again["/train/state"].equals(trip["/train/state"])
     True
     """
+    check_written(trip, Trip)
     with LogWriter(path, threads=threads, sync=sync) as log:
         log.add(trip)
 
@@ -183,6 +184,7 @@ class LogWriter:
         InputError
             If the file cannot be written.
         """
+        check_kind(piece, Trip)
         with in_file(self._path):
             described = metadata_records(piece)
             if self._described is None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trainlog.display import as_html, as_text, picture, span
+from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -101,15 +101,16 @@ class TrackConditionMap:
     @property
     def _title(self) -> str:
         return (
-            f"Track-condition map of line '{self.line}', {self.bins} bins of {self.bin_length:g} m,"
-            f" from {len(self.trips)} trips"
+            f"Track-condition map of line '{self.line}', {counted(self.bins, 'bin')} of"
+            f" {self.bin_length:g} m, from {counted(len(self.trips), 'trip')}"
         )
 
     def _summary(self) -> dict[str, str]:
         rows = {}
         for name, layer in self.layers.items():
             known = layer.maximum_adhesion[layer.observed]
-            rows[name] = f"{known.size} bins observed, {int(layer.events.sum())} slip events" + (
+            slips = counted(int(layer.events.sum()), "slip event")
+            rows[name] = f"{counted(known.size, 'bin')} observed, {slips}" + (
                 f", maximum adhesion {span(known, 1.0, 3)}" if known.size else ""
             )
         return rows or {"layers": "none"}
