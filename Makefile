@@ -52,3 +52,4 @@ lock: $(READY)
 
 clean:
 	rm -rf .venv results build dist
+	find trainlog analysis estimators tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

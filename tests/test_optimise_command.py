@@ -97,7 +97,7 @@ def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_p
         (("--assumed-adhesion", "0.1"), "leave out --assumed-adhesion or give a map"),
         (("--dwell", "30"), "leave out --dwell or give a journey"),
         (("--running-time", "1200", "--reserve", "5"), "leave out --reserve"),
-        (("--reserve", "nan"), "must be 0 or more, not nan %; 7 per cent over the least time are"),
+        (("--reserve", "nan"), "must be 0 or more, not nan%; 7 per cent over the least time are"),
         ((*MAP, "--assumed-adhesion", "8"), "above 0 and at most 1, not 8"),
         (("--km", "5:3"), "from km 5.000 to km 3.000 is no section"),
         (("--km", "29:31"), "is no section of a line of 29.556 km"),

@@ -200,7 +200,7 @@ class TrajectoryProblem:
             )
         if not (reserve >= 0.0 and np.isfinite(reserve)):
             raise InputError(
-                f"{where}: the reserve must be 0 or more, not {100.0 * reserve:g} %",
+                f"{where}: the reserve must be 0 or more, not {100.0 * reserve:g}%",
                 remedy="7 per cent over the least time are 0.07 in Python, 7 on the command line",
             )
 
