@@ -326,9 +326,11 @@ def test_a_cover_that_is_no_fraction_and_a_set_of_none_are_refused() -> None:
     for cover in (95.0, -1.0, 0.0, 1.0, np.nan):
         with pytest.raises(InputError, match="must be a fraction above 0 and below 1"):
             fit(sample("nonstop.mcap"), cover=cover)
-    for most in (0, -3):
+    for most in (0, -3, 2.5):
         with pytest.raises(InputError, match=f"most {most} must be a whole number .* 1 or more"):
-            fit(sample("nonstop.mcap"), most=most)
+            fit(sample("nonstop.mcap"), most=most)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="cover '95 %' must be a fraction"):
+        fit(sample("nonstop.mcap"), cover="95 %")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="a fraction above 0 and at most 1"):
         parameter_set([], cover=95.0)
 

@@ -209,17 +209,24 @@ def check_choice(cover: float, most: int | None, *, all_trips: bool = False) -> 
     InputError
         Unless 0 < `cover` < 1, and `most` is None or an integer of 1 or more.
     """
-    if not (0.0 < cover < 1.0 or (all_trips and cover == 1.0)):
+    share = _number(cover)
+    if not (0.0 < share < 1.0 or (all_trips and share == 1.0)):
         end = "at most 1" if all_trips else "below 1"
         raise InputError(
-            f"cover {cover:g} must be a fraction above 0 and {end}",
+            f"cover {cover!r} must be a fraction above 0 and {end}",
             remedy="give for instance cover=0.95 for 95 % of trips",
         )
-    if most is not None and (most < 1 or most != int(most)):
+    if most is not None and not (_number(most) >= 1 and _number(most) % 1 == 0):
         raise InputError(
-            f"most {most:g} must be a whole number of configurations, 1 or more",
+            f"most {most!r} must be a whole number of configurations, 1 or more",
             remedy="give most=None for as many as the cover takes",
         )
+
+
+def _number(value: object) -> float:
+    """A number, or NaN for what is none."""
+    given = np.asarray(value)
+    return float(given) if given.ndim == 0 and given.dtype.kind in "iuf" else np.nan
 
 
 def choose(features: FloatArray, cover: float, most: int | None = None) -> Chosen:
