@@ -52,3 +52,16 @@ def test_every_public_function_and_class_has_an_example(name: str) -> None:
     public = {each: getattr(package, each) for each in package.__all__}
     without = [each for each, it in public.items() if callable(it) and ">>> " not in it.__doc__]
     assert without == []
+
+
+def test_objects_print_in_at_most_ten_lines() -> None:
+    trainlog = importlib.import_module("trainlog")
+    line = trainlog.read_line(trainlog.sample(trainlog.DEFAULT_LINE))
+    train = trainlog.read_train(trainlog.sample(trainlog.DEFAULT_TRAIN))
+    (scenario,) = trainlog.draw_scenarios(line, train, 1, seed=3)
+    trip = trainlog.read(trainlog.sample("nonstop.mcap"))
+    shown = (scenario, line, train, trip, line.geometry, line.gradients, line.curvatures)
+    for each in shown:
+        assert len(repr(each).splitlines()) <= 10
+        assert len(repr(each)) < 800, type(each)
+    assert repr(line.gradients) == "StepProfile of 153 steps, -0.0154 to 0.0159"

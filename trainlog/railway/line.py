@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trainlog.display import as_html, as_text, picture, span
+from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.resistance import curve_force_per_weight
 from trainlog.units import GRAVITY, KMH
@@ -55,6 +55,10 @@ class StepProfile:
     def __post_init__(self) -> None:
         _hold_as_arrays(self, "positions", "values")
         check_positions("profile", self.positions, self.values)
+
+    def __repr__(self) -> str:
+        low, high = float(self.values.min()), float(self.values.max())
+        return f"StepProfile of {counted(self.values.size, 'step')}, {low:g} to {high:g}"
 
     def __call__(self, position: ArrayLike) -> FloatArray:
         """Value at each position; ends are extended."""
@@ -120,6 +124,11 @@ class CurvatureProfile:
         _hold_as_arrays(self, "positions", "start", "end")
         check_positions("curvature", self.positions, self.start)
         check_positions("curvature", self.positions, self.end)
+
+    def __repr__(self) -> str:
+        sharpest = float(max(np.abs(self.start).max(), np.abs(self.end).max()))
+        radius = f"radius {1.0 / sharpest:.0f} m at least" if sharpest else "straight"
+        return f"CurvatureProfile of {counted(self.start.size, 'element')}, {radius}"
 
     def at(self, position: ArrayLike, length: float) -> FloatArray:
         """Curvature [1/m] at each position of a line of `length` [m]."""
@@ -208,6 +217,13 @@ class Geometry:
                 "geometry: a coordinate is beyond 90° of latitude or 180° of longitude",
                 remedy="give degrees, latitude first",
             )
+
+    def __repr__(self) -> str:
+        return (
+            f"Geometry of {counted(self.positions.size, 'point')}, {self.quality or 'no quality'},"
+            f" from {self.latitudes[0]:.5f}°, {self.longitudes[0]:.5f}°"
+            f" to {self.latitudes[-1]:.5f}°, {self.longitudes[-1]:.5f}°"
+        )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Geometry) and bool(

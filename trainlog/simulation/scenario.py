@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
 from trainlog.railway.condition import BIN_LENGTH
@@ -121,6 +122,17 @@ class Scenario:
     row: int = 0
     follows: Callable[[], Driver] | None = None
     locates: Callable[[Sensors, float], Locator] | None = None
+
+    def __repr__(self) -> str:
+        rows = {
+            "train": f"{self.train.name}, {self.mass / 1e3:.1f} t, {self.max_power / 1e3:.0f} kW",
+            "line": f"{self.line.name}, {self.direction}, {self.weather} rail",
+            "driver": "follows a trajectory"
+            if self.trajectory is not None
+            else f"keeps a timetable with {counted(len(self.stops), 'stop')}",
+            "seed": f"{self.seed}",
+        }
+        return as_text(f"Scenario '{self.name}'", rows)
 
     def __post_init__(self) -> None:
         if self.direction not in ("forward", "reverse"):
