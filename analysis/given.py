@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from trainlog.errors import InputError
-from trainlog.formats.files import check_kind
+from trainlog.formats.files import check_kind, logs_of
 from trainlog.mcap import read_log
 from trainlog.trip import Trip
 
@@ -34,15 +34,7 @@ def each_given(trips: Given | Iterable[Given]) -> Iterator[Trip | Path]:
         if isinstance(given, Trip):
             yield given
             continue
-        path = Path(given)
-        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-        if not inside:
-            raise InputError(
-                "the folder holds no logs (*.mcap)",
-                file=path,
-                remedy="name another folder, or make logs of recordings with 'trainlog ingest'",
-            )
-        yield from inside
+        yield from logs_of(Path(given))
 
 
 def trip_of(given: Given, topics: Sequence[str] | None = None) -> Trip:

@@ -33,11 +33,11 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from analysis.resistance.fit import TripFit, curve_words
+from analysis.resistance.fit import TripFit, curve_picture, curve_words
 from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import band_factor, curve_std, powers
 from trainlog import __version__
-from trainlog.display import as_html, as_text, picture, span
+from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.summaries import (
     COLUMNS,
@@ -362,11 +362,7 @@ class CommonFit:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        speed = np.linspace(0.0, self.asked[1], 100)
-        low, high = self.band(speed)
-        curves = {"running resistance [kN]": self.resistance(speed) / 1e3}
-        curves |= {"95 % band, lower": low / 1e3, "upper": high / 1e3}
-        return as_html(self._title, self._summary(), picture(speed, curves))
+        return as_html(self._title, self._summary(), curve_picture(self))
 
     @property
     def _title(self) -> str:

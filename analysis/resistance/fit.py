@@ -165,11 +165,7 @@ class TripFit:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        speed = np.linspace(0.0, self.asked[1], 100)
-        low, high = self.band(speed)
-        curves = {"running resistance [kN]": self.resistance(speed) / 1e3}
-        curves |= {"95 % band, lower": low / 1e3, "upper": high / 1e3}
-        return as_html(self._title, self._summary(), picture(speed, curves))
+        return as_html(self._title, self._summary(), curve_picture(self))
 
     @property
     def _title(self) -> str:
@@ -227,6 +223,18 @@ class Curve(Protocol):
 
     def std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation [N] at each speed [m/s]."""
+
+    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end [N] of the 95 % band of the whole curve at each speed [m/s]."""
+
+
+def curve_picture(fit: Curve) -> str:
+    """A curve with its band from standstill to the highest speed asked for, as a small SVG."""
+    speed = np.linspace(0.0, fit.asked[1], 100)
+    low, high = fit.band(speed)
+    curves = {"running resistance [kN]": fit.resistance(speed) / 1e3}
+    curves |= {"95 % band, lower": low / 1e3, "upper": high / 1e3}
+    return picture(speed, curves)
 
 
 def curve_words(fit: Curve) -> str:

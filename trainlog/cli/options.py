@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from trainlog.errors import InputError
+from trainlog.formats.files import logs_of
 from trainlog.units import NANOSECONDS
 
 if TYPE_CHECKING:
@@ -178,17 +179,7 @@ def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
 
 def logs_in(paths: list[Path]) -> list[Path]:
     """The logs named, and those in the folders named, in order of name."""
-    found: list[Path] = []
-    for path in paths:
-        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-        if not inside:
-            raise InputError(
-                "the folder holds no logs (*.mcap)",
-                file=path,
-                remedy="name another folder, or make logs of recordings with 'trainlog ingest'",
-            )
-        found += inside
-    return found
+    return [log for path in paths for log in logs_of(path)]
 
 
 FACTS = ("trip", "weather", "load", "clock")

@@ -182,6 +182,24 @@ def read_bytes(path: str | Path) -> bytes:
         refuse_reading(path, error)
 
 
+def logs_of(path: Path) -> list[Path]:
+    """The logs of a folder in order of name; a file stands for itself.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no log.
+    """
+    found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    if not found:
+        raise InputError(
+            "the folder holds no logs (*.mcap)",
+            file=path,
+            remedy="name another folder, or make logs of recordings with 'trainlog ingest'",
+        )
+    return found
+
+
 def check_kind(value: object, *kinds: type, remedy: str | None = None) -> None:
     """Refuse what is given where something of another kind is expected.
 
