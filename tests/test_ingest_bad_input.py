@@ -52,7 +52,8 @@ def refused(path: Path, message: str, **options: object) -> str:
         (plain_text(plain_rows()).replace("t,v,s", "t,v,v").encode(), "column 'v' comes 2 times"),
         (
             plain_text([row.rpartition(",")[0] for row in plain_rows()]).encode(),
-            "row 2: 20 of 20 rows do not have the header's 3 cells, the first has 2",
+            "row 2: 20 of 20 rows do not fit the header of row 1: it has 3 columns, they have 2"
+            " cells; the last name is 's'",
         ),
         (
             plain_text([row.replace("Z,", "Z,x") for row in plain_rows()]).encode(),

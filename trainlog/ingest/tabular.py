@@ -6,8 +6,10 @@ A file becomes columns of text (Parquet: of its own types), each row with its nu
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,54 @@ from trainlog.ingest.recording import SHOWN_ROWS, Cells, Finding, IntArray, Raw,
 
 MAX_RAGGED = 0.5
 """Share of rows with the wrong number of cells beyond which the delimiter is doubted."""
+
+
+SELDOM = 0.05
+"""Share of rows up to which those that end before the usual number of cells were cut off."""
+
+MOST_RAGGED = 1000
+"""Rows with the wrong number of cells from which on all rows are looked at."""
+
+LINE_FEED, QUOTE, BLANK = b'\n" '
+
+DELIMITER_REMEDY = "check delimiter under [file] of the profile"
+
+
+@dataclass
+class Parsed:
+    """Columns that were split into cells, and the rows that do not fit.
+
+    Attributes
+    ----------
+    table : pyarrow.Table
+    ragged : list of int
+        Rows of the body with another number of cells.
+    cells : list of int
+        How many they have.
+    lines : list of str
+        Their text.
+    """
+
+    table: pa.Table = field(default_factory=lambda: pa.table({}))
+    ragged: list[int] = field(default_factory=list)
+    cells: list[int] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+
+    def pass_over(self, row: pa.csv.InvalidRow) -> str:
+        """Take note of a row that does not fit; what pyarrow is to do with it."""
+        self.ragged.append(row.number - 1)
+        self.lines.append(row.text or "")
+        self.cells.append(row.actual_columns)
+        return "skip"
+
+    def fitting_but_for_empty_cells(self, named: int, delimiter: str) -> bool:
+        """Whether any of the rows has all named cells, and only empty ones beyond."""
+        if len(self.ragged) > MOST_RAGGED:
+            return True
+        return any(
+            count >= named and not "".join(next(csv.reader([line], delimiter=delimiter))[named:]).strip()
+            for count, line in zip(self.cells, self.lines, strict=True)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +91,8 @@ class TextFile:
         The rows of data, UTF-8, without comments and empty lines.
     rows : (n,) int64 array
         Row of the file for each row of the body.
+    named : int
+        How many columns there are up to the last that has a name or, in the first row, a value.
     """
 
     path: Path
@@ -49,6 +101,7 @@ class TextFile:
     header: int
     body: bytes
     rows: IntArray
+    named: int
 
     def cells(self, wanted: Iterable[str]) -> Cells:
         """The columns called `wanted`, as text; missing values are null.
@@ -61,28 +114,30 @@ class TextFile:
         names = list(dict.fromkeys(wanted))
         for name in names:
             self._check(name)
-        parsed = self._parsed(names, quotes=True)
-        if parsed is None:
-            # A single quotation mark swallowed line ends: then it is no more than a character.
-            parsed = self._parsed(names, quotes=False)
+        parsed = self._parsed(self.body, names)
+        cut = np.zeros(0, dtype=np.int64)
+        needed = max(self.named, *(self.names.index(name) + 1 for name in names))
+        if parsed is None or parsed.fitting_but_for_empty_cells(needed, self.options.delimiter):
+            body, cut = without_empty_cells(self.body, self.options.delimiter, needed)
+            parsed = self._parsed(body, names, self.names[:needed])
         if parsed is None:
             raise InputError(
                 "cannot be split into rows and cells",
                 file=self.path,
                 remedy=self._delimiter_remedy(),
             )
-        table, ragged, found, lines = parsed
+        ragged = np.union1d(np.array(parsed.ragged, dtype=np.int64), cut)
         if ragged.size > MAX_RAGGED * self.rows.size:
-            raise InputError(
-                f"{ragged.size} of {self.rows.size} rows do not have the header's"
-                f" {len(self.names)} cells, the first has {found}",
-                file=self.path,
-                place=f"row {self.rows[ragged[0]]}",
-                remedy=self._delimiter_remedy(),
-            )
+            raise self._misfit(parsed, ragged.size)
+        table = parsed.table
+        if cut.size:
+            fits = np.delete(np.arange(self.rows.size), parsed.ragged)
+            table = table.filter(pa.array(~np.isin(fits, cut)))
         first = tuple(int(row) for row in self.rows[ragged[:SHOWN_ROWS]])
         findings = (Finding("truncated_rows", ragged.size, first),) if ragged.size else ()
-        raw = Raw("truncated_rows", "", self.rows[ragged], np.array(lines, dtype=np.object_))
+        text = dict(zip(parsed.ragged, parsed.lines, strict=True)) | self._lines(cut)
+        lines = np.array([text[int(row)] for row in ragged], dtype=np.object_)
+        raw = Raw("truncated_rows", "", self.rows[ragged], lines)
         return Cells(
             table,
             np.delete(self.rows, ragged),
@@ -91,36 +146,46 @@ class TextFile:
             (raw,) if ragged.size else (),
         )
 
+    def _lines(self, numbers: IntArray) -> dict[int, str]:
+        """The text of the numbered rows of the body."""
+        if not numbers.size:
+            return {}
+        ends = np.flatnonzero(np.frombuffer(self.body, dtype=np.uint8) == LINE_FEED)
+        starts = np.append(0, ends + 1)
+        ends = np.append(ends, len(self.body))
+        return {
+            int(row): self.body[starts[row] : ends[row]].decode("utf-8", errors="replace")
+            for row in numbers
+        }
+
     def _parsed(
-        self, names: list[str], *, quotes: bool
-    ) -> tuple[pa.Table, IntArray, int, list[str]] | None:
-        """The named columns, the rows that do not fit, how many cells the first has, their text.
+        self, body: bytes, wanted: list[str], names: tuple[str, ...] | None = None
+    ) -> Parsed | None:
+        """The named columns of the body and the rows that do not fit; None if that cannot be."""
+        names = names or self.names
+        # A single quotation mark swallows line ends: then it is no more than a character.
+        return self._parsed_once(body, wanted, names, quotes=True) or self._parsed_once(
+            body, wanted, names, quotes=False
+        )
 
-        None if lines and rows do not correspond.
-        """
-        ragged: list[int] = []
-        lines: list[str] = []
-        cells_found: list[int] = [0]
-
-        def pass_over(row: pa.csv.InvalidRow) -> str:
-            ragged.append(row.number - 1)
-            lines.append(row.text or "")
-            cells_found.append(row.actual_columns)
-            return "skip"
-
+    def _parsed_once(
+        self, body: bytes, wanted: list[str], names: tuple[str, ...], *, quotes: bool
+    ) -> Parsed | None:
+        """As `_parsed`; None if lines and rows do not correspond."""
+        found = Parsed()
         try:
-            table = pa.csv.read_csv(
-                pa.BufferReader(self.body),
+            found.table = pa.csv.read_csv(
+                pa.BufferReader(body),
                 # Without threads the handler is given the number of the row.
-                read_options=pa.csv.ReadOptions(column_names=self.names, use_threads=False),
+                read_options=pa.csv.ReadOptions(column_names=names, use_threads=False),
                 parse_options=pa.csv.ParseOptions(
                     delimiter=self.options.delimiter,
                     quote_char='"' if quotes else False,
-                    invalid_row_handler=pass_over,
+                    invalid_row_handler=found.pass_over,
                 ),
                 convert_options=pa.csv.ConvertOptions(
-                    include_columns=names,
-                    column_types=dict.fromkeys(names, pa.string()),
+                    include_columns=wanted,
+                    column_types=dict.fromkeys(wanted, pa.string()),
                     null_values=list(self.options.missing),
                     strings_can_be_null=True,
                     quoted_strings_can_be_null=True,
@@ -128,9 +193,40 @@ class TextFile:
             )
         except pa.ArrowException:
             return None
-        if table.num_rows + len(ragged) != self.rows.size:
+        if found.table.num_rows + len(found.ragged) != self.rows.size:
             return None
-        return table, np.array(ragged, dtype=np.int64), cells_found[min(1, len(ragged))], lines
+        return found
+
+    def _misfit(self, parsed: Parsed, count: int) -> InputError:
+        """That too many rows do not fit the header, and why."""
+        first = parsed.ragged[0] if parsed.ragged else 0
+        usual, often = Counter(parsed.cells).most_common(1)[0]
+        each = f"{usual} cells" if often == count else f"{usual} cells in {often} of them"
+        remedy = self._delimiter_remedy()
+        names = f"{self.named} columns" if self.header else f"{self.named} cells"
+        if remedy == DELIMITER_REMEDY and usual > self.named:
+            comma = self.options.delimiter == "," and usual >= 2 * self.named - 2
+            remedy = (
+                "are the numbers written with a decimal comma? Then the file needs another"
+                " delimiter; write it with semicolons"
+                if comma
+                else f"name the {usual - self.named} columns that the header does not name, or"
+                " set header under [file] of the profile"
+            )
+        elif remedy == DELIMITER_REMEDY and usual > 1:
+            remedy = (
+                f"the last name is '{self.names[self.named - 1]}', the first such row is"
+                f" {parsed.lines[0][:60]!r}: remove the {self.named - usual} names without a"
+                " cell, or set header under [file] of the profile"
+            )
+        source = f"the header of row {self.header}" if self.header else "the first row"
+        return InputError(
+            f"{count} of {self.rows.size} rows do not fit {source}: it has {names}, they have"
+            f" {each}",
+            file=self.path,
+            place=f"row {self.rows[first]}",
+            remedy=remedy,
+        )
 
     def _check(self, name: str) -> None:
         count = self.names.count(name)
@@ -167,7 +263,7 @@ class TextFile:
         likely = max(others, key=sample.count)
         if sample.count(likely) > sample.count(self.options.delimiter):
             return f"set delimiter = {_shown(likely)} under [file] of the profile"
-        return "check delimiter under [file] of the profile"
+        return DELIMITER_REMEDY
 
 
 def _shown(mark: str) -> str:
@@ -203,14 +299,65 @@ def open_text(path: Path, options: FileOptions) -> TextFile:
             remedy="record again; was the recorder stopped at once?",
         )
     first = _split(body[: _line_end(body)], options.delimiter)
+    # Columns without a name may hold values.
+    used = [name or cell for name, cell in zip_longest(names, first[: len(names) or None])]
+    named = max((number for number, text in enumerate(used, start=1) if text), default=0)
     if not header:
         names = tuple(str(number) for number in range(1, len(first) + 1))
-    # A delimiter at the end of every row of data, or of the header alone, makes no column.
-    if len(names) == len(first) + 1 and not names[-1]:
-        names = names[:-1]
-    elif len(first) == len(names) + 1 and not first[-1]:
-        names = (*names, "")
-    return TextFile(path, options, options.named(names), header, body, rows)
+    # Delimiters at the end of the header, of the rows of data or of both make no columns.
+    if not any(names[len(first) :]) and not any(first[len(names) :]):
+        names = (*names, *[""] * (len(first) - len(names)))[: max(len(first), named)]
+    return TextFile(path, options, options.named(names), header, body, rows, named)
+
+
+def without_empty_cells(body: bytes, delimiter: str, named: int) -> tuple[bytes, IntArray]:
+    """The rows of a text with their empty cells beyond the first `named` taken away.
+
+    Parameters
+    ----------
+    body : bytes
+        Rows that end with a line feed.
+
+    Returns
+    -------
+    bytes
+        Rows with other than empty cells there, or with fewer cells, as they were.
+    (k,) int64 array
+        Rows that have all named cells, but fewer empty ones than usual, as no more than `SELDOM` of
+        the rows have: they were cut off, perhaps within their last cell.
+    """
+    buffer = np.frombuffer(body if body.endswith(b"\n") else body + b"\n", dtype=np.uint8)
+    ends = np.flatnonzero(buffer == LINE_FEED)
+    starts = np.append(0, ends[:-1] + 1)
+    marks = np.flatnonzero(buffer == ord(delimiter))
+    quotes = np.flatnonzero(buffer == QUOTE)
+    if quotes.size:
+        # Delimiters between quotation marks of a row part no cells.
+        row = np.searchsorted(ends, marks)
+        opened = np.searchsorted(quotes, marks) - np.searchsorted(quotes, starts[row])
+        marks = marks[opened % 2 == 0]
+    before = np.searchsorted(marks, starts)
+    cells = np.searchsorted(marks, ends) - before + 1
+    last = ends.copy()
+    more = np.flatnonzero(cells > named)
+    last[more] = marks[before[more] + named - 1]
+    full = ends.copy()
+    while more.size:
+        more = more[np.isin(buffer[full[more] - 1], (ord(delimiter), BLANK))]
+        full[more] -= 1
+        more = more[full[more] > last[more]]
+    whole = (cells > named) & (full <= last)
+    counts = np.bincount(cells[(cells >= named) & (whole | (cells == named))])
+    usual = int(np.argmax(counts)) if counts.size else named
+    seldom = np.flatnonzero(counts <= SELDOM * ends.size)
+    short = (cells >= named) & (cells < usual) & np.isin(cells, seldom)
+    cut = np.where(whole, last, ends)
+    # One is added wherever a row's kept part begins or its dropped part ends.
+    change = np.zeros(buffer.size + 1, dtype=np.int8)
+    change[cut[whole]] += 1
+    change[ends[whole]] -= 1
+    kept = np.cumsum(change[:-1], dtype=np.int8) == 0
+    return buffer[kept].tobytes(), np.flatnonzero(short)
 
 
 def _utf8(path: Path, data: bytes, encoding: str) -> bytes:

@@ -1,0 +1,207 @@
+"""Delimited text whose header and rows differ by empty cells, and rows that really do not fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
+from ingest_logs import clean_run, plain_profile, plain_rows, plain_text
+from recorder_files import MTK_HEADER, mtk
+
+from trainlog.errors import InputError
+from trainlog.ingest import Profile, ingest, repairs_of, report_of
+from trainlog.ingest.tabular import without_empty_cells
+from trainlog.trip import Trip
+
+FILES = settings(
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+def read(tmp_path: Path, rows: list[str], header: str, profile: Profile | None = None) -> Trip:
+    path = tmp_path / "run.csv"
+    path.write_text(plain_text(rows, header), "utf-8")
+    return ingest(path, profile=profile or plain_profile())
+
+
+# ------------------------------------------------------------------ empty cells
+
+
+@FILES
+@given(st.data())
+def test_empty_cells_at_the_end_make_no_difference(tmp_path: Path, data: st.DataObject) -> None:
+    """The header's and every row's number of empty cells is drawn; blanks may stand in them."""
+    mark = data.draw(st.sampled_from([",", ";", "\t"]))
+    empty = st.lists(st.sampled_from(["", "", " "]), max_size=6)
+    run = clean_run(60, 1.0)
+    drawn = [data.draw(empty) for _ in range(data.draw(st.integers(1, 4)))]
+    header = mark.join(["t", "v", "s", *data.draw(empty)])
+    rows = [
+        mark.join([*row.split(","), *drawn[i % len(drawn)]]) for i, row in enumerate(run.rows())
+    ]
+    trip = read(tmp_path, rows, header, plain_profile(file={"delimiter": mark}))
+    report = report_of(trip)
+    assert report.findings == ()
+    assert (report.rows_read, report.rows_kept) == (60, 60)
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+    np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
+
+
+@pytest.mark.parametrize("header", [0, 1, 3, 7])
+@pytest.mark.parametrize("rows", [0, 1, 2, 5, 9])
+def test_mtk_headers_end_in_cells_that_rows_do_not_have(
+    tmp_path: Path, header: int, rows: int
+) -> None:
+    made = mtk(1, before=20)
+    path = tmp_path / "run.csv"
+    first, *others = made.text.splitlines()
+    assert first == MTK_HEADER
+    lines = [first + "," * header, *(row + "," * rows for row in others)]
+    path.write_text("\n".join(lines) + "\n", "ascii")
+    trip = ingest(path)
+    report = report_of(trip)
+    assert report.rows_dropped == 20
+    assert {rule: report.count(rule) for rule in made.defects} == made.defects
+    np.testing.assert_allclose(trip["/gnss/fix"]["latitude"], made.truth.latitude, atol=1e-9)
+
+
+def test_a_row_that_was_cut_within_its_last_value_is_not_used(tmp_path: Path) -> None:
+    """All rows end in empty cells: one that does not was cut off, and its last value with it."""
+    rows = [f"{row},,," for row in plain_rows(100)]
+    whole = rows[40]
+    rows[40] = whole.rstrip(",")[:-2]
+    trip = read(tmp_path, rows, "t,v,s,,,")
+    assert report_of(trip).lines()[:2] == [
+        "100 rows read, 99 kept, 1 dropped",
+        "truncated_rows: 1 (rows 42)",
+    ]
+    assert repairs_of(trip)["raw_text"].iloc[0] == rows[40]
+
+
+def test_cut_rows_are_dropped_whatever_the_empty_cells(tmp_path: Path) -> None:
+    run = clean_run(100, 1.0)
+    rows = [row + "," * (i % 3) for i, row in enumerate(run.rows())]
+    rows[20], rows[50], rows[98] = rows[20][:25], rows[50] + ",,,x", rows[98].split(",")[0]
+    trip = read(tmp_path, rows, "t,v,s,,")
+    report = report_of(trip)
+    assert report.count("truncated_rows") == report.rows_dropped == 3
+    assert sorted(repairs_of(trip)["row"]) == [22, 52, 100]
+    assert list(repairs_of(trip)["raw_text"]) == [rows[20], rows[50], rows[98]]
+    kept = np.delete(np.arange(100), [20, 50, 98])
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed[kept])
+
+
+def test_delimiters_between_quotation_marks_part_no_cells(tmp_path: Path) -> None:
+    run = clean_run(60, 1.0)
+    rows = [f'"a,,b,",{row}{"," * (i % 2)}' for i, row in enumerate(run.rows())]
+    trip = read(tmp_path, rows, "note,t,v,s,,")
+    assert report_of(trip).findings == ()
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+
+
+def test_empty_cells_in_front_of_the_last_name_stay(tmp_path: Path) -> None:
+    """They are values that are absent, not cells to be taken away."""
+    rows = [f"{row},,,,," for row in plain_rows(60)]
+    header = "t,v,s,,doors,,"
+    columns = {"/train/controls.lever": {"column": "doors", "unit": "1"}}
+    trip = read(tmp_path, rows, header, plain_profile(columns=columns | plain_columns()))
+    assert report_of(trip).counts == {"empty": 60}
+
+
+def plain_columns() -> dict[str, object]:
+    return {
+        "/train/state.speed": {"column": "v", "unit": "m/s"},
+        "/train/state.position": {"column": "s", "unit": "m"},
+    }
+
+
+def test_files_without_a_header_may_end_rows_as_they_like(tmp_path: Path) -> None:
+    run = clean_run(60, 1.0)
+    rows = [row + "," * (4 - i % 4) for i, row in enumerate(run.rows())]
+    columns = {
+        "/train/state.speed": {"column": "2", "unit": "m/s"},
+        "/train/state.position": {"column": "3", "unit": "m"},
+    }
+    profile = plain_profile(file={"header": 0}, time={"column": "1"}, columns=columns)
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(rows) + "\n", "utf-8")
+    trip = ingest(path, profile=profile)
+    assert report_of(trip).findings == ()
+    np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
+
+
+@given(
+    st.lists(st.lists(st.sampled_from(["1", "", " ", "ab"]), min_size=1, max_size=8), min_size=1),
+    st.integers(1, 6),
+)
+def test_rows_keep_their_named_cells(rows: list[list[str]], named: int) -> None:
+    body = "\n".join(",".join(row) for row in rows).encode()
+    kept, cut = without_empty_cells(body, ",", named)
+    found = kept.decode().split("\n")[: len(rows)]
+    assert len(found) == len(rows)
+    for row, text in zip(rows, found, strict=True):
+        blank = not "".join(row[named:]).strip()
+        assert text.split(",") == (row[:named] if blank else row)
+    assert all(len(rows[place]) >= named for place in cut)
+
+
+# ------------------------------------------------------------------ rows that do not fit
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "problem", "remedy"),
+    [
+        (
+            "t,v,s,a,b,,,",
+            "{row}",
+            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 5 columns, they have"
+            r" 3 cells",
+            r"the last name is 'b', .* remove the 2 names without a cell",
+        ),
+        (
+            "t,v,s,,",
+            "{row},7,8,9,6",
+            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 5 columns, they have"
+            r" 7 cells",
+            r"name the 2 columns that the header does not name",
+        ),
+        (
+            "t,v,s",
+            "{row};1",
+            r"row 2: 60 of 60 rows do not fit the header of row 1: it has 3 columns, they have"
+            r" 5 cells",
+            r"decimal comma",
+        ),
+    ],
+)
+def test_the_message_names_the_cause(
+    tmp_path: Path, header: str, row: str, problem: str, remedy: str
+) -> None:
+    rows = [row.format(row=text) for text in plain_rows(60)]
+    if "comma" in remedy:
+        rows = [text.partition(",")[0] + ",12,5,1000,25" for text in plain_rows(60)]
+    with pytest.raises(InputError, match=f"{problem}.*{remedy}"):
+        read(tmp_path, rows, header)
+
+
+def test_the_commonest_number_of_cells_is_stated(tmp_path: Path) -> None:
+    rows = plain_rows(60)
+    some = [row if i % 3 else f"{row},9,9" for i, row in enumerate(rows)]
+    assert report_of(read(tmp_path, some, "t,v,s")).count("truncated_rows") == 20
+    every = [f"{row},9,9" if i % 3 else f"{row},9,9,9" for i, row in enumerate(rows)]
+    words = "60 of 60 rows .* it has 3 columns, they have 5 cells in 40 of them"
+    with pytest.raises(InputError, match=words):
+        read(tmp_path, every, "t,v,s")
+
+
+def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:
+    """Where the header has empty cells for them, they may hold values."""
+    run = clean_run(60, 1.0)
+    rows = [f"{row},7,8" + "," * (i % 4) for i, row in enumerate(run.rows())]
+    trip = read(tmp_path, rows, "t,v,s,,")
+    assert report_of(trip).findings == ()
+    np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
