@@ -69,10 +69,12 @@ class Parsed:
         """Whether any of the rows has all named cells, and only empty ones beyond."""
         if len(self.ragged) > MOST_RAGGED:
             return True
-        return any(
-            count >= named and not "".join(next(csv.reader([line], delimiter=delimiter))[named:]).strip()
+        fitting = (
+            line
             for count, line in zip(self.cells, self.lines, strict=True)
+            if count >= named and not any(_split(line.encode(), delimiter)[named:])
         )
+        return any(True for _ in fitting)
 
 
 @dataclass(frozen=True, eq=False)
