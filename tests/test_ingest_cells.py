@@ -106,8 +106,8 @@ def test_delimiters_between_quotation_marks_part_no_cells(tmp_path: Path) -> Non
 def test_empty_cells_in_front_of_the_last_name_stay(tmp_path: Path) -> None:
     """They are values that are absent, not cells to be taken away."""
     rows = [f"{row},,,,," for row in plain_rows(60)]
-    header = "t,v,s,,doors,,"
-    columns = {"/train/controls.lever": {"column": "doors", "unit": "1"}}
+    header = "t,v,s,,lever,,"
+    columns = {"/train/controls.lever": {"column": "lever", "unit": "1"}}
     trip = read(tmp_path, rows, header, plain_profile(columns=columns | plain_columns()))
     assert report_of(trip).counts == {"empty": 60}
 
