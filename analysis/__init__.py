@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from analysis.control.follow import Follower as Follower, follow as follow
     from analysis.estimates import with_estimates as with_estimates
     from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
+    from analysis.passports import passport as passport
     from analysis.reporting import report as report
     from analysis.resistance import (
         TripRefusedError as TripRefusedError,
@@ -57,6 +58,7 @@ _NAMES = {
     "analysis.trajectory.phases": "advice phases_of",
     "analysis.control.follow": "follow Follower",
     "analysis.comparison.cost": "compare",
+    "analysis.passports": "passport",
     "analysis.reporting": "report",
     "analysis.estimates": "with_estimates",
     "analysis.geometry.centre_line": "geometry_of line_of",

@@ -31,6 +31,9 @@ LINE_ATTACHMENT = "line.json"
 TRAIN_ATTACHMENT = "train.json"
 """Attachment that holds the train, in trainlog's train format."""
 
+PASSPORT_ATTACHMENT = "passport.json"
+"""Attachment that holds what was found of the trip's recorder and of its load."""
+
 SCENARIO_ATTACHMENT = "scenario.json"
 """Attachment that holds the truth of a simulated trip."""
 

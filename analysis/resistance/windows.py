@@ -219,6 +219,31 @@ def build_windows(recording: Recording, width: float = WINDOW) -> Windows:
     )
 
 
+def effort_impulse(
+    recording: Recording, windows: Windows, shifts: FloatArray, width: float = WINDOW
+) -> FloatArray:
+    """Impulse of the effort (n, k) [N s] over each window, had it come earlier by each shift [s].
+
+    Parameters
+    ----------
+    recording : Recording
+    windows : Windows
+        Of this recording.
+    shifts : (k,) array [s]
+        A shift of 0.5 s takes the effort that was recorded half a second later.
+    width : float [s]
+        Of the windows, as `build_windows` was given it.
+    """
+    integral = _integral(recording.time, recording.effort[:, None])
+
+    def up_to(instants: FloatArray) -> FloatArray:
+        later = (instants[:, None] + shifts).ravel()
+        found = _averaged(recording.time, integral, later, width)
+        return found.reshape(instants.size, shifts.size)
+
+    return np.asarray(up_to(windows.end) - up_to(windows.start))
+
+
 def _window_ends(
     time: FloatArray, usable: NDArray[np.bool_], window: float
 ) -> tuple[FloatArray, FloatArray]:

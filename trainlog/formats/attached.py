@@ -1,13 +1,19 @@
-"""The line and the train that a trip carries with it."""
+"""The line, the train and the passport that a trip carries with it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from trainlog.errors import LogError
+from trainlog.formats.files import sha256
 from trainlog.formats.line import line_from_bytes
+from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
 from trainlog.formats.train import train_from_bytes
 from trainlog.railway.line import Line
+from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+from trainlog.version import __version__
 
 
 def line_of(trip: Trip) -> Line:
@@ -57,6 +63,43 @@ def train_of(trip: Trip) -> Train:
     """
     data = _attachment(trip, TRAIN_ATTACHMENT)
     return train_from_bytes(data, file=_called(trip, TRAIN_ATTACHMENT))
+
+
+def passport_of(trip: Trip) -> Passport | None:
+    """The passport that is stored with the trip; None if there is none.
+
+    Raises
+    ------
+    InputError
+        If the attachment is not a passport file.
+
+    Examples
+    --------
+    >>> passport_of(Trip({})) is None
+    True
+    """
+    data = trip.attachments.get(PASSPORT_ATTACHMENT)
+    if data is None:
+        return None
+    return passport_from_bytes(data, file=_called(trip, PASSPORT_ATTACHMENT))
+
+
+def with_passport(trip: Trip, passport: Passport) -> Trip:
+    """A copy of the trip that carries the passport, in the place of the one it may have.
+
+    Examples
+    --------
+    >>> from analysis import passport
+    >>> from trainlog.mcap import read_log
+    >>> trip = read_log("sample_logs/nonstop.mcap")
+    >>> passport_of(with_passport(trip, passport(trip))).trip
+    'trip-01'
+    """
+    data = passport_to_bytes(passport)
+    carried = replace(trip, attachments={**trip.attachments, PASSPORT_ATTACHMENT: data})
+    return carried.with_step(
+        "passport", software=f"trainlog {__version__}", outputs={PASSPORT_ATTACHMENT: sha256(data)}
+    )
 
 
 def _attachment(trip: Trip, name: str) -> bytes:

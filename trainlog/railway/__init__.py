@@ -15,6 +15,7 @@ from trainlog.railway.line import (
     Survey,
     Tunnel,
 )
+from trainlog.railway.passport import Passport, Quantity
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Brake, BrakingCurves, Configuration, ParameterSet, Train
 from trainlog.railway.trajectory import Trajectory
@@ -30,6 +31,8 @@ __all__ = [
     "Journey",
     "Line",
     "ParameterSet",
+    "Passport",
+    "Quantity",
     "RunningResistance",
     "Station",
     "StepProfile",

@@ -1,0 +1,686 @@
+"""The passport of a recorded trip: what its recorder lacks, estimated with uncertainty.
+
+Delay and gain of the recorded efforts are sought in the equation of motion (see
+`analysis.resistance.windows`). With a gain g of the recorded effort F, a delay d of it, and the
+loaded mass m,
+
+    Δv + ∫ a_track dt + Δp_rot / m = 1/(g m) ∫ F(t + d) dt - ∫ R(v) dt / m.
+
+Windows of a second are whitened by a Kalman filter with noise of the speed and errors of the
+line's gradients (`analysis.resistance.noise`); the filter is linear, so that one pass whitens the
+impulses for all delays of a grid. The delay of least squares is refined between its neighbours and
+once more around itself. Uncertainties are cluster-robust (Liang and Zeger 1986, Biometrika 73(1),
+eq. 6).
+
+The motion determines g m only. Gain and load are separated by what is known beforehand: the load
+that was recorded, with a weighing error, or any load up to the largest; and the accuracy of a
+traction converter's torque estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.given import Given, trip_of
+from analysis.resistance.noise import Expected, NoiseParts
+from analysis.resistance.recording import (
+    UNCALIBRATED_SCALE_STD,
+    SpeedScale,
+    check_recorded,
+    prepare,
+    speed_scale,
+)
+from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD
+from analysis.resistance.windows import WINDOW, Windows, build_windows, effort_impulse
+from trainlog.display import counted
+from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.formats.attached import line_of, passport_of, train_of
+from trainlog.railway.line import Line
+from trainlog.railway.passport import Passport, Quantity, Source
+from trainlog.railway.train import Train
+from trainlog.resampling import interpolated
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
+
+FloatArray = NDArray[np.float64]
+
+TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
+"""What is read of a log."""
+
+GAIN_STD = 0.05
+"""Standard deviation of recorded over true effort before a trip is seen: a converter estimates the
+torque of its motors to some per cent, and wheels are worn by some."""
+
+DELAY_STD = 0.25
+"""Standard deviation of the delay [s] where the trip does not show it."""
+
+MAX_LOAD_SHARE = 0.15
+"""Largest load over the empty mass where the train's file states none."""
+
+WEIGHING_SHARE, WEIGHING_OFFSET = 0.03, 0.02
+"""Standard deviation of a recorded load: this share of the load, and this share of the largest."""
+
+DELAYS = np.round(np.arange(-0.5, 2.55, 0.1), 3)
+"""Delays [s] among which the least squares are sought."""
+
+MOST_DELAY = 1.0
+"""Standard deviation [s] of the delay that is sought, beforehand."""
+
+DELAY_STEP = 0.1
+"""Half the difference [s] by which the effect of a small delay is taken."""
+
+RESISTANCE_SHARE = 0.3
+"""Standard deviation of each coefficient of running resistance, over that of the train's file."""
+
+LEAST_WINDOWS = 60
+"""Fewer windows of a second than this do not show delay and gain."""
+
+FEWEST_CLUSTERS = 8
+"""Fewer clusters of windows than this do not show how windows err together."""
+
+LARGEST_DELAY_STD = 0.15
+"""A delay known worse than this [s] is not taken from the trip."""
+
+LARGEST_RATIO_STD = 0.08
+"""Effort over mass known worse than this is not taken from the trip."""
+
+OUTLIER = 5.0
+"""Windows further off than this many standard deviations are left out."""
+
+SHARPER = 0.6
+"""Gain and load count as estimated where the trip leaves less of their standard deviation."""
+
+LAGS = 0.5
+"""Noise of a speed is looked for over lags up to this [s]."""
+
+SLOWEST = 3.0
+"""Speeds below this [m/s] say nothing of a wheel's diameter."""
+
+COASTING = 0.15
+"""Wheels creep little while the effort is below this share of the largest."""
+
+DOUBTFUL_RATIO = 0.05
+"""Axle efforts that differ from the total by more than this are stated."""
+
+
+def passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
+    """What is known of a trip's recorder and load: the stored passport, or else an estimate.
+
+    Parameters
+    ----------
+    trip : Trip or path
+        A trip at hand, or a log. Its line and its train, speed, chainage and efforts show delay
+        and gain of the efforts; without them these are assumed, with the reason.
+    fleet : iterable of Passport, optional
+        Of other trips of the same train and recorder whose load was recorded: what they show of
+        gain and load is known beforehand.
+
+    Returns
+    -------
+    Passport
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read, or its metadata state a load that is none.
+    InputError
+        If the trip is neither a trip nor the path of a log, or its line, train or stored passport
+        is not one.
+
+    Notes
+    -----
+    The load is that of the metadata ``load`` [kg], with the standard deviation ``load_std`` [kg]
+    or else that of a weighing by air springs; the truth of simulated trips is not read.
+
+    Examples
+    --------
+    >>> found = passport("sample_logs/stopping.mcap")
+    >>> low, high = found.effort_delay.band
+    >>> bool(low < 0.05 and high > -0.05 and found.effort_delay.std < 0.05)
+    True
+    >>> bool(abs(found.axle_effort_ratio.value - 1.0) < 0.01)
+    True
+    """
+    trip = trip_of(trip, TOPICS)
+    stored = passport_of(trip)
+    return estimated_passport(trip, fleet) if stored is None else stored
+
+
+def estimated_passport(trip: Trip, fleet: Iterable[Passport] = ()) -> Passport:
+    """The passport that a trip's samples and metadata give, whatever is stored; see `passport`."""
+    findings: list[str] = []
+    train = train_of(trip) if TRAIN_ATTACHMENT in trip.attachments else None
+    line = line_of(trip) if LINE_ATTACHMENT in trip.attachments else None
+    prior = _prior(trip, train, tuple(fleet))
+    noise = _speed_noise(trip)
+    scale = _scale(trip, findings)
+    delay, ratio = _delay_and_ratio(trip, line, train, scale, noise)
+    gain, load, mass = _gain_and_load(prior, ratio, train)
+    found = Passport(
+        trip=trip.name,
+        effort_delay=delay,
+        effort_gain=gain,
+        mass=mass,
+        load=load,
+        effort_over_mass=ratio,
+        axle_effort_ratio=_axle_effort_ratio(trip, train),
+        speed_noise=noise,
+        wheel_factor=_wheel_factors(trip, train, scale),
+        sample_time=_sample_times(trip),
+    )
+    return replace(found, findings=(*findings, *_findings(found, prior)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """What is known of gain and load before the trip's motion is seen.
+
+    Attributes
+    ----------
+    gain, gain_std : float
+    loads, weight : (n,) array [kg], [1]
+        Loads that may be, and how probable each is.
+    load : Quantity [kg]
+        Their mean and standard deviation.
+    """
+
+    gain: float
+    gain_std: float
+    loads: FloatArray
+    weight: FloatArray
+    load: Quantity
+
+
+def recorded_load(trip: Trip, train: Train | None = None) -> Quantity | None:
+    """The load [kg] that a trip's metadata state, with its uncertainty; None without.
+
+    Parameters
+    ----------
+    trip : Trip
+    train : Train, optional
+        Its largest load sizes the offset of the weighing.
+
+    Raises
+    ------
+    LogError
+        If ``load`` or ``load_std`` is not a mass.
+
+    Examples
+    --------
+    >>> recorded_load(Trip({}, {"load": "12000", "load_std": "500"})).band
+    (11020.0, 12980.0)
+    """
+    load = _stated(trip, "load")
+    if load is None:
+        return None
+    std = _stated(trip, "load_std")
+    if std is None:
+        largest = _largest_load(train) if train is not None else 0.0
+        std = float(np.hypot(WEIGHING_SHARE * load, WEIGHING_OFFSET * largest))
+    return Quantity(load, std, "recorded")
+
+
+def _stated(trip: Trip, key: str) -> float | None:
+    """A mass [kg] among the metadata."""
+    stated = trip.metadata.get(key)
+    if not stated:
+        return None
+    try:
+        mass = float(stated)
+    except ValueError:
+        mass = np.nan
+    if not (np.isfinite(mass) and mass >= 0.0):
+        raise LogError(
+            f"trip '{trip.name}': {key} '{stated}' is not a mass in kg",
+            remedy=f"correct metadata '{key}' when the log is made",
+        )
+    return mass
+
+
+def _largest_load(train: Train) -> float:
+    return train.max_load or MAX_LOAD_SHARE * train.mass
+
+
+def _prior(trip: Trip, train: Train | None, fleet: tuple[Passport, ...]) -> _Prior:
+    """What is known beforehand: by the recorded load, by other trips, or by the train's file."""
+    weighed = [each for each in fleet if each.load.source == "recorded" and each.load.known]
+    gain, gain_std = 1.0, GAIN_STD
+    gains = [each.effort_gain for each in weighed if each.effort_gain.source == "estimated"]
+    if gains:
+        values = np.array([each.value for each in gains])
+        weights = np.array([each.std**-2.0 for each in gains])
+        gain = float(values @ weights / weights.sum())
+        # One recorder errs alike on all trips; what the trips differ by may be its drift.
+        gain_std = float(np.hypot(weights.sum() ** -0.5, np.sqrt(np.average((values - gain) ** 2))))
+    recorded = recorded_load(trip, train)
+    if train is None:
+        unknown = Quantity(np.nan, np.nan, "assumed", "the trip carries no train")
+        loads = np.zeros(1)
+        return _Prior(gain, gain_std, loads, np.ones(1), recorded or unknown)
+    largest = _largest_load(train)
+    if recorded is not None:
+        std = max(recorded.std, 1.0)
+        loads = np.maximum(recorded.value + std * np.linspace(-5.0, 5.0, 201), 0.0)
+        weight = np.exp(-0.5 * np.linspace(-5.0, 5.0, 201) ** 2)
+        return _Prior(gain, gain_std, loads, weight / weight.sum(), recorded)
+    loads = np.linspace(0.0, largest, 201)
+    weight = np.ones(loads.size)
+    reason = "no load recorded: any up to the largest is taken for as probable"
+    if len(weighed) > 2:
+        known = np.array([each.load.value for each in weighed])
+        weight = np.exp(-0.5 * ((loads - known.mean()) / max(known.std(), 0.05 * largest)) ** 2)
+        reason = f"no load recorded: that of {len(weighed)} other trips is taken"
+    weight = weight / weight.sum()
+    mean = float(loads @ weight)
+    spread = float(np.sqrt((loads - mean) ** 2 @ weight))
+    return _Prior(gain, gain_std, loads, weight, Quantity(mean, spread, "assumed", reason))
+
+
+def _gain_and_load(
+    prior: _Prior, ratio: Quantity, train: Train | None
+) -> tuple[Quantity, Quantity, Quantity]:
+    """Gain, load and mass, from what was known of them and effort over mass.
+
+    With ``g = k m0 / (m0 + load)`` and g normal beforehand, every load has its probability; the
+    moments of gain and load are sums over the loads.
+    """
+    if train is None:
+        unknown = Quantity(np.nan, np.nan, "assumed", "the trip carries no train")
+        assumed = Quantity(prior.gain, prior.gain_std, "assumed", ratio.reason)
+        return assumed, prior.load, unknown
+    if ratio.source != "estimated":
+        assumed = Quantity(prior.gain, prior.gain_std, "assumed", ratio.reason)
+        return assumed, prior.load, replace(prior.load, value=train.mass + prior.load.value)
+    share = train.mass / (train.mass + prior.loads)
+    shown, shown_std = ratio.value * share, ratio.std * share
+    spread = np.hypot(prior.gain_std, shown_std)
+    log_weight = np.log(prior.weight) - 0.5 * ((shown - prior.gain) / spread) ** 2 - np.log(spread)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    variance = (prior.gain_std * shown_std / spread) ** 2
+    gains = (prior.gain * shown_std**2 + shown * prior.gain_std**2) / spread**2
+    gain, load_mean = float(gains @ weight), float(prior.loads @ weight)
+    gain_std = float(np.sqrt((variance + (gains - gain) ** 2) @ weight))
+    load_std = float(np.sqrt((prior.loads - load_mean) ** 2 @ weight))
+    sharper = gain_std < SHARPER * prior.gain_std
+    no_load = "" if sharper else "effort gain and load cannot be separated: no load recorded"
+    of_gain = Quantity(gain, gain_std, "estimated" if sharper else "assumed", no_load)
+    loaded = prior.load
+    if prior.load.source == "assumed":
+        narrow = load_std < SHARPER * prior.load.std
+        loaded = Quantity(
+            load_mean,
+            load_std,
+            "estimated" if narrow else "assumed",
+            "" if narrow else prior.load.reason,
+        )
+    return of_gain, loaded, replace(loaded, value=train.mass + loaded.value)
+
+
+def _delay_and_ratio(
+    trip: Trip,
+    line: Line | None,
+    train: Train | None,
+    scale: SpeedScale,
+    noise: dict[str, Quantity],
+) -> tuple[Quantity, Quantity]:
+    """Delay of the efforts and effort over mass; with the reason where the trip shows neither."""
+    try:
+        if line is None or train is None:
+            what = "train" if train is None else "line, whose gradients are needed"
+            raise NotIdentifiableError(f"the trip carries no {what}")
+        check_recorded(trip)
+        motion = _Motion(trip, line, train, scale, noise)
+        delay = motion.search()
+        return motion.quantities(delay)
+    except NotIdentifiableError as error:
+        reason = str(error).removeprefix(f"trip '{trip.name}': ")
+        none = Quantity(np.nan, np.nan, "assumed", reason)
+        if "/train/controls" not in trip:
+            return none, none
+        return Quantity(0.0, DELAY_STD, "assumed", reason), none
+
+
+class _Motion:
+    """The equation of motion of one trip, for efforts shifted by any delay."""
+
+    def __init__(
+        self,
+        trip: Trip,
+        line: Line,
+        train: Train,
+        scale: SpeedScale,
+        noise: dict[str, Quantity],
+    ) -> None:
+        self._trip, self._line, self._train, self._scale = trip, line, train, scale
+        self._mass = train.mass + 0.5 * _largest_load(train)
+        step = float(np.median(np.diff(seconds(trip["/train/state"]))))
+        self._width = max(WINDOW, 3.0 * step)
+        white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan
+        per_end = (white if np.isfinite(white) else 0.1) * np.sqrt(step / self._width)
+        self._noise = replace(Expected.on(line).sizes, speed=max(float(per_end), 0.002))
+
+    def search(self) -> float:
+        """The delay [s] of least squares, to about a tenth of a second."""
+        windows, impulse, momentum = self._windows(0.0, DELAYS)
+        rows = self._whitened(windows, impulse[:, 0], momentum, impulse)
+        squares = np.array(
+            [self._solved(rows[:, [5 + k, 1, 2, 3, 4, -1]])[2] for k in range(DELAYS.size)]
+        )
+        best = int(np.argmin(squares))
+        if not 0 < best < DELAYS.size - 1:
+            raise NotIdentifiableError(
+                f"no delay of the efforts from {DELAYS[0]:g} to {DELAYS[-1]:g} s explains the"
+                " motion"
+            )
+        before, here, after = squares[best - 1 : best + 2]
+        bend = before - 2.0 * here + after
+        return float(DELAYS[best] + DELAY_STEP * 0.5 * (before - after) / max(bend, 1e-12))
+
+    def quantities(self, delay: float) -> tuple[Quantity, Quantity]:
+        """Delay and effort over mass, refined around a delay [s]."""
+        for _ in range(2):
+            found, covariance, inertia = self._around(delay)
+            change = float(found[5] / found[0])
+            delay += change
+            if abs(change) < 0.02:
+                break
+        gradient = np.array([-found[5] / found[0] ** 2, 0.0, 0.0, 0.0, 0.0, 1.0 / found[0]])
+        delay_std = float(np.sqrt(gradient @ covariance @ gradient))
+        ratio = 1.0 / (found[0] * self._train.mass)
+        relative = float(np.sqrt(covariance[0, 0])) / abs(float(found[0]))
+        # A wrong speed scale enters like mass; so does a wrong share of the rotating parts.
+        turning = inertia * GAIN_STD
+        ratio_std = ratio * float(np.sqrt(relative**2 + self._scale.std**2 + turning**2))
+        if not delay_std < LARGEST_DELAY_STD or not 0.2 < ratio < 5.0:
+            raise NotIdentifiableError(
+                "the efforts vary too little for their delay to be seen in the motion"
+            )
+        late = Quantity(float(delay), delay_std, "estimated")
+        if not ratio_std < LARGEST_RATIO_STD * ratio:
+            reason = "the efforts vary too little for the mass to be seen in the motion"
+            return late, Quantity(np.nan, np.nan, "assumed", reason)
+        return late, Quantity(float(ratio), ratio_std, "estimated")
+
+    def _around(self, delay: float) -> tuple[FloatArray, FloatArray, float]:
+        """Parameters (6,), their covariance, and the share of the rotating parts in the inertia.
+
+        With the efforts shifted by a delay [s]; the last parameter is what is left of it.
+        """
+        windows, impulse, momentum = self._windows(delay, np.array([-DELAY_STEP, 0.0, DELAY_STEP]))
+        change = (impulse[:, 2] - impulse[:, 0]) / (2.0 * DELAY_STEP)
+        kept = np.ones(windows.count, dtype=bool)
+        for _ in range(4):
+            used = windows.select(kept)
+            rows = self._whitened(used, impulse[kept, 1], momentum[kept], change[kept])
+            found, covariance, _ = self._solved(rows, used.start)
+            residual = rows[:, -1] - rows[:, :-1] @ found
+            spread = 1.4826 * float(np.median(np.abs(residual)))
+            far = np.abs(residual) > OUTLIER * max(spread, 1e-9)
+            if not far.any():
+                break
+            kept[np.flatnonzero(kept)[far]] = False
+        return found, covariance, self._train.rotating_mass / self._mass
+
+    def _windows(self, delay: float, shifts: FloatArray) -> tuple[Windows, FloatArray, FloatArray]:
+        """Windows with the efforts shifted by a delay [s], and impulses (n, k) for further shifts.
+
+        The last are the changes of the rotating parts' momentum (n,).
+        """
+        trip = with_effort_delay(self._trip, delay)
+        recording = prepare(trip, self._line, self._train, self._scale).recording
+        windows = build_windows(recording, self._width)
+        if windows.count < LEAST_WINDOWS:
+            raise NotIdentifiableError(
+                f"only {counted(windows.count, 'second')} can be used: the rest is standstill,"
+                " friction braking, slip or gaps"
+            )
+        shifts = np.concatenate(([0.0], shifts))
+        impulse = effort_impulse(recording, windows, shifts, self._width)
+        return windows, impulse[:, 1:], impulse[:, 0] - windows.x[:, 0]
+
+    def _whitened(
+        self, windows: Windows, impulse: FloatArray, momentum: FloatArray, others: FloatArray
+    ) -> FloatArray:
+        """Columns of the regression, whitened: impulse, 1, v, v², braking, others, left side."""
+        left = windows.y + momentum / self._mass
+        columns = np.column_stack([impulse, windows.x[:, 1:], windows.braking, others, left])
+        return NoiseParts.of(windows, self._mass).whiten(self._noise, columns)
+
+    def _solved(
+        self, rows: FloatArray, start: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Parameters over mass of whitened rows, their covariance, and the sum of squares.
+
+        With the start of each window the covariance is cluster-robust.
+        """
+        resistance, mass = self._train.resistance, self._mass
+        coefficients = np.array([resistance.r0, resistance.r1, resistance.r2]) / mass
+        expected = np.zeros(rows.shape[1] - 1)
+        expected[0], expected[1:4] = 1.0 / mass, coefficients
+        spread = np.full(expected.size, MOST_DELAY / mass)
+        spread[0] = 1.0 / mass
+        spread[1:4] = np.abs(coefficients) * RESISTANCE_SHARE + 0.01 * np.array(DRAG_STD)
+        spread[4] = BRAKE_SCALE_STD / mass
+        # In units of what is expected, so that the products are of one size.
+        x, y = rows[:, :-1] * spread, rows[:, -1] - rows[:, :-1] @ expected
+        precision = x.T @ x + np.eye(expected.size)
+        inverse = np.linalg.inv(precision)
+        step = inverse @ (x.T @ y)
+        residual = y - x @ step
+        squares = float(residual @ residual + step @ step)
+        covariance = inverse * max(1.0, float(residual @ residual) / max(y.size - x.shape[1], 1))
+        if start is not None:
+            begin = np.flatnonzero(np.diff(start // CLUSTER, prepend=-1.0))
+            scores = np.add.reduceat(x * residual[:, None], begin, axis=0)
+            if (count := begin.size) >= FEWEST_CLUSTERS:
+                robust = inverse @ (scores.T @ scores) @ inverse * count / (count - 1)
+                larger = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+                covariance = covariance * np.outer(larger, larger)
+        return expected + spread * step, covariance * np.outer(spread, spread), squares
+
+
+def with_effort_delay(trip: Trip, delay: float) -> Trip:
+    """The trip with its recorded efforts where they belong: earlier by their delay [s].
+
+    Examples
+    --------
+    >>> from trainlog.mcap import read_log
+    >>> trip = read_log("sample_logs/stopping.mcap")
+    >>> earlier = with_effort_delay(trip, 0.2)
+    >>> (trip["/train/controls"].index[0] - earlier["/train/controls"].index[0]).total_seconds()
+    0.2
+    """
+    if delay == 0.0 or "/train/controls" not in trip:
+        return trip
+    frame = trip["/train/controls"]
+    index = pd.DatetimeIndex(frame.index) - pd.Timedelta(round(1e9 * delay), "ns")
+    moved = frame.set_axis(index)
+    moved.index.name = frame.index.name
+    moved.attrs = frame.attrs
+    return trip.with_topic(moved)
+
+
+def _sample_times(trip: Trip) -> dict[str, float]:
+    """Median time between the samples of each topic [s]."""
+    return {
+        name: round(float(np.median(np.diff(seconds(frame)))), 6)
+        for name, frame in trip.topics.items()
+        if name in TOPICS and len(frame) > 2
+    }
+
+
+def _speed_noise(trip: Trip) -> dict[str, Quantity]:
+    """Noise of each recorded speed, by its column."""
+    found = {}
+    for topic, prefix in (
+        ("/train/state", "speed"),
+        ("/gnss/motion", "speed"),
+        ("/train/axles", "wheel_speed_"),
+    ):
+        if topic not in trip:
+            continue
+        frame = trip[topic]
+        for name in frame.columns:
+            if name == prefix or (prefix.endswith("_") and name.startswith(prefix)):
+                speed = frame[name].to_numpy(np.float64)
+                found[f"{topic}.{name}"] = _noise_of(seconds(frame), speed)
+    return found
+
+
+def _noise_of(time: FloatArray, speed: FloatArray) -> Quantity:
+    """Standard deviation of a speed's noise, from its second differences while the train moves.
+
+    The median, so that the starts and ends of brake applications and slips do not count; over the
+    lag of those up to `LAGS` at which it is largest, so that noise is found that lasts for some
+    samples.
+    """
+    moving = np.isfinite(speed) & (speed > SLOWEST)
+    t, v = time[moving], speed[moving]
+    if v.size < 50:
+        return Quantity(np.nan, np.nan, "assumed", "too few samples in motion")
+    step = float(np.median(np.diff(t)))
+    best, count = 0.0, 1
+    lag = 1
+    while lag == 1 or lag * step <= LAGS:
+        even = np.abs(t[2 * lag :] - t[: -2 * lag] - 2.0 * lag * step) < 0.2 * step
+        second = (v[2 * lag :] - 2.0 * v[lag:-lag] + v[: -2 * lag])[even]
+        if second.size >= 50:
+            size = _spread(second) / np.sqrt(6.0)
+            if size > best:
+                best, count = size, second.size // lag
+        lag *= 2
+    if best == 0.0:
+        return Quantity(np.nan, np.nan, "assumed", "its noise is below its resolution")
+    # A median deviation is worth 37 % of the samples; second differences are worth a third.
+    return Quantity(best, best * float(np.sqrt(0.5 / (0.37 * max(count / 3.0, 1.0)))), "estimated")
+
+
+def _spread(values: FloatArray) -> float:
+    """Standard deviation by the median; of values that are mostly alike by all of them."""
+    spread = 1.4826 * float(np.median(np.abs(values)))
+    return spread if spread > 0.0 else float(np.sqrt(np.mean(np.minimum(values**2, 1.0))))
+
+
+def _scale(trip: Trip, findings: list[str]) -> SpeedScale:
+    """The scale of the train's speed; a contradiction becomes a finding."""
+    nothing = SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
+    if "/train/state" not in trip or len(trip["/train/state"]) < 2:
+        return nothing
+    state = trip["/train/state"]
+    speed, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
+    try:
+        return speed_scale(trip, seconds(state), speed, position)
+    except NotIdentifiableError as error:
+        findings.append(str(error).removeprefix(f"trip '{trip.name}': "))
+        return nothing
+
+
+def _wheel_factors(trip: Trip, train: Train | None, scale: SpeedScale) -> tuple[Quantity, ...]:
+    """Recorded over true speed of each axle: over the train's speed, times the scale of that."""
+    if "/train/axles" not in trip or "/train/state" not in trip:
+        return ()
+    axles, state = trip["/train/axles"], trip["/train/state"]
+    names = [name for name in axles.columns if name.startswith("wheel_speed_")]
+    index = pd.DatetimeIndex(axles.index)
+    own = interpolated(state, "speed", index, 2.0)
+    effort = _total_effort(trip, index)
+    calm = np.isfinite(own) & (own > SLOWEST)
+    if train is not None and np.isfinite(effort).any():
+        coasting = calm & (np.abs(effort) < COASTING * train.max_tractive_effort)
+        calm = coasting if np.count_nonzero(coasting) > 100 else calm
+    found = []
+    for name in names:
+        wheel = axles[name].to_numpy(np.float64)
+        used = calm & np.isfinite(wheel)
+        ratio = wheel[used] / own[used]
+        if ratio.size < 50:
+            found.append(Quantity(np.nan, np.nan, "assumed", "too few samples in motion"))
+            continue
+        middle = float(np.median(ratio))
+        spread = 1.4826 * float(np.median(np.abs(ratio - middle))) * np.sqrt(8.0 / ratio.size)
+        std = float(np.hypot(scale.std, spread)) * middle
+        measured = scale.source != "nothing"
+        reason = "" if measured else "neither satellites nor balises show the train's true speed"
+        source: Source = "estimated" if measured else "assumed"
+        found.append(Quantity(middle * scale.factor, std, source, reason))
+    return tuple(found)
+
+
+def _total_effort(trip: Trip, index: pd.DatetimeIndex) -> FloatArray:
+    """Traction less dynamic braking [N] at the instants; NaN where traction is not recorded."""
+    if "/train/controls" not in trip:
+        return np.full(len(index), np.nan)
+    controls = trip["/train/controls"]
+    traction = interpolated(controls, "tractive_effort", index, 2.0)
+    braking = interpolated(controls, "dynamic_braking_effort", index, 2.0)
+    return np.asarray(traction - np.nan_to_num(braking))
+
+
+def _axle_effort_ratio(trip: Trip, train: Train | None) -> Quantity:
+    """Sum of the axles' efforts over that of the train, by the median over stretches of effort."""
+
+    def unknown(reason: str) -> Quantity:
+        return Quantity(np.nan, np.nan, "assumed", reason)
+
+    if "/train/axles" not in trip or "/train/controls" not in trip:
+        return unknown("no axle efforts recorded" if "/train/controls" in trip else "no efforts")
+    axles = trip["/train/axles"]
+    names = [name for name in axles.columns if name.startswith("wheel_effort_")]
+    efforts = axles[names].to_numpy(np.float64)
+    known = np.isfinite(efforts).any(axis=0) if len(efforts) else np.zeros(len(names), dtype=bool)
+    powered = len(names) if train is None else train.axles.count
+    if not known.any():
+        return unknown("no axle efforts recorded")
+    if np.count_nonzero(known) < powered:
+        return unknown(f"efforts of {np.count_nonzero(known)} axles of {powered} recorded")
+    together = efforts.sum(axis=1)
+    total = _total_effort(trip, pd.DatetimeIndex(axles.index))
+    both = np.isfinite(together) & np.isfinite(total)
+    least = 0.1 * float(np.max(np.abs(total[both]), initial=0.0))
+    # Dynamic braking is left out where it is not recorded: then the axles show more than the total.
+    used = both & (np.abs(total) > max(least, 1.0))
+    if np.count_nonzero(used) < 50:
+        return unknown("too few samples under effort")
+    ratio = together[used] / total[used]
+    blocks = np.array_split(ratio, 25)
+    medians = np.array([np.median(block) for block in blocks])
+    spread = 1.2533 * float(np.std(medians)) / np.sqrt(medians.size)
+    return Quantity(float(np.median(ratio)), spread, "estimated")
+
+
+def _findings(found: Passport, prior: _Prior) -> list[str]:
+    """What a reader should know, in sentences."""
+    sentences = []
+    delay, gain, ratio = found.effort_delay, found.effort_gain, found.axle_effort_ratio
+    if delay.source == "estimated" and min(np.abs(delay.band)) > 0.05 and np.prod(delay.band) > 0:
+        late = "late" if delay.value > 0.0 else "early"
+        sentences.append(f"recorded efforts are {abs(delay.value):.2f} s {late}")
+    if delay.known and delay.source == "assumed":
+        sentences.append(f"the delay of the efforts is not known: {delay.reason}")
+    if found.effort_over_mass.known and abs(gain.value - prior.gain) > 2.5 * prior.gain_std:
+        sentences.append(
+            f"recorded efforts are {gain.value:.2f} times what the motion needs: check their unit,"
+            " whether they are of the whole train, and the train's mass"
+        )
+    elif gain.source == "estimated" and abs(gain.value - 1.0) > max(2.0 * gain.std, 0.02):
+        sentences.append(f"recorded efforts are {gain.value:.2f} times the true ones")
+    if ratio.known and abs(ratio.value - 1.0) > max(DOUBTFUL_RATIO, 3.0 * ratio.std):
+        sentences.append(f"axle efforts are {ratio.value:.2f} times the total effort")
+    if not ratio.known and "axles of" in ratio.reason:
+        sentences.append(f"{ratio.reason}: axle efforts are not compared with the total")
+    if found.load.source != "recorded":
+        sentences.append(
+            "no load recorded: "
+            + (
+                f"{found.load.value / 1e3:.1f} ± {1.96 * found.load.std / 1e3:.1f} t is"
+                f" {'estimated from the motion' if found.load.source == 'estimated' else 'assumed'}"
+                if found.load.known
+                else "and no train is known"
+            )
+        )
+    return sentences

@@ -1,0 +1,159 @@
+"""The passport of a recorded trip: what is estimated, what is assumed and why, how it is stored."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import trainlog
+from analysis import passport
+from analysis.passports import estimated_passport, recorded_load, with_effort_delay
+from trainlog.errors import InputError, LogError
+from trainlog.formats.attached import passport_of, with_passport
+from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
+from trainlog.railway import Passport, Quantity
+from trainlog.trip import Trip
+
+
+@pytest.fixture(scope="module")
+def stopping() -> Trip:
+    return trainlog.read("sample_logs/stopping.mcap")
+
+
+def scaled(trip: Trip, factor: float) -> Trip:
+    """The trip with all recorded efforts of the train times a factor."""
+    controls = trip["/train/controls"]
+    changed = controls.assign(
+        **{name: factor * controls[name] for name in controls.columns if name.endswith("_effort")}
+    )
+    changed.attrs = controls.attrs
+    return trip.with_topic(changed)
+
+
+def test_late_efforts_with_a_wrong_gain_are_found(stopping: Trip) -> None:
+    clean = estimated_passport(stopping)
+    defect = estimated_passport(with_effort_delay(scaled(stopping, 1.1), -0.33))
+
+    assert defect.effort_delay.source == defect.effort_gain.source == "estimated"
+    assert defect.effort_delay.value - clean.effort_delay.value == pytest.approx(0.33, abs=0.03)
+    assert defect.effort_gain.value / clean.effort_gain.value == pytest.approx(1.1, abs=0.01)
+    assert any("0.33 s late" in each or "0.34 s late" in each for each in defect.findings)
+    assert any(each.startswith("recorded efforts are 1.1") for each in defect.findings)
+    assert defect.mass.value == pytest.approx(clean.mass.value)
+
+
+def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping: Trip) -> None:
+    known = {key: value for key, value in stopping.metadata.items() if key != "load"}
+    found = estimated_passport(replace(stopping, metadata=known))
+    weighed = estimated_passport(stopping)
+
+    assert found.load.source == "assumed"
+    assert found.load.std > 3.0 * weighed.load.std
+    assert found.effort_gain.std > 2.0 * weighed.effort_gain.std
+    assert found.effort_over_mass.value == pytest.approx(weighed.effort_over_mass.value)
+    assert found.load.band[0] < weighed.load.value < found.load.band[1]
+    assert any(each.startswith("no load recorded") for each in found.findings)
+
+
+def test_axle_efforts_that_contradict_the_total_are_stated(stopping: Trip) -> None:
+    axles = stopping["/train/axles"]
+    efforts = {n: 0.82 * axles[n] for n in axles.columns if n.startswith("wheel_effort_")}
+    changed = axles.assign(**efforts)
+    changed.attrs = axles.attrs
+    found = estimated_passport(stopping.with_topic(changed))
+
+    assert found.axle_effort_ratio.value == pytest.approx(0.82, abs=0.01)
+    assert "axle efforts are 0.82 times the total effort" in found.findings
+
+
+@pytest.mark.parametrize(
+    "unknown", [["wheel_effort_2"], [f"wheel_effort_{i}" for i in (1, 2, 3, 4)]]
+)
+def test_missing_axle_efforts_are_not_compared(stopping: Trip, unknown: list[str]) -> None:
+    axles = stopping["/train/axles"]
+    changed = axles.assign(**dict.fromkeys(unknown, np.nan))
+    changed.attrs = axles.attrs
+    found = estimated_passport(stopping.with_topic(changed)).axle_effort_ratio
+
+    assert not found.known
+    assert "axle" in found.reason
+
+
+def test_noise_of_a_speed_is_estimated_in_its_size(stopping: Trip) -> None:
+    axles = stopping["/train/axles"]
+    generator = np.random.default_rng(4)
+    noisy = axles["wheel_speed_3"] + 0.3 * generator.standard_normal(len(axles))
+    changed = axles.assign(wheel_speed_3=noisy)
+    changed.attrs = axles.attrs
+    noise = estimated_passport(stopping.with_topic(changed)).speed_noise
+
+    assert noise["/train/axles.wheel_speed_3"].value == pytest.approx(0.3, rel=0.05)
+    assert noise["/train/axles.wheel_speed_2"].value == pytest.approx(0.035, abs=0.01)
+
+
+def test_a_trip_without_efforts_states_why_nothing_is_known_of_them(stopping: Trip) -> None:
+    topics = {name: f for name, f in stopping.topics.items() if name != "/train/controls"}
+    found = estimated_passport(replace(stopping, topics=topics))
+
+    assert not found.effort_delay.known
+    assert "no tractive effort recorded" in found.effort_delay.reason
+    assert found.effort_gain.source == "assumed"
+    assert found.load.source == "recorded"
+
+
+def test_without_a_line_delay_and_gain_are_assumed(stopping: Trip) -> None:
+    bare = {name: data for name, data in stopping.attachments.items() if name != "line.json"}
+    found = estimated_passport(replace(stopping, attachments=bare))
+
+    assert found.effort_delay == Quantity(
+        0.0, 0.25, "assumed", "the trip carries no line, whose gradients are needed"
+    )
+    assert found.effort_gain.source == "assumed"
+
+
+def test_a_trip_with_nothing_but_fixes_has_a_passport() -> None:
+    trip = trainlog.read("sample_logs/stopping.mcap", topics=["/gnss/motion"])
+    found = estimated_passport(replace(trip, attachments={}, metadata={"trip": "ride"}))
+
+    assert found.trip == "ride"
+    assert found.speed_noise["/gnss/motion.speed"].value == pytest.approx(0.08, rel=0.2)
+    assert not found.mass.known
+    assert passport_to_bytes(passport_from_bytes(passport_to_bytes(found))) == passport_to_bytes(
+        found
+    )
+
+
+def test_a_stored_passport_is_the_one_that_is_used(stopping: Trip, tmp_path: object) -> None:
+    found = estimated_passport(stopping)
+    other = replace(found, effort_gain=Quantity(1.05, 0.01, "estimated"))
+    stored = with_passport(stopping, other)
+
+    assert passport_of(stored) == other
+    assert passport(stored) == other
+    assert stored.provenance[-1]["step"] == "passport"
+
+
+def test_the_estimate_is_the_same_each_time(stopping: Trip) -> None:
+    once, again = (passport_to_bytes(estimated_passport(stopping)) for _ in range(2))
+    assert once == again
+
+
+def test_a_load_that_is_no_mass_is_refused(stopping: Trip) -> None:
+    with pytest.raises(LogError, match="load_std 'much' is not a mass in kg"):
+        recorded_load(Trip({}, {"load": "1000", "load_std": "much"}))
+
+
+def test_a_quantity_refuses_a_source_that_is_none() -> None:
+    with pytest.raises(InputError, match="source 'guessed'"):
+        Quantity(1.0, 0.1, "guessed")  # type: ignore[arg-type]
+
+
+def test_a_passport_reads_as_a_few_lines(stopping: Trip) -> None:
+    found: Passport = estimated_passport(stopping)
+    lines = repr(found).splitlines()
+
+    assert lines[0] == "Passport of trip 'trip-03'"
+    assert len(lines) < 16
+    assert "<table>" in found._repr_html_()
