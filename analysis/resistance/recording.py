@@ -118,8 +118,9 @@ SMOOTHING = 1.0
 POSITION_STEP = 10.0
 """Half the distance over which the effect of a position error is measured [m]."""
 
-LONGEST_SECTION = 2000.0
-"""Pieces of the gradient profile are not taken to be longer than this [m]: surveys err anew."""
+LONGEST_SECTION = 1000.0
+"""Pieces of the gradient profile are not taken to be longer than this [m]: surveys err anew. Longer
+pieces give bands of the mass that are too narrow by half on a line of one gradient."""
 
 UNCALIBRATED_SCALE_STD = 0.004
 """Standard deviation of the speed scale where nothing calibrates it: worn wheels."""

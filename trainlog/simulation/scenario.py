@@ -38,6 +38,10 @@ RAIL_CLEANING = (0.97, 0.99, 1.01, 1.03)
 SURVEY_ERROR = 0.1e-3
 """Standard deviation of a line file's gradients, from element to element."""
 
+SURVEYED_LENGTH = (500.0, 3000.0)
+"""Lengths [m] over which one error of a gradient holds on elements longer than these: the heights
+at their ends are known, so that a small error does not add up over a whole line."""
+
 CORRELATION_LENGTH = 120.0
 """Distance over which adhesion varies [m] (Ornstein-Uhlenbeck)."""
 
@@ -298,10 +302,25 @@ def _check_brakes(train: Train) -> None:
 
 
 def survey_error(line: Line, seed: int) -> StepProfile:
-    """What the line's file says wrongly of its gradients: one error an element, for all trips."""
+    """What the line's file says wrongly of its gradients, for all trips.
+
+    One error an element; longer elements are cut at random into `SURVEYED_LENGTH`.
+    """
     generator = np.random.default_rng([seed, 5])
-    positions = line.gradients.positions
-    return StepProfile(positions, SURVEY_ERROR * generator.standard_normal(positions.size))
+    edges = line.gradients.positions
+    errors = SURVEY_ERROR * generator.standard_normal(edges.size)
+    positions: list[FloatArray] = []
+    values: list[FloatArray] = []
+    for start, end, error in zip(edges, np.append(edges[1:], line.length), errors, strict=True):
+        positions.append(np.array([start]))
+        values.append(np.array([error]))
+        if end - start > SURVEYED_LENGTH[1]:
+            steps = generator.uniform(*SURVEYED_LENGTH, int((end - start) / SURVEYED_LENGTH[0]))
+            cuts = start + np.cumsum(steps)
+            cuts = cuts[cuts < end]
+            positions.append(cuts)
+            values.append(SURVEY_ERROR * generator.standard_normal(cuts.size))
+    return StepProfile(np.concatenate(positions), np.concatenate(values))
 
 
 def _drawn(
