@@ -572,3 +572,19 @@ def test_help_names_units(
 ) -> None:
     _, shown, _ = run(monkeypatch, capsys, "study", "consist", "--help")
     assert "km/h" in shown
+
+
+def test_all_problems_of_a_train_file_are_listed_line_by_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    content = json.loads(sample(DEFAULT_TRAIN).read_text("utf-8"))
+    content["mass"]["unit"], content["max_speed"], content["colour"] = "kg", 160, "red"
+    light = tmp_path / "light.train.json"
+    light.write_text(json.dumps(content))
+    status, out, err = run(
+        monkeypatch, capsys, "simulate", "--train", light, "-o", tmp_path / "trips"
+    )
+    assert (status, out) == (2, "")
+    lines = err.splitlines()
+    assert lines[0] == f"trainlog: {light}: 3 problems"
+    assert [line.split(":")[0] for line in lines[1:]] == ["  colour", "  max_speed", "  mass"]

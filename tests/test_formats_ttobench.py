@@ -231,7 +231,7 @@ def changed(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
             TRAIN,
             "efficiency traction",
             {"units": {"load": "%"}, "values": [[0, 1]]},
-            ", efficiency traction.units: unknown key 'units' (and 3 more problems)",
+            ": 4 problems: (1) efficiency traction.units: unknown key 'units'; correct its",
         ),
     ],
 )
@@ -310,3 +310,14 @@ def test_what_the_layout_cannot_say_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'T_new' is not known to TTOBench"):
         ttobench.write_train(odd, tmp_path / "copy.json")
     assert not (tmp_path / "copy.json").exists()
+
+
+def test_a_train_of_122_kg_is_not_imported(tmp_path: Path) -> None:
+    """Its fields that the layout lacks are assumed, and not judged."""
+    light = json.loads(json.dumps(TRAIN)) | {"mass": {"unit": "kg", "value": 122}}
+    path = written(tmp_path, light)
+    with pytest.raises(
+        InputError, match=r"file\.json.*mass: 0\.122 t is not plausible.*were t mea"
+    ):
+        ttobench.convert(path, tmp_path)
+    assert not (tmp_path / "file.train.json").exists()

@@ -112,11 +112,11 @@ def test_the_samples_profile_is_valid() -> None:
         ),
         (
             HEAD + "[lines]\nkind='1'\npayload='2'\nkinds={I={typ='<i2'}}",
-            "lines.kinds.I.typ: unknown key 'typ' .*did you mean 'type'",
+            "lines.kinds.I.typ: unknown key 'typ'; did you mean 'type'",
         ),
         (
             HEAD + "[trip]\nload = {valu=3, unit='t'}",
-            "trip.load.valu: unknown key 'valu' .*did you mean 'value'",
+            "trip.load.valu: unknown key 'valu'; did you mean 'value'",
         ),
         (HEAD + "[repair]\nspike = false", "unknown key 'spike'; did you mean 'spikes'"),
         (HEAD + "[repair]\nspikes = 3", "repair.spikes: must be a valid boolean"),
@@ -140,6 +140,61 @@ def test_each_mistake_gives_one_line_with_file_place_and_remedy(
         read_profile(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_all_that_is_wrong_with_a_profile_is_listed_at_once(tmp_path: Path) -> None:
+    """Misspelt and missing keys, and columns of every kind, each with its place and remedy."""
+    path = tmp_path / "mine.profile.toml"
+    path.write_text(
+        HEAD
+        + """
+[file]
+delimiter = ","
+decimal = ","
+encoding = "utf8000"
+[time]
+colunm = "t"
+[columns]
+"/train/sate.speed" = { column = "v", unit = "m/s" }
+"/train/state.position" = { column = "s", unit = "kg" }
+"/train/state.acceleration" = { column = "a" }
+"/gnss/fix.latitude" = { colum = "lat", unit = "deg" }
+[trip]
+load = { value = 3, unit = "m" }
+""",
+        "utf-8",
+    )
+    with pytest.raises(InputError) as caught:
+        read_profile(path)
+    stated = [str(problem) for problem in caught.value.each]
+    for beginning in (
+        "time.colunm: unknown key 'colunm'; did you mean 'column'",
+        """columns."/gnss/fix.latitude".colum: unknown key 'colum'; did you mean 'column'""",
+        "file: delimiter and decimal are both ','",
+        "file: encoding 'utf8000' is not known",
+        "trip: load: unit 'm' cannot be read as kg; declare",
+        "unknown field '/train/sate.speed'; did you mean '/train/state.speed'",
+        """columns."/train/state.position": unit 'kg' cannot be read as m; declare""",
+        """columns."/train/state.acceleration" needs a unit; for example unit = 'm/s^2'""",
+    ):
+        assert sum(text.startswith(beginning) for text in stated) == 1, (beginning, stated)
+    assert len(stated) == 8
+    assert str(caught.value).startswith(f"{path}: 8 problems: (1) ")
+
+
+@pytest.mark.parametrize(
+    ("trip", "message"),
+    [
+        ("mass = { value = 122, unit = 'kg' }", "trip: mass: 0.122 t is not plausible.*were t mea"),
+        ("load = { value = 8.5, unit = 'kg' }", "trip: load: 0.0085 t is not plausible.*were t m"),
+        ("mass = { value = 122000, unit = 't' }", "trip: mass: 122000 t is not.*were kg meant"),
+    ],
+)
+def test_a_mass_that_cannot_be_meant_is_refused(tmp_path: Path, trip: str, message: str) -> None:
+    path = tmp_path / "mine.profile.toml"
+    path.write_text(HEAD + "[trip]\n" + trip, "utf-8")
+    with pytest.raises(InputError, match=message):
+        read_profile(path)
 
 
 @pytest.mark.parametrize("data", [b"\xff\xfe\x00x", b"name = 'caf\xe9'"])

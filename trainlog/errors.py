@@ -6,7 +6,11 @@ exits with status 2. Any other exception is a defect of trainlog itself.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+
+MOST_LISTED = 20
+"""Problems of one file that a message lists."""
 
 
 class TrainlogError(Exception):
@@ -59,6 +63,39 @@ class InputError(TrainlogError):
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
+
+    problems: tuple[InputError, ...] = ()
+    """Where a file has several problems: each of them."""
+
+    @property
+    def each(self) -> tuple[InputError, ...]:
+        """The problems that the error states, one by one."""
+        return self.problems or (self,)
+
+    @classmethod
+    def listing(
+        cls, problems: Sequence[InputError], *, file: str | Path | None = None
+    ) -> InputError:
+        """One error that lists all `problems` of a file; of one problem, the error itself.
+
+        Examples
+        --------
+        >>> mass = InputError("is missing", place="mass", remedy="add it")
+        >>> speed = InputError("has no unit", place="max_speed")
+        >>> print(InputError.listing([mass, speed], file="train.json"))
+        train.json: 2 problems: (1) mass: is missing; add it; (2) max_speed: has no unit
+        """
+        each = [one for problem in problems for one in problem.each]
+        if len(each) == 1:
+            one = each[0]
+            return cls(one.problem, file=file or one.file, place=one.place, remedy=one.remedy)
+        bare = tuple(InputError(e.problem, place=e.place, remedy=e.remedy) for e in each)
+        listed = [f"({number}) {one}" for number, one in enumerate(bare[:MOST_LISTED], start=1)]
+        if len(bare) > MOST_LISTED:
+            listed.append(f"and {len(bare) - MOST_LISTED} more")
+        error = cls(f"{len(bare)} problems: {'; '.join(listed)}", file=file)
+        error.problems = bare
+        return error
 
 
 class LogError(TrainlogError):

@@ -17,7 +17,7 @@ from typer.models import CommandInfo, TyperInfo
 
 from trainlog import __version__
 from trainlog.cli import learn, look, plan, record, study
-from trainlog.cli.terminal import console, errors, print_error, wrote
+from trainlog.cli.terminal import console, errors, print_error, print_problems, wrote
 from trainlog.errors import TrainlogError
 
 INTERRUPTED = 130
@@ -120,7 +120,8 @@ def main() -> None:
             warnings.showwarning = _Once()
             status = run(sys.argv[1:])
     except TrainlogError as error:
-        status = _complain(str(error))
+        print_problems(error)
+        status = 2
     except TyperException as error:
         message = error.format_message() if hasattr(error, "format_message") else str(error)
         # Where a value is not one of several, its checker puts "Value error" before our message.

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from trainlog.errors import MOST_LISTED, TrainlogError
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -39,6 +41,20 @@ def print_error(message: str) -> None:
     """State what is wrong in one line on standard error."""
     line = " ".join(message.split())
     errors.print(f"trainlog: {line}", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_problems(error: TrainlogError) -> None:
+    """State what is wrong: in one line or, if a file has several problems, in one line each."""
+    problems = getattr(error, "problems", ())
+    if not problems:
+        print_error(str(error))
+        return
+    print_error(f"{error.file}: {len(problems)} problems")
+    shown = [str(problem) for problem in problems[:MOST_LISTED]]
+    if len(problems) > MOST_LISTED:
+        shown.append(f"and {len(problems) - MOST_LISTED} more")
+    for line in shown:
+        errors.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 
 def print_account(log: Path, account: Account, to: Console) -> None:

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, read_bytes, write_bytes
+from trainlog.formats.plausible import implausible_line
 from trainlog.formats.schema import (
     INFINITY,
     MISSING,
@@ -24,6 +25,7 @@ from trainlog.formats.schema import (
     Quantity,
     Table,
     built,
+    gathered,
     readable,
 )
 from trainlog.railway.journey import Journey, TimingPoint
@@ -95,24 +97,37 @@ class _LineFile(File):
     braking_parameters: _Braking | None = None
     geometry: _Geometry | None = None
 
+    def content(self) -> Line:
+        return self.line()
+
+    @classmethod
+    def implausible(cls, values: dict[str, Any]) -> list[InputError]:
+        return list(implausible_line(values))
+
     def line(self) -> Line:
         """The line that the file describes."""
-        geometry = self.geometry
+        limits, gradients, curvatures, geometry, survey = gathered(
+            lambda: profile("speed_limits", *self.speed_limits),
+            lambda: profile("gradients", *self.gradients),
+            lambda: None if self.curvatures is None else curvature_profile(*self.curvatures),
+            lambda: None if self.geometry is None else self.geometry.geometry(),
+            lambda: None if self.survey is None else Survey(**dict(self.survey)),
+        )
         return Line(
             name=self.name,
             length=self.length,
             stations=tuple(
                 Station(name, float(at)) for name, at in zip(*self.stations, strict=True)
             ),
-            speed_limits=profile("speed_limits", *self.speed_limits),
-            gradients=profile("gradients", *self.gradients),
-            curvatures=None if self.curvatures is None else curvature_profile(*self.curvatures),
+            speed_limits=limits,
+            gradients=gradients,
+            curvatures=curvatures,
             tunnels=tunnels(self.tunnels),
             altitude=self.altitude,
-            geometry=None if geometry is None else geometry.geometry(),
+            geometry=geometry,
             source=self.source,
             braking_parameters=self.braking_parameters or {},
-            survey=None if self.survey is None else Survey(**dict(self.survey)),
+            survey=survey,
         )
 
     @staticmethod
@@ -172,20 +187,23 @@ def tunnel_columns(rows: tuple[Tunnel, ...]) -> tuple[list[float], ...] | None:
 
 
 def _check_rows(place: str, positions: FloatArray) -> None:
+    problems = [
+        InputError(
+            f"position {positions[row + 1]:.12g} m follows {positions[row]:.12g} m",
+            place=f"{place}.values[{row + 1}]",
+            remedy="positions must increase",
+        )
+        for row in np.flatnonzero(np.diff(positions) <= 0.0)
+    ]
     if positions.size == 0 or positions[0] != 0.0:
-        raise InputError(
+        first = InputError(
             "the first row is not at position 0",
             place=f"{place}.values",
             remedy="give what holds from the line's start",
         )
-    falling = np.flatnonzero(np.diff(positions) <= 0.0)
-    if falling.size:
-        row = int(falling[0]) + 1
-        raise InputError(
-            f"position {positions[row]:.12g} m follows {positions[row - 1]:.12g} m",
-            place=f"{place}.values[{row}]",
-            remedy="positions must increase",
-        )
+        problems.insert(0, first)
+    if problems:
+        raise InputError.listing(problems)
 
 
 def radii(curves: CurvatureProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -230,7 +248,13 @@ def line_to_bytes(line: Line) -> bytes:
 
 
 def read_line(path: str | Path) -> Line:
-    """Read a line file; errors as `line_from_bytes`, and if the file cannot be read.
+    """Read a line file, JSON or TOML.
+
+    Raises
+    ------
+    InputError
+        As `line_from_bytes`, if the file cannot be read, or if values cannot be meant: limits of
+        1,000 km/h. All that is wrong is listed at once.
 
     Examples
     --------
@@ -238,7 +262,8 @@ def read_line(path: str | Path) -> Line:
     >>> line.name, line.length
     ('CH_StGallen_Wil', 29556.1)
     """
-    return line_from_bytes(read_bytes(path), file=path)
+    line: Line = _LineFile.read(read_bytes(path), path)
+    return line
 
 
 def write_line(line: Line, path: str | Path) -> None:
@@ -278,6 +303,9 @@ class _JourneyFile(File):
     source: str = ""
     line: str
     timing_points: _Points
+
+    def content(self) -> Journey:
+        return self.journey()
 
     def journey(self) -> Journey:
         """The journey that the file describes."""
@@ -335,7 +363,12 @@ def journey_to_bytes(journey: Journey) -> bytes:
 
 
 def read_journey(path: str | Path) -> Journey:
-    """Read a journey file; errors as `journey_from_bytes`, and if the file cannot be read.
+    """Read a journey file, JSON or TOML.
+
+    Raises
+    ------
+    InputError
+        As `journey_from_bytes`, and if the file cannot be read.
 
     Examples
     --------

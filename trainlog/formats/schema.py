@@ -7,15 +7,18 @@ file declares.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import (
     CoreSchema,
     ErrorDetails,
@@ -25,7 +28,7 @@ from pydantic_core import (
 )
 
 from trainlog.errors import InputError
-from trainlog.formats.files import parse_json, plain, shortest, to_bytes
+from trainlog.formats.files import parse_json, parse_toml, plain, shortest, to_bytes
 from trainlog.units import factor, to_si
 
 
@@ -58,7 +61,7 @@ class File(Part):
         InputError
             One line with the place, for example ``gradients.values[3][1]``, and the remedy.
         """
-        content = parse_json(data, file=file)
+        content = _parsed(data, file)
         name = cls.FORMAT
         if not isinstance(content, dict) or "format" not in content:
             raise InputError(
@@ -84,11 +87,68 @@ class File(Part):
                 remedy="update trainlog" if newer else f"expected {cls.VERSION}",
             )
         body = {key: value for key, value in content.items() if key not in ("format", "version")}
-        return checked(cls, body, file)
+        try:
+            return cls.model_validate(body)
+        except ValidationError as error:
+            problems = [*problems_of(error), *cls._problems_of_the_rest(body)]
+            raise InputError.listing(problems, file=file) from error
+
+    @classmethod
+    def _problems_of_the_rest(cls, body: dict[str, Any]) -> list[InputError]:
+        """What is wrong besides with those parts of a file that can be read."""
+        values: dict[str, Any] = {}
+        for name, info in cls.model_fields.items():
+            if name not in body:
+                if not info.is_required():
+                    values[name] = info.get_default(call_default_factory=True)
+                continue
+            with suppress(ValidationError):
+                values[name] = _reader(cls, name).validate_python(body[name])
+        if values.keys() != cls.model_fields.keys():
+            return cls.implausible(values)
+        return cls.model_construct(**values).problems()
+
+    def problems(self) -> list[InputError]:
+        """What is wrong with a file whose keys and types are as they must be."""
+        problems: list[InputError] = []
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                self.content()
+        except InputError as error:
+            problems += error.each
+        return problems + self.implausible(dict(self))
+
+    def content(self) -> Any:
+        """What the file describes; InputError where it cannot be."""
+        return None
+
+    @classmethod
+    def implausible(cls, values: dict[str, Any]) -> list[InputError]:  # noqa: ARG003
+        """What of `values` [SI] by the names of fields, perhaps not of all, cannot be meant."""
+        return []
+
+    @classmethod
+    def read(cls, data: bytes, file: str | Path) -> Any:
+        """What a file that a user wrote describes: as `content`, and plausible besides."""
+        parsed = cls.from_bytes(data, file)
+        problems = parsed.problems()
+        if problems:
+            raise InputError.listing(problems, file=file)
+        return parsed.content()
 
     def to_bytes(self) -> bytes:
         """The file's bytes: canonical units, parts without content left out."""
         return to_bytes({"format": self.FORMAT, "version": self.VERSION} | dumped(self))
+
+
+@cache
+def _reader(model: type[File], name: str) -> TypeAdapter[Any]:
+    """What reads one key of a file alone."""
+    info = model.model_fields[name]
+    annotation: Any = info.annotation
+    for item in info.metadata:
+        annotation = Annotated[annotation, item]
+    return TypeAdapter(annotation)
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -129,31 +189,69 @@ def built(make: Callable[[], Result], file: str | Path) -> Result:
     except InputError as error:
         if error.file is not None:
             raise
-        raise InputError(
-            error.problem, file=file, place=error.place, remedy=error.remedy
-        ) from error
+        raise InputError.listing(error.each, file=file) from error
+
+
+def gathered(*makes: Callable[[], Any]) -> list[Any]:
+    """What each of `makes` gives; if several raise, one InputError that lists all of it."""
+    made: list[Any] = []
+    problems: list[InputError] = []
+    for make in makes:
+        try:
+            made.append(make())
+        except InputError as error:
+            problems += error.each
+    if problems:
+        raise InputError.listing(problems)
+    return made
 
 
 def error_of(error: ValidationError, file: str | Path) -> InputError:
-    """The first complaint in one line, and how many more there are; misspelt keys go first."""
+    """All complaints of pydantic as one InputError."""
+    return InputError.listing(problems_of(error), file=file)
+
+
+def problems_of(error: ValidationError) -> list[InputError]:
+    """Each complaint of pydantic as an InputError; misspelt keys go first."""
     complaints = error.errors(include_url=False)
-    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
+    return [
+        _problem(complaint)
+        for complaint in sorted(complaints, key=lambda one: one["type"] != "extra_forbidden")
+    ]
+
+
+def _problem(complaint: ErrorDetails) -> InputError:
     place = ""
-    for part in first["loc"]:
+    for part in complaint["loc"]:
         place += f"[{part}]" if isinstance(part, int) else f".{part}"
-    if first["type"] == "unit":
-        place += f".{first['ctx']['where']}"
-    key = first["loc"][-1] if first["loc"] else "file"
+    if complaint["type"] == "unit":
+        place += f".{complaint['ctx']['where']}"
+    key = complaint["loc"][-1] if complaint["loc"] else "file"
     problem, remedy = {
         "missing": (f"'{key}' is missing", "add it"),
         "extra_forbidden": (f"unknown key '{key}'", "correct its spelling or remove it"),
         "finite_number": ("is not a finite number", "give one"),
-        "too_short": ("has too few entries", f"give {_at_least(first)}"),
-    }.get(first["type"], (must_be(first["msg"]), None))
-    others = len(complaints) - 1
-    if others:
-        problem += f" (and {others} more {'problem' if others == 1 else 'problems'})"
-    return InputError(problem, file=file, place=place.lstrip(".") or None, remedy=remedy)
+        "too_short": ("has too few entries", f"give {_at_least(complaint)}"),
+    }.get(complaint["type"], (must_be(complaint["msg"]), None))
+    if complaint["type"] in ("unit", "without_unit"):
+        problem, _, remedy = problem.partition("; ")
+    return InputError(problem, place=place.lstrip(".") or None, remedy=remedy)
+
+
+def _parsed(data: bytes, file: str | Path) -> Any:
+    """The content of a file: TOML if its name ends so, else JSON."""
+    if Path(file).suffix.lower() == ".toml":
+        return without_nan(parse_toml(data, file=file))
+    return parse_json(data, file=file)
+
+
+def without_nan(content: Any) -> Any:
+    """TOML's content with None in the place of nan: it has no word for what is not there."""
+    if isinstance(content, dict):
+        return {key: without_nan(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [without_nan(value) for value in content]
+    return None if isinstance(content, float) and np.isnan(content) else content
 
 
 def _at_least(complaint: ErrorDetails) -> str:
@@ -245,9 +343,25 @@ class Quantity:
     def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(
             self._read,
-            _keys(value=_NUMBER, unit=_TEXT),
+            core_schema.no_info_before_validator_function(
+                self._refuse_bare, _keys(value=_NUMBER, unit=_TEXT)
+            ),
             serialization=core_schema.plain_serializer_function_ser_schema(self.write),
         )
+
+    def _refuse_bare(self, found: Any) -> Any:
+        if isinstance(found, int | float | str) and not isinstance(found, bool):
+            raise PydanticCustomError(
+                "without_unit",
+                "{found} has no unit; give value and unit, for example {example}",
+                {
+                    "found": repr(found),
+                    "example": json.dumps(
+                        {"value": 1 if isinstance(found, str) else found, "unit": self.unit}
+                    ),
+                },
+            )
+        return found
 
     def _read(self, found: dict[str, Any]) -> float:
         return float(_to_si(found["value"], found["unit"], self.si))

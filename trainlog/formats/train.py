@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from pydantic import Field
 
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, read_bytes, write_bytes
-from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built
+from trainlog.formats.plausible import implausible_train
+from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built, gathered
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
@@ -106,27 +107,36 @@ class _TrainFile(File):
     brake: _Brake
     braking_curves: _BrakingCurves | None = None
 
+    def content(self) -> Train:
+        return self.train()
+
+    @classmethod
+    def implausible(cls, values: dict[str, Any]) -> list[InputError]:
+        return list(implausible_train(values))
+
     def train(self) -> Train:
         """The train that the file describes."""
         given = {name: getattr(self, name) for name in _SAME}
         curves = self.braking_curves
-        train = Train(
-            **given,
-            length=self.length or 0.0,
-            max_load=self.max_load or 0.0,
-            assumed=tuple(self.assumed or ()),
-            resistance=RunningResistance(**dict(self.running_resistance)),
-            tunnel_resistance=pairs(self.tunnel_resistance),
-            axles=Axles(**dict(self.axles)),
-            brake=Brake(**dict(self.brake)),
-            braking_curves=None
-            if curves is None
-            else BrakingCurves(
-                pairs(curves.emergency), pairs(curves.service), curves.parameters or {}
+        train, _ = gathered(
+            lambda: Train(
+                **given,
+                length=self.length or 0.0,
+                max_load=self.max_load or 0.0,
+                assumed=tuple(self.assumed or ()),
+                resistance=RunningResistance(**dict(self.running_resistance)),
+                tunnel_resistance=pairs(self.tunnel_resistance),
+                axles=Axles(**dict(self.axles)),
+                brake=Brake(**dict(self.brake)),
+                braking_curves=None
+                if curves is None
+                else BrakingCurves(
+                    pairs(curves.emergency), pairs(curves.service), curves.parameters or {}
+                ),
             ),
+            lambda: _check_parts(self.axles, self.brake),
         )
-        _check_parts(train)
-        return train
+        return cast(Train, train)
 
     @staticmethod
     def of(train: Train) -> _TrainFile:
@@ -174,13 +184,18 @@ def columns(rows: tuple[tuple[float, float], ...]) -> tuple[tuple[float, ...], .
     return tuple(zip(*rows, strict=True)) or None
 
 
-def _check_parts(train: Train) -> None:
-    for name in ("adhesive_mass", "wheel_radius"):
-        if not getattr(train.axles, name) > 0.0:
-            raise InputError("must be positive", place=f"axles.{name}", remedy="correct it")
-    for name in ("dead_time", "lag"):
-        if getattr(train.brake, name) < 0.0:
-            raise InputError("must be 0 or more", place=f"brake.{name}", remedy="correct it")
+def _check_parts(axles: _Axles, brake: _Brake) -> None:
+    problems = [
+        InputError("must be positive", place=f"axles.{name}", remedy="correct it")
+        for name in ("adhesive_mass", "wheel_radius")
+        if not getattr(axles, name) > 0.0
+    ] + [
+        InputError("must be 0 or more", place=f"brake.{name}", remedy="correct it")
+        for name in ("dead_time", "lag")
+        if getattr(brake, name) < 0.0
+    ]
+    if problems:
+        raise InputError.listing(problems)
 
 
 def train_from_bytes(data: bytes, *, file: str | Path = "train.json") -> Train:
@@ -213,7 +228,13 @@ def train_to_bytes(train: Train) -> bytes:
 
 
 def read_train(path: str | Path) -> Train:
-    """Read a train file; errors as `train_from_bytes`, and if the file cannot be read.
+    """Read a train file, JSON or TOML.
+
+    Raises
+    ------
+    InputError
+        As `train_from_bytes`, if the file cannot be read, or if values cannot be meant: a train of
+        122 kg. All that is wrong is listed at once.
 
     Examples
     --------
@@ -221,7 +242,8 @@ def read_train(path: str | Path) -> Train:
     >>> train.name, train.mass
     ('CH_Stadler_FLIRT_TPF', 122000.0)
     """
-    return train_from_bytes(read_bytes(path), file=path)
+    train: Train = _TrainFile.read(read_bytes(path), path)
+    return train
 
 
 def write_train(train: Train, path: str | Path) -> None:

@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field
 from trainlog.errors import InputError
 from trainlog.formats import line as line_format, train as train_format
 from trainlog.formats.files import read_json, to_bytes, write_bytes
+from trainlog.formats.plausible import check_line, check_train
 from trainlog.formats.schema import (
     INFINITY,
     MISSING,
@@ -497,9 +498,11 @@ def convert(path: str | Path, output: str | Path) -> Path:
     found = import_file(path)
     target = Path(output) / Path(path).stem
     if isinstance(found, Line):
+        built(lambda: check_line(found), path)
         target = target.with_name(f"{target.name}.line.json")
         line_format.write_line(found, target)
     elif isinstance(found, Train):
+        built(lambda: check_train(found), path)
         target = target.with_name(f"{target.name}.train.json")
         train_format.write_train(found, target)
     else:

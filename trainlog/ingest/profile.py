@@ -9,23 +9,28 @@ from __future__ import annotations
 import datetime
 import difflib
 import re
-import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic_core import ErrorDetails
 
 from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes
+from trainlog.formats.files import parse_toml, read_bytes
+from trainlog.formats.plausible import TRAIN
 from trainlog.formats.schema import must_be
 from trainlog.topics import TOPICS, Field as Item
 from trainlog.units import factor, to_si
 
 PROFILE_FORMAT = "trainlog/recorder-profile"
+
+_PLAUSIBLE = {"load": TRAIN["max_load"], "mass": TRAIN["mass"]}
+"""What a trip can state of the train."""
 
 MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-", "--", "---")
 """Cells that mean "no value" unless the profile lists others."""
@@ -33,6 +38,30 @@ MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", 
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _ProblemsError(ValueError):
+    """Several things that are wrong with one part of a profile."""
+
+    def __init__(self, problems: Iterable[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(self.problems))
+
+
+def _refuse(problems: Iterable[str | None]) -> None:
+    """Refuse a part for all its problems; None is no problem."""
+    found = [problem for problem in problems if problem is not None]
+    if found:
+        raise _ProblemsError(found)
+
+
+def _problem_of(check: Callable[..., object], *given: object) -> str | None:
+    """What `check` finds wrong, if anything."""
+    try:
+        check(*given)
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 class Quantity(_Strict):
@@ -104,14 +133,16 @@ class FileOptions(_Strict):
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> Self:
+        problems = []
         if self.delimiter == self.decimal:
-            raise ValueError(f"delimiter and decimal are both '{self.decimal}'")
+            problems.append(f"delimiter and decimal are both '{self.decimal}'")
         try:
             "".encode(self.encoding)
         except LookupError:
-            raise ValueError(
+            problems.append(
                 f"encoding '{self.encoding}' is not known, for example 'utf-8' or 'cp1252'"
-            ) from None
+            )
+        _refuse(problems)
         return self
 
     def named(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -164,23 +195,23 @@ class TimeOptions(_Strict):
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Self:
-        if (self.column is None) == (not self.columns):
-            raise ValueError("needs either column or columns")
-        if self.format == "parts" and len(self.names) != 6:
-            raise ValueError("format 'parts' needs 6 columns: year month day hour minute second")
-        if self.format in ("epoch", "elapsed") and len(self.names) != 1:
-            raise ValueError(f"format '{self.format}' needs one column")
-        if (self.format == "elapsed") != (self.start is not None):
-            raise ValueError("format 'elapsed' and start = ... go together")
         patterned = self.format not in ("iso", "epoch", "elapsed", "parts")
-        if patterned and "%" not in self.format:
-            raise ValueError(
-                f"format '{self.format}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
-                " pattern such as '%d.%m.%Y %H:%M:%S'"
-            )
-        if self.date is not None and not (patterned and "%d" not in self.format):
-            raise ValueError("date is for a pattern that holds the time of day only")
-        _check_timezone(self.timezone)
+        faults = {
+            "needs either column or columns": (self.column is None) == (not self.columns),
+            "format 'parts' needs 6 columns: year month day hour minute second": self.format
+            == "parts"
+            and len(self.names) != 6,
+            f"format '{self.format}' needs one column": self.format in ("epoch", "elapsed")
+            and len(self.names) > 1,
+            "format 'elapsed' and start = ... go together": (self.format == "elapsed")
+            != (self.start is not None),
+            f"format '{self.format}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
+            " pattern such as '%d.%m.%Y %H:%M:%S'": patterned and "%" not in self.format,
+            "date is for a pattern that holds the time of day only": self.date is not None
+            and not (patterned and "%d" not in self.format),
+        }
+        problems: list[str | None] = [problem for problem, at_fault in faults.items() if at_fault]
+        _refuse([*problems, _problem_of(_check_timezone, self.timezone)])
         return self
 
 
@@ -349,12 +380,20 @@ class TripOptions(_Strict):
 
     @pydantic.model_validator(mode="after")
     def _units(self) -> Self:
+        problems: list[str | None] = []
         for name, unit in (("load", "kg"), ("mass", "kg"), ("start_position", "m")):
             quantity: Quantity | None = getattr(self, name)
             if quantity is not None:
-                _check_unit(name, quantity.unit, unit)
+                problems.append(_problem_of(_check_unit, name, quantity.unit, unit))
         if self.load is not None and self.mass is not None:
-            raise ValueError("give load or mass, not both")
+            problems.append("give load or mass, not both")
+        _refuse(problems)
+        _refuse(
+            str(problem)
+            for name, plausible in _PLAUSIBLE.items()
+            if (quantity := getattr(self, name)) is not None
+            and (problem := plausible.problem(quantity.si("kg"), name)) is not None
+        )
         return self
 
 
@@ -390,8 +429,7 @@ class Limits(_Strict):
 
     @pydantic.model_validator(mode="after")
     def _known(self) -> Self:
-        for name, limit in self.columns.items():
-            _check_unit(name, limit.unit, _known_field(name).unit)
+        _refuse(_problem_of(_check_limit, name, limit) for name, limit in self.columns.items())
         return self
 
 
@@ -445,10 +483,7 @@ class Profile(_Strict):
 
     @pydantic.model_validator(mode="after")
     def _columns_fit(self) -> Self:
-        for name, column in self.columns.items():
-            _check_column(name, column, needs_unit=self.file.format not in WITH_UNITS)
-        if self.lines is not None:
-            _check_lines(self.lines, self.columns)
+        _refuse(_column_problems(self.columns, self.file.format, self.lines))
         return self
 
     def __repr__(self) -> str:
@@ -514,16 +549,7 @@ def parse_profile(data: bytes, *, file: str | Path) -> Profile:
     Traceback (most recent call last):
     trainlog.errors.InputError: mine.toml: is not a recorder profile...
     """
-    try:
-        content = tomllib.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "is not UTF-8 text", file=file, place=f"byte {error.start}", remedy="expected TOML"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"is not TOML: {error}", file=file, remedy="correct it there or just before"
-        ) from error
+    content = parse_toml(data, file=file)
     return profile_of(content, file=file)
 
 
@@ -554,28 +580,47 @@ def profile_of(content: dict[str, Any], *, file: str | Path | None = None) -> Pr
     try:
         return Profile.model_validate(content)
     except pydantic.ValidationError as error:
-        raise _in_one_line(error, file) from error
+        complaints = error.errors(include_url=False)
+        # A misspelt key goes before the one that is missing for it.
+        complaints.sort(key=lambda complaint: complaint["type"] != "extra_forbidden")
+        problems = [one for complaint in complaints for one in _problems(complaint)]
+        if any(complaint["loc"] for complaint in complaints):
+            # The whole is looked at only where all its parts fit; what else is wrong is listed too.
+            problems += [_split(problem) for problem in _problems_of_columns(content)]
+        raise InputError.listing(problems, file=file) from error
 
 
-def _in_one_line(error: pydantic.ValidationError, file: str | Path | None) -> InputError:
-    complaints = error.errors(include_url=False)
-    # A misspelt key goes before the one that is missing for it.
-    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
-    place = "".join(f'."{part}"' if "/" in str(part) else f".{part}" for part in first["loc"])
-    key = str(first["loc"][-1]) if first["loc"] else ""
-    problem = must_be(first["msg"].removeprefix("Value error, "))
-    remedy = None
-    if first["type"] == "extra_forbidden":
-        known = _keys_beside(tuple(first["loc"]))
-        problem, remedy = f"unknown key '{key}'", suggestion(key, known)
-    elif first["type"] == "missing":
-        problem = f"key '{key}' is missing"
-    else:
-        problem, _, advice = problem.partition("; ")
-        remedy = advice or None
-    if len(complaints) > 1:
-        problem += f" (and {len(complaints) - 1} more)"
-    return InputError(problem, file=file, place=place.lstrip(".") or None, remedy=remedy)
+def _problems(complaint: ErrorDetails) -> list[InputError]:
+    """What a complaint of pydantic states."""
+    place = "".join(f'."{part}"' if "/" in str(part) else f".{part}" for part in complaint["loc"])
+    key = str(complaint["loc"][-1]) if complaint["loc"] else ""
+    where = place.lstrip(".") or None
+    cause = complaint.get("ctx", {}).get("error")
+    if isinstance(cause, _ProblemsError):
+        return [_split(problem, where) for problem in cause.problems]
+    if complaint["type"] == "extra_forbidden":
+        known = _keys_beside(tuple(complaint["loc"]))
+        return [InputError(f"unknown key '{key}'", place=where, remedy=suggestion(key, known))]
+    if complaint["type"] == "missing":
+        return [InputError(f"key '{key}' is missing", place=where, remedy="add it")]
+    return [_split(must_be(complaint["msg"].removeprefix("Value error, ")), where)]
+
+
+def _split(message: str, place: str | None = None) -> InputError:
+    """A problem and its remedy, from ``"problem; remedy"``."""
+    problem, _, remedy = message.partition("; ")
+    return InputError(problem, place=place, remedy=remedy or None)
+
+
+def _problems_of_columns(content: dict[str, Any]) -> list[str]:
+    """What is wrong with those columns of a profile that can be read one by one."""
+    columns: dict[str, Column] = {}
+    given = content.get("columns")
+    for name, described in given.items() if isinstance(given, dict) else ():
+        with suppress(pydantic.ValidationError):
+            columns[name] = Column.model_validate(described)
+    file = content.get("file")
+    return _column_problems(columns, file.get("format") if isinstance(file, dict) else None)
 
 
 def _keys_beside(place: tuple[int | str, ...]) -> Iterable[str]:
@@ -626,7 +671,7 @@ def _known_field(name: str) -> Item:
     return fields[column]
 
 
-def _check_column(name: str, column: Column, *, needs_unit: bool) -> None:
+def _check_column(name: str, column: Column, needs_unit: bool) -> None:
     item = _known_field(name)
     given = [column.column is not None, bool(column.columns), column.value is not None]
     if sum(given) != 1:
@@ -645,6 +690,21 @@ def _check_column(name: str, column: Column, *, needs_unit: bool) -> None:
         _check_unit(f'columns."{name}"', unit, item.unit)
     elif column.unit:
         raise ValueError(f'columns."{name}" has no unit')
+
+
+def _column_problems(
+    columns: dict[str, Column], format: str | None, lines: LineOptions | None = None
+) -> list[str]:
+    """What is wrong with each of the columns."""
+    needs_unit = format not in WITH_UNITS
+    found = [_problem_of(_check_column, name, one, needs_unit) for name, one in columns.items()]
+    if lines is not None:
+        found.append(_problem_of(_check_lines, lines, columns))
+    return [problem for problem in found if problem is not None]
+
+
+def _check_limit(name: str, limit: Limit) -> None:
+    _check_unit(name, limit.unit, _known_field(name).unit)
 
 
 def _check_lines(lines: LineOptions, columns: dict[str, Column]) -> None:

@@ -6,6 +6,7 @@ gives the same line travelled the other way.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -349,20 +350,29 @@ class Line:
     survey: Survey | None = None
 
     def __post_init__(self) -> None:
+        problems = list(self._problems())
+        if problems:
+            raise InputError.listing(problems)
+
+    def _problems(self) -> Iterator[InputError]:
+        """What no line can be, one by one."""
         where = f"line '{self.name}'"
         if not self.length > 0.0:
-            raise InputError(f"{where}: length {self.length} m is not positive")
-        if np.any(self.speed_limits.values <= 0.0):
-            at = self.speed_limits.positions[int(np.argmax(self.speed_limits.values <= 0.0))]
-            raise InputError(
-                f"{where}: speed limit at km {at / 1e3:.3f} is not positive",
+            yield InputError(f"{where}: length {self.length} m is not positive")
+            return
+        stopped = self.speed_limits.positions[self.speed_limits.values <= 0.0]
+        if stopped.size:
+            yield InputError(
+                f"{where}: speed limit at km {stopped[0] / 1e3:.3f} is not positive"
+                f"{_and_more(stopped)}",
                 remedy="a train could never pass; give the permitted speed there",
             )
-        if np.any(np.abs(self.gradients.values) > 0.2):
-            at = self.gradients.positions[int(np.argmax(np.abs(self.gradients.values) > 0.2))]
-            raise InputError(
-                f"{where}: gradient at km {at / 1e3:.3f} is steeper than 200 per mille",
-                remedy="check its unit",
+        steep = self.gradients.positions[np.abs(self.gradients.values) > 0.2]
+        if steep.size:
+            yield InputError(
+                f"{where}: gradient at km {steep[0] / 1e3:.3f} is steeper than 200 per mille"
+                f"{_and_more(steep)}",
+                remedy="check its unit: are per mille given as '%' or '1'?",
             )
         for name, positions in (
             ("speed limit", self.speed_limits.positions),
@@ -371,13 +381,13 @@ class Line:
         ):
             outside = positions[(positions < 0.0) | (positions > self.length)]
             if outside.size:
-                raise InputError(
+                yield InputError(
                     f"{where}: {name} at km {outside[0] / 1e3:.3f} lies before the line's start"
-                    f" or beyond the line's end at km {self.length / 1e3:.3f}"
+                    f" or beyond the line's end at km {self.length / 1e3:.3f}{_and_more(outside)}"
                 )
         for before, station in pairwise(self.stations):
             if station.position < before.position:
-                raise InputError(
+                yield InputError(
                     f"{where}: stations are not in the order of their positions:"
                     f" '{station.name}' at km {station.position / 1e3:.3f} stands after"
                     f" '{before.name}' at km {before.position / 1e3:.3f}",
@@ -385,13 +395,13 @@ class Line:
                 )
         for tunnel in self.tunnels:
             if not (0.0 < tunnel.length < np.inf and 0.0 < tunnel.cross_section < np.inf):
-                raise InputError(
+                yield InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} has a length of"
                     f" {tunnel.length:g} m and a cross-section of {tunnel.cross_section:g} m²",
                     remedy="both must be positive",
                 )
             if tunnel.position < 0.0 or tunnel.position + tunnel.length > self.length:
-                raise InputError(
+                yield InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
                 )
 
@@ -561,6 +571,11 @@ class Line:
             braking_parameters=self.braking_parameters,
             survey=self.survey,
         )
+
+
+def _and_more(places: FloatArray) -> str:
+    """How many places there are besides the first."""
+    return f" (and {places.size - 1} more)" if places.size > 1 else ""
 
 
 def check_positions(what: str, positions: FloatArray, values: FloatArray) -> None:

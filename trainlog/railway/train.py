@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -148,13 +149,20 @@ class Train:
     assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        problems = list(self._problems())
+        if problems:
+            raise InputError.listing(problems)
+
+    def _problems(self) -> Iterator[InputError]:
+        """What no train can be, one by one."""
         where = f"train '{self.name}'"
-        for name in _POSITIVE:
-            if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"{where}: {name} {getattr(self, name)} is not positive",
-                    remedy="give what this train has",
-                )
+        faulty = [name for name in _POSITIVE if not getattr(self, name) > 0.0]
+        # What is assumed follows from what is given.
+        for name in [name for name in faulty if name not in self.assumed] or faulty:
+            yield InputError(
+                f"{where}: {name} {getattr(self, name)} is not positive",
+                remedy="give what this train has",
+            )
         for name in (
             "rotating_mass_factor",
             "max_dynamic_braking_effort",
@@ -164,19 +172,20 @@ class Train:
             "length",
         ):
             if not getattr(self, name) >= 0.0:
-                raise InputError(
+                yield InputError(
                     f"{where}: {name} {getattr(self, name)} is negative", remedy="give 0 or more"
                 )
         for name in ("efficiency_traction", "efficiency_regeneration"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(
+            share = getattr(self, name)
+            if not 0.0 <= share <= 1.0 and (share > 0.0 or name not in _POSITIVE):
+                yield InputError(
                     f"{where}: {name} {getattr(self, name)} is not between 0 and 1",
                     remedy="give it as a share, for example 90 %",
                 )
         speeds = np.linspace(0.0, self.max_speed, 101)
         negative = self.resistance(speeds) < 0.0
         if np.any(negative):
-            raise InputError(
+            yield InputError(
                 f"{where}: running resistance is negative at"
                 f" {KMH * speeds[np.argmax(negative)]:.0f} km/h",
                 place="running_resistance",
