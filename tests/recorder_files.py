@@ -136,19 +136,26 @@ def gpx(seed: int, *, speed: str = "1.0", offset: str = "Z") -> Recorded:
 MTK_HEADER = "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt,Speed,HDOP"
 
 
+def mtk_rows(run: Drive, scaled: bool = False) -> list[str]:
+    """The rows of an MTK logger: whole seconds, however many rows there are in one."""
+    rows = []
+    for i, stamp in enumerate(pd.DatetimeIndex(run.time)):
+        place = (run.longitude[i], run.latitude[i])
+        lon, lat = (f"{round(1e7 * x)}" if scaled else f"{x:.7f}" for x in place)
+        rows.append(
+            f"{stamp.year},{stamp.month},{stamp.day},{stamp.hour},{stamp.minute},{stamp.second},"
+            f"{run.satellites[i]},{lon},{lat},{run.altitude[i]:.3f},{run.speed[i]:.2f},"
+            f"{round(100 * run.hdop[i])}"
+        )
+    return rows
+
+
 def mtk(seed: int, *, before: int = 3000, scaled: bool = False) -> Recorded:
     """3 minutes at 10 Hz with whole seconds; before the first fix the date is 2000,0,0."""
     rng = np.random.default_rng(seed)
     truth = drive(1800, 10.0, seed)
     rows = [f"2000,0,0,0,0,{i // 10 % 60},0,0,0,0,0,9999" for i in range(before)]
-    for i, stamp in enumerate(pd.DatetimeIndex(truth.time)):
-        place = (truth.longitude[i], truth.latitude[i])
-        lon, lat = (f"{round(1e7 * x)}" if scaled else f"{x:.7f}" for x in place)
-        rows.append(
-            f"{stamp.year},{stamp.month},{stamp.day},{stamp.hour},{stamp.minute},{stamp.second},"
-            f"{truth.satellites[i]},{lon},{lat},{truth.altitude[i]:.3f},{truth.speed[i]:.2f},"
-            f"{round(100 * truth.hdop[i])}"
-        )
+    rows += mtk_rows(truth, scaled)
     wild = before + rng.choice(np.arange(50, 1750, 20), rng.integers(1, 6), replace=False)
     for place in wild:
         cells = rows[place].split(",")
@@ -156,6 +163,25 @@ def mtk(seed: int, *, before: int = 3000, scaled: bool = False) -> Recorded:
         rows[place] = ",".join(cells)
     text = "\n".join([MTK_HEADER, *rows]) + "\n"
     return Recorded(text, truth, {"before_first_fix": before, "spikes": wild.size})
+
+
+def mtk_at_rest(seed: int, *, moving: int = 60, resting: int = 400, again: float = 0.6) -> Recorded:
+    """At 10 Hz, a drive and a longer rest in which rows repeat the row before at random."""
+    rng = np.random.default_rng(seed)
+    run = drive(10 * (moving + resting), 10.0, seed)
+    source = np.arange(len(run))
+    rest = np.arange(10 * moving, len(run))
+    source[rest] = np.where(rng.random(rest.size) < again, -1, rest)
+    source = np.maximum.accumulate(source)
+    held = run.take(np.minimum(source, 10 * moving))
+    # What a receiver at rest still reports is noise.
+    jitter = 1e-7 * rng.integers(-9, 9, len(run))[source] * (source >= 10 * moving)
+    latitude = np.round(held.latitude + jitter, 7)
+    truth = Drive(
+        run.time, latitude, held.longitude, held.altitude, held.speed * (source < 10 * moving),
+        held.hdop, held.satellites,
+    )  # fmt: skip
+    return Recorded("\n".join([MTK_HEADER, *mtk_rows(truth)]) + "\n", truth)
 
 
 # ------------------------------------------------------------------ NMEA

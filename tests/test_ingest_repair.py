@@ -19,6 +19,7 @@ from ingest_logs import (
     ublox,
     write,
 )
+from recorder_files import MTK_HEADER, drive, mtk_at_rest, mtk_rows
 
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, ingest, report_of
@@ -362,6 +363,27 @@ def test_a_train_at_rest_repeats_itself_without_fault(tmp_path: Path) -> None:
     trip = read_ublox(tmp_path, "\n".join(lines) + "\n")
     assert report_of(trip).count("duplicates") == 1
     np.testing.assert_allclose(elapsed(trip), ticks / 5, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("again", [0.2, 0.6, 0.95])
+def test_a_receiver_at_rest_keeps_its_rate(tmp_path: Path, seed: int, again: float) -> None:
+    """Most of ten rows a second repeat the one before: all of them are samples."""
+    made = mtk_at_rest(seed, again=again)
+    trip = read_ublox(tmp_path, made.text)
+    report = report_of(trip)
+    assert report.count("duplicates") == 0
+    assert report.rows_dropped == 0
+    np.testing.assert_allclose(trip["/gnss/fix"].index.as_unit("ns").asi8, made.truth.time)
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_rows_that_are_each_written_several_times_count_once(tmp_path: Path, times: int) -> None:
+    truth = drive(5 * 120, 5.0, 3)
+    rows = [row for row in mtk_rows(truth) for _ in range(times)]
+    trip = read_ublox(tmp_path, "\n".join([MTK_HEADER, *rows]) + "\n")
+    assert report_of(trip).counts["duplicates"] == (times - 1) * len(truth)
+    np.testing.assert_allclose(trip["/gnss/fix"].index.as_unit("ns").asi8, truth.time)
 
 
 def test_whole_seconds_once_each_are_left_alone(tmp_path: Path) -> None:

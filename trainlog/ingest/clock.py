@@ -189,22 +189,40 @@ def same_as_previous(table: Table) -> BoolArray:
     return same
 
 
+REACHED = 0.05
+"""Share of seconds in which all rows must differ, so that their number is the receiver's rate."""
+
+REGULAR = 0.9
+"""Share of rows that must come equally often, so that the logger wrote each of them so often."""
+
+
 def rows_per_second(table: Table) -> int:
     """Usual number of rows with the same whole second; 1 if time has fractions of a second.
 
-    Only seconds in which something moved count: a row repeated by mistake adds nothing new.
+    Only seconds in which something moved count. Rows that repeat the one before are samples, too,
+    where all rows of other seconds differ, as those of a receiver that came to rest, or where
+    repeats come irregularly; they are not where each row was written equally often.
     """
     if len(table) < 2 or not table.signals or np.any(table.time % NANOSECONDS):
         return 1
     fresh = ~same_as_previous(table)
     # Rows that each hold another column of the same instant are not samples of their own.
-    fullest = max(table.signals.values(), key=lambda column: int(np.isfinite(column).sum()))
-    fresh &= np.isfinite(fullest)
+    present = np.isfinite(max(table.signals.values(), key=lambda c: int(np.isfinite(c).sum())))
+    fresh &= present
     _, first, second = np.unique(table.time, return_index=True, return_inverse=True)
-    counts = np.bincount(second, weights=fresh)[fresh[first]].astype(np.int64)
     # The first and the last second are seldom whole.
-    counts = counts[1:-1] if counts.size > 2 else counts[:0]
-    return max(1, int(np.argmax(np.bincount(counts)))) if counts.size else 1
+    moved = np.flatnonzero(fresh[first])
+    moved = moved[(moved > 0) & (moved < first.size - 1)] if moved.size > 2 else moved[:0]
+    if not moved.size:
+        return 1
+    differing = np.bincount(second, weights=fresh).astype(np.int64)[moved]
+    written = np.bincount(second, weights=present).astype(np.int64)[moved]
+    most = int(np.argmax(np.bincount(written)))
+    times = np.diff(np.append(np.flatnonzero(fresh), len(table)))
+    regular = float(np.max(np.bincount(times)) / times.size) >= REGULAR
+    if np.mean(differing >= most) >= REACHED or not regular:
+        return max(1, most)
+    return max(1, int(np.argmax(np.bincount(differing))))
 
 
 def rebuild_subsecond(table: Table, limits: Limits) -> Result:  # noqa: ARG001
