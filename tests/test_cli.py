@@ -210,16 +210,19 @@ def test_ingest_tells_what_it_repaired(
     assert "/train/axles" in shown
 
 
-def test_ingest_refuses_two_recordings_of_one_name(
+def test_ingest_of_two_recordings_of_one_name_loses_neither(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    copy = tmp_path / "gnss.csv"
-    copy.write_bytes(sample("gnss.csv").read_bytes())
-    status, _, complaint = run(
-        monkeypatch, capsys, "ingest", sample("gnss.csv"), copy, "-o", tmp_path / "out"
-    )
-    assert status == 2
-    assert "same name" in complaint
+    data = sample("gnss.csv").read_bytes()
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+    (tmp_path / "monday" / "gnss.csv").write_bytes(data)
+    (tmp_path / "tuesday" / "gnss.csv").write_bytes(data[: len(data) // 2])
+    files = [tmp_path / day / "gnss.csv" for day in ("monday", "tuesday")]
+    status, _, complaint = run(monkeypatch, capsys, "ingest", *files, "-o", tmp_path / "out")
+    assert (status, complaint) == (0, "")
+    names = sorted(log.name for log in (tmp_path / "out").iterdir())
+    assert names == ["monday_gnss.mcap", "tuesday_gnss.mcap"]
 
 
 def test_a_recording_is_not_overwritten_by_the_log_that_is_made_of_it(

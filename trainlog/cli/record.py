@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+import json
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Literal
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -39,7 +39,9 @@ from trainlog.cli.terminal import (
 )
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
-from trainlog.trip import Trip
+
+if TYPE_CHECKING:
+    from trainlog.ingest import Ingested
 
 app = typer.Typer()
 line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
@@ -118,7 +120,9 @@ def simulate(
         for scenario in progress.track(scenarios, description="driving"):
             trip = drive(scenario)
             write_log(trip, output / f"{trip.name}.mcap")
-            progress.console.print(about(trip), highlight=False, markup=False)
+            progress.console.print(
+                about(trip.metadata, trip.duration), highlight=False, markup=False
+            )
             if trajectory is not None:
                 followed.append(trip)
     if followed:
@@ -141,7 +145,8 @@ def _check_alone(options: dict[str, object]) -> None:
 @app.command(rich_help_panel="Record")
 def ingest(
     recordings: Annotated[
-        list[Path], typer.Argument(help="Recorded files: docs/ingest.md lists the formats.")
+        list[Path],
+        typer.Argument(help="Recorded files, and folders of them: docs/ingest.md lists formats."),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
     profile: Annotated[
@@ -159,77 +164,88 @@ def ingest(
         list[str] | None,
         typer.Option("--set", help="What the file does not state: weather=wet, load=12000 (kg)."),
     ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print what became of each recording as JSON.")
+    ] = False,
 ) -> None:
     """Turn recorded logs into trips; what was repaired is counted and kept in the log.
 
-    A log is named after its file or, where the file holds several recordings, after its trip.
+    A log is named after its file or, where the file holds several recordings, after its trip. Of
+    several files, or a folder, every one is tried; the end is a table of what became of each. What
+    was made before of the same content in the same way is not made again.
+
+    Exit status 0: every recording became a trip; 1: some did not; 2: the only file given did not,
+    or something else that was given cannot be used.
 
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
     """
     from trainlog.formats.line import read_line
     from trainlog.formats.train import read_train
-    from trainlog.ingest import ingest_each, report_of
-    from trainlog.mcap import write_log
+    from trainlog.ingest import Ingested, Outcome, ingest_all
 
-    the_line = None if line is None else read_line(line)
-    the_train = None if train is None else read_train(train)
-    distinct([recording.stem for recording in recordings], recordings)
-    metadata = pairs(facts or [])
-    written: set[Path] = set()
-    with output_folder(output):
-        for recording in recordings:
-            shown: set[str] = set()
-            trips = ingest_each(
-                recording,
+    alone = len(recordings) == 1 and not recordings[0].is_dir()
+    found: list[Outcome] = []
+    with progress_bar() as progress:
+        task = progress.add_task("ingesting", total=None)
+
+        began = monotonic()
+
+        def note(outcome: Outcome, done: int, total: int) -> None:
+            found.append(outcome)
+            rate = done / max(monotonic() - began, 1e-3)
+            words = f"ingesting, {rate:.1f} files a second"
+            progress.update(task, completed=done, total=total, description=words)
+
+        try:
+            result = ingest_all(
+                recordings,
+                output,
                 profile,
                 format=format,
-                line=the_line,
-                train=the_train,
+                line=None if line is None else read_line(line),
+                train=None if train is None else read_train(train),
                 direction="reverse" if reverse else None,
-                metadata=metadata,
+                metadata=pairs(facts or []),
+                each=note,
             )
-            for target, trip in _named(recording, output, trips):
-                _check_target(target, recording, recordings, written)
-                written.add(target)
-                write_log(trip, target)
-                console.print(about(trip), highlight=False, markup=False)
-                lines = [line for line in report_of(trip).lines() if line not in shown]
-                console.print(
-                    *(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False
-                )
-                # What the file holds besides its trips is shown with the first of them.
-                shown.update(line for line in lines if line.startswith("not used: "))
-                wrote(target)
+        except KeyboardInterrupt:
+            _print_ingested(Ingested(output, tuple(found)), alone=False, as_json=as_json)
+            raise
+    if alone and not as_json and [each.state for each in found] == ["refused"]:
+        raise InputError(found[0].reason)
+    _print_ingested(result, alone=alone, as_json=as_json)
+    if result.failed:
+        raise typer.Exit(1)
 
 
-def _check_target(
-    target: Path, recording: Path, recordings: list[Path], written: set[Path]
-) -> None:
-    """Refuse a log that another recording gave, or that is one of the recordings."""
-    if target in written:
-        raise InputError(
-            f"would write {target.name} twice",
-            file=recording,
-            remedy="ingest the files into different folders",
-        )
-    if any(one.exists() and target.exists() and one.samefile(target) for one in recordings):
-        raise InputError(
-            "would be overwritten by the log that is made of it",
-            file=target,
-            remedy="name another folder",
-        )
+def _print_ingested(result: Ingested, *, alone: bool, as_json: bool) -> None:
+    """Print what became of the recordings: of a single file with its report, else as a table."""
+    from analysis.ingest_table import ingest_table
 
-
-def _named(recording: Path, output: Path, trips: Iterator[Trip]) -> Iterator[tuple[Path, Trip]]:
-    """Each trip of a recorded file with its log: named after the file if it holds one recording."""
-    while True:
-        with working(f"reading {recording.name}"):
-            trip = next(trips, None)
-        if trip is None:
-            return
-        several = "recording" in trip.provenance[0]
-        name = re.sub(r"[^\w.+-]+", "_", trip.name) if several else recording.stem
-        yield output / f"{name}.mcap", trip
+    if as_json:
+        typer.echo(json.dumps(result.details(), indent=1))
+        return
+    if not alone:
+        console.print(ingest_table(result))
+        return
+    shown: set[str] = set()
+    for each in result.of("made", "repaired", "unchanged"):
+        assert each.log is not None
+        assert each.report is not None
+        if each.state == "unchanged":
+            console.print(f"  {each.metadata['trip']}: {each.reason}", highlight=False)
+            console.print(f"kept {each.log}", highlight=False, soft_wrap=True)
+            continue
+        console.print(about(each.metadata, each.duration), highlight=False, markup=False)
+        lines = [line for line in each.report.lines() if line not in shown]
+        console.print(*(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False)
+        # What the file holds besides its trips is shown with the first of them.
+        shown.update(line for line in lines if line.startswith("not used: "))
+        wrote(each.log)
+    for each in result.of("refused"):
+        print_error(each.reason)
+    if len(result.outcomes) > 1:
+        console.print(result.sentence, highlight=False)
 
 
 @app.command(rich_help_panel="Record")

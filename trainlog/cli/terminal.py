@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from trainlog.mcap import Account
-    from trainlog.trip import Trip
 
 WIDTH = 110
 """Columns of output that goes to a file or a pipe, where there is no terminal with a width."""
@@ -25,16 +24,16 @@ console = Console(width=None if Console().is_terminal else WIDTH, markup=False)
 errors = Console(stderr=True, markup=False)
 
 
-def about(trip: Trip) -> str:
-    """One line on a trip."""
-    known = trip.metadata
-    length = trip.duration
-    parts = [f"{length / 60.0:.1f} min" if length >= 60.0 else f"{length:.1f} s"]
+def about(known: Mapping[str, str], duration: float | None) -> str:
+    """One line on a trip: its metadata, and how long it was [s]."""
+    parts = []
+    if duration is not None:
+        parts = [f"{duration / 60.0:.1f} min" if duration >= 60.0 else f"{duration:.1f} s"]
     parts += [known.get("direction", "")]
     parts += [f"{known['weather']} rail"] if known.get("weather") else []
     parts += [f"load {float(known['load']) / 1e3:.1f} t"] if known.get("load") else []
     parts += [f"as {known['configuration']}"] if known.get("configuration") else []
-    return f"  {trip.name}: {', '.join(filter(None, parts))}"
+    return f"  {known.get('trip', 'unnamed')}: {', '.join(filter(None, parts))}"
 
 
 def print_error(message: str) -> None:

@@ -7,6 +7,7 @@ Examples
 '6847 rows read, 6847 kept, 0 dropped'
 """
 
+from trainlog.ingest.batch import Ingested, Outcome, ingest_all
 from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest, ingest_each
 from trainlog.ingest.profile import Profile, profile_of, read_profile
 from trainlog.ingest.recording import NO_TIME, Finding, Raw, Recording, Table
@@ -21,6 +22,8 @@ __all__ = [
     "RULES",
     "Finding",
     "Format",
+    "Ingested",
+    "Outcome",
     "Profile",
     "Raw",
     "Recording",
@@ -29,6 +32,7 @@ __all__ = [
     "Table",
     "formats",
     "ingest",
+    "ingest_all",
     "ingest_each",
     "profile_of",
     "read_profile",

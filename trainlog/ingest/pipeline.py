@@ -12,20 +12,21 @@ import numpy as np
 import pandas as pd
 
 from trainlog import __version__
-from trainlog.errors import InputError
+from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Limits, MismatchError, Profile, TripOptions, parse_profile
 from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
-from trainlog.ingest.registry import Format, format_of, own_profile
+from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report
 from trainlog.ingest.rules import LIMITS, refuse_switched_off, repaired
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import EVENTS, TOPICS, Topic
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
+from trainlog.version import code_version
 
 INFO = 2.0
 """Level of an event whose column gives none."""
@@ -193,25 +194,109 @@ def ingest_each(
     >>> [trip.name for trip in ingest_each("sample_logs/gnss.csv")]
     ['gnss']
     """
-    source = _opened(path, profile, format)
-    refused: list[InputError] = []
-    for recording in source.recordings:
-        try:
-            trip = _finished(source, recording, line, train, direction, metadata)
-        except InputError as error:
-            refused.append(error)
+    count, refused = 0, list[TrainlogError]()
+    for _, outcome in ingested(path, Given(profile, format, line, train, direction, metadata)):
+        count += 1
+        if isinstance(outcome, Trip):
+            yield outcome
         else:
-            yield trip
-    if len(refused) == 1 and len(source.recordings) == 1:
+            refused.append(outcome)
+    if len(refused) == 1 and count == 1:
         raise refused[0]
     if refused:
         raise InputError(
-            f"{len(refused)} of {len(source.recordings)} recordings became no trip, the first:"
-            f" {refused[0].problem}",
-            file=source.path,
+            f"{len(refused)} of {count} recordings became no trip, the first: {refused[0].problem}",
+            file=path,
             place=refused[0].place,
             remedy=refused[0].remedy,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What is given beside a recorded file; the attributes are the parameters of `ingest`."""
+
+    profile: str | Path | Profile | None = None
+    format: str | None = None
+    line: Line | None = None
+    train: Train | None = None
+    direction: Direction | None = None
+    metadata: Mapping[str, str] | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What the provenance of a trip keeps of it; files are among its inputs."""
+        return {"direction": self.direction, "metadata": dict(self.metadata or {})}
+
+
+def check_given(given: Given) -> None:
+    """Refuse a profile or the name of a format that no file could be read with.
+
+    Raises
+    ------
+    InputError
+    """
+    _profile(given.profile)
+    if given.format is not None:
+        format_called(given.format)
+
+
+def ingested(path: str | Path, given: Given) -> Iterator[tuple[str, Trip | TrainlogError]]:
+    """Every recording of a file by name, as a trip or as the reason why it becomes none.
+
+    A file of one recording gives one entry, whose name is empty.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    source = _opened(path, given.profile, given.format)
+    several = len(source.recordings) > 1
+    for recording in source.recordings:
+        name = recording.metadata["trip"] if several else ""
+        try:
+            yield (
+                name,
+                _finished(
+                    source, recording, given.line, given.train, given.direction, given.metadata
+                ),
+            )
+        except TrainlogError as error:
+            yield name, error
+
+
+def fingerprint(path: Path, given: Given) -> dict[str, Any] | None:
+    """What a trip of this file would state of its making, found without reading rows.
+
+    Returns
+    -------
+    dict or None
+        The entries ``software``, ``code``, ``format``, ``options`` of the provenance step
+        ``"ingest"``, and of ``inputs`` those that are known: the file, the profile, line and
+        train. None if the format comes from another package, whose version is not known.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is of no known format.
+    """
+    rules, carried, chosen = _chosen(path, given.profile, given.format)
+    if is_registered(chosen):
+        return None
+    digests = {name: sha256(data) for name, data in carried.items()}
+    if given.line is not None:
+        digests[LINE_ATTACHMENT] = sha256(line_to_bytes(given.line))
+    if given.train is not None:
+        digests[TRAIN_ATTACHMENT] = sha256(train_to_bytes(given.train))
+    return {
+        "software": f"trainlog {__version__}",
+        "code": code_version(),
+        "format": chosen.name,
+        "profile": rules.name if rules else None,
+        "options": given.options,
+        "inputs": {path.name: sha256_of(path)} | digests,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,8 +321,7 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
     source = Path(path)
     if profile is None and format is None:
         profile = own_profile(source)
-    rules, carried = _profile(profile)
-    chosen = format_of(source, format or (rules.file.format if rules else None))
+    rules, carried, chosen = _chosen(source, profile, format)
     with _naming(source):
         try:
             read = chosen.read(source, rules)
@@ -262,6 +346,16 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
         }
         recordings = tuple(replace(item, not_used=item.not_used | unused) for item in recordings)
     return _Source(source, chosen, rules, carried, recordings)
+
+
+def _chosen(
+    path: Path, profile: str | Path | Profile | None, format: str | None
+) -> tuple[Profile | None, dict[str, bytes], Format]:
+    """The profile, the attachment that carries it along, and the format of a file."""
+    if profile is None and format is None:
+        profile = own_profile(path)
+    rules, carried = _profile(profile)
+    return rules, carried, format_of(path, format or (rules.file.format if rules else None))
 
 
 @contextmanager
@@ -292,17 +386,20 @@ def _finished(
         if line is not None:
             _check_on_line(trip, line)
     named = {"trip": source.path.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
-    which: dict[str, str] = {}
+    which: dict[str, str | int] = {}
     if len(source.recordings) > 1:
         which["recording"] = named["trip"] = recording.metadata["trip"]
+        which["recordings"] = len(source.recordings)
     attachments = source.carried | trip.attachments
     files = {file.name: sha256_of(file) for file in (source.path, *recording.inputs)}
     digests = {name: sha256(data) for name, data in attachments.items()}
     return Trip(trip.topics, named, (), attachments | recording.attachments | raw).with_step(
         "ingest",
         software=f"trainlog {__version__}",
+        code=code_version(),
         format=source.chosen.name,
         profile=source.profile.name if source.profile else None,
+        options=Given(direction=direction, metadata=metadata).options,
         inputs=files | digests,
         report=report.details(),
         **which,

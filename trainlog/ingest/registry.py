@@ -147,7 +147,7 @@ def own_profile(path: Path) -> Path | None:
         raise InputError(
             "is no folder", file=folder, remedy=f"set {FOLDER} to a folder of profiles, or unset it"
         )
-    head = _head(path)
+    head = head_of(path)
     candidates = sorted(Path(folder).glob("*.toml"))
     return next((each for each in candidates if read_profile(each).recognises(head)), None)
 
@@ -185,6 +185,19 @@ def formats() -> dict[str, Format]:
     return found | {item.name: item for item in (*built_in, *GENERAL) if item.name not in found}
 
 
+def is_registered(item: Format) -> bool:
+    """Whether a format comes from another package, or replaces one of ours."""
+    return item.name in {entry.name for entry in entry_points(group=GROUP)}
+
+
+def format_called(name: str) -> Format:
+    """The format of that name; InputError if there is none."""
+    known = formats()
+    if name not in known:
+        raise InputError(f"no format '{name}'", remedy=suggestion(name, known, "formats"))
+    return known[name]
+
+
 def format_of(path: Path, name: str | None) -> Format:
     """The format called `name`, or the first one that recognises the file.
 
@@ -193,12 +206,10 @@ def format_of(path: Path, name: str | None) -> Format:
     InputError
         If there is no format of that name, the file cannot be read, or no format recognises it.
     """
-    known = formats()
     if name is not None:
-        if name not in known:
-            raise InputError(f"no format '{name}'", remedy=suggestion(name, known, "formats"))
-        return known[name]
-    head = _head(path)
+        return format_called(name)
+    known = formats()
+    head = head_of(path)
     for candidate in known.values():
         if candidate.recognises(head):
             return candidate
@@ -212,8 +223,8 @@ def format_of(path: Path, name: str | None) -> Format:
     )
 
 
-def _head(path: Path) -> bytes:
-    """What a file begins with."""
+def head_of(path: Path) -> bytes:
+    """What a file begins with; InputError if it is empty or cannot be read."""
     try:
         with path.open("rb") as stream:
             head = stream.read(HEAD)

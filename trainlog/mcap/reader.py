@@ -171,6 +171,32 @@ def stream_log(
     return _pieces(path, selection_of(topics, time, position), rows)
 
 
+def about_log(path: str | Path) -> Trip:
+    """Metadata and provenance of a log, from its summary: no topics, no attachments.
+
+    Raises
+    ------
+    LogError
+        If the file is no log, or holds no trip.
+    InputError
+        If there is no such file.
+
+    Examples
+    --------
+    >>> about_log("sample_logs/nonstop.mcap").name
+    'trip-01'
+    """
+
+    def found(contents: Contents) -> Trip:
+        metadata = metadata_of(contents)
+        _check_version(contents, metadata, topic_channels(contents))
+        return Trip({}, metadata.get(TRIP_RECORD, {}), _provenance(metadata, contents))
+
+    with Source(path) as source, in_file(path):
+        contents, trip = contents_used(source, found)
+    return with_losses(trip, contents)
+
+
 # ------------------------------------------------------------------------------- the file's part
 
 

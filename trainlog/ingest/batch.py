@@ -1,0 +1,578 @@
+"""Many recorded files at once: every one is tried, and what became of each is listed.
+
+What was made before of the same content, by the same code, with the same profile, line, train and
+facts is not made again; the provenance of the logs in the output folder decides that.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+from trainlog.display import as_text, counted
+from trainlog.errors import InputError, LogError, TrainlogError
+from trainlog.formats.files import output_folder, sha256_of
+from trainlog.formats.parquet import INDEX_FILE
+from trainlog.ingest.pipeline import (
+    PROFILE_ATTACHMENT,
+    PROFILE_OBJECT_ATTACHMENT,
+    Direction,
+    Given,
+    check_given,
+    fingerprint,
+    ingested,
+)
+from trainlog.ingest.profile import Profile
+from trainlog.ingest.registry import formats, head_of
+from trainlog.ingest.report import Report, report_of
+from trainlog.mcap import describe, write_log
+from trainlog.mcap.reader import about_log
+from trainlog.railway.line import Line
+from trainlog.railway.train import Train
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+from trainlog.version import __version__
+
+State = Literal["made", "repaired", "unchanged", "refused", "passed_over"]
+
+STATES: dict[State, str] = {
+    "made": "made, nothing to repair",
+    "repaired": "made, with repairs",
+    "unchanged": "made before of the same content in the same way",
+    "refused": "became no trip",
+    "passed_over": "no recording",
+}
+"""What can become of a recording."""
+
+RECORDED = frozenset(
+    [
+        ".csv",
+        ".tsv",
+        ".dat",
+        ".gpx",
+        ".log",
+        ".mcap",
+        ".mdf",
+        ".mf4",
+        ".nmea",
+        ".parquet",
+        ".txt",
+        ".ubx",
+    ]
+)
+"""Suffixes of recordings: a file in a folder that has one is refused where it cannot be read."""
+
+DOCUMENTS = frozenset(
+    [
+        ".bib",
+        ".bmp",
+        ".docx",
+        ".gif",
+        ".htm",
+        ".html",
+        ".ipynb",
+        ".jpeg",
+        ".jpg",
+        ".json",
+        ".md",
+        ".pdf",
+        ".png",
+        ".pptx",
+        ".py",
+        ".rrd",
+        ".rst",
+        ".sh",
+        ".svg",
+        ".toml",
+        ".webp",
+        ".xlsx",
+        ".yaml",
+        ".yml",
+    ]
+)
+"""Suffixes of what lies beside recordings: profiles, lines, trains, manuals, pictures."""
+
+LOOKED_AT = 200
+"""Lines by which a text is taken for a table."""
+
+_ATTACHED = (PROFILE_ATTACHMENT, PROFILE_OBJECT_ATTACHMENT, LINE_ATTACHMENT, TRAIN_ATTACHMENT)
+"""Inputs of a trip that are no recorded files."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a recorded file, or of one of its recordings.
+
+    Attributes
+    ----------
+    file : Path
+    state : {"made", "repaired", "unchanged", "refused", "passed_over"}
+        See `STATES`.
+    recording : str
+        Its name, where the file holds several.
+    log : Path or None
+        That holds the trip.
+    reason : str
+        Why it was refused or passed over; how a trip came to be unchanged.
+    report : Report or None
+        What was read, kept and repaired.
+    metadata : dict of str to str
+        Of the trip.
+    duration : float or None [s]
+        Of a trip that was made now.
+    """
+
+    file: Path
+    state: State
+    recording: str = ""
+    log: Path | None = None
+    reason: str = ""
+    report: Report | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    duration: float | None = None
+
+    @property
+    def repairs(self) -> dict[str, int]:
+        """How often each rule was applied."""
+        return {} if self.report is None else self.report.counts
+
+    def details(self) -> dict[str, Any]:
+        """The outcome as JSON holds it."""
+        report = self.report
+        return {
+            "file": str(self.file),
+            "recording": self.recording or None,
+            "state": self.state,
+            "trip": self.metadata.get("trip"),
+            "log": None if self.log is None else str(self.log),
+            "rows_read": None if report is None else report.rows_read,
+            "rows_kept": None if report is None else report.rows_kept,
+            "repairs": self.repairs,
+            "reason": self.reason or None,
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Ingested:
+    """What became of all files.
+
+    Attributes
+    ----------
+    output : Path
+        Folder of the logs.
+    outcomes : tuple of Outcome
+        In the order of the files.
+    """
+
+    output: Path
+    outcomes: tuple[Outcome, ...]
+
+    def __repr__(self) -> str:
+        rows = {each.recording or each.file.name: each.reason for each in self.of("refused")[:8]}
+        return as_text(f"Ingested: {self.sentence}", rows)
+
+    def of(self, *states: State) -> list[Outcome]:
+        """The outcomes of some states."""
+        return [each for each in self.outcomes if each.state in states]
+
+    @property
+    def counts(self) -> dict[State, int]:
+        """How many there are of each state."""
+        found = Counter(each.state for each in self.outcomes)
+        return {state: found[state] for state in STATES}
+
+    @property
+    def failed(self) -> bool:
+        """Whether a recording became no trip."""
+        return bool(self.counts["refused"])
+
+    @property
+    def sentence(self) -> str:
+        """All of them in a line."""
+        count = self.counts
+        made = count["made"] + count["repaired"]
+        words = [f"{counted(made, 'trip')} made, {count['repaired']} of them with repairs"]
+        words += [f"{count['unchanged']} unchanged"] if count["unchanged"] else []
+        words += [f"{count['refused']} refused"]
+        if count["passed_over"]:
+            words.append(f"{counted(count['passed_over'], 'file')} passed over")
+        return "; ".join(words)
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """One row an outcome, with the keys of `details` as columns."""
+        keys = list(Outcome(Path(), "made").details())
+        return pd.DataFrame([each.details() for each in self.outcomes], columns=keys)
+
+    def details(self) -> dict[str, Any]:
+        """What ``trainlog ingest --json`` prints; docs/ingest.md describes it."""
+        return {
+            "format": "trainlog/ingest",
+            "version": 1,
+            "software": f"trainlog {__version__}",
+            "output": str(self.output),
+            "counts": self.counts,
+            "recordings": [each.details() for each in self.outcomes],
+        }
+
+
+def ingest_all(
+    paths: str | Path | Iterable[str | Path],
+    output: str | Path,
+    profile: str | Path | Profile | None = None,
+    *,
+    format: str | None = None,
+    line: Line | None = None,
+    train: Train | None = None,
+    direction: Direction | None = None,
+    metadata: Mapping[str, str] | None = None,
+    each: Callable[[Outcome, int, int], object] | None = None,
+) -> Ingested:
+    """Turn recorded files into logs; one that cannot be used does not keep the others from it.
+
+    A log is named after its file or, where the file holds several recordings, after its trip.
+    Logs of files of one name have their folders' names before; a log that holds something else is
+    not overwritten.
+
+    Parameters
+    ----------
+    paths : path, or iterable of them
+        Files, and folders, of which every file is taken, those of folders in them, too. Files of a
+        folder that are no recordings are passed over, hidden ones left out.
+    output : path
+        Folder for the logs.
+    profile, format, line, train, direction, metadata
+        As for `ingest`, the same for all files.
+    each : callable, optional
+        Called with each outcome, the number of files that are finished, and that of all.
+
+    Returns
+    -------
+    Ingested
+
+    Raises
+    ------
+    InputError
+        If there is no file, the profile or the format is none, or the output cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     first = ingest_all("sample_logs/gnss.csv", folder)
+    ...     again = ingest_all("sample_logs/gnss.csv", folder)
+    >>> first
+    Ingested: 1 trip made, 1 of them with repairs; 0 refused
+    >>> again.frame[["state", "rows_kept"]].values.tolist()
+    [['unchanged', 6847]]
+    """
+    given = Given(profile, format, line, train, direction, metadata)
+    check_given(given)
+    target = Path(output)
+    every = [paths] if isinstance(paths, str | Path) else paths
+    files = files_of([Path(path) for path in every], target)
+    if not files:
+        raise InputError("no recording was given", remedy="name files or folders")
+    found: list[Outcome] = []
+    with output_folder(target):
+        batch = _Batch(target, given, [file for file, reason in files if not reason])
+        for number, (file, reason) in enumerate(files, start=1):
+            outcomes = [Outcome(file, "passed_over", reason=reason)] if reason else batch.make(file)
+            for outcome in outcomes:
+                found.append(outcome)
+                if each is not None:
+                    each(outcome, number, len(files))
+    return Ingested(target, tuple(found))
+
+
+def files_of(paths: Iterable[Path], output: Path) -> list[tuple[Path, str]]:
+    """Files given and those of folders given, each once, with why it is passed over, if it is.
+
+    Raises
+    ------
+    InputError
+        If a folder holds no file.
+    """
+    found: dict[Path, tuple[Path, str]] = {}
+    for path in paths:
+        if not path.is_dir():
+            found.setdefault(path.resolve(), (path, ""))
+            continue
+        held = [(file, no_recording(file)) for file in _files_in(path, output.resolve())]
+        if not held:
+            raise InputError(
+                "the folder holds no files", file=path, remedy="name files, or another folder"
+            )
+        for file, reason in held:
+            found.setdefault(file.resolve(), (file, reason))
+    return list(found.values())
+
+
+def _files_in(folder: Path, output: Path) -> Iterator[Path]:
+    """The files of a folder and of those in it, in order of name; a trip as Parquet is one."""
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or (path.is_dir() and path.resolve() == output):
+            continue
+        if path.is_dir() and not (path / INDEX_FILE).is_file():
+            yield from _files_in(path, output)
+        else:
+            yield path
+
+
+def no_recording(file: Path) -> str:
+    """Why a file found in a folder is no recording; empty if it may be one.
+
+    Examples
+    --------
+    >>> no_recording(Path("sample_logs/recorder.profile.toml"))
+    'its name ends in .toml'
+    >>> no_recording(Path("sample_logs/stopping.mcap"))
+    'a log of trainlog'
+    >>> no_recording(Path("sample_logs/gnss.csv"))
+    ''
+    """
+    suffix = file.suffix.lower()
+    if file.is_dir():
+        return "a trip as Parquet"
+    if suffix in DOCUMENTS:
+        return f"its name ends in {suffix}"
+    try:
+        head = head_of(file)
+    except InputError as error:
+        return "" if suffix in RECORDED else error.problem
+    name = next((item.name for item in formats().values() if item.recognises(head)), "")
+    if name == "mcap" and _is_ours(file):
+        return "a log of trainlog"
+    if name == "csv" and suffix not in (".csv", ".tsv") and not holds_table(head):
+        return "text without a table"
+    return "" if name or suffix in RECORDED else "of no format that trainlog knows"
+
+
+def holds_table(head: bytes) -> bool:
+    r"""Whether the beginning of a text is rows of cells most of which are numbers.
+
+    Examples
+    --------
+    >>> holds_table(b"t;v\n0;1\n1;2\n2;3\n3;4\n")
+    True
+    >>> holds_table(b"Words, and more words.\nAnd so on, for some lines.\nAnd on.\n")
+    False
+    """
+    encoding = "utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1"
+    lines = [line for line in head.decode(encoding, "ignore").splitlines() if line.strip()]
+    rows = lines[len(lines) // 2 :][:LOOKED_AT]
+    for mark in ";\t|,":
+        cells = [row.split(mark) for row in rows]
+        usual, count = Counter(map(len, cells)).most_common(1)[0] if cells else (0, 0)
+        if usual < 2 or count < 0.8 * len(rows):
+            continue
+        filled = [cell for row in cells for cell in row if cell.strip()]
+        if sum(any(map(str.isdigit, cell)) for cell in filled) > 0.5 * len(filled):
+            return True
+    return False
+
+
+def _is_ours(file: Path) -> bool:
+    try:
+        return describe(file).schema_version is not None
+    except LogError:
+        return False
+
+
+@dataclass
+class _Made:
+    """A log in the output folder that ingest made, and how."""
+
+    log: Path
+    trip: Trip
+    step: dict[str, Any]
+    whole: bool
+
+    @property
+    def recorded(self) -> dict[str, str]:
+        """SHA-256 of the recorded files by name."""
+        inputs = self.step.get("inputs", {})
+        return {name: digest for name, digest in inputs.items() if name not in _ATTACHED}
+
+    def is_of(self, mark: dict[str, Any], file: Path) -> bool:
+        """Whether it is what this file would give; `mark` is its `fingerprint`."""
+        if not self.whole or any(
+            self.step.get(key) != value for key, value in mark.items() if key != "inputs"
+        ):
+            return False
+        inputs = self.step["inputs"]
+        attached = {name: digest for name, digest in inputs.items() if name in _ATTACHED}
+        if attached != {name: each for name, each in mark["inputs"].items() if name in _ATTACHED}:
+            return False
+        rest = dict(self.recorded)
+        own = next((name for name in rest if rest[name] == mark["inputs"][file.name]), None)
+        if own is None:
+            return False
+        del rest[own]
+        # A table of rides beside the fixes belongs to what was read.
+        return all(
+            (file.parent / name).is_file() and sha256_of(file.parent / name) == digest
+            for name, digest in rest.items()
+        )
+
+
+class _Batch:
+    """The output folder, what it holds, and what was done so far."""
+
+    def __init__(self, output: Path, given: Given, files: list[Path]) -> None:
+        self._output = output
+        self._given = given
+        self._names = distinct_names(files)
+        self._files = files
+        self._taken: dict[Path, Path] = {}
+        self._read_with: dict[Path, Path] = {}
+        self._by_content: dict[str, list[_Made]] = {}
+        self._by_log: dict[Path, _Made] = {}
+        for log in sorted(output.glob("*.mcap")):
+            made = _made(log)
+            if made is not None:
+                self._add(made)
+
+    def _add(self, made: _Made) -> None:
+        self._by_log[made.log] = made
+        for digest in made.recorded.values():
+            self._by_content.setdefault(digest, []).append(made)
+
+    def make(self, file: Path) -> Iterator[Outcome]:
+        """Make the logs of a file, and say what became of each of its recordings."""
+        other = self._read_with.get(file.resolve())
+        if other is not None:
+            yield Outcome(file, "passed_over", reason=f"read with {other}")
+            return
+        try:
+            yield from self._made_of(file)
+        except TrainlogError as error:
+            yield Outcome(file, "refused", reason=str(error))
+        except Exception as error:  # noqa: BLE001  (a defect of a reader must not stop the others)
+            yield Outcome(file, "refused", reason=_unexpected(file, error))
+
+    def _made_of(self, file: Path) -> Iterator[Outcome]:
+        mark = fingerprint(file, self._given)
+        digest = sha256_of(file)
+        before = self._before(file, mark, digest)
+        if before and len(before) == _recordings(next(iter(before.values()))):
+            for name, made in before.items():
+                yield self._unchanged(file, name, made)
+            return
+        for name, outcome in ingested(file, self._given):
+            if isinstance(outcome, TrainlogError):
+                yield Outcome(file, "refused", name, reason=str(outcome))
+            elif name in before:
+                yield self._unchanged(file, name, before[name])
+            else:
+                yield self._written(file, name, digest, outcome)
+
+    def _before(self, file: Path, mark: dict[str, Any] | None, digest: str) -> dict[str, _Made]:
+        """What was made of this file in the same way, by the name of the recording."""
+        if mark is None:
+            return {}
+        known = self._by_content.get(digest, [])
+        return {made.step.get("recording", ""): made for made in known if made.is_of(mark, file)}
+
+    def _unchanged(self, file: Path, name: str, made: _Made) -> Outcome:
+        first = self._taken.setdefault(made.log, file)
+        self._note_inputs(file, made.recorded)
+        reason = STATES["unchanged"] if first == file else f"of the same content as {first}"
+        report, known = report_of(made.trip), made.trip.metadata
+        return Outcome(file, "unchanged", name, made.log, reason, report, known)
+
+    def _written(self, file: Path, name: str, digest: str, trip: Trip) -> Outcome:
+        log = self._log(file, name, digest)
+        write_log(trip, log)
+        self._taken[log] = file
+        bare = Trip({}, trip.metadata, trip.provenance)
+        made = _Made(log, bare, trip.provenance[0], whole=True)
+        self._add(made)
+        self._note_inputs(file, made.recorded)
+        report = report_of(bare)
+        state: State = "repaired" if report.counts else "made"
+        return Outcome(file, state, name, log, "", report, trip.metadata, trip.duration)
+
+    def _note_inputs(self, file: Path, recorded: Mapping[str, str]) -> None:
+        """Files that were read with this one are not read again by themselves."""
+        for name in recorded:
+            beside = file.with_name(name)
+            if beside.resolve() != file.resolve():
+                self._read_with[beside.resolve()] = file
+
+    def _log(self, file: Path, name: str, digest: str) -> Path:
+        """The log to write: none that holds anything else, and none of the recordings."""
+        plain = re.sub(r"[^\w.+-]+", "_", name) if name else self._names[file]
+        candidates = [plain, f"{plain}-{digest[:8]}"]
+        candidates += [f"{plain}-{digest[:8]}-{number}" for number in range(2, 1_000)]
+        for candidate in candidates:
+            log = self._output / f"{candidate}.mcap"
+            if any(log.exists() and one.exists() and one.samefile(log) for one in self._files):
+                raise InputError(
+                    "would be overwritten by the log that is made of it",
+                    file=log,
+                    remedy="name another folder",
+                )
+            held = self._by_log.get(log)
+            again = held is not None and digest in held.recorded.values()
+            again = again and held is not None and held.step.get("recording", "") == name
+            if log not in self._taken and (again or not log.exists()):
+                return log
+        raise InputError(f"no name is left for {plain}", file=file, remedy="name another folder")
+
+
+def _made(log: Path) -> _Made | None:
+    """What ingest made; None of another log, and of one that something was added to."""
+    try:
+        trip = about_log(log)
+    except TrainlogError:
+        return None
+    steps = [step for step in trip.provenance if step.get("step") != "read damaged log"]
+    if [step.get("step") for step in steps] != ["ingest"]:
+        return None
+    return _Made(log, trip, steps[0], whole=len(steps) == len(trip.provenance))
+
+
+def _recordings(made: _Made) -> int:
+    """How many recordings the file held."""
+    return int(made.step.get("recordings", 1))
+
+
+def _unexpected(file: Path, error: Exception) -> str:
+    if isinstance(error, OSError):
+        return f"{file}: {(error.strerror or str(error)).lower()}"
+    return f"{file}: could not be read ({type(error).__name__}: {error}); report this as a defect"
+
+
+def distinct_names(files: list[Path]) -> dict[Path, str]:
+    """Names for what is made of files: their own, preceded by their folders' where needed.
+
+    Examples
+    --------
+    >>> names = distinct_names([Path("may/1/run.csv"), Path("may/2/run.csv"), Path("may/day.csv")])
+    >>> list(names.values())
+    ['1_run', '2_run', 'day']
+    """
+    by_stem: dict[str, list[Path]] = {}
+    for file in files:
+        by_stem.setdefault(file.stem, []).append(file.absolute())
+    found: dict[Path, str] = {}
+    for file in files:
+        own = file.absolute()
+        others = [one for one in by_stem[file.stem] if one.parent != own.parent]
+        depth, most = 0, len(own.parts) - 2
+        while depth < most and any(_folders(one, depth) == _folders(own, depth) for one in others):
+            depth += 1
+        found[file] = "_".join((*_folders(own, depth), file.stem))
+    return found
+
+
+def _folders(file: Path, depth: int) -> tuple[str, ...]:
+    """The innermost folders of a file, so many of them."""
+    parts = file.parent.parts[1:]
+    return parts[len(parts) - depth :] if depth < len(parts) else parts
