@@ -38,8 +38,14 @@ from analysis.resistance.recording import (
 from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD
 from analysis.resistance.windows import WINDOW, Windows, build_windows, effort_impulse
 from trainlog.display import counted
-from trainlog.errors import LogError, NotIdentifiableError
-from trainlog.formats.attached import line_of, passport_of, train_of
+from trainlog.errors import NotIdentifiableError
+from trainlog.formats.attached import (
+    largest_load,
+    line_of,
+    passport_of,
+    recorded_load,
+    train_of,
+)
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity, Source
 from trainlog.railway.train import Train
@@ -57,12 +63,6 @@ torque of its motors to some per cent, and wheels are worn by some."""
 
 DELAY_STD = 0.25
 """Standard deviation of the delay [s] where the trip does not show it."""
-
-MAX_LOAD_SHARE = 0.15
-"""Largest load over the empty mass where the train's file states none."""
-
-WEIGHING_SHARE, WEIGHING_OFFSET = 0.03, 0.02
-"""Standard deviation of a recorded load: this share of the load, and this share of the largest."""
 
 DELAYS = np.round(np.arange(-0.5, 2.55, 0.1), 3)
 """Delays [s] among which the least squares are sought."""
@@ -195,56 +195,6 @@ class _Prior:
     load: Quantity
 
 
-def recorded_load(trip: Trip, train: Train | None = None) -> Quantity | None:
-    """The load [kg] that a trip's metadata state, with its uncertainty; None without.
-
-    Parameters
-    ----------
-    trip : Trip
-    train : Train, optional
-        Its largest load sizes the offset of the weighing.
-
-    Raises
-    ------
-    LogError
-        If ``load`` or ``load_std`` is not a mass.
-
-    Examples
-    --------
-    >>> recorded_load(Trip({}, {"load": "12000", "load_std": "500"})).band
-    (11020.0, 12980.0)
-    """
-    load = _stated(trip, "load")
-    if load is None:
-        return None
-    std = _stated(trip, "load_std")
-    if std is None:
-        largest = _largest_load(train) if train is not None else 0.0
-        std = float(np.hypot(WEIGHING_SHARE * load, WEIGHING_OFFSET * largest))
-    return Quantity(load, std, "recorded")
-
-
-def _stated(trip: Trip, key: str) -> float | None:
-    """A mass [kg] among the metadata."""
-    stated = trip.metadata.get(key)
-    if not stated:
-        return None
-    try:
-        mass = float(stated)
-    except ValueError:
-        mass = np.nan
-    if not (np.isfinite(mass) and mass >= 0.0):
-        raise LogError(
-            f"trip '{trip.name}': {key} '{stated}' is not a mass in kg",
-            remedy=f"correct metadata '{key}' when the log is made",
-        )
-    return mass
-
-
-def _largest_load(train: Train) -> float:
-    return train.max_load or MAX_LOAD_SHARE * train.mass
-
-
 def _prior(trip: Trip, train: Train | None, fleet: tuple[Passport, ...]) -> _Prior:
     """What is known beforehand: by the recorded load, by other trips, or by the train's file."""
     weighed = [each for each in fleet if each.load.source == "recorded" and each.load.known]
@@ -261,7 +211,7 @@ def _prior(trip: Trip, train: Train | None, fleet: tuple[Passport, ...]) -> _Pri
         unknown = Quantity(np.nan, np.nan, "assumed", "the trip carries no train")
         loads = np.zeros(1)
         return _Prior(gain, gain_std, loads, np.ones(1), recorded or unknown)
-    largest = _largest_load(train)
+    largest = largest_load(train)
     if recorded is not None:
         std = max(recorded.std, 1.0)
         loads = np.maximum(recorded.value + std * np.linspace(-5.0, 5.0, 201), 0.0)
@@ -357,7 +307,7 @@ class _Motion:
         noise: dict[str, Quantity],
     ) -> None:
         self._trip, self._line, self._train, self._scale = trip, line, train, scale
-        self._mass = train.mass + 0.5 * _largest_load(train)
+        self._mass = train.mass + 0.5 * largest_load(train)
         step = float(np.median(np.diff(seconds(trip["/train/state"]))))
         self._width = max(WINDOW, 3.0 * step)
         white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan

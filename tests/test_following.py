@@ -208,7 +208,9 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None
         reference.speed, trajectory.speed_at(trajectory.latest, truth.position)
     )
     assert trip.metadata["configuration"] == LIGHT
-    assert float(trip.metadata["load"]) == 2_000.0
+    # The load is weighed: the log does not state it exactly.
+    error = float(trip.metadata["load"]) - 2_000.0
+    assert 0.0 < abs(error) < 4.0 * float(trip.metadata["load_std"])
     draw_following([trip], tmp_path / "following.png")
     assert (tmp_path / "following.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(LogError, match=r"'driven-.*' followed no trajectory"):

@@ -9,9 +9,9 @@ import pytest
 
 import trainlog
 from analysis import passport
-from analysis.passports import estimated_passport, recorded_load, with_effort_delay
+from analysis.passports import estimated_passport, with_effort_delay
 from trainlog.errors import InputError, LogError
-from trainlog.formats.attached import passport_of, with_passport
+from trainlog.formats.attached import passport_of, recorded_load, with_passport
 from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
 from trainlog.railway import Passport, Quantity
 from trainlog.trip import Trip

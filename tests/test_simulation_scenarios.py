@@ -116,6 +116,7 @@ def test_trips_hold_all_that_was_recorded() -> None:
             "line",
             "direction",
             "load",
+            "load_std",
             "weather",
             "clock",
             "start",
@@ -129,6 +130,23 @@ def test_trips_hold_all_that_was_recorded() -> None:
         (step,) = trip.provenance
         assert step["seed"] == scenario.seed
         assert step["inputs"] == {k: sha256(v) for k, v in trip.attachments.items()}
+
+
+def test_the_log_states_the_load_as_it_was_weighed() -> None:
+    errors = []
+    for scenario, trip in zip(drawn(), trips(), strict=False):
+        std = float(trip.metadata["load_std"])
+        assert std == pytest.approx(0.025 * (scenario.train.max_load or 20e3), abs=0.5)
+        errors.append((float(trip.metadata["load"]) - scenario.load) / std)
+    assert min(map(abs, errors)) > 0.0
+    assert max(map(abs, errors)) < 4.0
+
+
+def test_a_train_that_does_not_weigh_its_load_states_none() -> None:
+    sensors = replace(drawn()[0].sensors, load_error=None)
+    trip = simulate(replace(drawn()[0], sensors=sensors))
+    assert not {"load", "load_std"} & set(trip.metadata)
+    assert json.loads(trip.attachments["scenario.json"])["load"] == drawn()[0].load
 
 
 def test_truth_is_attached() -> None:

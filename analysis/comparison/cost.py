@@ -15,7 +15,7 @@ from analysis.given import Given, each_given
 from analysis.tables import kwh, new_table
 from trainlog.display import as_text, counted
 from trainlog.errors import LogError
-from trainlog.formats.attached import train_of
+from trainlog.formats.attached import passport_of, recorded_load, train_of
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import stream_log
 from trainlog.railway import Line, Train
@@ -43,7 +43,7 @@ class TripCost:
     stops : int
         Standstills between departure and arrival.
     mass : float [kg]
-        Train and load, as the log says.
+        Train and load, by the stored passport or the recorded load; NaN without either.
     traction : float [J]
         Work of the tractive effort at the wheel rims.
     dynamic_braking : float [J]
@@ -121,7 +121,7 @@ def trip_cost(trip: Recorded) -> TripCost:
         distance=float(meter.highest[1] - meter.lowest[1]),
         running_time=float(arrival - (departure or 0.0)),
         stops=len(stands) - int(departs) - int(arrives),
-        mass=train.mass + float(bare.metadata.get("load", "0")),
+        mass=_mass(bare, train),
         traction=traction,
         dynamic_braking=dynamic,
         line=line_energy(train, traction, dynamic),
@@ -129,6 +129,14 @@ def trip_cost(trip: Recorded) -> TripCost:
         slips=_slips(trip),
         late=_late(trip),
     )
+
+
+def _mass(bare: Trip, train: Train) -> float:
+    """Mass of the loaded train [kg]; NaN where nothing is known of its load."""
+    stored, load = passport_of(bare), recorded_load(bare, train)
+    if stored is not None and stored.mass.known:
+        return stored.mass.value
+    return float("nan") if load is None else train.mass + load.value
 
 
 def _slips(trip: Recorded) -> int | None:

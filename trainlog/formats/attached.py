@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from trainlog.errors import LogError
 from trainlog.formats.files import sha256
 from trainlog.formats.line import line_from_bytes
 from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
 from trainlog.formats.train import train_from_bytes
 from trainlog.railway.line import Line
-from trainlog.railway.passport import Passport
+from trainlog.railway.passport import Passport, Quantity
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import __version__
+
+MAX_LOAD_SHARE = 0.15
+"""Largest load over the empty mass where the train's file states none."""
+
+WEIGHING_SHARE, WEIGHING_OFFSET = 0.03, 0.02
+"""Standard deviation of a recorded load: this share of the load, and this share of the largest."""
 
 
 def line_of(trip: Trip) -> Line:
@@ -100,6 +108,64 @@ def with_passport(trip: Trip, passport: Passport) -> Trip:
     return carried.with_step(
         "passport", software=f"trainlog {__version__}", outputs={PASSPORT_ATTACHMENT: sha256(data)}
     )
+
+
+def recorded_load(trip: Trip, train: Train | None = None) -> Quantity | None:
+    """The load [kg] that a trip's metadata state, with its uncertainty; None without.
+
+    Parameters
+    ----------
+    trip : Trip
+    train : Train, optional
+        Its largest load sizes the offset of the weighing.
+
+    Raises
+    ------
+    LogError
+        If ``load`` or ``load_std`` is not a mass.
+
+    Examples
+    --------
+    >>> recorded_load(Trip({}, {"load": "12000", "load_std": "500"})).band
+    (11020.0, 12980.0)
+    """
+    load = _stated(trip, "load")
+    if load is None:
+        return None
+    std = _stated(trip, "load_std")
+    if std is None:
+        largest = largest_load(train) if train is not None else 0.0
+        std = float(np.hypot(WEIGHING_SHARE * load, WEIGHING_OFFSET * largest))
+    return Quantity(load, std, "recorded")
+
+
+def _stated(trip: Trip, key: str) -> float | None:
+    """A mass [kg] among the metadata."""
+    stated = trip.metadata.get(key)
+    if not stated:
+        return None
+    try:
+        mass = float(stated)
+    except ValueError:
+        mass = np.nan
+    if not (np.isfinite(mass) and mass >= 0.0):
+        raise LogError(
+            f"trip '{trip.name}': {key} '{stated}' is not a mass in kg",
+            remedy=f"correct metadata '{key}' when the log is made",
+        )
+    return mass
+
+
+def largest_load(train: Train) -> float:
+    """Largest load of a train [kg]; a share of its mass where its file states none.
+
+    Examples
+    --------
+    >>> from trainlog import DEFAULT_TRAIN, read_train, sample
+    >>> largest_load(read_train(sample(DEFAULT_TRAIN)))
+    25000.0
+    """
+    return train.max_load or MAX_LOAD_SHARE * train.mass
 
 
 def _attachment(trip: Trip, name: str) -> bytes:

@@ -157,7 +157,7 @@ class TrackConditionMap:
         >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
         >>> seen = track.centres[track.layer("wet").observed][:2]
         >>> track.lower_bound("wet", seen).round(3).tolist()
-        [0.127, 0.125]
+        [0.127, 0.126]
         """
         chosen = self.layer(layer)
         index = self.bin_of(position)

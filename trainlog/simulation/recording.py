@@ -15,7 +15,7 @@ from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.simulation import sensors as measuring
 from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
-from trainlog.simulation.scenario import Scenario
+from trainlog.simulation.scenario import LARGEST_LOAD, Scenario
 from trainlog.topics import EVENTS, REFERENCE, STANDSTILL, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
 from trainlog.trip import (
     LINE_ATTACHMENT,
@@ -197,19 +197,22 @@ def recorded(scenario: Scenario, run: Run) -> Trip:
 
 
 def metadata(scenario: Scenario) -> dict[str, str]:
-    """What is known of the trip, as the log's metadata."""
+    """What is known of the trip, as the log's metadata; the load as the train weighs it."""
     known = {
         "trip": scenario.name,
         "train": scenario.train.name,
         "line": scenario.line.name,
         "direction": scenario.direction,
-        "load": f"{scenario.load:.0f}",
         "weather": scenario.weather,
         "clock": "UTC, simulated",
         "start": pd.Timestamp(scenario.start, tz="UTC").isoformat(),
         "software": f"trainlog {__version__}",
         "seed": str(scenario.seed),
     }
+    if scenario.sensors.load_error is not None:
+        largest = scenario.train.max_load or LARGEST_LOAD
+        load, std = measuring.weighed_load(scenario.load, largest, scenario.sensors, scenario.seed)
+        known |= {"load": f"{load:.0f}", "load_std": f"{std:.0f}"}
     if scenario.trajectory is not None:
         known["configuration"] = scenario.trajectory.configurations[scenario.row].name
     return known

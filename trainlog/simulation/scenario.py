@@ -32,6 +32,9 @@ FloatArray = NDArray[np.float64]
 START = pd.Timestamp("2024-10-07T06:00:00Z").value
 """When the first of several drawn trips begins [ns since 1970 UTC]."""
 
+LARGEST_LOAD = 20_000.0
+"""Of a train whose file states none [kg]."""
+
 RAIL_CLEANING = (0.97, 0.99, 1.01, 1.03)
 """Adhesion of the powered axles from front to rear: each cleans the rail for the next."""
 
@@ -339,7 +342,7 @@ def _drawn(
     travelled = line if direction == "forward" else line.reversed()
     scale = 1.0 + np.clip(0.07 * generator.standard_normal(3), -0.15, 0.15)
     nominal = train.resistance
-    load = np.round(generator.uniform(0.0, train.max_load or 20_000.0), -2)
+    load = np.round(generator.uniform(0.0, train.max_load or LARGEST_LOAD), -2)
     # Trains that run through and trains that call, in both directions and in any weather.
     calling = (number // 4 + number // 2) % 2 == 1
     stations = travelled.stations[1:-1] if calling else ()

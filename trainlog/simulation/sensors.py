@@ -46,6 +46,9 @@ class Sensors:
     gnss_speed_noise : float [m/s]
     outages : float [1/s]
         Satellite outages begin at this rate, each lasting 10 to 60 s.
+    load_error : float or None
+        Standard deviation of the load that the air springs show, over the largest load; None where
+        nothing weighs it and the log states no load.
     """
 
     rate: int = 10
@@ -61,6 +64,7 @@ class Sensors:
     gnss_position_noise: float = 2.5
     gnss_speed_noise: float = 0.08
     outages: float = 1.0 / 600.0
+    load_error: float | None = 0.025
 
     def __post_init__(self) -> None:
         if self.rate < 10 or self.rate % 10 or 200 % self.rate:
@@ -69,8 +73,9 @@ class Sensors:
                 remedy="use 10, 20, 40, 50, 100 or 200 Hz",
             )
         for name in self.__slots__:
-            if not getattr(self, name) >= 0.0:
-                raise InputError(f"sensors: {name} {getattr(self, name)} is negative")
+            value = getattr(self, name)
+            if value is not None and not value >= 0.0:
+                raise InputError(f"sensors: {name} {value} is negative")
 
 
 def rounded(values: FloatArray, resolution: float) -> FloatArray:
@@ -108,6 +113,24 @@ def measured_effort(
     """Effort [N] from the converter's torque estimate: proportional noise, quantised."""
     noisy = effort * (1.0 + sensors.effort_noise * generator.standard_normal(effort.shape))
     return rounded(noisy, sensors.effort_resolution)
+
+
+def weighed_load(load: float, largest: float, sensors: Sensors, seed: int) -> tuple[float, float]:
+    """Load [kg] that the air springs show before departure, and its standard deviation [kg].
+
+    Parameters
+    ----------
+    load, largest : float [kg]
+        As it is, and the largest.
+    sensors : Sensors
+        Whose `load_error` is not None.
+    seed : int
+        Of the trip.
+    """
+    std = (sensors.load_error or 0.0) * largest
+    # Numbers of its own: those of the other sensors stay as they are.
+    error = std * float(np.random.default_rng([seed, 11]).standard_normal())
+    return max(load + error, 0.0), std
 
 
 def odometry(
