@@ -15,6 +15,7 @@ from trainlog.railway import (
     BrakingCurves,
     Configuration,
     CurvatureProfile,
+    EffortCurve,
     Geometry,
     Line,
     ParameterSet,
@@ -99,6 +100,16 @@ def lines(draw: Callable[..., Any]) -> Line:
 
 RESISTANCES = st.builds(RunningResistance, sizes(0.0, 1e5), sizes(0.0, 1e4), sizes(0.0, 1e3))
 CURVES = st.lists(st.tuples(sizes(0.0, 100.0), sizes(0.1, 2.0)), max_size=3).map(tuple)
+
+
+@st.composite
+def effort_curves(draw: Callable[..., Any], least: float = 0.0) -> EffortCurve:
+    steps = draw(arrays(draw(st.integers(1, 6)), 0.01, 20.0))
+    return EffortCurve(
+        np.concatenate(([0.0], np.cumsum(steps))), draw(arrays(steps.size + 1, least, 1e6))
+    )
+
+
 TRAINS = st.builds(
     Train,
     name=NAMES,
@@ -135,6 +146,8 @@ TRAINS = st.builds(
     coaches=st.one_of(st.none(), st.integers(1, 50)),
     source=st.text(max_size=20),
     assumed=st.lists(NAMES, max_size=3).map(tuple),
+    traction_curve=st.one_of(st.none(), effort_curves(1.0)),
+    dynamic_braking_curve=st.one_of(st.none(), effort_curves()),
 )
 
 DETAILS = st.dictionaries(

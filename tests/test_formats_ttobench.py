@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, assume, given, settings
 
 from trainlog.errors import InputError
 from trainlog.formats import ttobench
+from trainlog.formats.imports import import_file
 from trainlog.formats.line import read_journey, read_line
 from trainlog.formats.train import read_train
 from trainlog.formats.ttobench import JourneyLayout, TrackLayout, TrainLayout
@@ -76,7 +77,7 @@ def test_every_file_is_read_and_written_back_unchanged(file: Path, tmp_path: Pat
 @needs_library
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_every_file_is_converted_to_a_file_of_our_own(file: Path, tmp_path: Path) -> None:
-    target = ttobench.convert(file, tmp_path)
+    target = import_file(file, tmp_path)[0].path
     suffix = {"tracks": "line", "trains": "train", "journeys": "journey"}[file.parent.name]
     assert target.name == f"{file.stem}.{suffix}.json"
     reader: Any = {"line": read_line, "train": read_train, "journey": read_journey}[suffix]
@@ -273,7 +274,14 @@ def test_trains_survive_but_for_what_the_layout_has_not(train: Train) -> None:
     # The layout takes a rotating mass of the whole train's for a factor of the wrong kind.
     assume(train.rotating_mass_factor < 1.0)
     unknown = ("max_load", "axles", "brake")
-    plain = replace(train, assumed=unknown, source="", length=train.length + 1.0)
+    plain = replace(
+        train,
+        assumed=unknown,
+        source="",
+        length=train.length + 1.0,
+        traction_curve=None,
+        dynamic_braking_curve=None,
+    )
     found = TrainLayout.of(plain).train()
     kept = {name: getattr(found, name) for name in unknown}
     assert_same(found, replace(plain, **kept), 5e-14)
@@ -319,5 +327,5 @@ def test_a_train_of_122_kg_is_not_imported(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"file\.json.*mass: 0\.122 t is not plausible.*were t mea"
     ):
-        ttobench.convert(path, tmp_path)
+        import_file(path, tmp_path)
     assert not (tmp_path / "file.train.json").exists()

@@ -9,7 +9,8 @@ import pytest
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railtoolkit import read_rolling_stock, read_running_paths
-from trainlog.railway.consist import EffortCurve, Formation, RollingVehicle
+from trainlog.railway import EffortCurve
+from trainlog.railway.consist import Formation, RollingVehicle
 from trainlog.railway.motion import shortest_run
 from trainlog.units import GRAVITY
 

@@ -295,18 +295,43 @@ def recover(
 
 @app.command(name="import", rich_help_panel="Record")
 def import_(
-    files: Annotated[list[Path], typer.Argument(help="TTOBench tracks, trains or journeys.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Of TTOBench or OSRD (JSON), of railtoolkit (YAML); or a train file, with a curve."
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
+    electrification: Annotated[
+        str | None,
+        typer.Option(help="Whose efforts an OSRD train gets; default: the file's default."),
+    ] = None,
+    traction_curve: Annotated[
+        Path | None,
+        typer.Option(help="CSV with the train's tractive effort over speed, units in the header."),
+    ] = None,
+    braking_curve: Annotated[
+        Path | None, typer.Option(help="The same of its dynamic brake.")
+    ] = None,
 ) -> None:
-    """Turn TTOBench tracks and trains into trainlog's line and train files.
+    """Turn tracks, trains and journeys of TTOBench, OSRD and railtoolkit into trainlog's files.
 
     Example: trainlog import CH_StGallen_Wil.json CH_Stadler_FLIRT_TPF.json -o railway
     """
-    from trainlog.formats.ttobench import convert
+    from trainlog.formats.effort import read_effort_curve
+    from trainlog.formats.imports import ImportOptions, import_file
 
+    traction, braking = (
+        None if path is None else read_effort_curve(path)
+        for path in (traction_curve, braking_curve)
+    )
+    options = ImportOptions(electrification, traction, braking)
     with output_folder(output):
         for file in files:
-            wrote(convert(file, output))
+            for each in import_file(file, output, options):
+                wrote(each.path)
+                if each.dropped:
+                    console.print(f"  not taken over: {'; '.join(each.dropped)}", highlight=False)
 
 
 @line_app.command("build")

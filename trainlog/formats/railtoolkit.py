@@ -7,6 +7,7 @@ sections with their permitted speed and resistance.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,8 +18,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.schema import built, checked
-from trainlog.railway import Line, Station, StepProfile
-from trainlog.railway.consist import EffortCurve, Formation, RollingVehicle
+from trainlog.formats.ttobench import assumed_axles
+from trainlog.railway import EffortCurve, Line, Station, StepProfile, Train
+from trainlog.railway.consist import Formation, RollingVehicle
 from trainlog.units import KMH, PER_MILLE
 
 TONNE = 1e3
@@ -187,9 +189,84 @@ def read_running_paths(path: str | Path) -> dict[str, Line]:
     return lines
 
 
-def _content(path: str | Path, schema: str) -> Any:
+def read_any(path: str | Path) -> list[tuple[str, Line | Train, list[str]]]:
+    """Every train or line of a file, by its id, and what of it the train or line does not hold.
+
+    Trains are the formations of the file; without formations, its vehicles that pull, each alone.
+
+    Raises
+    ------
+    InputError
+        As `read_rolling_stock` and `read_running_paths`, or if nothing in the file pulls.
+    """
+    content = _yaml(path)
+    if isinstance(content, dict) and content.get("schema") == SCHEMA + "running-path.json":
+        return [(name, line, []) for name, line in read_running_paths(path).items()]
+    vehicles, formations = read_rolling_stock(path)
+    if not formations:
+        formations = {
+            name: Formation(each.name, (each,), SCHEMA)
+            for name, each in vehicles.items()
+            if each.powered and each.effort
+        }
+    if not formations:
+        raise InputError(
+            "no train in it has tractive effort",
+            file=path,
+            place="trains",
+            remedy="add a formation with a traction unit or a multiple unit",
+        )
+    return [
+        (name, built(lambda each=each: _train(each), path), ["names of its vehicles"])  # type: ignore[misc]
+        for name, each in formations.items()
+    ]
+
+
+def _train(formation: Formation) -> Train:
+    """A formation as a train, empty; what is not published is listed in its ``assumed``."""
+    mass, inertia = formation.mass(0.0), formation.inertia(0.0)
+    knots = formation.effort_knots
+    curve = EffortCurve(knots, formation.tractive_effort(knots))
+    effort, rotating = float(curve.efforts.max()), inertia / mass - 1.0
+    axles = assumed_axles(mass, effort, rotating)
+    adhesive = sum(each.adhesive_mass for each in formation.vehicles if each.powered)
+    limited = np.isfinite(formation.max_speed)
+    return Train(
+        name=formation.name,
+        source=f"railtoolkit rolling stock ({SCHEMA})",
+        mass=mass,
+        rotating_mass_factor=rotating,
+        resistance=formation.resistance(0.0),
+        max_tractive_effort=effort,
+        max_traction_power=curve.peak_power,
+        max_pneumatic_braking_effort=formation.deceleration * inertia,
+        max_speed=formation.max_speed if limited else float(curve.speeds[-1]),
+        max_acceleration=effort / inertia,
+        max_deceleration=formation.deceleration,
+        max_load=formation.mass(1.0) - mass,
+        length=formation.length,
+        axles=replace(axles, adhesive_mass=min(adhesive, mass) or axles.adhesive_mass),
+        traction_curve=curve,
+        assumed=_ASSUMED if limited else ("max_speed", *_ASSUMED),
+    )
+
+
+_ASSUMED = (
+    "max_acceleration",
+    "max_dynamic_braking_effort",
+    "max_dynamic_braking_power",
+    "max_pneumatic_braking_effort",
+    "efficiency_traction",
+    "efficiency_regeneration",
+    "axles",
+    "brake",
+)
+"""Fields of a train that railtoolkit does not know."""
+
+
+def _yaml(path: str | Path) -> Any:
     try:
-        content = yaml.safe_load(read_bytes(path))
+        return yaml.safe_load(read_bytes(path))
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         raise InputError(
@@ -200,6 +277,10 @@ def _content(path: str | Path, schema: str) -> Any:
         ) from error
     except (RecursionError, UnicodeDecodeError, ValueError) as error:
         raise InputError("is not YAML", file=path, remedy="expected a railtoolkit file") from error
+
+
+def _content(path: str | Path, schema: str) -> Any:
+    content = _yaml(path)
     found = content.get("schema") if isinstance(content, dict) else None
     if found != SCHEMA + schema:
         raise InputError(

@@ -20,6 +20,7 @@ from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.plausible import implausible_train
 from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built, gathered
 from trainlog.railway.consist import Consist, Coupler, Vehicle
+from trainlog.railway.effort import EffortCurve
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
 
@@ -39,6 +40,9 @@ _Tunnels = Annotated[
     Table(
         (Column("cross_section", "m^2", "m^2"), Column("coefficient", "kN/(km/h)^2", "N/(m/s)^2"))
     ),
+]
+_EffortCurve = Annotated[
+    tuple[Any, ...], Table((Column("speed", "km/h", "m/s"), Column("effort", "kN", "N")))
 ]
 _Curve = Annotated[
     tuple[Any, ...],
@@ -106,6 +110,8 @@ class _TrainFile(File):
     axles: _Axles
     brake: _Brake
     braking_curves: _BrakingCurves | None = None
+    traction_curve: _EffortCurve | None = None
+    dynamic_braking_curve: _EffortCurve | None = None
 
     def content(self) -> Train:
         return self.train()
@@ -133,6 +139,8 @@ class _TrainFile(File):
                 else BrakingCurves(
                     pairs(curves.emergency), pairs(curves.service), curves.parameters or {}
                 ),
+                traction_curve=_curve("traction_curve", self.traction_curve),
+                dynamic_braking_curve=_curve("dynamic_braking_curve", self.dynamic_braking_curve),
             ),
             lambda: _check_parts(self.axles, self.brake),
         )
@@ -159,6 +167,8 @@ class _TrainFile(File):
                 service=columns(curves.service),
                 parameters=curves.parameters or None,
             ),
+            traction_curve=_table(train.traction_curve),
+            dynamic_braking_curve=_table(train.dynamic_braking_curve),
         )
 
 
@@ -170,8 +180,25 @@ _SAME = {field.name for field in fields(Train)} & set(_TrainFile.model_fields) -
     "axles",
     "brake",
     "braking_curves",
+    "traction_curve",
+    "dynamic_braking_curve",
 }
 """Fields that are the same in the file and in the train."""
+
+
+def _table(curve: EffortCurve | None) -> tuple[NDArray[np.float64], ...] | None:
+    """The columns of a curve."""
+    return None if curve is None else (curve.speeds, curve.efforts)
+
+
+def _curve(place: str, table: tuple[NDArray[np.float64], ...] | None) -> EffortCurve | None:
+    """The curve in a table of speeds and efforts; errors name the place."""
+    if table is None:
+        return None
+    try:
+        return EffortCurve(*table)
+    except InputError as error:
+        raise InputError(error.problem, place=place, remedy=error.remedy) from error
 
 
 def pairs(table: tuple[NDArray[np.float64], ...] | None) -> tuple[tuple[float, float], ...]:

@@ -18,7 +18,6 @@ from pydantic import ConfigDict, Field
 from trainlog.errors import InputError
 from trainlog.formats import line as line_format, train as train_format
 from trainlog.formats.files import read_json, to_bytes, write_bytes
-from trainlog.formats.plausible import check_line, check_train
 from trainlog.formats.schema import (
     INFINITY,
     MISSING,
@@ -314,7 +313,7 @@ class TrainLayout(Layout):
             braking_curves=None if self.etcs is None else self.etcs.curves(),
             seats=_whole("num seats", self.num_seats),
             coaches=_whole("num coaches", self.num_coaches),
-            axles=_assumed_axles(
+            axles=assumed_axles(
                 self.mass,
                 max(self.max_traction_force, self.max_reg_braking_force),
                 self.rho or 0.0,
@@ -334,6 +333,14 @@ class TrainLayout(Layout):
     @staticmethod
     def of(train: Train) -> TrainLayout:
         """The file that describes a train."""
+        for name in ("traction_curve", "dynamic_braking_curve"):
+            if getattr(train, name) is not None:
+                raise InputError(
+                    f"train '{train.name}': TTOBench has no place for its {name.replace('_', ' ')},"
+                    " and the largest effort and power alone would promise more",
+                    place=name,
+                    remedy="write it without the curve if that is meant",
+                )
         known = {
             theirs: getattr(train, ours)
             for theirs, ours in _TRAIN_FIELDS.items()
@@ -382,7 +389,7 @@ _POWERED_SHARE = 0.72
 """Of the rotating mass, at most this share is in the powered axles."""
 
 
-def _assumed_axles(mass: float, effort: float, rotating: float) -> Axles:
+def assumed_axles(mass: float, effort: float, rotating: float) -> Axles:
     """Powered axles that carry the published effort of the motors [N] without slip on dry rail.
 
     As many as that needs, each with `_AXLE_LOAD`; no more than the train weighs [kg]. Their
@@ -472,45 +479,6 @@ def import_file(path: str | Path) -> Line | Train | Journey:
     return read_train(path) if kind == "train" else read_journey(path)
 
 
-def convert(path: str | Path, output: str | Path) -> Path:
-    """Write a TTOBench file anew in the project's own format, into the folder `output`.
-
-    Returns
-    -------
-    Path
-        The file written, for example ``CH_StGallen_Wil.line.json``.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or used, or the new one cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from trainlog.formats.line import read_line
-    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_track(line, Path(folder) / "track.json")
-    ...     convert(Path(folder) / "track.json", folder).name
-    'track.line.json'
-    """
-    found = import_file(path)
-    target = Path(output) / Path(path).stem
-    if isinstance(found, Line):
-        built(lambda: check_line(found), path)
-        target = target.with_name(f"{target.name}.line.json")
-        line_format.write_line(found, target)
-    elif isinstance(found, Train):
-        built(lambda: check_train(found), path)
-        target = target.with_name(f"{target.name}.train.json")
-        train_format.write_train(found, target)
-    else:
-        target = target.with_name(f"{target.name}.journey.json")
-        line_format.write_journey(found, target)
-    return target
-
-
 def read_track(path: str | Path) -> Line:
     """Read a track. Its stops have no names: they are called by their kilometre, "km 0.000".
 
@@ -588,6 +556,11 @@ def write_train(train: Train, path: str | Path) -> None:
     """Write a train, without the fields that are ``assumed``.
 
     The layout has no place for loads, axles and the brake's delays.
+
+    Raises
+    ------
+    InputError
+        If the train has a curve of effort over speed, for which there is no place either.
 
     Examples
     --------

@@ -5,6 +5,7 @@ Pure data and pure functions on arrays; no files.
 
 from trainlog.railway.adhesion import CreepCurve
 from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.effort import EffortCurve
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import (
     CurvatureProfile,
@@ -27,6 +28,7 @@ __all__ = [
     "Configuration",
     "CreepCurve",
     "CurvatureProfile",
+    "EffortCurve",
     "Geometry",
     "Journey",
     "Line",

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
+from trainlog.railway.effort import EffortCurve
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Brake
 from trainlog.units import GRAVITY, KMH
@@ -310,37 +311,6 @@ class Consist:
     def resistance(self) -> RunningResistance:
         """Of all vehicles together."""
         return reduce(add, (vehicle.resistance for vehicle in self.vehicles))
-
-
-@dataclass(frozen=True, eq=False)
-class EffortCurve:
-    """Tractive effort over speed, on lines between its points and constant beyond the last.
-
-    Attributes
-    ----------
-    speeds : (n,) array [m/s]
-        Strictly increasing from 0.
-    efforts : (n,) array [N]
-        Not negative.
-    """
-
-    speeds: FloatArray
-    efforts: FloatArray
-
-    def __post_init__(self) -> None:
-        if self.speeds.size < 1 or self.speeds.shape != self.efforts.shape:
-            raise InputError("tractive effort: needs pairs of speed and effort")
-        if self.speeds[0] != 0.0 or np.any(np.diff(self.speeds) <= 0.0):
-            raise InputError(
-                "tractive effort: speeds do not grow from 0",
-                remedy="order the pairs by speed, the first at standstill",
-            )
-        if not np.all(self.efforts >= 0.0):
-            raise InputError("tractive effort: an effort is negative")
-
-    def __call__(self, speed: ArrayLike) -> FloatArray:
-        """Largest tractive effort [N] at each speed [m/s]."""
-        return np.asarray(np.interp(np.asarray(speed, dtype=np.float64), self.speeds, self.efforts))
 
 
 @dataclass(frozen=True)

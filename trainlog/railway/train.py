@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
+from trainlog.railway.effort import EffortCurve
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import GRAVITY, KMH
@@ -96,8 +97,11 @@ class Train:
         Inertia of all rotating parts over the empty mass (rho).
     resistance : RunningResistance
     max_tractive_effort, max_traction_power : float [N], [W]
-        At the wheel rims.
+        At the wheel rims; bounds of the curve where there is one.
     max_dynamic_braking_effort, max_dynamic_braking_power : float [N], [W]
+    traction_curve, dynamic_braking_curve : EffortCurve or None
+        Efforts over speed at the wheel rims; without a curve the effort is limited by the largest
+        effort and the power alone.
     max_pneumatic_braking_effort : float [N]
     max_speed : float [m/s]
     max_acceleration, max_deceleration : float [m/s²]
@@ -143,6 +147,8 @@ class Train:
     axles: Axles = Axles()
     brake: Brake = Brake()
     braking_curves: BrakingCurves | None = None
+    traction_curve: EffortCurve | None = None
+    dynamic_braking_curve: EffortCurve | None = None
     seats: int | None = None
     coaches: int | None = None
     source: str = ""
@@ -182,6 +188,12 @@ class Train:
                     f"{where}: {name} {getattr(self, name)} is not between 0 and 1",
                     remedy="give it as a share, for example 90 %",
                 )
+        if self.traction_curve is not None and not self.traction_curve.efforts[0] > 0.0:
+            yield InputError(
+                f"{where}: has no tractive effort at standstill",
+                place="traction_curve",
+                remedy="give the effort at 0 km/h",
+            )
         speeds = np.linspace(0.0, self.max_speed, 101)
         negative = self.resistance(speeds) < 0.0
         if np.any(negative):
@@ -203,9 +215,10 @@ class Train:
         return {
             "mass": f"{self.mass / 1e3:.1f} t empty, {self.max_load / 1e3:.1f} t load at most",
             "traction": f"{self.max_tractive_effort / 1e3:.0f} kN,"
-            f" {self.max_traction_power / 1e3:.0f} kW",
+            f" {self.max_traction_power / 1e3:.0f} kW" + _points(self.traction_curve),
             "brakes": f"{self.max_dynamic_braking_effort / 1e3:.0f} kN dynamic,"
-            f" {self.max_pneumatic_braking_effort / 1e3:.0f} kN pneumatic",
+            f" {self.max_pneumatic_braking_effort / 1e3:.0f} kN pneumatic"
+            + _points(self.dynamic_braking_curve),
             "resistance": f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²",
             "speed": f"{KMH * self.max_speed:.0f} km/h at most",
             "length": f"{self.length:.1f} m, {self.axles.count} powered axles",
@@ -221,8 +234,16 @@ class Train:
         """Dynamic and friction brake together [N]."""
         return self.max_dynamic_braking_effort + self.max_pneumatic_braking_effort
 
-    def tractive_effort_limit(self, speed: ArrayLike) -> NDArray[np.float64]:
-        """Largest tractive effort [N] at each speed [m/s]: effort limit, then power limit.
+    def tractive_effort_limit(
+        self, speed: ArrayLike, power: float | None = None
+    ) -> NDArray[np.float64]:
+        """Largest tractive effort [N] at each speed [m/s]: of the curve, the motors, the power.
+
+        Parameters
+        ----------
+        speed : array [m/s]
+        power : float, optional [W]
+            Of a configuration, instead of the train's; the curve is stretched with it.
 
         Examples
         --------
@@ -231,8 +252,35 @@ class Train:
         >>> train.tractive_effort_limit([0.0, 26.0]).tolist()
         [200000.0, 100000.0]
         """
+        power = self.max_traction_power if power is None else power
         v = np.maximum(np.asarray(speed, dtype=np.float64), 1e-9)
-        return np.asarray(np.minimum(self.max_tractive_effort, self.max_traction_power / v))
+        limit = np.asarray(np.minimum(self.max_tractive_effort, power / v))
+        curve = self.traction_curve_with(power)
+        return limit if curve is None else np.minimum(limit, curve(speed))
+
+    def dynamic_braking_effort_limit(self, speed: ArrayLike) -> NDArray[np.float64]:
+        """Largest effort of the dynamic brake [N] at each speed [m/s].
+
+        Examples
+        --------
+        >>> from trainlog.formats.train import read_train
+        >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+        >>> train.dynamic_braking_effort_limit([10.0, 26.0]).tolist()
+        [200000.0, 100000.0]
+        """
+        v = np.maximum(np.asarray(speed, dtype=np.float64), 1e-9)
+        limit = np.minimum(self.max_dynamic_braking_effort, self.max_dynamic_braking_power / v)
+        curve = self.dynamic_braking_curve
+        return np.asarray(limit if curve is None else np.minimum(limit, curve(speed)))
+
+    def traction_curve_with(self, power: float) -> EffortCurve | None:
+        """The curve of a configuration of this train that has a power [W] of its own.
+
+        A train that has a share of the power reaches each effort up to that share of the speed:
+        where power alone limits the effort this is ``power / v``.
+        """
+        curve = self.traction_curve
+        return None if curve is None else curve.stretched(power / self.max_traction_power)
 
     def tunnel_coefficient(self, cross_section: ArrayLike) -> NDArray[np.float64]:
         """Extra quadratic resistance [N/(m/s)²] in a tunnel of each cross-section [m²].
@@ -259,6 +307,11 @@ class Train:
     def adhesive_weight(self, load: float = 0.0) -> float:
         """Weight on the powered axles [N] with `load` [kg] spread evenly over the train."""
         return GRAVITY * self.axles.adhesive_mass * (1.0 + load / self.mass)
+
+
+def _points(curve: EffortCurve | None) -> str:
+    """How many points a curve has, in words."""
+    return "" if curve is None else f", curve of {curve.speeds.size} speeds"
 
 
 @dataclass(frozen=True, slots=True)

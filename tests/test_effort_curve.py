@@ -1,0 +1,320 @@
+"""Effort over speed: curves, where they come from, and how a train reads them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_examples import effort_curves
+from hypothesis import given, settings, strategies as st
+from typer.testing import CliRunner
+
+from trainlog.cli.main import app
+from trainlog.errors import InputError
+from trainlog.formats import osrd, railtoolkit
+from trainlog.formats.effort import read_effort_curve
+from trainlog.formats.imports import ImportOptions, import_file
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
+from trainlog.railway import EffortCurve
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+SHARED = pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
+FLIRT = read_train(sample(DEFAULT_TRAIN))
+CURVE = EffortCurve(np.array([0.0, 10.0, 30.0]), np.array([100e3, 80e3, 20e3]))
+quick = settings(max_examples=60, deadline=None)
+
+
+# ---- the curve ----------------------------------------------------------------------------------
+
+
+def test_between_its_points_and_beyond_them() -> None:
+    speeds = [0.0, 5.0, 10.0, 20.0, 30.0, 60.0]
+    assert CURVE(speeds).tolist() == [100e3, 90e3, 80e3, 50e3, 20e3, 10e3]
+
+
+def test_the_peak_of_the_power_may_lie_inside_a_piece() -> None:
+    # 80 kN - 3 kN/(m/s) (v - 10 m/s) times v is largest at (80 + 30) / 6 m/s.
+    v = 110.0 / 6.0
+    assert CURVE.peak_power == pytest.approx(v * (110e3 - 3e3 * v))
+
+
+def test_a_share_of_the_power_is_that_of_a_hyperbola() -> None:
+    v = np.linspace(0.5, 60.0, 200)
+    hyperbola = EffortCurve(
+        np.insert(v, 0, 0.0), np.minimum(2e5, 2.6e6 / np.maximum(v[0], np.insert(v, 0, 0.0)))
+    )
+    slower = np.linspace(15.0, 50.0, 40)
+    assert hyperbola.stretched(0.9)(slower) == pytest.approx(
+        np.minimum(2e5, 0.9 * 2.6e6 / slower), rel=2e-3
+    )
+
+
+@quick
+@given(effort_curves(1.0))
+def test_its_approximations_bound_it(curve: EffortCurve) -> None:
+    fastest = 1.3 * float(curve.speeds[-1]) + 1.0
+    v = np.unique(np.concatenate((np.linspace(0.0, fastest, 500), curve.speeds)))
+    top = curve.efforts.max()
+    below, dipless = curve.without_rise(v), curve.without_dip(v)
+    assert np.all(below <= curve(v) + 1e-9 * top)
+    assert np.all(np.diff(below) <= 1e-9 * top)
+    assert np.all(dipless <= curve(v) + 1e-9 * top)
+    slopes = np.diff(dipless)
+    rising = np.flatnonzero(slopes > 1e-9 * top)
+    assert rising.size == 0 or np.all(slopes[: rising[-1]] >= -1e-9 * top)
+    _, offsets, powers = curve.tangents(fastest)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        above = np.where(powers > 0.0, offsets + powers / v[1:, None], offsets).min(axis=1)
+    assert np.all(powers >= 0.0)
+    assert np.all(above >= curve(v[1:]) - 1e-9 * top)
+
+
+@quick
+@given(effort_curves(1.0), st.floats(0.01, 1.0))
+def test_the_speed_at_an_effort_is_the_highest_that_gives_it(
+    curve: EffortCurve, share: float
+) -> None:
+    falling = curve.without_rise
+    effort = share * float(falling.efforts[0])
+    speed = float(falling.speed_at(effort))
+    assert falling(speed) == pytest.approx(effort, rel=1e-9)
+    assert np.all(falling(speed * 1.001 + np.linspace(1e-3, 50.0, 50)) <= effort * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("speeds", "efforts", "words"),
+    [
+        ([0.0], [1.0], "two at least"),
+        ([0.0, np.nan], [1.0, 1.0], "not a finite number"),
+        ([0.0, 2.0], [1.0, np.inf], "not a finite number"),
+        ([0.0, 3.0, 2.0], [1.0, 1.0, 1.0], "do not grow from 0"),
+        ([0.0, 2.0], [1.0, -1.0], "negative"),
+    ],
+)
+def test_curves_that_cannot_be_are_refused(
+    speeds: list[float], efforts: list[float], words: str
+) -> None:
+    with pytest.raises(InputError, match=words) as refusal:
+        EffortCurve(np.array(speeds), np.array(efforts))
+    assert refusal.value.remedy
+
+
+# ---- a train with curves ------------------------------------------------------------------------
+
+
+def test_the_least_of_curve_effort_and_power_counts() -> None:
+    train = replace(FLIRT, traction_curve=CURVE, max_tractive_effort=90e3, max_traction_power=9e5)
+    # By the largest effort, by the curve, by the power, by the curve.
+    assert train.tractive_effort_limit([0.0, 10.0, 15.0, 30.0]) == pytest.approx(
+        [90e3, 80e3, 60e3, 20e3]
+    )
+    braking = replace(FLIRT, dynamic_braking_curve=CURVE)
+    assert braking.dynamic_braking_effort_limit([5.0, 30.0]).tolist() == [90e3, 20e3]
+
+
+def test_a_curve_without_effort_at_standstill_is_refused() -> None:
+    with pytest.raises(InputError, match="no tractive effort at standstill"):
+        replace(FLIRT, traction_curve=EffortCurve(np.array([0.0, 9.0]), np.array([0.0, 1.0])))
+    fading = EffortCurve(np.array([0.0, 3.0, 40.0]), np.array([0.0, 9e4, 2e4]))
+    assert replace(FLIRT, dynamic_braking_curve=fading).dynamic_braking_effort_limit(0.0) == 0.0
+
+
+def test_the_file_keeps_the_curve_and_names_what_is_wrong_in_it() -> None:
+    train = replace(FLIRT, traction_curve=CURVE)
+    data = train_to_bytes(train)
+    assert train_from_bytes(data) == train
+    content = json.loads(data)
+    assert content["traction_curve"]["units"] == {"speed": "km/h", "effort": "kN"}
+    assert content["traction_curve"]["values"] == [[0, 100], [36, 80], [108, 20]]
+    content["traction_curve"]["values"][1][0] = 108
+    with pytest.raises(InputError, match=r"traction_curve: .*speeds do not grow from 0"):
+        train_from_bytes(json.dumps(content).encode())
+    content["traction_curve"]["units"]["effort"] = "kW"
+    with pytest.raises(InputError, match=r"traction_curve\.units\.effort"):
+        train_from_bytes(json.dumps(content).encode())
+
+
+def test_a_file_without_curves_is_as_it_was() -> None:
+    assert b"curve" not in train_to_bytes(replace(FLIRT, braking_curves=None))
+    assert FLIRT.traction_curve is None
+
+
+# ---- CSV ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "speed [km/h],effort [kN]\n0,100\n36,80\n108,20\n",
+        "v [km/h];F_Zug [kN]\n0;100,0\n36;80\n108;20\n\n",
+        "# measured\nspeed (m/s)\teffort (N)\n0\t100000\n10\t80000\n30\t20000\n",
+        "\ufeffspeed [km/h];effort [kN];;\n0;100;;\n36;80;;\n108;20;;\n",
+    ],
+)
+def test_curves_are_read_from_csv(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "curve.csv"
+    path.write_text(text, encoding="utf-8")
+    found = read_effort_curve(path)
+    assert found.speeds == pytest.approx(CURVE.speeds)
+    assert found.efforts == pytest.approx(CURVE.efforts)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("speed;effort\n0;1\n", "column 'speed' has no unit"),
+        ("speed [km/h];effort [kN];more [N]\n0;1;2\n", "has 3 columns"),
+        ("speed [km/h];effort [kN]\n0;1\nx;2\n", "line 3: 'x;2' is not a speed and an effort"),
+        ("speed [km/h];effort [kN]\n0;100\n0;90\n", "speeds do not grow"),
+        ("speed [km/h];effort [t]\n0;100\n9;90\n", "unit"),
+        ("speed [km/h];effort [kN]\n", "two at least"),
+    ],
+)
+def test_bad_csv_is_refused_with_the_place(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "curve.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=words) as refusal:
+        read_effort_curve(path)
+    assert refusal.value.remedy
+    assert "curve.csv" in str(refusal.value)
+
+
+def test_the_command_puts_a_curve_into_a_train(tmp_path: Path) -> None:
+    write_train(FLIRT, tmp_path / "mine.train.json")
+    (tmp_path / "curve.csv").write_text("speed [km/h],effort [kN]\n0,100\n36,80\n108,20\n")
+    arguments = ["import", str(tmp_path / "mine.train.json"), "-o", str(tmp_path / "out")]
+    arguments += ["--traction-curve", str(tmp_path / "curve.csv")]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    train = read_train(tmp_path / "out" / "mine.train.json")
+    assert train.traction_curve == CURVE
+    assert train.max_tractive_effort == 100e3
+    assert train.max_traction_power == pytest.approx(CURVE.peak_power)
+    line = sample("CH_StGallen_Wil.line.json")
+    with pytest.raises(InputError):
+        import_file(line, tmp_path, ImportOptions(traction_curve=CURVE))
+
+
+# ---- OSRD and railtoolkit -----------------------------------------------------------------------
+
+STOCK = {
+    "railjson_version": "3.2",
+    "name": "unit",
+    "mass": 100_000,
+    "length": 50,
+    "max_speed": 40,
+    "comfort_acceleration": 0.8,
+    "inertia_coefficient": 1.05,
+    "gamma": {"type": "CONST", "value": 0.5},
+    "rolling_resistance": {"type": "davis", "A": 1000, "B": 20, "C": 5},
+    "loading_gauge": "G1",
+    "effort_curves": {
+        "default_mode": "25000V",
+        "modes": {
+            "25000V": {
+                "is_electric": True,
+                "curves": [
+                    {
+                        "cond": {"comfort": "AC"},
+                        "curve": {"speeds": [0, 40], "max_efforts": [90e3, 30e3]},
+                    }
+                ],
+                "default_curve": {"speeds": [0, 20, 40], "max_efforts": [120e3, 80e3, 40e3]},
+            },
+            "1500V": {
+                "curves": [],
+                "default_curve": {"speeds": [0, 40], "max_efforts": [80e3, 20e3]},
+            },
+        },
+    },
+}
+
+
+def stock(folder: Path, **changes: object) -> Path:
+    path = folder / "stock.json"
+    path.write_text(json.dumps(STOCK | changes))
+    return path
+
+
+def test_an_osrd_train_has_the_efforts_of_its_electrification(tmp_path: Path) -> None:
+    train, dropped = osrd.read_train(stock(tmp_path))
+    assert train.tractive_effort_limit([0.0, 10.0, 40.0]).tolist() == [120e3, 100e3, 40e3]
+    assert train.resistance(10.0) == pytest.approx(1000.0 + 200.0 + 500.0)
+    assert train.rotating_mass == pytest.approx(5_000.0)
+    assert (train.max_acceleration, train.max_deceleration, train.max_speed) == (0.8, 0.5, 40.0)
+    assert dropped == [
+        "efforts of electrification 1500V",
+        "1 efforts by comfort",
+        "keys loading_gauge",
+    ]
+    other, _ = osrd.read_train(stock(tmp_path), "1500V")
+    assert other.tractive_effort_limit(40.0) == 20e3
+    assert "1500V" in other.source
+    with pytest.raises(InputError, match="no tractive effort for electrification 'steam'") as no:
+        osrd.read_train(stock(tmp_path), "steam")
+    assert no.value.remedy == "choose one of 25000V, 1500V"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mass": -1}, "mass"),
+        ({"gamma": None}, "gamma"),
+        ({"rolling_resistance": {"type": "davis", "A": 1}}, r"rolling_resistance\.B"),
+        ({"effort_curves": {"default_mode": "x", "modes": {}}}, "modes"),
+    ],
+)
+def test_bad_rolling_stock_is_refused_with_the_place(
+    changes: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words):
+        osrd.read_train(stock(tmp_path, **changes))
+
+
+@SHARED
+@pytest.mark.parametrize("name", ["electric", "fast", "short_slow"])
+def test_the_trains_of_osrd_are_imported(name: str, tmp_path: Path) -> None:
+    path = DATA / "osrd" / "rolling_stocks" / f"{name}_rolling_stock.json"
+    (written,) = import_file(path, tmp_path)
+    train = read_train(written.path)
+    published = json.loads(path.read_text())
+    curves = published["effort_curves"]
+    table = curves["modes"][curves["default_mode"]]["default_curve"]
+    assert train.traction_curve is not None
+    assert train.traction_curve.speeds == pytest.approx(table["speeds"], rel=1e-13)
+    assert train.traction_curve.efforts == pytest.approx(table["max_efforts"], rel=1e-13)
+    assert train.tractive_effort_limit(0.0) == pytest.approx(table["max_efforts"][0])
+    assert (train.mass, train.length) == (published["mass"], published["length"])
+    assert any("startup_acceleration" in each for each in written.dropped)
+
+
+@SHARED
+def test_the_traction_units_of_railtoolkit_are_imported(tmp_path: Path) -> None:
+    folder = DATA / "rolling_stock"
+    for path in (*folder.glob("traction-unit/*.yaml"), *folder.glob("multiple-unit/*.yaml")):
+        vehicles, _ = railtoolkit.read_rolling_stock(path)
+        (vehicle,) = vehicles.values()
+        (written,) = import_file(path, tmp_path)
+        train = read_train(written.path)
+        assert vehicle.effort is not None
+        v = np.linspace(0.0, train.max_speed, 77)
+        assert train.tractive_effort_limit(v) == pytest.approx(vehicle.effort(v), rel=1e-9)
+        assert train.resistance(20.0) == pytest.approx(vehicle.resistance(0.0)(20.0))
+    with pytest.raises(InputError, match="no train in it has tractive effort"):
+        import_file(folder / "freight-wagon" / "Facs124.yaml", tmp_path)
+
+
+@SHARED
+def test_equilibrium_speed_and_starting_acceleration_of_a_published_train() -> None:
+    train, _ = osrd.read_train(DATA / "osrd" / "rolling_stocks" / "fast_rolling_stock.json")
+    # At 77 m/s 192.9 kN pull against 5.4 + 200 v + 12 v² = 92.0 kN, both by hand.
+    surplus = train.tractive_effort_limit(77.0) - train.resistance(77.0)
+    assert surplus == pytest.approx(192_916.76 - (5_400.0 + 15_400.0 + 71_148.0), abs=0.1)
+    start = (train.tractive_effort_limit(0.0) - train.resistance(0.0)) / (
+        train.mass + train.rotating_mass
+    )
+    assert start == pytest.approx((441_666.67 - 5_400.0) / 945_000.0, rel=1e-6)

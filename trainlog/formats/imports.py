@@ -1,0 +1,173 @@
+"""Files of other projects as files of this one: what ``trainlog import`` does with each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from trainlog.errors import InputError
+from trainlog.formats import line as line_format, osrd, railtoolkit, train as train_format, ttobench
+from trainlog.formats.files import parse_json, read_bytes
+from trainlog.formats.plausible import check_line, check_train
+from trainlog.formats.schema import built
+from trainlog.railway import EffortCurve, Journey, Line, Train
+
+_SUFFIXES = {Line: "line", Train: "train", Journey: "journey"}
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A file written, and what of its source it does not hold.
+
+    Attributes
+    ----------
+    path : Path
+    dropped : list of str
+    """
+
+    path: Path
+    dropped: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What a train's own file leaves open.
+
+    Attributes
+    ----------
+    electrification : str or None
+        Of a train with efforts for several; default: that which its file calls its default.
+    traction_curve, braking_curve : EffortCurve or None
+        Efforts over speed, in the place of the file's.
+    """
+
+    electrification: str | None = None
+    traction_curve: EffortCurve | None = None
+    braking_curve: EffortCurve | None = None
+
+    @property
+    def curves(self) -> bool:
+        """Whether there is a curve."""
+        return self.traction_curve is not None or self.braking_curve is not None
+
+
+def with_curves(
+    train: Train, traction: EffortCurve | None = None, braking: EffortCurve | None = None
+) -> Train:
+    """The train with these curves; its largest efforts and powers are those of the curves.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from trainlog.formats.train import read_train
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> curve = EffortCurve(np.array([0.0, 10.0, 45.0]), np.array([180e3, 150e3, 40e3]))
+    >>> with_curves(train, curve).tractive_effort_limit([0.0, 10.0]).tolist()
+    [180000.0, 150000.0]
+    """
+    changes: dict[str, Any] = {}
+    if traction is not None:
+        changes |= {
+            "traction_curve": traction,
+            "max_tractive_effort": float(traction.efforts.max()),
+            "max_traction_power": traction.peak_power,
+        }
+    if braking is not None:
+        changes |= {
+            "dynamic_braking_curve": braking,
+            "max_dynamic_braking_effort": float(braking.efforts.max()),
+            "max_dynamic_braking_power": braking.peak_power,
+        }
+    assumed = tuple(name for name in train.assumed if name not in changes)
+    return replace(train, assumed=assumed, **changes)
+
+
+def import_file(
+    path: str | Path, folder: str | Path, options: ImportOptions | None = None
+) -> list[Imported]:
+    """Write a file of TTOBench, OSRD or railtoolkit anew in the project's own formats.
+
+    A train file of the project itself is taken, too, where there is a curve to put into it.
+
+    Parameters
+    ----------
+    path : str or Path
+        A track, train or journey of TTOBench, rolling stock of OSRD (JSON), or rolling stock or
+        running paths of railtoolkit (YAML).
+    folder : str or Path
+        For the files, for example ``CH_StGallen_Wil.line.json``.
+    options : ImportOptions, optional
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or used, the new one cannot be written, or an option does not
+        fit it.
+
+    Examples
+    --------
+    >>> import_file("absent.json", "railway")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
+    options = options or ImportOptions()
+    stem = Path(path).stem.removesuffix(".train")
+    found = _things(path, options)
+    written = []
+    for name, thing, dropped in found:
+        if isinstance(thing, Train):
+            thing = with_curves(thing, options.traction_curve, options.braking_curve)
+        elif options.curves:
+            raise InputError(
+                "is not a train: a curve of effort cannot go into it",
+                file=path,
+                remedy="give the curve with a train alone",
+            )
+        kind = next(word for each, word in _SUFFIXES.items() if isinstance(thing, each))
+        target = Path(folder) / f"{stem if len(found) == 1 else name}.{kind}.json"
+        built(lambda thing=thing, target=target: _write(thing, target), path)  # type: ignore[misc]
+        written.append(Imported(target, dropped))
+    return written
+
+
+def _things(
+    path: str | Path, options: ImportOptions
+) -> list[tuple[str, Line | Train | Journey, list[str]]]:
+    """Everything in the file, each with a name and what of the file it does not hold."""
+    if Path(path).suffix.lower() in (".yaml", ".yml"):
+        _refuse_electrification(path, options)
+        return [*railtoolkit.read_any(path)]
+    data = read_bytes(path)
+    content = parse_json(data, file=path)
+    if osrd.is_rolling_stock(content):
+        train, dropped = osrd.read_train(path, options.electrification)
+        return [(train.name, train, dropped)]
+    _refuse_electrification(path, options)
+    own = isinstance(content, dict) and content.get("format") == "trainlog/train"
+    thing = (
+        train_format.train_from_bytes(data, file=path)
+        if own and options.curves
+        else ttobench.import_file(path)
+    )
+    return [(thing.name, thing, [])]
+
+
+def _refuse_electrification(path: str | Path, options: ImportOptions) -> None:
+    if options.electrification is not None:
+        raise InputError(
+            "has no efforts by electrification",
+            file=path,
+            remedy="leave the electrification out; it is for rolling stock of OSRD",
+        )
+
+
+def _write(thing: Line | Train | Journey, target: Path) -> None:
+    if isinstance(thing, Line):
+        check_line(thing)
+        line_format.write_line(thing, target)
+    elif isinstance(thing, Train):
+        check_train(thing)
+        train_format.write_train(thing, target)
+    else:
+        line_format.write_journey(thing, target)
