@@ -183,7 +183,7 @@ class EffortCurve:
         start, fall = self(low), -(self(high) - self(low)) / (high - low)
         within = low < self.speeds[-1]
         low, high, start, fall = low[within], high[within], start[within], fall[within]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(over="ignore"):
             worst = np.sqrt(powers[:, None] / np.maximum(fall, 1e-300))
         worst = np.clip(worst, low, high)
         excess = start - fall * (worst - low) - offsets[:, None] - powers[:, None] / worst
