@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from trainlog.railway import EffortCurve
 from trainlog.railway.motion import (
     SUBSTEPS,
     Brakes,
@@ -35,7 +36,7 @@ FREE = np.full((1, CELLS + 1), np.inf)
 
 @given(st.floats(0.1, 2.0), st.floats(0.0, 0.09), st.sampled_from([1, 4]))
 def test_constant_effort_gives_constant_acceleration(a: float, drag: float, order: int) -> None:
-    pull = Traction(np.full(CELLS, a), np.array([np.inf]))
+    pull = Traction.of(np.full(CELLS, a), np.array([np.inf]))
     z, stalled = pull_forwards(FREE, 0.0, pull, motion(drag), order, 0.0)
     np.testing.assert_allclose(z[0], (a - drag) * POSITIONS, rtol=1e-9, atol=1e-9)
     assert stalled[0] == -1
@@ -43,7 +44,7 @@ def test_constant_effort_gives_constant_acceleration(a: float, drag: float, orde
 
 def test_constant_power_lets_the_cube_of_the_speed_grow_with_the_distance() -> None:
     power, begin = 20.0, 10.0
-    pull = Traction(np.full(CELLS, np.inf), np.array([power]))
+    pull = Traction.of(np.full(CELLS, np.inf), np.array([power]))
     z, _ = pull_forwards(FREE, 0.5 * begin**2, pull, motion(), 4, 0.0)
     np.testing.assert_allclose(np.sqrt(2.0 * z[0]) ** 3, begin**3 + 3.0 * power * POSITIONS, 1e-6)
 
@@ -51,9 +52,8 @@ def test_constant_power_lets_the_cube_of_the_speed_grow_with_the_distance() -> N
 def test_an_effort_that_falls_with_the_speed_follows_its_curve() -> None:
     """``dv/dt = a (1 - v/w)``: the distance to a speed is ``-w/a (v + w ln(1 - v/w))``."""
     a, w = 0.8, 40.0
-    pull = Traction(
-        np.full(CELLS, np.inf), np.array([np.inf]), np.array([0.0, w]), np.array([a, 0.0])
-    )
+    curve = EffortCurve(np.array([0.0, w]), np.array([a, 0.0]))
+    pull = Traction.of(np.full(CELLS, np.inf), np.array([np.inf]), curve)
     z, _ = pull_forwards(FREE, 0.0, pull, motion(), 4, 0.0)
     v = np.sqrt(2.0 * z[0, 1:])
     needed = -w / a * (v + w * np.log(1.0 - v / w))
@@ -62,7 +62,7 @@ def test_an_effort_that_falls_with_the_speed_follows_its_curve() -> None:
 
 
 def test_steps_of_first_order_converge_to_those_of_fourth() -> None:
-    pull = Traction(np.full(CELLS, 0.9), np.array([15.0]))
+    pull = Traction.of(np.full(CELLS, 0.9), np.array([15.0]))
     ends = [
         pull_forwards(FREE, 0.0, pull, motion(0.02, 1e-3, 1e-4), order, 0.0)[0][0, -1]
         for order in (1, 4)
@@ -72,7 +72,7 @@ def test_steps_of_first_order_converge_to_those_of_fourth() -> None:
 
 
 def test_a_train_that_drag_overcomes_stalls_or_crawls() -> None:
-    pull = Traction(np.full(CELLS, 0.1), np.array([np.inf]))
+    pull = Traction.of(np.full(CELLS, 0.1), np.array([np.inf]))
     z, stalled = pull_forwards(FREE, 10.0, pull, motion(0.2), 4, 0.0)
     assert stalled[0] == np.flatnonzero(z[0] == 0.0)[0] - 1 == 19
     z, stalled = pull_forwards(FREE, 10.0, pull, motion(0.2), 4, 0.125)

@@ -12,7 +12,7 @@ from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
-from trainlog.railway import Axles, Brake, RunningResistance
+from trainlog.railway import Axles, Brake, EffortCurve, RunningResistance
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.simulation.plant import Drive, Plant, PlantState, rail_table
 from trainlog.units import GRAVITY
@@ -209,6 +209,48 @@ def test_effort_and_power_stay_within_their_limits() -> None:
     assert np.all(
         rows["dynamic_braking_effort"] * rows["speed"] <= 1.02 * train.max_dynamic_braking_power
     )
+
+
+CURVE = EffortCurve(np.array([0.0, 5.0, 12.0, 25.0]), np.array([190e3, 170e3, 110e3, 60e3]))
+
+
+def test_effort_stays_within_its_curve_at_every_sample() -> None:
+    """The motors read it at the speed of their wheels, which is above the train's in traction."""
+    train = replace(flirt(), traction_curve=CURVE, dynamic_braking_curve=CURVE)
+    plant = Plant.of(level_line(), train, resistance=NO_DRAG)
+    state = released(plant)
+    up = columns(plant, plant.advance(state, 300e3, 0.0, 30_000, 10))
+    down = columns(plant, plant.advance(state, 0.0, 100e3, 4_000, 10))
+    assert up["speed"][-1] > 35.0
+    for found, name in ((up, "tractive_effort"), (down, "dynamic_braking_effort")):
+        wheels = np.array([found[f"wheel_speed_{axle + 1}"] for axle in range(plant.axles)])
+        limit = CURVE(wheels).mean(axis=0)
+        assert np.all(found[name] <= limit * (1.0 + 1e-9))
+        # The lag of the drive apart, traction is all that the curve gives.
+        if found is up:
+            assert found[name][200:] == pytest.approx(limit[200:], rel=1e-9)
+            assert np.all(found[name][200:] <= CURVE(found["speed"][200:]))
+
+
+def test_a_curve_that_is_the_hyperbola_changes_nothing() -> None:
+    train = flirt()
+    speeds = np.linspace(0.0, 60.0, 3_001)
+    curve = EffortCurve(speeds, train.tractive_effort_limit(speeds))
+    ends = []
+    for each in (train, replace(train, traction_curve=curve, max_traction_power=9e7)):
+        plant = Plant.of(level_line(), each)
+        state = released(plant)
+        plant.advance(state, 300e3, 0.0, 20_000, 1_000)
+        ends.append((state.position, state.speed))
+    assert ends[0] == pytest.approx(ends[1], rel=1e-5)
+
+
+def test_a_share_of_the_power_stretches_the_curve() -> None:
+    train = replace(flirt(), traction_curve=CURVE)
+    plant = Plant.of(level_line(), train, max_power=0.8 * train.max_traction_power)
+    state = released(plant)
+    found = columns(plant, plant.advance(state, 300e3, 0.0, 20_000, 10))
+    assert np.all(found["tractive_effort"] <= CURVE(found["speed"] / 0.8) + 1e-6)
 
 
 def test_friction_brake_has_dead_time_and_lag() -> None:

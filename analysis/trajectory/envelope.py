@@ -91,7 +91,7 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
                 f" {KMH * float(speed_of(curve[a, 0])):.1f} km/h",
                 remedy="begin the run slower or end it faster",
             )
-    traction, motion = Traction(problem.traction, problem.power), _motion_of(problem)
+    traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
     z, stalled = in_parts(
         problem.shape[0],
         lambda part: pull_forwards(

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway.consist import Formation
+from trainlog.railway.effort import EffortCurve, arrays_of
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
@@ -90,20 +91,26 @@ class Traction(NamedTuple):
     limit : (n,) array [m/s²]
         By machine, comfort and adhesion in each cell.
     power : (q,) array [W/kg]
-    speeds : (m,) array [m/s]
-        Knots of the curve of effort, growing from 0; beyond the last it is constant.
+    speeds : (q, m) array [m/s]
+        Points of each train's curve of effort; see `effort_at`.
     efforts : (m,) array [m/s²]
-        Of the curve at the knots; infinite where there is none.
+        Of the curves at their points.
     """
 
     limit: FloatArray
     power: FloatArray
-    speeds: FloatArray = np.zeros(1)
-    efforts: FloatArray = np.full(1, np.inf)
+    speeds: FloatArray
+    efforts: FloatArray
+
+    @staticmethod
+    def of(limit: FloatArray, power: FloatArray, curve: EffortCurve | None = None) -> Traction:
+        """Traction of trains whose curves, if any, are the same [m/s²]."""
+        speeds, efforts = arrays_of(curve)
+        return Traction(limit, power, np.tile(speeds, (power.size, 1)), efforts)
 
     def rows(self, part: slice) -> Traction:
         """The same for some of the trains."""
-        return self._replace(power=self.power[part])
+        return self._replace(power=self.power[part], speeds=self.speeds[part])
 
 
 class Brakes(NamedTuple):
@@ -144,6 +151,25 @@ def in_parts(rows: int, work: Callable[[slice], tuple[FloatArray, ...]]) -> tupl
     with ThreadPoolExecutor(threads) as pool:
         parts = list(pool.map(work, (slice(*pair) for pair in pairwise(edges))))
     return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+
+
+@njit(cache=True, error_model="numpy")
+def effort_at(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
+    """Effort of a curve at a speed: `EffortCurve`, compiled; a single point is no limit."""
+    last = speeds.size - 1
+    if last == 0:
+        return efforts[0]
+    if v >= speeds[last]:
+        return efforts[last] * speeds[last] / v
+    low, high = 0, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if v < speeds[middle]:
+            high = middle
+        else:
+            low = middle
+    share = (v - speeds[low]) / (speeds[high] - speeds[low])
+    return efforts[low] + share * (efforts[high] - efforts[low])
 
 
 @njit(cache=True)
@@ -296,26 +322,14 @@ def _back(
 
 
 @njit(cache=True)
-def _curve(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
-    """Effort on the lines between the knots, constant beyond the last."""
-    k = speeds.size - 1
-    while k > 0 and v < speeds[k]:
-        k -= 1
-    if k + 1 == speeds.size:
-        return efforts[k]
-    share = (v - speeds[k]) / (speeds[k + 1] - speeds[k])
-    return efforts[k] + share * (efforts[k + 1] - efforts[k])
-
-
-@njit(cache=True)
 def _pull(
-    z: float, limit: float, power: float, traction: Traction, gain: float,
+    z: float, limit: float, power: float, speeds: FloatArray, efforts: FloatArray, gain: float,
     drag0: float, drag1: float, drag2: float,
 ) -> float:  # fmt: skip
     """Slope of ``z`` under full traction: effort limit, power limit and curve of effort."""
     v = speed_of(z)
     effort = min(limit, power / v) if v > 0.0 else limit
-    effort = min(effort, _curve(v, traction.speeds, traction.efforts))
+    effort = min(effort, effort_at(v, speeds, efforts))
     return float(gain * effort - drag0 - drag1 * v - 2.0 * drag2 * z)
 
 
@@ -358,12 +372,13 @@ def pull_forwards(
                 mean += d[j]
             mean /= SUBSTEPS
             limit, power = traction.limit[k], traction.power[a]
+            speeds, efforts = traction.speeds[a], traction.efforts
             if order == 1:
                 y += step[k] * _pull(
-                    y, limit, power, traction, gain[a], d[0], drag1[a], drag2[a, k]
+                    y, limit, power, speeds, efforts, gain[a], d[0], drag1[a], drag2[a, k]
                 )
             else:
-                cell = (limit, power, traction, gain[a], mean, drag1[a], drag2[a, k])
+                cell = (limit, power, speeds, efforts, gain[a], mean, drag1[a], drag2[a, k])
                 for _ in range(2):
                     k1 = _pull(y, *cell)
                     k2 = _pull(y + 0.5 * h * k1, *cell)
@@ -458,9 +473,11 @@ def running_time(
     limits = np.minimum(line.limits_over(train.length)(positions), train.max_speed)
     mass = train.mass + load
     inertia = mass + train.rotating_mass
-    traction = Traction(
+    curve = train.traction_curve
+    traction = Traction.of(
         np.full(positions.size - 1, lever * train.max_tractive_effort / inertia),
         np.array([lever * train.max_traction_power / inertia]),
+        None if curve is None else curve.over(inertia / lever),
     )
     motion = _motion_of(line, positions, train.resistance, mass, inertia)
     run, _ = _run(positions, limits, deceleration, traction, motion, 0.5 * SLOWEST**2)
@@ -515,11 +532,10 @@ def _run_with(line: Line, formation: Formation, loaded: float, step: float) -> F
     limits = np.minimum(line.limits_over(formation.length)(positions), formation.max_speed)
     inertia = formation.inertia(loaded)
     knots = formation.effort_knots
-    traction = Traction(
+    traction = Traction.of(
         np.full(positions.size - 1, np.inf),
         np.array([np.inf]),
-        knots,
-        formation.tractive_effort(knots) / inertia,
+        EffortCurve(knots, formation.tractive_effort(knots) / inertia),
     )
     motion = _motion_of(
         line, positions, formation.resistance(loaded), formation.mass(loaded), inertia

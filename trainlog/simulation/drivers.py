@@ -348,7 +348,9 @@ class TimetableDriver:
     def _traction(self, speed: float) -> float:
         """Tractive effort of the full lever [N]."""
         train = self.train
-        return min(train.max_tractive_effort, train.max_traction_power / max(speed, 0.1))
+        most = min(train.max_tractive_effort, train.max_traction_power / max(speed, 0.1))
+        curve = train.traction_curve
+        return most if curve is None else min(most, float(curve(speed)))
 
     def _share(self, braking_effort: float) -> float:
         """A braking effort [N] as a share of full service braking."""

@@ -111,13 +111,58 @@ def adhesion(slip: float, rail: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def motor_effort(lagged: float, wheel: float, p: PlantParameters) -> float:
-    """Effort of one axle's motor [N] within its power limit; braking fades out at low speed."""
+def piece_of(curve: FloatArray, speed: float) -> tuple[float, float]:
+    """The line that a curve of effort follows at a speed: effort at standstill [N], and slope.
+
+    Beyond the last point, where the power stays, the tangent.
+    """
+    v = max(speed, 0.0)
+    low, high = 0, curve.shape[1] - 1
+    if v >= curve[0, high]:
+        effort = curve[1, high] * curve[0, high] / v
+        return 2.0 * effort, -effort / v
+    while high - low > 1:
+        middle = (low + high) // 2
+        if v < curve[0, middle]:
+            high = middle
+        else:
+            low = middle
+    slope = (curve[1, high] - curve[1, low]) / (curve[0, high] - curve[0, low])
+    return curve[1, low] - slope * curve[0, low], slope
+
+
+@njit(cache=True, error_model="numpy")
+def find_pieces(
+    y: FloatArray, traction_curve: FloatArray, braking_curve: FloatArray, pieces: FloatArray
+) -> None:
+    """Fill `pieces` with the lines of both curves at each axle's wheel speed.
+
+    Found once in a step: so the stages of Runge-Kutta stay a loop over axles without branches.
+    """
+    for i in range(pieces.shape[1]):
+        if traction_curve.shape[1] > 1:
+            pieces[0, i], pieces[1, i] = piece_of(traction_curve, y[3 + i])
+        if braking_curve.shape[1] > 1:
+            pieces[2, i], pieces[3, i] = piece_of(braking_curve, y[3 + i])
+
+
+@njit(cache=True, error_model="numpy")
+def motor_effort(
+    lagged: float, wheel: float, pieces: FloatArray, i: int, p: PlantParameters
+) -> float:
+    """Effort of one axle's motor [N] within power and curve; braking fades out at low speed."""
     if lagged >= 0.0:
-        return min(lagged, p.axle_power / max(wheel, 1e-3))
-    fade = min(1.0, max(wheel, 0.0) / p.braking_fade_speed)
-    limit = min(p.axle_braking_effort * fade, p.axle_braking_power / max(wheel, 1e-3))
-    return -min(-lagged, limit)
+        by_curve = pieces[0, i] + pieces[1, i] * wheel
+        return min(lagged, p.axle_power / max(wheel, 1e-3), by_curve)
+    by_curve = pieces[2, i] + pieces[3, i] * wheel
+    return -min(-lagged, braking_limit(wheel, p), by_curve)
+
+
+@njit(cache=True, error_model="numpy")
+def braking_limit(speed: float, p: PlantParameters) -> float:
+    """Largest dynamic braking effort of one axle [N] that effort, fade and power allow."""
+    fade = min(1.0, max(speed, 0.0) / p.braking_fade_speed)
+    return min(p.axle_braking_effort * fade, p.axle_braking_power / max(speed, 1e-3))
 
 
 @njit(cache=True, error_model="numpy")
@@ -180,6 +225,7 @@ def stage(
     rail: FloatArray,
     moving: bool,
     weights: FloatArray,
+    pieces: FloatArray,
     p: PlantParameters,
 ) -> None:
     """One stage of Runge-Kutta: the right-hand side at `at`, used as it is found.
@@ -199,7 +245,7 @@ def stage(
     for i in range(n):
         wheel = at[3 + i]
         lagged = at[3 + n + i]
-        effort = motor_effort(lagged, wheel, p)
+        effort = motor_effort(lagged, wheel, pieces, i, p)
         contact = adhesion(wheel - v, rail) * weights[i]
         change = (effort - contact) / p.axle_inertia
         end[3 + i] += share * change
@@ -239,6 +285,7 @@ def runge_kutta(
     rail: FloatArray,
     moving: bool,
     weights: FloatArray,
+    pieces: FloatArray,
     p: PlantParameters,
     end: FloatArray,
     at: FloatArray,
@@ -250,7 +297,8 @@ def runge_kutta(
         share = h / 6.0 if k in (0, 3) else h / 3.0
         reach = h if k == 2 else 0.5 * h
         stage(
-            y, at, end, share, reach, command, friction_demand, track, rail, moving, weights, p
+            y, at, end, share, reach, command, friction_demand, track, rail, moving, weights,
+            pieces, p,
         )  # fmt: skip
 
 
@@ -261,6 +309,7 @@ def protect(
     mode: IntArray,
     memory: FloatArray,
     command: FloatArray,
+    pieces: FloatArray,
     p: PlantParameters,
 ) -> None:
     """Anti-slip control of every axle: the effort commanded [N], from the effort wanted.
@@ -277,7 +326,7 @@ def protect(
         lasting[i] = lasting[i] + p.step if slip > p.slip_threshold else 0.0
         if mode[i] != CUT and (lasting[i] > p.slip_delay or slip > RUNAWAY * p.slip_threshold):
             mode[i] = CUT
-            slipped[i] = abs(motor_effort(y[3 + n + i], y[3 + i], p))
+            slipped[i] = abs(motor_effort(y[3 + n + i], y[3 + i], pieces, i, p))
             cap[i] = 0.0
         elif mode[i] == CUT and slip < p.slip_release:
             mode[i] = RECOVERING
@@ -302,9 +351,13 @@ def locate(table: FloatArray, position: float, index: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def dynamic_limit(speed: float, p: PlantParameters) -> float:
+def dynamic_limit(speed: float, curve: FloatArray, p: PlantParameters) -> float:
     """Largest dynamic braking effort of one axle [N] at a speed [m/s]."""
-    return -motor_effort(-p.axle_braking_effort, speed, p)
+    limit = braking_limit(speed, p)
+    if curve.shape[1] > 1:
+        start, slope = piece_of(curve, speed)
+        limit = min(limit, start + slope * max(speed, 0.0))
+    return limit
 
 
 @njit(cache=True, error_model="numpy")
@@ -315,22 +368,25 @@ def move(
     track: FloatArray,
     rail: FloatArray,
     weights: FloatArray,
+    pieces: FloatArray,
     p: PlantParameters,
     end: FloatArray,
     at: FloatArray,
 ) -> None:
     """Advance the state by one step, in place; a train that comes to rest stays at rest."""
     moving = y[1] > 0.0 or net_force(y, command, track, rail, weights, p) > 0.0
-    runge_kutta(y, p.step, command, friction_demand, track, rail, moving, weights, p, end, at)
+    runge_kutta(
+        y, p.step, command, friction_demand, track, rail, moving, weights, pieces, p, end, at
+    )
     if moving and end[1] <= 0.0:
         if y[1] <= 0.0:
             # Not the literal False: numba would compile the step once more for it.
             still = not moving
             runge_kutta(
-                y, p.step, command, friction_demand, track, rail, still, weights, p, end, at
+                y, p.step, command, friction_demand, track, rail, still, weights, pieces, p, end, at
             )
         else:
-            stop(y, command, friction_demand, track, rail, weights, p, end, at)
+            stop(y, command, friction_demand, track, rail, weights, pieces, p, end, at)
     for j in range(y.size):
         y[j] = end[j]
 
@@ -343,6 +399,7 @@ def stop(
     track: FloatArray,
     rail: FloatArray,
     weights: FloatArray,
+    pieces: FloatArray,
     p: PlantParameters,
     end: FloatArray,
     at: FloatArray,
@@ -357,7 +414,9 @@ def stop(
     instant = after
     for _ in range(40):
         instant = before + (after - before) * v_before / (v_before - v_after)
-        runge_kutta(y, instant, command, friction_demand, track, rail, moving, weights, p, end, at)
+        runge_kutta(
+            y, instant, command, friction_demand, track, rail, moving, weights, pieces, p, end, at
+        )
         if abs(end[1]) < 1e-13:
             break
         if end[1] > 0.0:
@@ -368,7 +427,7 @@ def stop(
         y[j] = end[j]
     y[1] = 0.0
     rest, still = p.step - instant, not moving
-    runge_kutta(y, rest, command, friction_demand, track, rail, still, weights, p, end, at)
+    runge_kutta(y, rest, command, friction_demand, track, rail, still, weights, pieces, p, end, at)
 
 
 @njit(cache=True, error_model="numpy")
@@ -380,6 +439,7 @@ def sample(
     rail: FloatArray,
     weights: FloatArray,
     modes: IntArray,
+    pieces: FloatArray,
     p: PlantParameters,
 ) -> None:
     """Write what `SAMPLE` lists, then wheel speeds and wheel efforts, into `out`."""
@@ -390,7 +450,7 @@ def sample(
     out[2] = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
     out[3] = out[4] = 0.0
     for i in range(n):
-        effort = motor_effort(y[3 + n + i], y[3 + i], p)
+        effort = motor_effort(y[3 + n + i], y[3 + i], pieces, i, p)
         if effort > 0.0:
             out[3] += effort
         else:
@@ -421,6 +481,8 @@ def advance(
     memory: FloatArray,
     delay: FloatArray,
     places: IntArray,
+    traction_curve: FloatArray,
+    braking_curve: FloatArray,
     constants: FloatArray,
 ) -> None:
     """Advance the state by `steps` steps under one demand, recording before every `every`-th.
@@ -439,13 +501,17 @@ def advance(
     places : (3 + n,) array
         Rows under the train in the two tables, head of the ring, and mode of each axle's slip
         protection; changed in place.
+    traction_curve, braking_curve : (2, m) array [m/s], [N]
+        Speeds and efforts of one axle; a single point is no limit.
     constants : (25,) array
         The `PlantParameters`: an array crosses into compiled code faster than a tuple does.
     """
     p = PlantParameters(*to_fixed_tuple(constants, CONSTANTS))
     n = weights.size
     end, at = np.empty(y.size), np.empty(y.size)
-    command = np.empty(n)
+    command, pieces = np.empty(n), np.zeros((4, n))
+    for i in range(n):
+        pieces[0, i] = pieces[2, i] = np.inf
     traction = min(max(tractive_effort, 0.0) / n, p.axle_effort)
     braking = max(braking_effort, 0.0)
     dead_time = p.friction_dead_time + p.friction_lag
@@ -454,15 +520,16 @@ def advance(
         places[1] = locate(rail_table, y[0], places[1])
         track = track_table[places[0]]
         rail = rail_table[places[1]]
+        find_pieces(y, traction_curve, braking_curve, pieces)
         wanted = traction
         friction_demand = 0.0
         if braking > 0.0:
-            wanted = -min(braking / n, dynamic_limit(y[1], p))
-        protect(y, wanted, places[3:], memory, command, p)
+            wanted = -min(braking / n, dynamic_limit(y[1], braking_curve, p))
+        protect(y, wanted, places[3:], memory, command, pieces, p)
         if braking > 0.0:
             # The friction brake is asked in time for what the dynamic brake will have lost.
             ahead = max(y[1] - braking / p.body_inertia * dead_time, 0.0)
-            soon = min(braking / n, dynamic_limit(ahead, p))
+            soon = min(braking / n, dynamic_limit(ahead, braking_curve, p))
             friction_demand = braking
             for i in range(n):
                 friction_demand -= soon if places[3 + i] == NORMAL else min(soon, memory[1, i])
@@ -475,5 +542,5 @@ def advance(
             friction_demand = delayed
         if k % every == 0:
             row = out[k // every]
-            sample(y, row, command, track, rail, weights, places[3:], p)
-        move(y, command, friction_demand, track, rail, weights, p, end, at)
+            sample(y, row, command, track, rail, weights, places[3:], pieces, p)
+        move(y, command, friction_demand, track, rail, weights, pieces, p, end, at)

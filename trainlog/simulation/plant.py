@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train
 from trainlog.railway.adhesion import DRY, creep_coefficients
+from trainlog.railway.effort import EffortCurve, arrays_of
 from trainlog.simulation import dynamics
 from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, PlantParameters
 from trainlog.units import GRAVITY
@@ -109,6 +110,8 @@ class Plant:
     rail: FloatArray
     weights: FloatArray
     length: float = field(default=np.inf)
+    traction_curve: FloatArray = field(default_factory=lambda: _axle_curve(None, 1))
+    braking_curve: FloatArray = field(default_factory=lambda: _axle_curve(None, 1))
 
     @cached_property
     def _constants(self) -> FloatArray:
@@ -215,6 +218,8 @@ class Plant:
             rail,
             relative * parameters.axle_weight,
             line.length,
+            _axle_curve(train.traction_curve_with(power), axles.count),
+            _axle_curve(train.dynamic_braking_curve, axles.count),
         )
         plant.check_step()
         return plant
@@ -307,9 +312,17 @@ class Plant:
             state.slip_memory,
             state.friction_delay,
             state.places,
+            self.traction_curve,
+            self.braking_curve,
             self._constants,
         )
         return out
+
+
+def _axle_curve(curve: EffortCurve | None, axles: int) -> FloatArray:
+    """Speeds [m/s] and efforts of one of the axles [N], (2, m)."""
+    speeds, efforts = arrays_of(curve)
+    return np.ascontiguousarray(np.stack((speeds, efforts / axles)))
 
 
 def check_train(train: Train, mass: float, rotating: float, power: float, step: float) -> None:
