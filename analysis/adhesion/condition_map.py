@@ -70,8 +70,8 @@ observed_share
     deviation, by themselves, to this share of prior_std.
 """
 
-Sums = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Events, weight, weighted logarithm and censored levels of every bin."""
+Sums = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Events, weight, weighted logarithm, censored levels and common variance of every bin."""
 
 SPOT_SEPARATION = 250.0
 """Two low spots count as two when they are at least this far from each other [m]."""
@@ -152,6 +152,7 @@ def update(
                 "sha256": piece.sha256,
                 "layer": piece.layer,
                 "software": f"trainlog {__version__}",
+                **piece.details,
             }
         )
         sums[piece.layer] = _added(sums.get(piece.layer), _sums(piece))
@@ -295,7 +296,7 @@ def _solved(
 ) -> TrackConditionMap:
     layers = {}
     for name in sorted(sums):
-        events, weight, weighted_log, censored = sums[name]
+        events, weight, weighted_log, censored, common = sums[name]
         prior = prior_of(track, name)
         field = solve_field(
             prior,
@@ -305,6 +306,7 @@ def _solved(
             censored,
             np.log(track.levels),
             setting(track, "trip_std"),
+            common,
         )
         layers[name] = ConditionLayer(
             log_mean=field.mean,
@@ -315,19 +317,24 @@ def _solved(
             weight=weight,
             weighted_log=weighted_log,
             censored=censored,
+            common=common if common.any() else None,
         )
     ordered = tuple(sorted(trips, key=lambda t: (t["layer"], t["trip"], t["sha256"])))
     return replace(track, layers=layers, trips=ordered)
 
 
 def _sums(source: ConditionLayer | Evidence) -> Sums:
-    return source.events, source.weight, source.weighted_log, source.censored
+    common = np.zeros_like(source.weight) if source.common is None else source.common
+    return source.events, source.weight, source.weighted_log, source.censored, common
 
 
 def _added(held: Sums | None, more: Sums) -> Sums:
     if held is None:
         return more
-    return held[0] + more[0], held[1] + more[1], held[2] + more[2], held[3] + more[3]
+    events, weight, weighted_log, censored, common = (
+        one + other for one, other in zip(held, more, strict=True)
+    )
+    return events, weight, weighted_log, censored, common
 
 
 def _identity(trip: dict[str, Any]) -> str:

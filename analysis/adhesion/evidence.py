@@ -16,7 +16,8 @@ Laplace's approximation its spread (Rasmussen and Williams, Gaussian Processes f
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dptsv, dpttrf
 from scipy.special import log_ndtr
 
-from analysis.adhesion.slip import SlipAnalysis, slip
+from analysis.adhesion.slip import SlipAnalysis, joined_details, slip
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of
 from trainlog.railway.condition import TrackConditionMap
@@ -87,6 +88,7 @@ def solve_field(
     censored: FloatArray,
     log_levels: FloatArray,
     censored_std: float,
+    common: FloatArray | None = None,
 ) -> Field:
     """Mode and Laplace spread of the log maximum adhesion.
 
@@ -102,6 +104,15 @@ def solve_field(
     log_levels : (k,) array
     censored_std : float
         Standard deviation of one trip's log maximum adhesion about the field.
+    common : (n,) array, optional
+        Sum of the squared weights times the variances of what all onsets of a trip err by alike.
+
+    Notes
+    -----
+    With the posterior covariance ``K`` of independent errors, an error of variance ``s_i²`` that
+    trip i makes everywhere alike adds ``sum_i s_i² (K w_i)²`` to the variance, ``w_i`` being its
+    weights by bin. ``K`` has no negative element, so that by Minkowski's inequality this is at most
+    ``(K sqrt(sum_i s_i² w_i²))²``, which sums over trips give: that is added.
     """
     bins = weight.size
     diagonal, off = prior.precision(bins, bin_length)
@@ -129,9 +140,12 @@ def solve_field(
         value, gradient, curvature = new
         if np.max(np.abs(scale * step)) < TOLERANCE:
             break
+    variance = _inverse_diagonal(diagonal + curvature, off)
+    if common is not None:
+        variance = variance + _solve(diagonal + curvature, off, np.sqrt(common)) ** 2
     return Field(
         mean=f,
-        std=np.sqrt(_inverse_diagonal(diagonal + curvature, off)),
+        std=np.sqrt(variance),
         events_std=np.sqrt(_inverse_diagonal(diagonal + weight, off)),
     )
 
@@ -205,7 +219,10 @@ class Evidence:
         Of the log; empty where there is no file.
     events, weight, weighted_log : (n,) array
     censored : (n, k) array
+    common : (n,) array, optional
         See `trainlog.railway.condition.ConditionLayer`.
+    details : dict
+        What the map keeps of the trip beside its name: see `SlipAnalysis.details`.
     """
 
     line: str
@@ -218,6 +235,8 @@ class Evidence:
     weight: FloatArray
     weighted_log: FloatArray
     censored: FloatArray
+    common: FloatArray | None = None
+    details: dict[str, Any] = field(default_factory=dict)
 
     @property
     def identity(self) -> str:
@@ -280,11 +299,13 @@ def evidence_of_parts(
     in it (less one standard deviation, since the highest of noisy values is too high).
     """
     highest, found, trip = np.zeros(track.bins), [], ""
+    common_std, details = 0.0, dict[str, Any]()
     for part in parts:
         known = part.events["measured"] & part.events["position"].between(0.0, track.length)
         found.append(part.events[known])
         highest = np.maximum(highest, _highest(part, track))
-        trip = part.trip
+        trip, common_std = part.trip, max(common_std, part.common_std)
+        details = joined_details(details, part.details)
     onsets = pd.concat(found)
     place = track.bin_of(onsets["position"])
     log_adhesion = np.log(onsets["adhesion"].to_numpy())
@@ -309,12 +330,17 @@ def evidence_of_parts(
         weight=weight,
         weighted_log=_fixed(weight * summed(precision * log_adhesion) / safe),
         censored=_censored(highest, track, seen),
+        common=_fixed(weight**2 * common_std**2) if common_std > 0.0 else None,
+        details=details,
     )
 
 
 def _highest(analysis: SlipAnalysis, track: TrackConditionMap) -> FloatArray:
     """Highest adhesion that each bin was seen to bear, (bins,)."""
-    used = np.max(np.abs(analysis.adhesion) - analysis.adhesion_std, axis=1)
+    size = np.abs(analysis.adhesion)
+    spread = np.hypot(analysis.adhesion_std, analysis.common_std * size)
+    # An axle that was not recorded says nothing.
+    used = np.fmax.reduce(size - spread, axis=1)
     margin = min(POSITION_MARGIN, 0.25 * track.bin_length)
     within = np.mod(analysis.position, track.bin_length)
     known = np.isfinite(used) & (within >= margin) & (within <= track.bin_length - margin)

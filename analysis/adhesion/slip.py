@@ -14,12 +14,22 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.adhesion.axles import PoweredAxles, powered_axles
+from analysis.adhesion.events import (
+    COASTING_ADHESION,
+    SHARED_STD,
+    Motion,
+    adhesion_noise,
+    event_rows,
+    slipping_axles,
+    small_slips,
+)
 from analysis.given import Given, trip_of
+from analysis.passports import passport
 from estimators.adhesion import smoothed_force
 from estimators.slip import (
     SLOPE_RATE,
     SLOPE_RATE_WITHOUT_BRAKE,
-    SlipDetector,
     TrainSpeed,
     impulse,
     train_speed,
@@ -27,6 +37,7 @@ from estimators.slip import (
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
+from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans
@@ -47,17 +58,8 @@ a few seconds of a run-up, from the maximum to little in half a second of slip."
 SPEED_NOISE_FLOOR = 0.005
 """Least noise of a wheel speed that is assumed [m/s]."""
 
-NOISE_SPAN = 0.4
-"""Time over which differences of the observed adhesion are taken for noise [s]."""
-
-ADHESION_NOISE_FLOOR = 0.002
-"""Least noise of an observed adhesion that is assumed."""
-
 SATELLITE_STD = 0.1
 """Standard deviation of a satellite speed that comes without one [m/s]."""
-
-COASTING_ADHESION = 0.02
-"""Adhesion in use up to which a wheel is taken to roll without creep, to compare diameters."""
 
 CALIBRATION_SPEED = 5.0
 """Least speed at which wheel diameters are compared [m/s]."""
@@ -65,21 +67,12 @@ CALIBRATION_SPEED = 5.0
 CALIBRATION_SAMPLES = 50
 """Least number of samples from which a wheel diameter is corrected."""
 
-LOOK_BACK = 3.0
-"""How long before the detection of slip its onset is sought [s]."""
-
 CURVE_BEFORE, CURVE_AFTER = 1.5, 0.5
 """The creep curve is estimated from so long before the detection of slip to so long after the
 largest slip [s]."""
 
 CURVE_SPEED_STD = 0.03
 """Error of the train's speed while its axles slip [m/s]."""
-
-PROMINENCE = 3.0
-"""Standard deviations by which adhesion in use must fall on either side of a maximum."""
-
-CUT = 0.7
-"""Effort over the effort at peak slip, half a second later, below which slip protection acted."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,11 +94,20 @@ class SlipAnalysis:
     slipping : (n, axles) bool array
     wheel_factor : (axles,) array
         Measured over true wheel speed, from the wheel diameter.
+
+        NaN in all of these is what is not known: axles whose speed or effort was not recorded.
     events : DataFrame
         One row a slip event: ``axle`` (from 1), ``start``, ``end`` (time), ``kind``
         (``"traction"``, ``"braking"``), ``position`` [m] of the onset, ``speed`` [m/s],
         ``peak_slip`` [m/s], ``adhesion`` and ``adhesion_std`` at the onset, and ``measured``:
         whether the maximum was passed, so that the onset measures it.
+    common_std : float
+        Relative standard deviation of what all adhesion of the trip errs by alike, from a load and
+        a gain of the efforts that are not known; not in `adhesion_std`.
+    load : {"recorded", "estimated", "assumed"}
+        Where the load is from.
+    notes : tuple of str
+        What the recorder lacks, and what was made of it.
     """
 
     trip: str
@@ -119,13 +121,29 @@ class SlipAnalysis:
     slipping: BoolArray
     wheel_factor: FloatArray
     events: pd.DataFrame
+    common_std: float = 0.0
+    load: str = "recorded"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """What the track-condition map keeps of the trip beside its name.
+
+        ``load``: where it is from; ``common_std``; ``unmeasured``: slip events that did not show
+        the maximum adhesion; ``notes``. What is not worth a word is left out.
+        """
+        unmeasured = int(np.count_nonzero(~self.events["measured"]))
+        known: dict[str, Any] = {} if self.load == "recorded" else {"load": self.load}
+        known |= {"common_std": round(self.common_std, 4)} if self.common_std > 0.0 else {}
+        known |= {"unmeasured": unmeasured} if unmeasured else {}
+        return known | ({"notes": list(self.notes)} if self.notes else {})
 
     def __repr__(self) -> str:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
         time = (self.time - self.time[0]).total_seconds().to_numpy()
-        most = np.abs(self.adhesion).max(axis=1)
+        most = np.fmax.reduce(np.abs(self.adhesion), axis=1)
         curves = {"speed [m/s]": self.speed, "adhesion in use, greatest of the axles": most}
         return as_html(self._title, self._summary(), picture(time, curves))
 
@@ -139,13 +157,16 @@ class SlipAnalysis:
         traction = int(np.count_nonzero(events["kind"] == "traction"))
         onsets = events.loc[events["measured"], "adhesion"].to_numpy(np.float64)
         measured = f"{onsets.size} show the maximum adhesion"
+        used = np.abs(self.adhesion[np.isfinite(self.adhesion)])
+        band = f", all within ± {1.96 * self.common_std:.0%}" if self.common_std > 0.0 else ""
+        factors = self.wheel_factor[np.isfinite(self.wheel_factor)]
         return {
             "events": f"{len(events)}, {traction} in traction and {len(events) - traction} in"
             " braking",
             "of these": measured + (f", {span(onsets, digits=3)}" if onsets.size else ""),
-            "adhesion in use": f"up to {np.nanmax(np.abs(self.adhesion)):.3f}",
-            "wheels": f"measure {span(self.wheel_factor, digits=4)} times the speed",
-        }
+            "adhesion in use": f"up to {used.max():.3f}{band}" if used.size else "not known",
+            "wheels": f"measure {span(factors, digits=4)} times the speed",
+        } | {f"note {number}": note for number, note in enumerate(self.notes, start=1)}
 
     def part(self, span: tuple[int, int]) -> SlipAnalysis:
         """The samples from one instant to another [ns since 1970 UTC], and what began then."""
@@ -239,19 +260,40 @@ class SlipAnalysis:
         )
 
 
-def slip(trip: Given) -> SlipAnalysis:
+def joined_details(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+    """`SlipAnalysis.details` of two parts of a trip as those of both."""
+    both = {**first, **second}
+    if "common_std" in both:
+        both["common_std"] = max(each.get("common_std", 0.0) for each in (first, second))
+    if "unmeasured" in both:
+        both["unmeasured"] = sum(each.get("unmeasured", 0) for each in (first, second))
+    if "notes" in both:
+        notes = [*first.get("notes", ()), *second.get("notes", ())]
+        both["notes"] = list(dict.fromkeys(notes))
+    return both
+
+
+def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     """Slip, adhesion in use and slip events of a trip that carries its line and its train.
 
     Parameters
     ----------
     trip : Trip or path
         A trip at hand, or a log, with ``/train/axles`` and a position.
+    known : Passport, optional
+        Default: that of the trip, stored or estimated.
 
     Raises
     ------
     LogError
-        If the trip has no axles, fewer or more than its train, no position, a load that is no
-        number, or lacks line or train.
+        If the trip has no axle speed, more axles than its train powers, no position, a load that
+        is no number, or lacks line or train.
+
+    Notes
+    -----
+    What the recorder lacks is taken from the trip's passport (`analysis.passport`): load, gain and
+    delay of the efforts. Where they are not known the band is wider (`SlipAnalysis.common_std`),
+    and `SlipAnalysis.notes` states what is lacking.
 
     Examples
     --------
@@ -261,48 +303,46 @@ def slip(trip: Given) -> SlipAnalysis:
     """
     trip = trip_of(trip, TOPICS)
     train, line = train_of(trip), line_of(trip)
-    frame = trip["/train/axles"]
-    wheels, efforts = _recorded(trip, frame, train)
-    time, clock = seconds(frame), pd.DatetimeIndex(frame.index)
-    load = _load(trip)
-    axle_load = train.adhesive_weight(load) / train.axles.count
-    noise = wheel_noise(wheels)
+    axles = powered_axles(trip, train, passport(trip) if known is None else known)
+    noise = wheel_noise(axles.wheel_speed)
     force = smoothed_force(
-        time, wheels, efforts, train.axles.rotating_mass, noise, ADHESION_RATE * axle_load
+        axles.time,
+        axles.wheel_speed,
+        axles.wheel_effort,
+        train.axles.rotating_mass,
+        noise,
+        ADHESION_RATE * axles.axle_load,
     )
-    adhesion, adhesion_std = force.force / axle_load, force.std / axle_load
-    speed, factor = _train_speed(trip, train, load, time, wheels, efforts, adhesion, noise)
-    slip_speed = wheels / factor - speed.speed[:, None]
-    slipping = _slipping(slip_speed, noise, speed)
-    travelled = _position(trip, clock)
+    adhesion, adhesion_std = force.force / axles.axle_load, force.std / axles.axle_load
+    speed, factor = _train_speed(trip, train, axles, adhesion, noise)
+    slip_speed = axles.wheel_speed / factor - speed.speed[:, None]
+    travelled = _position(trip, axles.clock)
     backwards = trip.metadata.get("direction") == "reverse"
     position = line.length - travelled if backwards else travelled
-    axles = _Axles(clock, time, position, speed.speed, efforts, adhesion)
+    std = float(np.hypot(noise, np.median(speed.std)))
+    motion = Motion(axles, position, speed.speed, slip_speed, std, adhesion)
+    slipping = slipping_axles(motion)
+    slipping |= small_slips(motion, slipping)
+    events = event_rows(motion, slipping)
+    adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
+    if axles.level == "shared":
+        adhesion_std = np.hypot(adhesion_std, SHARED_STD * np.abs(adhesion))
     return SlipAnalysis(
         trip=trip.name,
-        time=clock,
+        time=axles.clock,
         position=position,
         speed=speed.speed,
         speed_std=speed.std,
-        slip_speed=slip_speed,
-        adhesion=adhesion,
-        adhesion_std=adhesion_std,
-        slipping=slipping,
-        wheel_factor=factor,
-        events=_events(axles, slip_speed, slipping),
+        slip_speed=axles.of_all(slip_speed),
+        adhesion=axles.of_all(adhesion),
+        adhesion_std=axles.of_all(adhesion_std),
+        slipping=axles.of_all(slipping, False),
+        wheel_factor=axles.of_all(factor[None, :])[0],
+        events=events,
+        common_std=axles.common_std,
+        load=axles.load,
+        notes=axles.notes,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Axles:
-    """What the onset of an event is read from, at the axles' samples."""
-
-    clock: pd.DatetimeIndex
-    time: FloatArray
-    position: FloatArray
-    speed: FloatArray
-    effort: FloatArray
-    adhesion: FloatArray
 
 
 def wheel_noise(wheel_speed: FloatArray) -> float:
@@ -318,60 +358,20 @@ def wheel_noise(wheel_speed: FloatArray) -> float:
     return max(float(np.median(known) / 0.6745 / np.sqrt(20.0)), SPEED_NOISE_FLOOR)
 
 
-def _load(trip: Trip) -> float:
-    """Load that the log states [kg]; 0 where it states none."""
-    stated = trip.metadata.get("load") or "0"
-    try:
-        load = float(stated)
-    except ValueError:
-        load = np.nan
-    if not (np.isfinite(load) and load >= 0.0):
-        raise LogError(
-            f"trip '{trip.name}': load '{stated}' is not a mass in kg",
-            remedy="correct metadata 'load' when the log is made",
-        )
-    return load
-
-
-def _recorded(trip: Trip, frame: pd.DataFrame, train: Train) -> tuple[FloatArray, FloatArray]:
-    """Wheel speeds and wheel efforts, (n, axles); gaps in the efforts are held."""
-    numbers = range(1, train.axles.count + 1)
-    names = [f"wheel_speed_{i}" for i in numbers], [f"wheel_effort_{i}" for i in numbers]
-    given = sum(name.startswith("wheel_speed_") for name in frame.columns)
-    if given != train.axles.count or not {*names[0], *names[1]} <= set(frame.columns):
-        raise LogError(
-            f"trip '{trip.name}': /train/axles has {given} axles,"
-            f" train '{train.name}' has {train.axles.count} powered ones",
-            remedy="state the powered axles in the train file, with speed and effort each",
-        )
-    if len(frame) < 2:
-        raise LogError(f"trip '{trip.name}': /train/axles holds {len(frame)} samples")
-    speeds = frame[names[0]].to_numpy(dtype=np.float64)
-    efforts = frame[names[1]].ffill().fillna(0.0).to_numpy(dtype=np.float64)
-    return speeds, efforts
-
-
 def _train_speed(
-    trip: Trip,
-    train: Train,
-    load: float,
-    time: FloatArray,
-    wheels: FloatArray,
-    efforts: FloatArray,
-    adhesion: FloatArray,
-    noise: float,
+    trip: Trip, train: Train, axles: PoweredAxles, adhesion: FloatArray, noise: float
 ) -> tuple[TrainSpeed, FloatArray]:
-    """Train speed, and what each wheel measures over what is true, (axles,)."""
-    clock = pd.DatetimeIndex(trip["/train/axles"].index)
-    mass = train.mass + train.rotating_mass + load
-    mass -= train.axles.count * train.axles.rotating_mass
+    """Train speed, and what each wheel measures over what is true, (k,)."""
+    time, wheels = axles.time, axles.wheel_speed
+    mass = axles.mass + train.rotating_mass - wheels.shape[1] * train.axles.rotating_mass
     whole = pd.DataFrame(wheels).interpolate(limit_direction="both").fillna(0.0).to_numpy()
-    other = _other_effort(trip, train, load, whole, efforts)
-    gained = impulse(time, whole, efforts, other, train.axles.rotating_mass) / mass
-    reference, reference_std = _reference(trip, clock)
+    other = _other_effort(trip, train, axles, whole)
+    total = axles.total_effort[:, None]
+    gained = impulse(time, whole, total, other, train.axles.rotating_mass) / mass
+    reference, reference_std = _reference(trip, axles.clock)
     standing = np.median(whole, axis=1) <= STANDSTILL
     reference[standing], reference_std[standing] = 0.0, STANDSTILL
-    factor = np.ones(train.axles.count)
+    factor = np.ones(wheels.shape[1])
     nowhere = np.full_like(wheels, np.nan)
     rate = SLOPE_RATE if _brake_is_known(trip) else SLOPE_RATE_WITHOUT_BRAKE
     rolls = nowhere if np.count_nonzero(np.isfinite(reference[~standing])) > 1 else wheels
@@ -392,21 +392,21 @@ def _train_speed(
 
 
 def _other_effort(
-    trip: Trip, train: Train, load: float, wheels: FloatArray, efforts: FloatArray
+    trip: Trip, train: Train, axles: PoweredAxles, wheels: FloatArray
 ) -> FloatArray:
     """Effort on the train besides that of its motors [N].
 
     Friction brake, running resistance as the train's file has it, gradient and curves. While the
     train stands they balance the motors, whatever the brakes could do.
     """
-    clock = pd.DatetimeIndex(trip["/train/axles"].index)
     speed = np.median(wheels, axis=1)
-    position = pd.Series(_position(trip, clock)).interpolate(limit_direction="both").to_numpy()
-    held = train.resistance(speed) + train.track_force(line_of(trip), position, train.mass + load)
+    place = _position(trip, axles.clock)
+    position = pd.Series(place).interpolate(limit_direction="both").to_numpy()
+    held = train.resistance(speed) + train.track_force(line_of(trip), position, axles.mass)
     if _brake_is_known(trip):
-        brake = interpolated(trip["/train/controls"], "pneumatic_braking_effort", clock)
+        brake = interpolated(trip["/train/controls"], "pneumatic_braking_effort", axles.clock)
         held = held + np.nan_to_num(brake)
-    return np.where(speed > STANDSTILL, -held, -efforts.sum(axis=1))
+    return np.where(speed > STANDSTILL, -held, -axles.total_effort)
 
 
 def _brake_is_known(trip: Trip) -> bool:
@@ -432,15 +432,6 @@ def _reference(trip: Trip, clock: pd.DatetimeIndex) -> tuple[FloatArray, FloatAr
     return speed, std
 
 
-def _slipping(slip_speed: FloatArray, noise: float, speed: TrainSpeed) -> BoolArray:
-    """Whether each axle slips, counted from the first sample above the threshold."""
-    std = float(np.hypot(noise, np.median(speed.std)))
-    known = SlipDetector(slip_speed.shape[1], std).update(slip_speed)
-    # The detector confirms one sample late; the event began with the sample before.
-    known[:-1] |= known[1:]
-    return known
-
-
 def _position(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray:
     """Chainage in the direction of travel [m]: smoothed where there is an estimate."""
     for topic in ("/estimates/state", "/train/state"):
@@ -452,101 +443,3 @@ def _position(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray:
         f"trip '{trip.name}' has no position while its axles were recorded",
         remedy="it needs /train/state or /estimates/state with a position",
     )
-
-
-def adhesion_noise(time: FloatArray, adhesion: FloatArray) -> float:
-    """Standard deviation of what noise remains in the observed adhesion, from its differences.
-
-    Over `NOISE_SPAN` the true adhesion hardly changes for most of a trip: the median absolute
-    difference of samples that far apart, where the axles pull or brake, is noise.
-    """
-    lag = max(1, round(NOISE_SPAN / float(np.median(np.diff(time)))))
-    apart = np.abs(adhesion[lag:] - adhesion[:-lag])
-    loaded = apart[np.abs(adhesion[lag:]) > COASTING_ADHESION]
-    if loaded.size == 0:
-        return ADHESION_NOISE_FLOOR
-    return max(float(np.median(loaded) / 0.6745 / np.sqrt(2.0)), ADHESION_NOISE_FLOOR)
-
-
-def _events(axles: _Axles, slip_speed: FloatArray, slipping: BoolArray) -> pd.DataFrame:
-    """One row a slip event; see `SlipAnalysis`."""
-    noise = adhesion_noise(axles.time, axles.adhesion)
-    rows = []
-    for axle in range(slipping.shape[1]):
-        edges = np.flatnonzero(np.diff(slipping[:, axle].astype(np.int8), prepend=0, append=0))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            peak = int(start) + int(np.nanargmax(np.abs(slip_speed[start:stop, axle])))
-            rows.append(
-                {
-                    "axle": axle + 1,
-                    "start": axles.clock[start],
-                    "end": axles.clock[min(stop, len(axles.clock) - 1)],
-                    "peak_slip": slip_speed[peak, axle],
-                    **_onset_of(axles, axle, int(start), peak, slip_speed[peak, axle], noise),
-                }
-            )
-    columns = {
-        "axle": "int64", "start": axles.clock.dtype, "end": axles.clock.dtype, "kind": "str",
-        "position": "float64", "speed": "float64", "peak_slip": "float64",
-        "adhesion": "float64", "adhesion_std": "float64", "measured": "bool",
-    }  # fmt: skip
-    frame = pd.DataFrame(rows, columns=list(columns)).astype(columns)
-    frame.attrs["units"] = {
-        "position": "m", "speed": "m/s", "peak_slip": "m/s", "adhesion": "1", "adhesion_std": "1",
-    }  # fmt: skip
-    return frame
-
-
-def _onset_of(
-    axles: _Axles, axle: int, start: int, peak: int, peak_slip: float, noise: float
-) -> dict[str, Any]:
-    """Adhesion at the onset of one event, which begins at sample `start` and peaks at `peak`."""
-    direction = np.sign(peak_slip)
-    first = int(np.searchsorted(axles.time, axles.time[start] - LOOK_BACK))
-    # The cut of the effort falls between two samples: the last before it may be off.
-    used = direction * axles.adhesion[first : max(peak, first + 1), axle]
-    effort = direction * axles.effort[:, axle]
-    top, fell = onset(used, noise)
-    at = first + int(top[top.size // 2])
-    after = int(np.searchsorted(axles.time, axles.time[peak] + 0.5))
-    cut = bool(effort[peak : after + 1].min() < CUT * effort[peak])
-    adhesion = float(used[top].mean())
-    return {
-        "kind": "traction" if direction > 0.0 else "braking",
-        "position": axles.position[at],
-        "speed": axles.speed[at],
-        "adhesion": adhesion,
-        "adhesion_std": noise,
-        "measured": adhesion > 0.0 and (fell or cut),
-    }
-
-
-def onset(adhesion: FloatArray, noise: float) -> tuple[NDArray[np.int64], bool]:
-    """Where the adhesion in use had its last maximum before the slip was largest.
-
-    The record is walked backwards from its end, the instant of largest slip. The adhesion rises
-    to the maximum of the creep curve; once it has fallen again by more than noise explains the
-    search ends: what lies before belongs to another place.
-
-    Parameters
-    ----------
-    adhesion : (n,) array
-        In use, positive, up to the instant of largest slip.
-    noise : float
-        Its standard deviation.
-
-    Returns
-    -------
-    top : (k,) int array
-        Samples that differ from the maximum by no more than noise. Their mean is the maximum
-        without the bias of a largest value.
-    fell : bool
-        Whether the adhesion fell from there to the end: the maximum was passed.
-    """
-    backwards = adhesion[::-1]
-    highest = np.maximum.accumulate(backwards)
-    fallen = backwards < highest - PROMINENCE * noise
-    stop = int(np.argmax(fallen)) if fallen.any() else backwards.size
-    best = float(backwards[:stop].max())
-    top = np.flatnonzero(backwards[:stop] >= best - PROMINENCE * noise)
-    return adhesion.size - 1 - top[::-1], bool(backwards[0] < best - PROMINENCE * noise)

@@ -28,12 +28,15 @@ class _Layer(Part):
     weight: _Bins
     weighted_log: _Bins
     censored: Annotated[FloatArray, Array("1", dimensions=2)]
+    common: _Bins | None = None
 
     def layer(self, place: str, bins: int, levels: int) -> ConditionLayer:
         """The layer that the part describes."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         fields["observed"] = np.array(self.observed, dtype=np.bool_)
         for name, values in fields.items():
+            if values is None:
+                continue
             needed = (bins, levels) if name == "censored" else (bins,)
             if values.shape != needed:
                 raise InputError(

@@ -40,6 +40,9 @@ class ConditionLayer:
     censored : (n, k) array
         Histogram over `levels` of "the maximum is at least this": adhesion that was used without
         slip.
+    common : (n,) array, optional
+        Sum over the trips of the squared weight times the variance of the error that all onsets
+        of a trip share, from a load and a gain of the efforts that are not known; None: none did.
     """
 
     log_mean: FloatArray
@@ -49,6 +52,7 @@ class ConditionLayer:
     weight: FloatArray
     weighted_log: FloatArray
     censored: FloatArray
+    common: FloatArray | None = None
 
     @property
     def maximum_adhesion(self) -> FloatArray:

@@ -1,0 +1,311 @@
+"""The powered axles as a trip recorded them, calibrated by the trip's passport.
+
+What a recorder lacks is stated, not made up: an axle without speed is not seen, one without effort
+has no level of adhesion. Of efforts that are late or too large the passport knows by how much; how
+heavy the train is, too, and with what uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trainlog.display import counted
+from trainlog.errors import LogError
+from trainlog.railway.passport import Passport
+from trainlog.railway.train import Train
+from trainlog.resampling import interpolated
+from trainlog.topics import TRAIN_AXLES, TRAIN_CONTROLS
+from trainlog.trip import Trip, seconds
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+LEAST_DELAY = 0.02
+"""Delay of the efforts [s] below which they are left as they are recorded."""
+
+LEAST_RATIO = 0.02
+"""Axle efforts that differ from the total by less than this share are left as recorded."""
+
+STATED_RATIO = 0.05
+"""Axle efforts that differ from the total by more than this share are stated."""
+
+STATED_DELAY = 0.05
+"""A delay of the efforts from which on it is stated [s]."""
+
+STATED_GAIN = 0.03
+"""A gain of the efforts that differs from 1 by more than this is stated."""
+
+NO_EFFORT = 0.02
+"""Axle efforts that sum up to less than this share of the total were not recorded."""
+
+SLOW = 0.25
+"""Time between samples [s] from which on short slips are missed."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoweredAxles:
+    """The powered axles whose speed is recorded.
+
+    Attributes
+    ----------
+    clock : (n,) DatetimeIndex
+    time : (n,) array [s]
+    count : int
+        Powered axles of the train.
+    numbers : (k,) int array
+        Those whose speed is recorded, from 0.
+    wheel_speed : (n, k) array [m/s]
+        NaN in gaps.
+    wheel_effort : (n, k) array [N]
+        At the rims, without the recorder's delay and gain; of each axle by itself, or its share of
+        the total.
+    total_effort : (n,) array [N]
+        Of all motors, negative in braking.
+    demand : (n,) array or None
+        What the driver asks for, positive in traction; its unit does not matter. None where
+        neither efforts asked for nor the lever are recorded.
+    level : {"axle", "shared", "none"}
+        How the efforts of the axles are known: each by itself, from the total, or not.
+    levelled : (k,) bool array
+        Axles whose effort is known.
+    mass : float [kg]
+        Of the loaded train, without the rotating part.
+    axle_load : float [N]
+        Weight on one powered axle.
+    common_std : float
+        Relative standard deviation of effort over axle load that lasts for the whole trip.
+    sampling : float [s]
+        Median time between samples.
+    load : str
+        Where the load is from: ``"recorded"``, ``"estimated"`` or ``"assumed"``.
+    notes : tuple of str
+        What the recorder lacks, and what was made of it.
+    """
+
+    clock: pd.DatetimeIndex
+    time: FloatArray
+    count: int
+    numbers: IntArray
+    wheel_speed: FloatArray
+    wheel_effort: FloatArray
+    total_effort: FloatArray
+    demand: FloatArray | None
+    level: str
+    levelled: BoolArray
+    mass: float
+    axle_load: float
+    common_std: float
+    sampling: float
+    load: str
+    notes: tuple[str, ...]
+
+    def of_all(self, values: FloatArray, absent: float | bool = np.nan) -> FloatArray:
+        """Values of the recorded axles, (n, k), as values of all powered axles, (n, count)."""
+        if self.numbers.size == self.count:
+            return values
+        whole = np.full((len(values), self.count), absent, dtype=values.dtype)
+        whole[:, self.numbers] = values
+        return whole
+
+
+def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
+    """The powered axles of a trip, calibrated by its passport.
+
+    Raises
+    ------
+    LogError
+        If no axle speed is recorded, those of more axles than the train powers, or fewer than two
+        samples.
+    """
+    frame = trip[TRAIN_AXLES.name]
+    if len(frame) < 2:
+        raise LogError(f"trip '{trip.name}': /train/axles holds {len(frame)} samples")
+    numbers, speeds, notes = _speeds(trip, frame, train)
+    time, clock = seconds(frame), pd.DatetimeIndex(frame.index)
+    sampling = float(np.median(np.diff(time)))
+    gain, delay, said = _corrections(known)
+    total = _total(trip, clock)
+    own = _axle_efforts(frame, train.axles.count)
+    level, own, more = _level(own, total, train.axles.count, known)
+    if own is None:
+        own = np.full((len(frame), train.axles.count), np.nan)
+    total = _sum(own) if total is None or level == "axle" else total
+    levelled = np.isfinite(own[:, numbers]).any(axis=0) | (level == "shared")
+    # What an axle's effort is not known to be is taken for its share, for the train's speed.
+    efforts = np.where(np.isfinite(own), own, total[:, None] / train.axles.count)[:, numbers]
+    if delay:
+        efforts = np.column_stack([_earlier(time, each, delay) for each in efforts.T])
+        total = _earlier(time, total, delay)
+    if sampling >= SLOW:
+        more.append(
+            f"the axles are sampled every {sampling:.2g} s: slips shorter than {2 * sampling:.2g} s"
+            " may be missed"
+        )
+    load = known.load.value if known.load.known else 0.0
+    spread = known.effort_over_mass
+    return PoweredAxles(
+        clock=clock,
+        time=time,
+        count=train.axles.count,
+        numbers=numbers,
+        wheel_speed=speeds,
+        wheel_effort=efforts / gain,
+        total_effort=total / gain,
+        demand=_demand(trip, clock),
+        level=level,
+        mass=train.mass + load,
+        axle_load=_axle_load(train, known, load, gain),
+        common_std=spread.std / spread.value if spread.known else 0.0,
+        sampling=sampling,
+        load=known.load.source,
+        notes=(*notes, *_load_notes(known), *said, *more),
+    )
+
+
+def _axle_load(train: Train, known: Passport, load: float, gain: float) -> float:
+    """Weight on an axle [N] by which an effort without its gain gives the adhesion.
+
+    The motion shows the gain times the mass together, better than each.
+    """
+    if known.effort_over_mass.known:
+        loaded = train.adhesive_weight(0.0) * known.effort_over_mass.value / gain
+    else:
+        loaded = train.adhesive_weight(load)
+    return loaded / train.axles.count
+
+
+def _speeds(
+    trip: Trip, frame: pd.DataFrame, train: Train
+) -> tuple[IntArray, FloatArray, list[str]]:
+    """Which axles are recorded (from 0), their speeds (n, k), and what is to be stated."""
+    given = [name for name in frame.columns if name.startswith("wheel_speed_")]
+    recorded = sorted(int(n.rpartition("_")[2]) for n in given if frame[n].notna().any())
+    count = train.axles.count
+    if not recorded:
+        raise LogError(
+            f"trip '{trip.name}': /train/axles holds no axle speed",
+            remedy="slip needs the speed of one powered axle at least",
+        )
+    if recorded[-1] > count:
+        raise LogError(
+            f"trip '{trip.name}': /train/axles has {counted(len(given), 'axle')}, train"
+            f" '{train.name}' has {count} powered ones",
+            remedy="map the powered axles only, or correct the number in the train file",
+        )
+    speeds = frame[[f"wheel_speed_{i}" for i in recorded]].to_numpy(dtype=np.float64)
+    lacking = [str(i) for i in range(1, count + 1) if i not in recorded]
+    notes = []
+    if lacking:
+        notes.append(
+            f"the speed of {len(recorded)} of {count} powered axles is recorded: slips of"
+            f" {'axle' if len(lacking) == 1 else 'axles'} {', '.join(lacking)} are not known"
+        )
+    return np.array(recorded, dtype=np.int64) - 1, speeds, notes
+
+
+def _axle_efforts(frame: pd.DataFrame, count: int) -> FloatArray | None:
+    """Recorded efforts of all powered axles, (n, count), gaps held; None without any column.
+
+    NaN throughout for axles without.
+    """
+    names = [f"wheel_effort_{i}" for i in range(1, count + 1)]
+    if not any(name in frame.columns for name in names):
+        return None
+    return np.array(frame.reindex(columns=names).ffill().to_numpy(dtype=np.float64))
+
+
+def _total(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray | None:
+    """Recorded effort of all motors [N] at the axles' samples, negative in braking."""
+    frame = trip.topics.get(TRAIN_CONTROLS.name)
+    if frame is None or not frame["tractive_effort"].notna().any():
+        return None
+    pull = interpolated(frame, "tractive_effort", clock)
+    hold = interpolated(frame, "dynamic_braking_effort", clock)
+    return np.asarray(np.nan_to_num(pull) - np.nan_to_num(hold))
+
+
+def _level(
+    own: FloatArray | None, total: FloatArray | None, count: int, known: Passport
+) -> tuple[str, FloatArray | None, list[str]]:
+    """How the efforts of the axles are known, themselves (n, count), and what is to be stated."""
+    if own is None:
+        if total is None:
+            return "none", None, ["no efforts are recorded: slips without a level, no adhesion"]
+        return "shared", None, [
+            "only the total effort is recorded: the powered axles share it by their load"
+        ]
+    size = float(np.nansum(np.abs(own)))
+    if not size > (NO_EFFORT * np.sum(np.abs(total)) if total is not None else 0.0):
+        word = "zero" if np.isfinite(own).any() else "empty"
+        return "none", None, [f"the axle efforts are {word}: slips without a level, no adhesion"]
+    notes, ratio = [], known.axle_effort_ratio
+    if total is not None and ratio.known and abs(ratio.value - 1.0) > LEAST_RATIO:
+        own = own / ratio.value
+        if abs(ratio.value - 1.0) > STATED_RATIO:
+            notes.append(
+                f"the axle efforts sum up to {ratio.value:.2f} times the total effort:"
+                " divided by it"
+            )
+    return "axle", own, notes
+
+
+def _sum(own: FloatArray) -> FloatArray:
+    """Effort of all axles, those without one taken to do as the others."""
+    known = np.isfinite(own)
+    count = known.sum(axis=1)
+    return np.asarray(np.nansum(own, axis=1) * own.shape[1] / np.maximum(count, 1))
+
+
+def _corrections(known: Passport) -> tuple[float, float, list[str]]:
+    """Gain and delay [s] to take out of the efforts, and what is to be stated of them."""
+    gain = known.effort_gain.value if known.effort_gain.known else 1.0
+    each = known.effort_delay
+    shown = each.known and each.source != "assumed"
+    delay = each.value if shown and abs(each.value) > max(LEAST_DELAY, 1.96 * each.std) else 0.0
+    notes = []
+    if abs(delay) > STATED_DELAY:
+        notes.append(f"the efforts are {delay:.2f} s late: shifted by that")
+    if abs(gain - 1.0) > STATED_GAIN:
+        notes.append(f"the efforts are {gain:.3f} times what moves the train: divided by that")
+    return gain, delay, notes
+
+
+def _load_notes(known: Passport) -> list[str]:
+    """What is to be stated of the load."""
+    load, spread = known.load, known.effort_over_mass
+    if load.source == "recorded" or not spread.known:
+        return []
+    band = 1.96 * spread.std / spread.value
+    return [
+        f"the load is not recorded: {load.source} as {load.text('t', 1e-3, 1).partition(',')[0]},"
+        f" all adhesion within ± {band:.0%} by that"
+    ]
+
+
+def _demand(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray | None:
+    """What is asked for at the axles' samples, positive in traction."""
+    frame = trip.topics.get(TRAIN_CONTROLS.name)
+    if frame is None:
+        return None
+    pull, hold = (
+        interpolated(frame, f"{kind}_effort_demand", clock) for kind in ("tractive", "braking")
+    )
+    if np.isfinite(pull).any():
+        return np.asarray(np.nan_to_num(pull) - np.nan_to_num(hold))
+    if frame["lever"].notna().any():
+        return np.asarray(np.nan_to_num(interpolated(frame, "lever", clock)))
+    return None
+
+
+def _earlier(time: FloatArray, values: FloatArray, delay: float) -> FloatArray:
+    """Values that were recorded `delay` [s] late, at the instants of the others."""
+    finite = np.isfinite(values)
+    if not finite.any():
+        return values
+    moved = np.interp(time + delay, time[finite], values[finite])
+    return np.where(finite, moved, np.nan)

@@ -1,0 +1,242 @@
+"""Slip events: where an axle slips, and what its onset says of the maximum adhesion.
+
+An axle slips where it turns faster or slower than the train by more than a threshold. Modern slip
+protection acts earlier: slips below the threshold are found from what they do. The wheel leaves the
+train's speed at once, and the effort is cut although the driver asks for no less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.adhesion.axles import SLOW, PoweredAxles
+from estimators.slip import NOISE_MULTIPLE, SlipDetector
+from trainlog.units import NANOSECONDS
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+NOISE_SPAN = 0.4
+"""Time over which differences of the observed adhesion are taken for noise [s]."""
+
+ADHESION_NOISE_FLOOR = 0.002
+"""Least noise of an observed adhesion that is assumed."""
+
+COASTING_ADHESION = 0.02
+"""Adhesion in use up to which a wheel is taken to roll without creep, to compare diameters."""
+
+LOOK_BACK = 3.0
+"""How long before the detection of slip its onset is sought [s]."""
+
+PROMINENCE = 3.0
+"""Standard deviations by which adhesion in use must fall on either side of a maximum."""
+
+CUT = 0.7
+"""Effort over the effort at peak slip, half a second later, below which slip protection acted."""
+
+CUT_TIME = 0.5
+"""Time in which it acts [s], and in which a wheel leaves the train's speed."""
+
+HELD = 0.8
+"""Share of what was asked for before that is still asked for, where it is held."""
+
+LOW_SLIP = 0.3
+"""Least slip speed [m/s] that is looked at."""
+
+LEAST_SPEED = 1.0
+"""Train speed [m/s] below which small slips are not looked for: electric brakes fade out there."""
+
+SHARED_STD = 0.1
+"""Relative standard deviation of an axle's effort that is known as a share of the total."""
+
+RECOVERY = 8.0
+"""How long after a slip [s] the axles do not share the total effort evenly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What the onset of an event is read from; arrays (n,) and (n, k) of the recorded axles."""
+
+    axles: PoweredAxles
+    position: FloatArray
+    speed: FloatArray
+    slip_speed: FloatArray
+    slip_std: float
+    adhesion: FloatArray
+
+
+def slipping_axles(motion: Motion) -> BoolArray:
+    """Whether each axle slips, counted from the first sample above the threshold, (n, k)."""
+    detector = SlipDetector(motion.slip_speed.shape[1], motion.slip_std)
+    if motion.axles.sampling >= SLOW:
+        # Few samples show a slip: each counts as its own confirmation.
+        return detector.update(np.repeat(motion.slip_speed, 2, axis=0))[1::2]
+    found = detector.update(motion.slip_speed)
+    # The detector confirms one sample late; the event began with the sample before.
+    found[:-1] |= found[1:]
+    return found
+
+
+def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
+    """Slips that the threshold does not find, (n, k): of those the maximum adhesion was passed.
+
+    The wheel leaves the train's speed within `CUT_TIME`, and its effort is cut within as long
+    although what is asked for is held: by the driver, or, where that is not recorded, from the other
+    axles.
+    """
+    axles = motion.axles
+    found = np.zeros_like(slipping)
+    least = max(LOW_SLIP, NOISE_MULTIPLE * motion.slip_std)
+    reach = max(1, round(CUT_TIME / axles.sampling))
+    if axles.level != "axle" or axles.sampling >= SLOW:
+        return found
+    for axle in np.flatnonzero(axles.levelled):
+        size = np.abs(motion.slip_speed[:, axle])
+        above = (size > least) & (motion.speed > LEAST_SPEED)
+        for start, stop in _runs(above):
+            peak = start + int(np.argmax(size[start:stop]))
+            if slipping[max(start - 1, 0) : stop + 1, axle].any():
+                continue
+            sign = np.sign(motion.slip_speed[peak, axle])
+            before = slice(max(peak - reach, 0), peak + 1)
+            after = slice(peak, peak + reach + 1)
+            effort = sign * axles.wheel_effort[:, axle]
+            left = size[before].min() < 0.5 * size[peak]
+            strong = effort[before].max() > COASTING_ADHESION * axles.axle_load
+            cut = effort[after].min() < CUT * effort[before].max()
+            if left and strong and cut and _held(axles, axle, sign, before, after):
+                found[start:stop, axle] = True
+    return found
+
+
+def _held(axles: PoweredAxles, axle: int, sign: float, before: slice, after: slice) -> bool:
+    """Whether what is asked for stays as it was, before and after the largest slip."""
+    if axles.demand is not None:
+        asked = sign * axles.demand
+    else:
+        others = axles.levelled.copy()
+        others[axle] = False
+        if not others.any():
+            return False
+        asked = (sign * axles.wheel_effort[:, others]).max(axis=1)
+    most = asked[before].max()
+    return bool(most > 0.0 and asked[after].min() >= HELD * most)
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """First and one-past-last index of each run of True."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def adhesion_noise(time: FloatArray, adhesion: FloatArray) -> float:
+    """Standard deviation of what noise remains in the observed adhesion, from its differences.
+
+    Over `NOISE_SPAN` the true adhesion hardly changes for most of a trip: the median absolute
+    difference of samples that far apart, where the axles pull or brake, is noise.
+    """
+    lag = max(1, round(NOISE_SPAN / float(np.median(np.diff(time)))))
+    apart = np.abs(adhesion[lag:] - adhesion[:-lag])
+    loaded = apart[np.abs(adhesion[lag:]) > COASTING_ADHESION]
+    if loaded.size == 0:
+        return ADHESION_NOISE_FLOOR
+    return max(float(np.median(loaded) / 0.6745 / np.sqrt(2.0)), ADHESION_NOISE_FLOOR)
+
+
+def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
+    """One row a slip event; see `analysis.adhesion.slip.SlipAnalysis`."""
+    axles = motion.axles
+    noise = adhesion_noise(axles.time, motion.adhesion)
+    rows = []
+    for axle in range(slipping.shape[1]):
+        for start, stop in _runs(slipping[:, axle]):
+            peak = start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
+            rows.append(
+                {
+                    "axle": int(axles.numbers[axle]) + 1,
+                    "start": axles.clock[start],
+                    "end": axles.clock[min(stop, len(axles.clock) - 1)],
+                    "peak_slip": motion.slip_speed[peak, axle],
+                    **_onset_of(motion, axle, start, peak, noise),
+                }
+            )
+    columns = {
+        "axle": "int64", "start": axles.clock.dtype, "end": axles.clock.dtype, "kind": "str",
+        "position": "float64", "speed": "float64", "peak_slip": "float64",
+        "adhesion": "float64", "adhesion_std": "float64", "measured": "bool",
+    }  # fmt: skip
+    frame = pd.DataFrame(rows, columns=list(columns)).astype(columns)
+    frame.attrs["units"] = {
+        "position": "m", "speed": "m/s", "peak_slip": "m/s", "adhesion": "1", "adhesion_std": "1",
+    }  # fmt: skip
+    if axles.level == "shared" and len(frame):
+        frame["measured"] &= ~_after_others(frame)
+    return frame
+
+
+def _after_others(events: pd.DataFrame) -> BoolArray:
+    """Events before which another axle slipped so shortly that it does not pull its share yet."""
+    starts, ends = (pd.DatetimeIndex(events[n]).as_unit("ns").asi8 for n in ("start", "end"))
+    recovered = ends + round(RECOVERY * NANOSECONDS)
+    earlier = (starts[None, :] < starts[:, None]) & (recovered[None, :] > starts[:, None])
+    return np.asarray(earlier.any(axis=1))
+
+
+def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) -> dict[str, Any]:
+    """Adhesion at the onset of one event, which begins at sample `start` and peaks at `peak`."""
+    axles = motion.axles
+    direction = np.sign(motion.slip_speed[peak, axle])
+    first = int(np.searchsorted(axles.time, axles.time[start] - LOOK_BACK))
+    # The cut of the effort falls between two samples: the last before it may be off.
+    used = direction * motion.adhesion[first : max(peak, first + 1), axle]
+    effort = direction * axles.wheel_effort[:, axle]
+    top, fell = onset(used, noise)
+    at = first + int(top[top.size // 2])
+    after = int(np.searchsorted(axles.time, axles.time[peak] + CUT_TIME))
+    cut = bool(effort[peak : after + 1].min() < CUT * effort[peak])
+    adhesion, known = float(used[top].mean()), bool(axles.levelled[axle])
+    spread = SHARED_STD * adhesion if axles.level == "shared" else 0.0
+    return {
+        "kind": "traction" if direction > 0.0 else "braking",
+        "position": motion.position[at],
+        "speed": motion.speed[at],
+        "adhesion": adhesion if known else np.nan,
+        "adhesion_std": np.hypot(noise, spread) if known else np.nan,
+        "measured": known and adhesion > 0.0 and (fell or cut),
+    }
+
+
+def onset(adhesion: FloatArray, noise: float) -> tuple[NDArray[np.int64], bool]:
+    """Where the adhesion in use had its last maximum before the slip was largest.
+
+    The record is walked backwards from its end, the instant of largest slip. The adhesion rises
+    to the maximum of the creep curve; once it has fallen again by more than noise explains the
+    search ends: what lies before belongs to another place.
+
+    Parameters
+    ----------
+    adhesion : (n,) array
+        In use, positive, up to the instant of largest slip.
+    noise : float
+        Its standard deviation.
+
+    Returns
+    -------
+    top : (k,) int array
+        Samples that differ from the maximum by no more than noise. Their mean is the maximum
+        without the bias of a largest value.
+    fell : bool
+        Whether the adhesion fell from there to the end: the maximum was passed.
+    """
+    backwards = adhesion[::-1]
+    highest = np.maximum.accumulate(backwards)
+    fallen = backwards < highest - PROMINENCE * noise
+    stop = int(np.argmax(fallen)) if fallen.any() else backwards.size
+    best = float(backwards[:stop].max())
+    top = np.flatnonzero(backwards[:stop] >= best - PROMINENCE * noise)
+    return adhesion.size - 1 - top[::-1], bool(backwards[0] < best - PROMINENCE * noise)
