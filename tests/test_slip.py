@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Score, Seen, onset_errors, seen
 
-from analysis.adhesion.slip import adhesion_noise, slip, wheel_noise
+from analysis.adhesion.events import adhesion_noise
+from analysis.adhesion.slip import SlipAnalysis, slip, wheel_noise
 from trainlog.errors import LogError
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
@@ -258,7 +260,7 @@ def one_slip(cut: float, force_before: float = 30e3) -> tuple[Trip, FloatArray]:
             "/train/state": frame_of(TRAIN_STATE, stamps, {"position": position}),
             "/train/controls": frame_of(TRAIN_CONTROLS, stamps, brake),
         },
-        metadata={"trip": "one slip", "direction": "forward"},
+        metadata={"trip": "one slip", "direction": "forward", "load": "0"},
         attachments={
             LINE_ATTACHMENT: line_to_bytes(level_line()),
             TRAIN_ATTACHMENT: train_to_bytes(train),
@@ -288,6 +290,135 @@ def test_the_inertia_of_the_axles_is_counted_once() -> None:
     assert np.max(np.abs(found.speed[during] - speed[during])) < 0.02
 
 
+def of_efforts(trip: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], *topics: str) -> Trip:
+    """The trip with its recorded efforts changed, in the topics named or in all."""
+    for topic in topics or ("/train/axles", "/train/controls"):
+        frame = trip[topic].copy()
+        names = [n for n in frame if "effort" in n and "demand" not in n]
+        frame[names] = change(frame[names])
+        trip = trip.with_topic(frame)
+    return trip
+
+
+def late(efforts: pd.DataFrame, delay: float) -> pd.DataFrame:
+    clock = efforts.index.asi8 / 1e9
+    columns = {name: np.interp(clock - delay, clock, efforts[name]) for name in efforts}
+    return pd.DataFrame(columns, efforts.index)
+
+
+def off(each: Seen, found: SlipAnalysis) -> FloatArray:
+    """Logarithm of the adhesion at the measured onsets over the truth there."""
+    return np.asarray(np.log1p(onset_errors(replace(each, found=found)) / truths(each, found)))
+
+
+def truths(each: Seen, found: SlipAnalysis) -> FloatArray:
+    places = found.events.loc[found.events["measured"], "position"].to_numpy()
+    return np.asarray(each.scenario.maximum_adhesion(places))
+
+
+@pytest.fixture(scope="module")
+def heavy() -> Seen:
+    """A wet trip of a train with more load than its file allows for, which the log states."""
+    scenario = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]
+    return seen(replace(scenario, mass=1.2 * scenario.train.mass))
+
+
+class TestWhatTheRecorderLacks:
+    def test_the_load(self, heavy: Seen) -> None:
+        """The motion shows it: the adhesion is right, within a band that is stated."""
+        known = {n: v for n, v in heavy.trip.metadata.items() if n != "load"}
+        found = slip(replace(heavy.trip, metadata=known))
+        errors = off(heavy, found)
+        assert errors.size > 10
+        assert abs(np.median(errors)) < 0.05
+        assert 0.002 < found.common_std < 0.05
+        assert any("load is not recorded" in note for note in found.notes)
+
+    @pytest.mark.parametrize("delay", [0.2, 0.5])
+    def test_the_delay_of_the_efforts(self, heavy: Seen, delay: float) -> None:
+        found = slip(of_efforts(heavy.trip, lambda efforts: late(efforts, delay)))
+        assert abs(np.median(off(heavy, found))) < 0.03
+        assert np.mean(np.abs(off(heavy, found)) < 0.15) > 0.9
+        assert any(f"{delay:.1f}" in note and "late" in note for note in found.notes)
+
+    def test_the_gain_of_the_efforts(self, heavy: Seen) -> None:
+        found = slip(of_efforts(heavy.trip, lambda efforts: 1.1 * efforts))
+        assert abs(np.median(off(heavy, found))) < 0.03
+
+    @pytest.mark.parametrize(("share", "word"), [(np.nan, "empty"), (0.0, "zero")])
+    def test_the_efforts_of_the_axles(self, heavy: Seen, share: float, word: str) -> None:
+        """Slips are found, with no level, and no adhesion is made up."""
+        found = slip(of_efforts(heavy.trip, lambda efforts: share * efforts, "/train/axles"))
+        assert np.isnan(found.adhesion).all()
+        assert len(found.events) == len(heavy.found.events)
+        assert not found.events["measured"].any()
+        assert found.events["adhesion"].isna().all()
+        assert any(f"axle efforts are {word}" in note for note in found.notes)
+        assert "not known" in repr(found)
+        assert len(found.events_frame()) == len(found.events)
+
+    def test_how_the_axles_share_the_effort(self, heavy: Seen) -> None:
+        axles = heavy.trip["/train/axles"]
+        bare = axles[[name for name in axles if "effort" not in name]]
+        bare.attrs = axles.attrs
+        found = slip(heavy.trip.with_topic(bare))
+        assert any("only the total effort" in note for note in found.notes)
+        assert len(found.events) == pytest.approx(len(heavy.found.events), rel=0.1)
+        events = found.events[found.events["measured"]]
+        errors = events["adhesion"] / truths(heavy, found) - 1.0
+        stds = events["adhesion_std"] / events["adhesion"]
+        assert np.mean(np.abs(errors) < 1.96 * np.hypot(stds, 0.06)) > 0.9
+        assert stds.mean() > 1.3 * np.mean(heavy.found.events.eval("adhesion_std / adhesion"))
+
+    def test_the_efforts_altogether(self, heavy: Seen) -> None:
+        axles = heavy.trip["/train/axles"]
+        bare = axles[[name for name in axles if "effort" not in name]]
+        bare.attrs = axles.attrs
+        found = slip(without(heavy.trip.with_topic(bare), "/train/controls"))
+        assert np.isnan(found.adhesion).all()
+        assert any("no efforts are recorded" in note for note in found.notes)
+
+    def test_some_axle_speeds(self, heavy: Seen) -> None:
+        """One a bogie: the others are not known, those recorded are as they were."""
+        axles = heavy.trip["/train/axles"].copy()
+        axles[["wheel_speed_2", "wheel_speed_4"]] = np.nan
+        found = slip(heavy.trip.with_topic(axles))
+        assert np.isnan(found.adhesion[:, [1, 3]]).all()
+        assert np.isnan(found.slip_speed[:, [1, 3]]).all()
+        assert set(found.events["axle"]) == {1, 3}
+        whole = heavy.found.events
+        assert len(found.events) == pytest.approx(whole["axle"].isin([1, 3]).sum(), rel=0.1)
+        assert abs(np.median(off(heavy, found))) < 0.05
+        assert any("axles 2, 4 are not known" in note for note in found.notes)
+
+    def test_axles_that_the_train_powers_besides(self, heavy: Seen) -> None:
+        own = heavy.scenario.train.axles
+        more = replace(own, count=6, adhesive_mass=1.5 * own.adhesive_mass)
+        train = train_to_bytes(flirt(axles=more))
+        found = slip(
+            replace(heavy.trip, attachments={**heavy.trip.attachments, TRAIN_ATTACHMENT: train})
+        )
+        assert found.adhesion.shape[1] == 6
+        assert np.isnan(found.adhesion[:, 4:]).all()
+        assert any("axles 5, 6 are not known" in note for note in found.notes)
+
+    def test_axle_efforts_that_contradict_the_total(self, heavy: Seen) -> None:
+        found = slip(of_efforts(heavy.trip, lambda efforts: 1.25 * efforts, "/train/axles"))
+        assert abs(np.median(off(heavy, found))) < 0.03
+        assert any("1.25 times the total" in note for note in found.notes)
+
+    def test_samples(self, heavy: Seen) -> None:
+        """At one a second short slips are missed: stated."""
+        names = ("/train/axles", "/train/controls", "/train/state")
+        slow = heavy.trip
+        for name in names:
+            frame = slow[name].iloc[::10]
+            frame.attrs = slow[name].attrs
+            slow = slow.with_topic(frame)
+        found = slip(slow)
+        assert any("slips shorter than 2 s may be missed" in note for note in found.notes)
+
+
 class TestRefusals:
     def test_no_axles(self, trips: list[Seen]) -> None:
         with pytest.raises(LogError, match="no topic /train/axles"):
@@ -297,11 +428,17 @@ class TestRefusals:
         with pytest.raises(LogError, match="has no position"):
             slip(without(trips[0].trip, "/train/state"))
 
-    def test_a_train_with_other_axles(self, trips: list[Seen]) -> None:
-        train = train_to_bytes(flirt(axles=Axles(count=6)))
+    def test_a_train_with_fewer_axles(self, trips: list[Seen]) -> None:
+        train = train_to_bytes(flirt(axles=Axles(count=2)))
         other = {**trips[0].trip.attachments, TRAIN_ATTACHMENT: train}
-        with pytest.raises(LogError, match="4 axles, train 'flirt' has 6"):
+        with pytest.raises(LogError, match="4 axles, train 'flirt' has 2"):
             slip(replace(trips[0].trip, attachments=other))
+
+    def test_no_axle_speed(self, trips: list[Seen]) -> None:
+        axles = trips[0].trip["/train/axles"].copy()
+        axles[[name for name in axles if name.startswith("wheel_speed_")]] = np.nan
+        with pytest.raises(LogError, match="holds no axle speed"):
+            slip(trips[0].trip.with_topic(axles))
 
     def test_no_train(self, trips: list[Seen]) -> None:
         bare = replace(trips[0].trip, attachments={})

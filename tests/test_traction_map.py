@@ -54,6 +54,7 @@ def piece(seed: int, layer: str = "dry", name: str | None = None) -> Evidence:
     return Evidence(
         LINE.name, LINE.length, BIN, layer, name or f"trip-{seed}", f"{seed:064x}",
         events.astype(np.float64), weight, logs, censored,
+        np.round(weight**2 * 0.01 * 2**20) / 2**20 if seed % 3 else None,
     )  # fmt: skip
 
 
@@ -113,6 +114,26 @@ class TestField:
             plus[i] += step
             minus[i] -= step
             assert abs(cost(plus) - cost(minus)) / (2.0 * step) < 1e-4
+
+    @pytest.mark.parametrize("trips", [1, 4])
+    def test_what_all_onsets_of_a_trip_err_by_alike_widens_the_band(self, trips: int) -> None:
+        """As much as it does exactly for one trip; never less for several."""
+        rng = np.random.default_rng(3)
+        weights = rng.uniform(20.0, 60.0, (trips, BINS)) * (rng.uniform(size=(trips, BINS)) < 0.4)
+        variances = rng.uniform(0.01, 0.1, trips) ** 2
+        logs = np.full(BINS, np.log(0.15))
+        args = (weights.sum(axis=0), weights.sum(axis=0) * logs, NO_LEVELS, np.log(LEVELS), 0.12)
+        alone = solve_field(PRIOR, BIN, *args)
+        found = solve_field(PRIOR, BIN, *args, common=variances @ weights**2)
+        distance = BIN * np.abs(np.subtract.outer(np.arange(BINS), np.arange(BINS)))
+        precision = np.linalg.inv(0.3**2 * np.exp(-distance / 120.0)) + np.diag(args[0])
+        exact = variances @ np.linalg.solve(precision, weights.T).T ** 2
+        added = found.std**2 - alone.std**2
+        assert np.all(added >= exact - 1e-12)
+        assert np.all(added <= trips * exact.max() + 1e-12)
+        if trips == 1:
+            np.testing.assert_allclose(added, exact, rtol=1e-6)
+        np.testing.assert_array_equal(found.mean, alone.mean)
 
     @settings(max_examples=30, deadline=None)
     @given(st.integers(0, 10_000), st.integers(0, BINS - 1), st.integers(0, LEVELS.size - 1))

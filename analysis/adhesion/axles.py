@@ -8,6 +8,7 @@ heavy the train is, too, and with what uncertainty.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -24,6 +25,7 @@ from trainlog.trip import Trip, seconds
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Value = TypeVar("Value", np.float64, np.bool_)
 
 LEAST_DELAY = 0.02
 """Delay of the efforts [s] below which they are left as they are recorded."""
@@ -42,6 +44,9 @@ STATED_GAIN = 0.03
 
 NO_EFFORT = 0.02
 """Axle efforts that sum up to less than this share of the total were not recorded."""
+
+TURNING_SHARE = 0.2
+"""Share of an axle's effort that turns its wheels faster at the onset of slip."""
 
 SLOW = 0.25
 """Time between samples [s] from which on short slips are missed."""
@@ -104,7 +109,7 @@ class PoweredAxles:
     load: str
     notes: tuple[str, ...]
 
-    def of_all(self, values: FloatArray, absent: float | bool = np.nan) -> FloatArray:
+    def of_all(self, values: NDArray[Value], absent: float | bool = np.nan) -> NDArray[Value]:
         """Values of the recorded axles, (n, k), as values of all powered axles, (n, count)."""
         if self.numbers.size == self.count:
             return values
@@ -131,11 +136,11 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
     gain, delay, said = _corrections(known)
     total = _total(trip, clock)
     own = _axle_efforts(frame, train.axles.count)
-    level, own, more = _level(own, total, train.axles.count, known)
+    level, own, more = _level(own, total, known)
     if own is None:
         own = np.full((len(frame), train.axles.count), np.nan)
     total = _sum(own) if total is None or level == "axle" else total
-    levelled = np.isfinite(own[:, numbers]).any(axis=0) | (level == "shared")
+    levelled = np.asarray(np.isfinite(own[:, numbers]).any(axis=0) | (level == "shared"))
     # What an axle's effort is not known to be is taken for its share, for the train's speed.
     efforts = np.where(np.isfinite(own), own, total[:, None] / train.axles.count)[:, numbers]
     if delay:
@@ -147,7 +152,6 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
             " may be missed"
         )
     load = known.load.value if known.load.known else 0.0
-    spread = known.effort_over_mass
     return PoweredAxles(
         clock=clock,
         time=time,
@@ -158,9 +162,10 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         total_effort=total / gain,
         demand=_demand(trip, clock),
         level=level,
+        levelled=levelled,
         mass=train.mass + load,
         axle_load=_axle_load(train, known, load, gain),
-        common_std=spread.std / spread.value if spread.known else 0.0,
+        common_std=_common_std(train, known),
         sampling=sampling,
         load=known.load.source,
         notes=(*notes, *_load_notes(known), *said, *more),
@@ -177,6 +182,17 @@ def _axle_load(train: Train, known: Passport, load: float, gain: float) -> float
     else:
         loaded = train.adhesive_weight(load)
     return loaded / train.axles.count
+
+
+def _common_std(train: Train, known: Passport) -> float:
+    """Relative standard deviation of effort over axle load that lasts for the whole trip."""
+    both = known.effort_over_mass
+    if both.known:
+        # What turns the wheels faster is known without the gain, what the motor gives is not.
+        turning = TURNING_SHARE * np.nan_to_num(known.effort_gain.std)
+        return float(np.hypot(both.std / both.value, turning))
+    apart = known.effort_gain.std, known.load.std / (train.mass + known.load.value)
+    return float(np.hypot(*np.nan_to_num(apart)))
 
 
 def _speeds(
@@ -230,15 +246,17 @@ def _total(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray | None:
 
 
 def _level(
-    own: FloatArray | None, total: FloatArray | None, count: int, known: Passport
+    own: FloatArray | None, total: FloatArray | None, known: Passport
 ) -> tuple[str, FloatArray | None, list[str]]:
     """How the efforts of the axles are known, themselves (n, count), and what is to be stated."""
     if own is None:
         if total is None:
             return "none", None, ["no efforts are recorded: slips without a level, no adhesion"]
-        return "shared", None, [
-            "only the total effort is recorded: the powered axles share it by their load"
-        ]
+        return (
+            "shared",
+            None,
+            ["only the total effort is recorded: the powered axles share it by their load"],
+        )
     size = float(np.nansum(np.abs(own)))
     if not size > (NO_EFFORT * np.sum(np.abs(total)) if total is not None else 0.0):
         word = "zero" if np.isfinite(own).any() else "empty"

@@ -86,8 +86,8 @@ def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
     """Slips that the threshold does not find, (n, k): of those the maximum adhesion was passed.
 
     The wheel leaves the train's speed within `CUT_TIME`, and its effort is cut within as long
-    although what is asked for is held: by the driver, or, where that is not recorded, from the other
-    axles.
+    although what is asked for is held: by the driver, or, where that is not recorded, from the
+    other axles.
     """
     axles = motion.axles
     found = np.zeros_like(slipping)
@@ -95,7 +95,7 @@ def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
     reach = max(1, round(CUT_TIME / axles.sampling))
     if axles.level != "axle" or axles.sampling >= SLOW:
         return found
-    for axle in np.flatnonzero(axles.levelled):
+    for axle in np.flatnonzero(axles.levelled).tolist():
         size = np.abs(motion.slip_speed[:, axle])
         above = (size > least) & (motion.speed > LEAST_SPEED)
         for start, stop in _runs(above):

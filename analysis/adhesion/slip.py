@@ -42,7 +42,7 @@ from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans
 from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL
-from trainlog.trip import Trip, frame_of, seconds
+from trainlog.trip import Trip, frame_of
 from trainlog.units import KMH, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
@@ -391,9 +391,7 @@ def _train_speed(
     return speed, factor
 
 
-def _other_effort(
-    trip: Trip, train: Train, axles: PoweredAxles, wheels: FloatArray
-) -> FloatArray:
+def _other_effort(trip: Trip, train: Train, axles: PoweredAxles, wheels: FloatArray) -> FloatArray:
     """Effort on the train besides that of its motors [N].
 
     Friction brake, running resistance as the train's file has it, gradient and curves. While the

@@ -29,7 +29,6 @@ from estimators.slip import SlipDetector
 from trainlog.errors import TrainlogError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
 from trainlog.formats.ttobench import read_track, read_train as read_foreign_train
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.plant import Plant
@@ -58,6 +57,7 @@ class OtherRail(Scenario):
     delay: float = 0.2
 
     def plant(self) -> Plant:
+        """The train on that rail."""
         found = super().plant()
         rail = found.rail.copy()
         rail[:, 2:4] *= self.steeper
@@ -226,6 +226,8 @@ DEFECTS: dict[str, Callable[[Trip], Trip]] = {
 
 @dataclass
 class Counts:
+    """What is counted and summed of trips and maps."""
+
     trips: int = 0
     refused: int = 0
     true: int = 0
@@ -241,9 +243,12 @@ class Counts:
     seconds: float = 0.0
 
     def __add__(self, other: Counts) -> Counts:
-        return Counts(*(a + b for a, b in zip(vars(self).values(), vars(other).values())))
+        return Counts(
+            *(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True))
+        )
 
     def row(self) -> str:
+        """Below `HEADER`."""
         recall = 1.0 - self.missed / max(self.true, 1)
         precision = 1.0 - self.false / self.reported if self.reported else np.nan
         n = max(self.bins, 1)
