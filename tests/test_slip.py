@@ -320,7 +320,10 @@ def truths(each: Seen, found: SlipAnalysis) -> FloatArray:
 def heavy() -> Seen:
     """A wet trip of a train with more load than its file allows for, which the log states."""
     scenario = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]
-    return seen(replace(scenario, mass=1.2 * scenario.train.mass))
+    found = seen(replace(scenario, mass=1.2 * scenario.train.mass))
+    stated = {**found.trip.metadata, "load": f"{0.2 * scenario.train.mass:.0f}"}
+    trip = replace(found.trip, metadata=stated)
+    return replace(found, trip=trip, found=slip(trip))
 
 
 class TestWhatTheRecorderLacks:

@@ -30,6 +30,9 @@ Value = TypeVar("Value", np.float64, np.bool_)
 LEAST_DELAY = 0.02
 """Delay of the efforts [s] below which they are left as they are recorded."""
 
+LEAST_EARLY = 0.1
+"""The same of efforts that seem early [s]: slips of axles that are not seen look like that."""
+
 LEAST_RATIO = 0.02
 """Axle efforts that differ from the total by less than this share are left as recorded."""
 
@@ -284,7 +287,8 @@ def _corrections(known: Passport) -> tuple[float, float, list[str]]:
     gain = known.effort_gain.value if known.effort_gain.known else 1.0
     each = known.effort_delay
     shown = each.known and each.source != "assumed"
-    delay = each.value if shown and abs(each.value) > max(LEAST_DELAY, 1.96 * each.std) else 0.0
+    shown &= abs(each.value) > max(LEAST_DELAY, 1.96 * each.std)
+    delay = each.value if shown and not -LEAST_EARLY < each.value < 0.0 else 0.0
     notes = []
     if abs(delay) > STATED_DELAY:
         notes.append(f"the efforts are {delay:.2f} s late: shifted by that")
