@@ -11,7 +11,7 @@ CHECKOUT = Path(__file__).parents[1]
 
 AVOIDED = {
     r"told|tells|tell": "a program states, reports or lists",
-    r"rooms?|doors?|house": "a package is a package, an entry point an entry point",
+    r"rooms?|house": "a package is a package, an entry point an entry point",
     r"makes? no sense": "a value must be positive, finite, ...",
     r"papers? 00\d": "a paper is cited by author and year",
 }

@@ -109,6 +109,7 @@ if TYPE_CHECKING:
         draw_scenarios as draw_scenarios,
         trajectory_scenarios as trajectory_scenarios,
     )
+    from trainlog.topics import Field as TopicField, recorded_topic as recorded_topic
     from trainlog.trip import Trip as Trip, frame_of as frame_of
 
 _NAMES = {
@@ -118,6 +119,7 @@ _NAMES = {
     ),
     "trainlog.formats.parquet": "read_parquet write_parquet",
     "trainlog.trip": "Trip frame_of",
+    "trainlog.topics": "recorded_topic TopicField=Field",
     "trainlog.resampling": "joined resampled",
     "trainlog.ingest": "read_recording=ingest report_of repairs_of read_profile",
     "trainlog.railway": (

@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog.errors import InputError, LogError
-from trainlog.topics import TOPICS, Topic, column_field
+from trainlog.topics import Topic, column_field, topic_of_frame
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 from trainlog.version import __version__
@@ -64,7 +64,7 @@ def interpolated(
     >>> interpolated(frame, "speed", pd.DatetimeIndex(["1970-01-01T00:00:01Z"])).tolist()
     [3.5]
     """
-    rule = column_field(TOPICS[frame.attrs["topic"]], column).interpolation
+    rule = column_field(topic_of_frame(frame.attrs), column).interpolation
     if rule == "none":
         raise InputError(
             f"{column} of {frame.attrs['topic']} has no values between its samples",
@@ -125,8 +125,9 @@ def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
     (2828, 2828)
     """
     times = _times(trip, clock)
+    texts = {name for name, frame in trip.topics.items() if _is_text(topic_of_frame(frame.attrs))}
     topics = {
-        name: frame if _is_text(TOPICS[name]) else resampled_frame(frame, times, max_gap=max_gap)
+        name: frame if name in texts else resampled_frame(frame, times, max_gap=max_gap)
         for name, frame in trip.topics.items()
     }
     step = None if isinstance(clock, pd.DatetimeIndex) else float(clock)
@@ -139,7 +140,7 @@ def resampled_frame(
     frame: pd.DataFrame, time: pd.DatetimeIndex, *, max_gap: float | None
 ) -> pd.DataFrame:
     """The frame of a topic at other times; see `interpolated`. Texts and codes are left out."""
-    topic = TOPICS[frame.attrs["topic"]]
+    topic = topic_of_frame(frame.attrs)
     names = [name for name in frame.columns if column_field(topic, name).interpolation != "none"]
     found = pd.DataFrame(
         {name: interpolated(frame, name, time, max_gap) for name in names},
@@ -363,7 +364,7 @@ def _frame_of(trip: Trip, name: str) -> tuple[str, pd.DataFrame]:
 def _columns_of(frame: pd.DataFrame, name: str) -> list[str]:
     """The column, or the columns of a field with one value for each axle."""
     wanted = name.rpartition(".")[2]
-    topic = TOPICS[frame.attrs["topic"]]
+    topic = topic_of_frame(frame.attrs)
     found = [
         column for column in frame.columns if wanted in (column, _field_if_per_axle(topic, column))
     ]

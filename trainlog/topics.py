@@ -6,8 +6,12 @@ documentation and the replay are all made from this table.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from trainlog.errors import InputError
 
 Interpolation = Literal["linear", "previous", "none"]
 """How a value between two samples is found: on a line, held since the last, or not at all."""
@@ -37,6 +41,11 @@ class Field:
     interpolation : {"linear", "previous", "none"}
     each : {"", "powered axle", "vehicle", "coupler"}
         What has a value of its own: the frame then has columns ``name_1 … name_n``, front first.
+
+    Examples
+    --------
+    >>> Field("pressure", "Pa", "of the oil").interpolation
+    'linear'
     """
 
     name: str
@@ -278,6 +287,33 @@ IMU = Topic(
     ),
 )
 
+TRAIN_SUPPLY = Topic(
+    "/train/supply",
+    "trainlog.TrainSupply",
+    "What the train draws from the line, at the pantograph or the collector shoe.",
+    (
+        Field("line_voltage", "V", "voltage of the line; effective where it alternates"),
+        Field("line_current", "A", "current from the line, negative when fed back"),
+    ),
+)
+
+TRAIN_BRAKES = Topic(
+    "/train/brakes",
+    "trainlog.TrainBrakes",
+    "Pressures of the pneumatic brake, above that of the air around.",
+    (
+        Field("brake_pipe_pressure", "Pa", "pressure in the brake pipe"),
+        Field("brake_cylinder_pressure", "Pa", "pressure in the brake cylinders"),
+    ),
+)
+
+TRAIN_DOORS = Topic(
+    "/train/doors",
+    "trainlog.TrainDoors",
+    "The doors.",
+    (Field("release", "1", "1 while the doors are released, 0 while they are not", "previous"),),
+)
+
 TOPICS: dict[str, Topic] = {
     topic.name: topic
     for topic in (
@@ -296,9 +332,108 @@ TOPICS: dict[str, Topic] = {
         REFERENCE,
         TRUTH,
         IMU,
+        TRAIN_SUPPLY,
+        TRAIN_BRAKES,
+        TRAIN_DOORS,
     )
 }
 """Every topic of trainlog by channel name, in the order in which they are shown."""
+
+RECORDED = "/recorded/"
+"""Names of topics that a recorder has of its own begin with this; the log describes their fields
+as it does those of the table."""
+
+_WORD = re.compile(r"[a-z][a-z0-9_]*")
+
+
+def recorded_topic(name: str, fields: Iterable[Field]) -> Topic:
+    """A topic of a recorder's own: any quantities with units, beside those of the table.
+
+    Parameters
+    ----------
+    name : str
+        ``"/recorded/"`` and words of small letters, digits and underscores, parted by ``/``.
+    fields : iterable of Field
+        One number each; named in the same way.
+
+    Raises
+    ------
+    InputError
+        If the name or that of a field is written otherwise, a field comes twice, or there is none.
+
+    Examples
+    --------
+    >>> pantograph = recorded_topic("/recorded/pantograph", [Field("force", "N", "contact force")])
+    >>> pantograph.message
+    'trainlog.recorded.Pantograph'
+    """
+    words = name.removeprefix(RECORDED).split("/")
+    if not name.startswith(RECORDED) or not all(_WORD.fullmatch(word) for word in words):
+        raise InputError(
+            f"'{name}' is not the name of a recorder's own topic",
+            remedy=f"write it as {RECORDED}pantograph, in small letters, digits and underscores",
+        )
+    listed = tuple(fields)
+    names = [field.name for field in listed]
+    for field in names:
+        if not _WORD.fullmatch(field) or names.count(field) > 1:
+            problem = "comes twice" if names.count(field) > 1 else "is not the name of a field"
+            raise InputError(
+                f"'{field}' of {name} {problem}",
+                remedy="name each field once, in small letters, digits and underscores",
+            )
+    if not names:
+        raise InputError(f"{name} has no fields", remedy="give it one or more")
+    parts = [part.capitalize() for word in words for part in word.split("_")]
+    return Topic(name, f"trainlog.recorded.{''.join(parts)}", "Of the recorder's own.", listed)
+
+
+def topic_of_frame(attrs: Mapping[Any, Any]) -> Topic:
+    """The topic of a frame with these ``attrs``: of the table, or a recorder's own.
+
+    Raises
+    ------
+    KeyError
+        If they name no topic, or one that is neither.
+
+    Examples
+    --------
+    >>> topic_of_frame({"topic": "/train/state"}).message
+    'trainlog.TrainState'
+    >>> own = topic_of_frame({"topic": "/recorded/oil", "units": {"pressure": "Pa"}})
+    >>> own.field("pressure").unit
+    'Pa'
+    """
+    name = attrs["topic"]
+    if name in TOPICS or not str(name).startswith(RECORDED):
+        return TOPICS[name]
+    meanings, between = attrs.get("meanings", {}), attrs.get("interpolation", {})
+    return recorded_topic(
+        name,
+        (
+            Field(field, unit, meanings.get(field, ""), between.get(field, "linear"))
+            for field, unit in attrs["units"].items()
+        ),
+    )
+
+
+def attributes(topic: Topic, columns: Iterable[str]) -> dict[Any, Any]:
+    """The ``attrs`` of a topic's frame with these columns.
+
+    Examples
+    --------
+    >>> attributes(TRAIN_DOORS, ["release"])
+    {'topic': '/train/doors', 'units': {'release': '1'}}
+    """
+    fields = {name: column_field(topic, name) for name in columns}
+    attrs: dict[Any, Any] = {
+        "topic": topic.name,
+        "units": {name: field.unit for name, field in fields.items()},
+    }
+    if topic.name.startswith(RECORDED):
+        attrs["meanings"] = {name: field.meaning for name, field in fields.items()}
+        attrs["interpolation"] = {name: field.interpolation for name, field in fields.items()}
+    return attrs
 
 
 def columns(topic: Topic, axles: int) -> tuple[str, ...]:

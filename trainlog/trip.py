@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from trainlog.display import as_html, as_text
 from trainlog.errors import LogError
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
-from trainlog.topics import Topic, column_field
+from trainlog.topics import Topic, attributes, column_field
 from trainlog.units import NANOSECONDS, clock
 from trainlog.version import __version__
 
@@ -375,10 +375,7 @@ def frame_of(
                 np.zeros(len(index), dtype=np.int64) if item.name == "level" else ""
             )
     frame = pd.DataFrame(ordered, index=index)
-    frame.attrs = {
-        "topic": topic.name,
-        "units": {name: column_field(topic, name).unit for name in frame.columns},
-    }
+    frame.attrs = attributes(topic, frame.columns)
     return frame
 
 

@@ -92,6 +92,40 @@ def factor(unit: str, si: str) -> tuple[float, float]:
     return slope, offset
 
 
+_NAMED = (
+    "1", "m", "s", "kg", "m/s", "m/s^2", "N", "Pa", "W", "J", "V", "A", "K", "Hz", "rad", "rad/s",
+    "m^2", "m^3", "m^3/s", "kg/s", "N*m", "Ohm", "C", "F", "T", "lx", "1/m",
+)  # fmt: skip
+"""SI units by the names under which they are kept."""
+
+
+@cache
+def si_unit(unit: str) -> str:
+    """The SI unit in which numbers of any unit are kept.
+
+    Raises
+    ------
+    InputError
+        If the unit is unknown.
+
+    Examples
+    --------
+    >>> si_unit("kV"), si_unit("bar"), si_unit("degC"), si_unit("%"), si_unit("l/h")
+    ('V', 'Pa', 'K', '1', 'm^3/s')
+    """
+    registry = _registry()
+    try:
+        given = registry.Quantity(1.0, registry.parse_units(_spelled(unit)))
+        for name in _NAMED:
+            if given.is_compatible_with(registry.parse_units(_spelled(name))):
+                return name
+        return f"{given.to_base_units().units:~C}".replace("**", "^")
+    except Exception as error:  # pint's parser raises whatever its tokens lead it to
+        raise InputError(
+            f"unit '{unit}' is not known", remedy="write it as 'kV', 'bar', 'degC' or '%'"
+        ) from error
+
+
 def to_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:
     """Convert `value`, declared in `unit`, to the SI unit `si`.
 

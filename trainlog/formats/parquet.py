@@ -28,7 +28,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.files import atomic_folder, check_written, read_bytes, sha256
 from trainlog.formats.schema import File, Part
 from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
-from trainlog.topics import SCHEMA_VERSION, TOPICS, column_field
+from trainlog.topics import RECORDED, SCHEMA_VERSION, TOPICS, column_field, topic_of_frame
 from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
 
 INDEX_FILE = "trip.json"
@@ -461,7 +461,7 @@ class _TopicWriter:
     def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
         self.topic, self.path, self.rows = topic, path, 0
         self._columns = list(frame.columns)
-        self._schema = _described(topic, _table(topic, frame).schema)
+        self._schema = _described(topic, _table(topic, frame).schema, frame.attrs)
         self._waiting: list[pa.Table] = []
         self._last = np.iinfo(np.int64).min
         self._file: pq.ParquetWriter | None = None
@@ -542,9 +542,11 @@ def _table(topic: str, frame: pd.DataFrame, schema: pa.Schema | None = None) -> 
     return table
 
 
-def _described(topic: str, schema: pa.Schema) -> pa.Schema:
+def _described(topic: str, schema: pa.Schema, attrs: Mapping[Any, Any]) -> pa.Schema:
     """The schema with unit and meaning of each column; a column without values is one of text."""
     known = TOPICS.get(topic)
+    if topic.startswith(RECORDED):
+        known = topic_of_frame({**attrs, "topic": topic})
     fields = []
     for item in schema:
         described = {}

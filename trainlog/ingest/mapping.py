@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,6 @@ from trainlog.ingest.recording import (
     Raw,
     Recording,
     Table,
-    field_of,
 )
 from trainlog.units import NANOSECONDS, to_si
 
@@ -55,6 +55,14 @@ def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> li
         if not (column.optional and not set(column.names) <= set(present)):
             names += column.names
     return names
+
+
+def columns_left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
+    """The columns of a file that a profile does not use, as a `Recording` states them."""
+    used = {name for column in profile.columns.values() for name in column.names}
+    used |= set(profile.time.names) if profile.time is not None else set()
+    left = [name for name in dict.fromkeys(present) if name and name not in used]
+    return {f"columns that the profile does not map: {', '.join(left)}": len(left)} if left else {}
 
 
 def recording_of(
@@ -257,7 +265,7 @@ def in_si(name: str, column: Column, raw: FloatArray | NDArray[np.float64]) -> F
         scaled = np.where(scaled < 0.0, -scaled, np.where(np.isnan(scaled), np.nan, 0.0))
     if column.sign < 0:
         scaled = 0.0 - scaled
-    _, _, item = field_of(name)
+    item = column.field(name)
     unit = column.unit if column.unit is not None else item.unit
     return to_si(scaled, unit, item.unit) if item.unit else np.asarray(scaled, dtype=np.float64)
 

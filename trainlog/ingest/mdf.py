@@ -26,7 +26,8 @@ from trainlog.extras import load
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import WORDS, Column, MismatchError, Profile, suggestion
 from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, field_of
-from trainlog.units import NANOSECONDS, factor
+from trainlog.topics import RECORDED
+from trainlog.units import NANOSECONDS, factor, si_unit
 
 UNITS = {
     "°C": "degC",
@@ -71,11 +72,16 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
     with _open(path) as mdf:
         start = _start(mdf, profile, path)
         places = _places(mdf, profile, path)
-        others = sum(len(group.channels) - 1 for group in mdf.groups)
+        every = {
+            (group, index): channel.name
+            for group, held in enumerate(mdf.groups)
+            for index, channel in enumerate(held.channels)
+            if mdf.masters_db.get(group) != index
+        }
         found = [_recording(mdf, profile, part, start, path) for part in _parts(profile, places)]
     tables = tuple(table for item in found for table in item.tables)
     mapped = {place for channels in places.values() for place in channels}
-    others -= len(mapped)
+    left = [name for place, name in every.items() if place not in mapped]
     constants: dict[str, float | str] = {}
     for item in found:
         constants |= item.constants
@@ -85,7 +91,7 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
         tuple(finding for item in found for finding in item.findings),
         constants,
         {"clock": "MDF"},
-        {"channels that the profile does not map": others} if others > 0 else {},
+        {f"channels that the profile does not map: {', '.join(left)}": len(left)} if left else {},
         raw=tuple(raw for item in found for raw in item.raw),
     )
 
@@ -306,8 +312,12 @@ def _with_unit(
 ) -> Column:
     """The column by the places of its channels, in the channel's own unit if it names none."""
     unit = column.unit
-    item = field_of(name)[2]
-    if unit is None and item.unit not in ("", "1"):
+    item = column.field(name)
+    if unit is None and name.startswith(RECORDED):
+        unit = str(signal.unit or "").strip()
+        unit = UNITS.get(unit, unit)
+        si_unit(unit)
+    elif unit is None and item.unit not in ("", "1"):
         stated = str(signal.unit or "").strip()
         unit = UNITS.get(stated, stated)
         try:

@@ -17,7 +17,14 @@ from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.ingest.estimates import estimated_state
-from trainlog.ingest.profile import Limits, MismatchError, Profile, TripOptions, parse_profile
+from trainlog.ingest.profile import (
+    Limits,
+    MismatchError,
+    Profile,
+    TripOptions,
+    own_topics,
+    parse_profile,
+)
 from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report
@@ -32,14 +39,16 @@ INFO = 2.0
 """Level of an event whose column gives none."""
 
 
-def frames(tables: list[Table], constants: dict[str, float | str]) -> dict[str, pd.DataFrame]:
-    """One frame a topic, in the order of the table of topics.
+def frames(
+    tables: list[Table], constants: dict[str, float | str], own: Mapping[str, Topic]
+) -> dict[str, pd.DataFrame]:
+    """One frame a topic, in the order of the table of topics; behind them the recorder's `own`.
 
     A row without a value of a topic is no row of its frame. A constant fills the rows of its
     topic; where the topic has nothing else, it stands at both ends of the trip.
     """
     found: dict[str, pd.DataFrame] = {}
-    for name, topic in TOPICS.items():
+    for name, topic in {**TOPICS, **own}.items():
         fixed = _of_topic(constants, name)
         for table in tables:
             frame = _frame(topic, table, fixed)
@@ -457,7 +466,9 @@ def _trip(
         findings += found
     heading = direction or profile.trip.direction or "forward"
     travelled = line.reversed() if line is not None and heading == "reverse" else line
-    topics = frames([table for table in tables if len(table)], recording.constants)
+    topics = frames(
+        [table for table in tables if len(table)], recording.constants, own_topics(profile.columns)
+    )
     if not topics:
         raise InputError(
             f"nothing is left of {recording.rows_read} rows after repair",

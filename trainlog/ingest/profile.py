@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import difflib
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
@@ -24,8 +24,9 @@ from trainlog.errors import InputError
 from trainlog.formats.files import parse_toml, read_bytes
 from trainlog.formats.plausible import TRAIN
 from trainlog.formats.schema import must_be
-from trainlog.topics import TOPICS, Field as Item
-from trainlog.units import factor, to_si
+from trainlog.ingest.recording import field_of
+from trainlog.topics import RECORDED, TOPICS, Field as Item, Topic, recorded_topic
+from trainlog.units import factor, si_unit, to_si
 
 PROFILE_FORMAT = "trainlog/recorder-profile"
 
@@ -235,6 +236,10 @@ class Column(_Strict):
     sign : {1, -1}
     optional : bool
         Whether the file may lack the column.
+    meaning : str
+        What the quantity is, for a field of a topic of the recorder's own (``"/recorded/..."``).
+    between : {"linear", "previous"}
+        How its values between two samples are found.
     """
 
     column: str | None = None
@@ -247,6 +252,23 @@ class Column(_Strict):
     part: Literal["all", "positive", "negative"] = "all"
     sign: Literal[1, -1] = 1
     optional: bool = False
+    meaning: str = ""
+    between: Literal["linear", "previous"] = "linear"
+
+    def field(self, name: str) -> Item:
+        """The field of the topics that it fills, as the table or, of the recorder's own, it states.
+
+        Raises
+        ------
+        InputError
+            If it names a topic of the recorder's own wrongly, or its unit is not known.
+        KeyError
+            If the table has no such field.
+        """
+        if not name.startswith(RECORDED):
+            return field_of(name)[2]
+        own = Item(name.rpartition(".")[2], si_unit(self.unit or "1"), self.meaning, self.between)
+        return recorded_topic(name.rpartition(".")[0], [own]).fields[0]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -671,8 +693,32 @@ def _known_field(name: str) -> Item:
     return fields[column]
 
 
+def column_item(name: str, column: Column) -> Item:
+    """The field that a column fills; ValueError if there is none."""
+    if not name.startswith(RECORDED):
+        if column.meaning or column.between != "linear":
+            raise ValueError(
+                f'columns."{name}": meaning and between are for topics below {RECORDED};'
+                " the table of topics has those of its own"
+            )
+        return _known_field(name)
+    try:
+        return column.field(name)
+    except InputError as error:
+        raise ValueError(f'columns."{name}": {error.problem}; {error.remedy}') from None
+
+
+def own_topics(columns: Mapping[str, Column]) -> dict[str, Topic]:
+    """The recorder's own topics that the columns of a profile fill, by name."""
+    fields: dict[str, list[Item]] = {}
+    for name, column in columns.items():
+        if name.startswith(RECORDED):
+            fields.setdefault(name.rpartition(".")[0], []).append(column.field(name))
+    return {name: recorded_topic(name, items) for name, items in fields.items()}
+
+
 def _check_column(name: str, column: Column, needs_unit: bool) -> None:
-    item = _known_field(name)
+    item = column_item(name, column)
     given = [column.column is not None, bool(column.columns), column.value is not None]
     if sum(given) != 1:
         raise ValueError(f'columns."{name}" needs one of column, columns and value')

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trainlog.display import as_text
 from trainlog.errors import InputError
-from trainlog.topics import TOPICS, Field, Topic, column_field
+from trainlog.topics import RECORDED, TOPICS, Field, Topic, column_field, recorded_topic
 from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
@@ -251,12 +251,17 @@ def field_of(name: str) -> tuple[Topic, str, Field]:
     A field with one value an axle may be named with the number of an axle or, for all of them,
     without.
 
+    Of a topic of the recorder's own only the names are known here.
+
     Raises
     ------
     KeyError
         If the table of topics has no such column.
     """
     topic_name, _, column = name.rpartition(".")
+    if topic_name.startswith(RECORDED):
+        own = recorded_topic(topic_name, [Field(column, "", "")])
+        return own, column, own.fields[0]
     topic = TOPICS[topic_name]
     for item in topic.fields:
         if item.name == column:

@@ -56,6 +56,11 @@ LIMITS: dict[str, Limit] = {
     "/environment.curvature": Limit(unit="1/m", min=-0.05, max=0.05),
     "/environment.air_temperature": Limit(unit="degC", min=-60.0, max=60.0),
     "/environment.head_wind": Limit(unit="m/s", min=-60.0, max=60.0),
+    "/train/supply.line_voltage": Limit(unit="kV", min=-60.0, max=60.0),
+    "/train/supply.line_current": Limit(unit="kA", min=-20.0, max=20.0),
+    "/train/brakes.brake_pipe_pressure": Limit(unit="bar", min=-1.0, max=16.0),
+    "/train/brakes.brake_cylinder_pressure": Limit(unit="bar", min=-1.0, max=16.0),
+    "/train/doors.release": Limit(unit="1", min=0.0, max=1.0),
     **{f"/imu.specific_force_{axis}": Limit(unit="m/s^2", min=-200.0, max=200.0) for axis in "xyz"},
     **{f"/imu.angular_rate_{axis}": Limit(unit="rad/s", min=-40.0, max=40.0) for axis in "xyz"},
 }

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
 
@@ -19,7 +19,7 @@ import pyarrow.parquet
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.mapping import recording_of, wanted_columns
+from trainlog.ingest.mapping import columns_left, recording_of, wanted_columns
 from trainlog.ingest.profile import FileOptions, MismatchError, Profile, suggestion
 from trainlog.ingest.recording import SHOWN_ROWS, Cells, Finding, IntArray, Raw, Recording
 
@@ -475,7 +475,8 @@ def read_delimited(path: Path, profile: Profile | None) -> Recording:
         )
     text = open_text(path, profile.file)
     cells = text.cells(wanted_columns(profile, text.names, path))
-    return recording_of(cells, profile, path)
+    found = recording_of(cells, profile, path)
+    return replace(found, not_used=found.not_used | columns_left(profile, text.names))
 
 
 MAGIC = b"PAR1"
@@ -520,7 +521,8 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
     if not table.num_rows:
         raise InputError("holds no row of data", file=path, remedy="record again")
     rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
-    return recording_of(Cells(table, rows, rows.size), profile, path)
+    found = recording_of(Cells(table, rows, rows.size), profile, path)
+    return replace(found, not_used=found.not_used | columns_left(profile, names))
 
 
 def _first_line(error: Exception) -> str:

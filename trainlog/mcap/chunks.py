@@ -13,7 +13,7 @@ import zstandard
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from trainlog.errors import LogError
+from trainlog.errors import InputError, LogError
 from trainlog.mcap.codec import (
     SEQUENCE,
     Codec,
@@ -26,7 +26,7 @@ from trainlog.mcap.codec import (
 )
 from trainlog.mcap.records import checksum
 from trainlog.mcap.selection import Range, range_in
-from trainlog.topics import EVENTS, TOPICS, Topic, column_field
+from trainlog.topics import EVENTS, RECORDED, TOPICS, Topic, column_field, topic_of_frame
 from trainlog.trip import Trip
 
 PERIOD = 60 * 10**9
@@ -193,19 +193,33 @@ def topics_of(trip: Trip) -> list[Topic]:
     LogError
         If the table does not have one of them.
     """
-    for name in trip.topics:
-        known_topic(name)
-    return [topic for topic in TOPICS.values() if topic.name in trip.topics]
+    others = sorted(name for name in trip.topics if name not in TOPICS)
+    own = [known_topic(name, trip.topics[name]) for name in others]
+    return [topic for topic in TOPICS.values() if topic.name in trip.topics] + own
 
 
-def known_topic(name: str) -> Topic:
-    """The topic called `name`; LogError if the table does not have it."""
-    try:
+def known_topic(name: str, frame: pd.DataFrame | None = None) -> Topic:
+    """The topic called `name`, which a recorder's own `frame` describes.
+
+    Raises
+    ------
+    LogError
+        If the table does not have it, and it is no topic of a recorder's own with a frame.
+    """
+    if name in TOPICS:
         return TOPICS[name]
+    if frame is None or not name.startswith(RECORDED):
+        remedy = f"topics are {', '.join(TOPICS)}, and a recorder's own below {RECORDED}"
+        raise LogError(f"there is no topic {name}", remedy=remedy)
+    try:
+        return topic_of_frame({**frame.attrs, "topic": name})
     except KeyError:
         raise LogError(
-            f"there is no topic {name}", remedy=f"topics are {', '.join(TOPICS)}"
+            f"the frame of {name} does not describe its columns",
+            remedy="build it with trainlog.trip.frame_of and trainlog.recorded_topic",
         ) from None
+    except InputError as error:
+        raise LogError(error.problem, remedy=error.remedy) from error
 
 
 def stream_of(topic: Topic, frame: pd.DataFrame, number: int) -> Stream:

@@ -12,7 +12,8 @@ go at the end of a topic. A reader finds fields by name, in the descriptor that 
 
 A channel's metadata explains its fields to whoever opens the file: ``unit.<field>`` (SI),
 ``meaning.<field>`` and, for a field with one value for each powered axle, ``axles.<field>``, the
-number of values in every message.
+number of values in every message. Of a topic of the recorder's own the metadata are all that is
+known; there ``interpolation.<field>`` says how values between samples are found.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
-from trainlog.errors import LogError
+from trainlog.errors import InputError, LogError
 from trainlog.mcap.records import MESSAGE, RECORD_HEAD, shown, unusable
-from trainlog.topics import EVENTS, TOPICS, Topic
+from trainlog.topics import EVENTS, RECORDED, TOPICS, Field, Interpolation, Topic, recorded_topic
 
 SEQUENCE, LOG_TIME, PUBLISH_TIME = "#sequence", "#log_time", "#publish_time"
 """Fields of a record that belong to its head; no field of a protobuf message has such a name."""
@@ -339,7 +340,8 @@ def codec_of(channel: Channel, schema: Schema) -> Codec | None:
     LogError
         If the schema is broken, or the channel declares another unit than trainlog's table.
     """
-    topic = TOPICS[channel.topic]
+    topic = topic_of(channel, schema)
+    assert topic is not None, "foreign channels are not asked for"
     for field in topic.fields:
         declared = channel.metadata.get(f"{UNIT}{field.name}", field.unit)
         if declared != field.unit:
@@ -485,7 +487,7 @@ def _texts(frame: pd.DataFrame, column: str) -> list[str]:
 
 # -------------------------------------------------------------------------- schemas and channels
 
-UNIT, MEANING, AXLES = "unit.", "meaning.", "axles."
+UNIT, MEANING, AXLES, BETWEEN = "unit.", "meaning.", "axles.", "interpolation."
 """Prefixes of a channel's metadata keys."""
 
 _MOST_AXLES = 4096
@@ -530,6 +532,8 @@ def channel_of(topic: Topic, channel_id: int, schema_id: int, axles: dict[str, i
     metadata = {f"{UNIT}{field.name}": field.unit for field in topic.fields}
     metadata |= {f"{MEANING}{field.name}": field.meaning for field in topic.fields}
     metadata |= {f"{AXLES}{name}": str(count) for name, count in axles.items()}
+    if topic.name not in TOPICS:
+        metadata |= {f"{BETWEEN}{field.name}": field.interpolation for field in topic.fields}
     return Channel(
         id=channel_id,
         topic=topic.name,
@@ -540,14 +544,40 @@ def channel_of(topic: Topic, channel_id: int, schema_id: int, axles: dict[str, i
 
 
 def topic_of(channel: Channel, schema: Schema | None) -> Topic | None:
-    """The topic of trainlog's table that a file's channel carries; None if it is foreign."""
-    topic = TOPICS.get(channel.topic)
-    if topic is None or schema is None or schema.name != topic.message:
+    """The topic that a file's channel carries, of the table or described by the channel itself.
+
+    None if it is foreign.
+    """
+    if schema is None:
         return None
     encodings = (channel.message_encoding, schema.encoding)
     if encodings != (MessageEncoding.Protobuf, SchemaEncoding.Protobuf):
         return None
-    return topic
+    topic = TOPICS.get(channel.topic) or _described(channel, schema)
+    return topic if topic is not None and schema.name == topic.message else None
+
+
+def _described(channel: Channel, schema: Schema) -> Topic | None:
+    """The recorder's own topic that a channel describes; None if it describes none."""
+    if not channel.topic.startswith(RECORDED):
+        return None
+    between: dict[str, Interpolation] = {"linear": "linear", "previous": "previous"}
+    try:
+        return recorded_topic(
+            channel.topic,
+            (
+                Field(
+                    field.name,
+                    channel.metadata.get(f"{UNIT}{field.name}", "1"),
+                    channel.metadata.get(f"{MEANING}{field.name}", ""),
+                    between.get(channel.metadata.get(f"{BETWEEN}{field.name}", ""), "linear"),
+                )
+                for field in wire_fields(schema) or ()
+                if not field.repeated
+            ),
+        )
+    except (InputError, LogError):
+        return None
 
 
 def axles_of(channel: Channel) -> dict[str, int]:

@@ -24,7 +24,7 @@ from trainlog.mcap.foreign import frames_of
 from trainlog.mcap.reader import stream_log
 from trainlog.mcap.records import nothing_of
 from trainlog.mcap.writer import LogWriter
-from trainlog.topics import TOPICS
+from trainlog.topics import RECORDED, TOPICS
 from trainlog.trip import Trip
 
 ROWS = 100_000
@@ -162,7 +162,7 @@ def _pieces(
     description = describe(source)
     held = {topic.name for topic in description.topics}
     _check_known(sorted(held), topics, source)
-    others = sorted(held - TOPICS.keys())
+    others = sorted(name for name in held - TOPICS.keys() if not name.startswith(RECORDED))
     if description.schema_version is None and others:
         if target.suffix == LOG:
             raise InputError(
@@ -172,7 +172,7 @@ def _pieces(
             )
         return iter([_foreign(source, description, topics, time, position, left_out)])
     left_out += [f"{name}: no topic of trainlog" for name in others if name in (topics or others)]
-    ours = None if topics is None else [name for name in topics if name in TOPICS]
+    ours = None if topics is None else [name for name in topics if name not in others]
     return stream_log(source, ours, **part)
 
 

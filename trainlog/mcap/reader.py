@@ -446,7 +446,7 @@ class _Stream:
         self._channels = {
             each.channel.id
             for each in topic_channels(self.contents)
-            if each.topic.name in self._selection.columns
+            if self._selection.columns is None or each.topic.name in self._selection.columns
         }
         wanted = [
             place

@@ -33,7 +33,7 @@ from trainlog.mcap.chunks import Listed, Samples, Stream, known_topic
 from trainlog.mcap.codec import HIGHEST_LEVEL, channel_of, codec_for, event_record, schema_of
 from trainlog.mcap.records import RECORDING_RECORD, in_file
 from trainlog.mcap.writer import RecordingFile, metadata_records
-from trainlog.topics import EVENTS, TOPICS, Topic
+from trainlog.topics import EVENTS, RECORDED, Topic
 from trainlog.trip import Trip
 from trainlog.version import __version__
 
@@ -148,6 +148,7 @@ class Recording:
         self._closing = False
         self._failure: InputError | None = None
         self._waiting = 0
+        self._declared: dict[str, Topic] = {}
         self._tables: dict[str, _Table] = {}
         self._forms: dict[tuple[str, ...], _Form] = {}
         self._events: list[tuple[int, int, str, str]] = []
@@ -302,10 +303,59 @@ class Recording:
             raise self._failure
         raise LogError("the recording is closed", file=self._path, remedy="begin another one")
 
+    def declare(self, topic: Topic) -> None:
+        """Take samples of a topic of the recorder's own; before its first sample.
+
+        Parameters
+        ----------
+        topic : Topic
+            Made by `trainlog.recorded_topic`.
+
+        Raises
+        ------
+        LogError
+            If it has been declared with other fields.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import trainlog
+        >>> from trainlog.topics import Field
+        >>> oil = trainlog.recorded_topic("/recorded/oil", [Field("pressure", "Pa", "of the oil")])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "trip.mcap"
+        ...     with trainlog.record(path) as recording:
+        ...         recording.declare(oil)
+        ...         recording.write("/recorded/oil", 1_700_000_000_000_000_000, pressure=3.2e5)
+        ...     trip = trainlog.read(path)
+        >>> trip["/recorded/oil"]["pressure"].tolist()
+        [320000.0]
+        """
+        with in_file(self._path), self._lock:
+            if topic.name in self._tables or self._declared.get(topic.name, topic) != topic:
+                raise LogError(f"{topic.name} is in use already", remedy="declare it once, first")
+            self._declared[topic.name] = topic
+
+    def _topic(self, name: str) -> Topic:
+        """The topic of that name, of the table or declared.
+
+        Raises
+        ------
+        LogError
+            If there is none.
+        """
+        if name.startswith(RECORDED) and name not in self._declared:
+            raise LogError(
+                f"{name} has not been declared",
+                remedy="declare its fields with recording.declare(trainlog.recorded_topic(...))",
+            )
+        return self._declared.get(name) or known_topic(name)
+
     def _form(self, topic: str, values: Mapping[str, Any]) -> _Form:
         """The form of samples with these fields, made when the first one comes."""
         with in_file(self._path):
-            if known_topic(topic) is EVENTS:
+            if self._topic(topic) is EVENTS:
                 raise LogError("events are not samples", remedy="record them with event()")
             with self._lock:
                 form = self._table(topic, values).form(values)
@@ -315,7 +365,8 @@ class Recording:
         """The table of a topic; its first sample decides how many axles there are."""
         table = self._tables.get(name)
         if table is None:
-            table = _Table(TOPICS[name], len(self._tables) + 1, _axles_in(TOPICS[name], values))
+            topic = self._topic(name)
+            table = _Table(topic, len(self._tables) + 1, _axles_in(topic, values))
             self._tables[name] = table
         return table
 

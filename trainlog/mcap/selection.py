@@ -30,7 +30,7 @@ from trainlog.mcap.index import (
 from trainlog.mcap.records import POSITIONS_RECORD, Source
 from trainlog.mcap.tables import Wanted, frames_in, topic_channels
 from trainlog.spans import ALWAYS, Spans, merged_spans, position_limits, spans_within, time_limits
-from trainlog.topics import TOPICS, Topic, column_field
+from trainlog.topics import RECORDED, TOPICS, Topic, column_field
 from trainlog.trip import NO_POSITION, POSITION_TOPICS
 
 Topics = Iterable[str] | Mapping[str, Iterable[str] | None]
@@ -268,21 +268,24 @@ def _pair(name: str, limits: Sequence[Any] | None) -> tuple[Any, Any] | None:
 
 def _columns(topics: Topics | None) -> Wanted:
     if topics is None:
-        return dict.fromkeys(TOPICS)
+        return None
     if isinstance(topics, str):
         topics = [topics]
     asked = topics if isinstance(topics, Mapping) else dict.fromkeys(topics)
     for name in asked:
-        if name not in TOPICS:
+        if name not in TOPICS and not name.startswith(RECORDED):
             raise LogError(f"there is no topic {name}", remedy=f"topics are {', '.join(TOPICS)}")
     return {
-        name: None if names is None else _known(TOPICS[name], names)
+        name: None if names is None else _known(TOPICS.get(name), names)
         for name, names in asked.items()
     }
 
 
-def _known(topic: Topic, names: Iterable[str]) -> frozenset[str]:
+def _known(topic: Topic | None, names: Iterable[str]) -> frozenset[str]:
+    """The names, of which a topic of the table must have each; what others have the log knows."""
     names = frozenset([names] if isinstance(names, str) else names)
+    if topic is None:
+        return names
     for name in sorted(names):
         try:
             column_field(topic, name)

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field as dataclass_field
+from dataclasses import dataclass, field as dataclass_field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,14 +26,14 @@ from trainlog.errors import LogError
 from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather, topic_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
 from trainlog.mcap.records import Index, Source, index_of, message_data, opened, unusable
-from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, column_field
+from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, attributes, column_field
 from trainlog.trip import frame_of
 
 _AT_ONCE = 4
 """Chunks that a thread is given at a time."""
 
-Wanted = Mapping[str, frozenset[str] | None]
-"""Columns to read by topic; None for all."""
+Wanted = Mapping[str, frozenset[str] | None] | None
+"""Columns to read by topic, None for all of a topic; None for all topics."""
 
 _Offsets = NDArray[np.uint64] | None
 """Where in a chunk messages begin; None where they follow each other and fill the chunk."""
@@ -208,8 +208,7 @@ class _Table:
         else:
             frame = frame_of(self.topic, index, columns)
             frame = frame[self.in_order(frame.columns)]
-        units = {name: column_field(self.topic, name).unit for name in frame.columns}
-        frame.attrs = {"topic": self.topic.name, "units": units}
+        frame.attrs = attributes(self.topic, frame.columns)
         return frame
 
     def _joined(
@@ -278,7 +277,9 @@ def frames_in(
         If something is not as the summary says by which `contents` was found.
     """
     channels = {
-        each.channel.id: each for each in topic_channels(contents) if each.topic.name in columns
+        each.channel.id: each
+        for each in topic_channels(contents)
+        if columns is None or each.topic.name in columns
     }
     tables = _tables(channels.values(), chunks, columns)
     work = _work(chunks, channels, tables)
@@ -289,7 +290,12 @@ def frames_in(
             contents.drop(place, damage)
             for part in parts:
                 part.separate = _LOST
-    return {name: tables[name].frame() for name in TOPICS if name in tables}
+    return {name: tables[name].frame() for name in sorted(tables, key=_place)}
+
+
+def _place(topic: str) -> tuple[int, str]:
+    """Where a topic stands among the frames: by the table, a recorder's own behind it."""
+    return (list(TOPICS).index(topic), "") if topic in TOPICS else (len(TOPICS), topic)
 
 
 def _tables(
@@ -317,8 +323,19 @@ def _tables(
             for column in each.columns
         }
         rows = sum(counts[each.channel.id] for each in sources)
-        tables[name] = _empty_table(TOPICS[name], columns, rows, wanted[name])
+        asked = None if wanted is None else wanted[name]
+        tables[name] = _empty_table(_joint_topic(sources), columns, rows, asked)
     return tables
+
+
+def _joint_topic(sources: Sequence[TopicChannel]) -> Topic:
+    """The topic that several channels carry, with the fields of all of them."""
+    topic = sources[0].topic
+    fields = {field.name: field for each in reversed(sources) for field in each.topic.fields}
+    if fields.keys() == {field.name for field in topic.fields}:
+        return topic
+    more = [field for name, field in fields.items() if field not in topic.fields]
+    return replace(topic, fields=(*topic.fields, *more))
 
 
 def _empty_table(topic: Topic, held: set[str], rows: int, wanted: frozenset[str] | None) -> _Table:

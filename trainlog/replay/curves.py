@@ -14,13 +14,19 @@ from trainlog.topics import (
     ESTIMATED_RESISTANCE,
     ESTIMATED_STATE,
     GNSS_MOTION,
+    RECORDED,
     REFERENCE,
+    TRAIN_BRAKES,
     TRAIN_CONTROLS,
     TRAIN_COUPLERS,
+    TRAIN_DOORS,
     TRAIN_STATE,
+    TRAIN_SUPPLY,
     TRUTH,
     Topic,
+    topic_of_frame,
 )
+from trainlog.trip import Trip
 from trainlog.units import KMH, PER_MILLE
 
 Colour = tuple[int, int, int]
@@ -28,6 +34,9 @@ Colour = tuple[int, int, int]
 
 KILO = 1e-3
 """Kilonewtons in one newton."""
+
+BAR = 1e-5
+"""Bar in one pascal."""
 
 LIMIT: Colour = (235, 90, 90)
 MEASURED: Colour = (90, 180, 240)
@@ -191,8 +200,19 @@ CURVES: tuple[Curve, ...] = (
     Curve(
         "gradient", ENVIRONMENT, (Stroke("gradient", "gradient", TERRAIN, PER_MILLE),), width=2.0
     ),
+    Curve("voltage", TRAIN_SUPPLY, (Stroke("line_voltage", "line voltage", MEASURED, KILO),)),
+    Curve("current", TRAIN_SUPPLY, (Stroke("line_current", "line current", TRACTION),)),
+    Curve(
+        "pressure",
+        TRAIN_BRAKES,
+        (
+            Stroke("brake_pipe_pressure", "brake pipe", MEASURED, BAR),
+            Stroke("brake_cylinder_pressure", "brake cylinders", FRICTION_BRAKING, BAR),
+        ),
+    ),
+    Curve("doors", TRAIN_DOORS, (Stroke("release", "doors released", USED),)),
 )
-"""Every curve that a trip can have."""
+"""Every curve of the table of topics that a trip can have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,8 +245,48 @@ PANELS: tuple[Panel, ...] = (
     Panel("adhesion", "Adhesion in use and maximum adhesion [1]", 1.7, from_zero=True),
     Panel("resistance", "Running resistance [kN]", 1.1, from_zero=True),
     Panel("gradient", "Gradient [‰], uphill positive", 0.8),
+    Panel("voltage", "Line voltage [kV]", 0.8),
+    Panel("current", "Line current [A], negative when fed back", 0.8),
+    Panel("pressure", "Brake pressures [bar]", 0.8, from_zero=True),
+    Panel("doors", "Doors", 0.5),
 )
 """The plots of a trip from top to bottom; those without data are left out."""
+
+
+def curves_of(trip: Trip) -> tuple[Curve, ...]:
+    """Every curve that a trip can have, those of a recorder's own topics among them."""
+    own = _own_fields(trip)
+    units = _units(own)
+    curves = []
+    for number, (topic, name) in enumerate(own):
+        stroke = Stroke(name, name.replace("_", " "), TRIPS[number % len(TRIPS)])
+        entity = f"{_panel_of(topic, name, units)}/{topic.name.removeprefix(RECORDED)}/{name}"
+        curves.append(Curve(entity, topic, (stroke,)))
+    return CURVES + tuple(curves)
+
+
+def panels_of(trip: Trip) -> tuple[Panel, ...]:
+    """The plots of a trip from top to bottom; of a recorder's own topics one a unit."""
+    return PANELS + tuple(
+        Panel(f"recorded_{number}", f"Recorded [{unit}]", 0.8)
+        for number, unit in enumerate(_units(_own_fields(trip)), start=1)
+    )
+
+
+def _own_fields(trip: Trip) -> list[tuple[Topic, str]]:
+    """The fields of a recorder's own topics, each with its topic."""
+    names = sorted(name for name in trip.topics if name.startswith(RECORDED))
+    topics = [topic_of_frame(trip[name].attrs) for name in names]
+    return [(topic, field.name) for topic in topics for field in topic.fields]
+
+
+def _units(fields: list[tuple[Topic, str]]) -> list[str]:
+    """The units of fields, each once."""
+    return list(dict.fromkeys(topic.field(name).unit for topic, name in fields))
+
+
+def _panel_of(topic: Topic, name: str, units: list[str]) -> str:
+    return f"recorded_{units.index(topic.field(name).unit) + 1}"
 
 
 def legend(curve: Curve, lines: int) -> tuple[list[str], list[Colour]]:

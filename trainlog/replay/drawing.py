@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap, Trajectory
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds, nanoseconds
-from trainlog.replay.curves import CURVES, PLANNED, SATELLITES, TRUE, Colour, Curve, legend
+from trainlog.replay.curves import (
+    PLANNED,
+    SATELLITES,
+    TRUE,
+    Colour,
+    Curve,
+    curves_of,
+    legend,
+    panels_of,
+)
 from trainlog.replay.layout import Shown
 from trainlog.replay.samples import (
     Pen,
@@ -300,14 +309,15 @@ class Drawing:
         self._name = name
         self._colour = colour
         self._root = path_of("trips", name)
-        self._pens = {curve.entity: Pen(curve) for curve in CURVES}
+        self._curves = curves_of(known.bare)
+        self._pens = {curve.entity: Pen(curve) for curve in self._curves}
         self._entities: set[str] = set()
         self._phase = ""
 
     def add(self, piece: Trip, state: pd.DataFrame | None) -> None:
         """Draw the next piece; `state` as `neighboured` gives it."""
         drawn = with_slip(piece, state)
-        for curve in CURVES:
+        for curve in self._curves:
             self._add_curve(curve, drawn)
         self._add_phases(piece, state)
         self._add_events(piece)
@@ -346,11 +356,12 @@ class Drawing:
             layer=layer,
             tops=self._tops(),
             extent=extent,
+            panels=panels_of(bare),
         )
 
     def _tops(self) -> dict[str, float]:
         tops: dict[str, float] = {}
-        for curve in CURVES:
+        for curve in self._curves:
             if curve.entity in self._known.tops:
                 top = HEADROOM * self._known.tops[curve.entity]
                 tops[curve.panel] = max(tops.get(curve.panel, 0.0), top)

@@ -61,6 +61,8 @@ class Shown:
         Upper end of each panel's axis, in its unit.
     extent : (2, 2) array [deg] or None
         Least and greatest latitude, least and greatest longitude; None without coordinates.
+    panels : tuple of Panel
+        The plots that it can have.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Shown:
     layer: str
     tops: dict[str, float]
     extent: FloatArray | None
+    panels: tuple[Panel, ...] = PANELS
 
     def shows(self, panel: str) -> bool:
         """Whether there is anything below the panel's entity."""
@@ -130,8 +133,8 @@ def blueprint(trips: Sequence[Shown], planned: str | None, layers: Sequence[str]
 
 def _trip(trip: Shown) -> Any:
     """Plots on the left, place, events and particulars on the right."""
-    rows = [_panel(trip, panel) for panel in PANELS if trip.shows(panel.entity)]
-    shares = [panel.share for panel in PANELS if trip.shows(panel.entity)]
+    rows = [_panel(trip, panel) for panel in trip.panels if trip.shows(panel.entity)]
+    shares = [panel.share for panel in trip.panels if trip.shows(panel.entity)]
     if trip.shows("phase"):
         lane = rrb.StateTimelineView(
             origin=f"{trip.root}/phase", name="Driving phase", time_view=_axis()

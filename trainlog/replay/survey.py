@@ -27,7 +27,7 @@ from trainlog.replay.clock import (
     known_rows,
     nanoseconds,
 )
-from trainlog.replay.curves import CURVES
+from trainlog.replay.curves import curves_of
 from trainlog.replay.samples import largest_pulls, shown_values, with_slip
 from trainlog.topics import GNSS_FIX, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
@@ -139,7 +139,7 @@ def survey(pieces: Pieces) -> Survey:
             if found is not None:
                 kept.add(*found)
         drawn = with_slip(piece, state)
-        for curve in CURVES:
+        for curve in curves_of(piece):
             shown = shown_values(curve, drawn)
             if shown is not None and np.isfinite(shown).any():
                 values.setdefault(curve.entity, Sparse(MOST // shown.shape[1])).add(shown)
