@@ -229,12 +229,15 @@ class Panel:
         Of the height, against the other panels.
     from_zero : bool
         Whether the plot begins at 0.
+    beside : bool
+        Whether it stands on a tab of its own, with what else the train's recorder has.
     """
 
     entity: str
     title: str
     share: float
     from_zero: bool = False
+    beside: bool = False
 
 
 PANELS: tuple[Panel, ...] = (
@@ -245,10 +248,10 @@ PANELS: tuple[Panel, ...] = (
     Panel("adhesion", "Adhesion in use and maximum adhesion [1]", 1.7, from_zero=True),
     Panel("resistance", "Running resistance [kN]", 1.1, from_zero=True),
     Panel("gradient", "Gradient [‰], uphill positive", 0.8),
-    Panel("voltage", "Line voltage [kV]", 0.8),
-    Panel("current", "Line current [A], negative when fed back", 0.8),
-    Panel("pressure", "Brake pressures [bar]", 0.8, from_zero=True),
-    Panel("doors", "Doors", 0.5),
+    Panel("voltage", "Line voltage [kV]", 1.0, beside=True),
+    Panel("current", "Line current [A], negative when fed back", 1.0, beside=True),
+    Panel("pressure", "Brake pressures [bar]", 1.0, from_zero=True, beside=True),
+    Panel("doors", "Doors", 0.5, beside=True),
 )
 """The plots of a trip from top to bottom; those without data are left out."""
 
@@ -268,7 +271,7 @@ def curves_of(trip: Trip) -> tuple[Curve, ...]:
 def panels_of(trip: Trip) -> tuple[Panel, ...]:
     """The plots of a trip from top to bottom; of a recorder's own topics one a unit."""
     return PANELS + tuple(
-        Panel(f"recorded_{number}", f"Recorded [{unit}]", 0.8)
+        Panel(f"recorded_{number}", f"Recorded [{unit}]", 1.0, beside=True)
         for number, unit in enumerate(_units(_own_fields(trip)), start=1)
     )
 

@@ -133,8 +133,10 @@ def blueprint(trips: Sequence[Shown], planned: str | None, layers: Sequence[str]
 
 def _trip(trip: Shown) -> Any:
     """Plots on the left, place, events and particulars on the right."""
-    rows = [_panel(trip, panel) for panel in trip.panels if trip.shows(panel.entity)]
-    shares = [panel.share for panel in trip.panels if trip.shows(panel.entity)]
+    shown = [panel for panel in trip.panels if trip.shows(panel.entity)]
+    rows = [_panel(trip, panel) for panel in shown if not panel.beside]
+    shares = [panel.share for panel in shown if not panel.beside]
+    others = [panel for panel in shown if panel.beside]
     if trip.shows("phase"):
         lane = rrb.StateTimelineView(
             origin=f"{trip.root}/phase", name="Driving phase", time_view=_axis()
@@ -145,11 +147,14 @@ def _trip(trip: Shown) -> Any:
         view for view in (_map([trip], trip.layer, SIDE_MAP), _events(trip), _about(trip)) if view
     ]
     beside = rrb.Vertical(*side, row_shares=[3.0, 2.0, 2.0][-len(side) :])
-    if not rows:
+    plots = [rrb.Vertical(*rows, row_shares=shares, name="Driving")] if rows else []
+    if others:
+        drawn, heights = [_panel(trip, each) for each in others], [each.share for each in others]
+        plots.append(rrb.Vertical(*drawn, row_shares=heights, name="Recorder"))
+    if not plots:
         return rrb.Horizontal(beside, name=trip.name)
-    return rrb.Horizontal(
-        rrb.Vertical(*rows, row_shares=shares), beside, column_shares=[3.0, 1.0], name=trip.name
-    )
+    both = plots[0] if len(plots) == 1 else rrb.Tabs(*plots, active_tab=0)
+    return rrb.Horizontal(both, beside, column_shares=[3.0, 1.0], name=trip.name)
 
 
 def _panel(trip: Shown, panel: Panel) -> Any:
