@@ -9,9 +9,11 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from clock_steps import LAYOUTS, LINES, STEPS, Layout, error_of, recorded, table_profile
 from hypothesis import given, strategies as st
 
 from trainlog.errors import InputError
+from trainlog.ingest import ingest, profile_of, report_of
 from trainlog.ingest.mapping import read_time
 from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.recording import NO_TIME
@@ -142,3 +144,78 @@ def test_large_columns_keep_their_gaps() -> None:
     found = np.array(read(list(words), format="%H:%M:%S.%f", date=datetime.date(2024, 5, 1)))
     assert np.count_nonzero(found == NO_TIME) == len(range(0, count, 7))
     assert np.all(np.diff(found[found != NO_TIME]) > 0)
+
+
+# ------------------------------------------------------------------ clocks that were set
+
+LINE_NAMES = list(LINES)
+COMMON = [
+    (LINE_NAMES[(number + place) % len(LINE_NAMES)], layout, step)
+    for number, layout in enumerate(LAYOUTS)
+    for place, step in enumerate(("back", "forward", "mixed"))
+]
+"""Every layout with a step back, a step forward and mixed clocks, the lines in turn."""
+
+RARE = [
+    (line, layout, step)
+    for line in LINE_NAMES
+    for layout in LAYOUTS
+    for step in STEPS
+    if (line, layout, step) not in COMMON
+]
+
+
+def named(cases: list[tuple[str, Layout, str]]) -> list[str]:
+    return [f"{line}-{layout.name}-{step}" for line, layout, step in cases]
+
+
+def assert_step_found(folder: Path, line: str, layout: Layout, step: str) -> None:
+    """Every time is that of the clock of most rows, to less than two rows; the report says so."""
+    case = recorded(folder, line, layout, step, count=240.0)
+    trip = ingest(case.path, profile=case.profile)
+    report = report_of(trip)
+    assert report.count("clock_step") > 0
+    assert report.count("clock_step_suspected") == report.count("gaps") == 0
+    frame = trip["/gnss/motion" if "/gnss/motion" in trip else "/train/state"]
+    assert error_of(frame.index.as_unit("ns").asi8, case) <= max(0.15, 0.5 * case.period)
+    assert report.rows_dropped == 0
+
+
+@pytest.mark.parametrize(("line", "layout", "step"), COMMON, ids=named(COMMON))
+def test_a_clock_that_was_set_is_found(
+    tmp_path: Path, line: str, layout: Layout, step: str
+) -> None:
+    assert_step_found(tmp_path, line, layout, step)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("line", "layout", "step"), RARE, ids=named(RARE))
+def test_other_settings_of_the_clock_are_found(
+    tmp_path: Path, line: str, layout: Layout, step: str
+) -> None:
+    assert_step_found(tmp_path, line, layout, step)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+def test_clocks_that_were_not_set_are_left_alone(tmp_path: Path, layout: Layout) -> None:
+    """With and without gaps of 1 to 18 whole seconds, in which the train moves on."""
+    for lost in (0, 1, 3, 17):
+        case = recorded(tmp_path, "hilly", layout, None, count=240.0, lost=lost)
+        trip = ingest(case.path, profile=case.profile)
+        report = report_of(trip)
+        assert report.count("clock_step") == report.count("clock_step_suspected") == 0
+        frame = trip["/gnss/motion" if "/gnss/motion" in trip else "/train/state"]
+        assert error_of(frame.index.as_unit("ns").asi8, case) <= max(0.15, 0.5 * case.period)
+
+
+def test_a_gap_at_a_standstill_may_be_a_step(tmp_path: Path) -> None:
+    """Where no motion shows which it was the file is left as it is, and the report says so."""
+    rows = [f"2024-05-01T06:00:{0.1 * i:06.3f}Z,0.00,3.0" for i in range(500)]
+    path = tmp_path / "run.csv"
+    path.write_text("t,v,s\n" + "\n".join(rows[:200] + rows[250:]) + "\n")
+    trip = ingest(path, profile=profile_of(table_profile({})))
+    report = report_of(trip)
+    assert report.counts["clock_step_suspected"] == 1
+    assert "clock_step" not in report.counts
+    assert any("+5 s: a gap or a step of the clock" in line for line in report.lines())
+    assert len(trip["/train/state"]) == 450

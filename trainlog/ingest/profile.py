@@ -465,6 +465,7 @@ class Repair(_Strict):
     before_first_fix: bool = True
     time_unreadable: bool = True
     clock_step: bool = True
+    clock_step_suspected: bool = True
     clock_jump: bool = True
     time_backwards: bool = True
     duplicates: bool = True

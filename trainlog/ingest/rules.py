@@ -15,6 +15,7 @@ from scipy.ndimage import median_filter
 from trainlog.errors import InputError
 from trainlog.ingest import clock
 from trainlog.ingest.clock import Result, gap_threshold, has_fix
+from trainlog.ingest.clock_steps import suspect_clock_steps, undo_clock_steps
 from trainlog.ingest.profile import Limit, Limits, Repair
 from trainlog.ingest.recording import (
     METRES_PER_DEGREE,
@@ -489,7 +490,8 @@ RULES = (
     Rule("empty", "refuse"),
     Rule("before_first_fix", "keep", clock.drop_before_first_fix),
     Rule("time_unreadable", "refuse", clock.drop_unreadable_time),
-    Rule("clock_step", "keep", clock.undo_clock_steps),
+    Rule("clock_step", "keep", undo_clock_steps),
+    Rule("clock_step_suspected", "keep", suspect_clock_steps),
     Rule("clock_jump", "refuse", clock.drop_clock_jumps),
     Rule("time_backwards", "refuse", clock.sort_time),
     Rule("duplicates", "refuse", clock.drop_duplicates),
