@@ -306,9 +306,9 @@ def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, int]]]:
         doubled = same_as_previous(table) & (np.diff(table.time, prepend=table.time[0] - 1) == 0)
         if doubled.any():
             single = np.flatnonzero(~doubled)
-            shift, undecided = _seconds(table.take(single))
+            shift, open_ = _seconds(table.take(single))
             behind = np.cumsum(~doubled) - 1
-            return shift[behind], [(int(single[place]), size) for place, size in undecided]
+            return shift[behind], [(int(single[place]), size) for place, size in open_]
     none = np.zeros(len(table), dtype=np.int64)
     rows = _Rows.of(table)
     if rows is None or not rows.steps.size:
