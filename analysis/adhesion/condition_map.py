@@ -7,10 +7,10 @@ order and grouping, and give the same map, byte for byte.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,16 @@ from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
 from trainlog.formats.files import sha256_of
+from trainlog.identity import (
+    Known,
+    TripIdentity,
+    identity_from_text,
+    identity_of,
+    same_drives,
+    text_of,
+)
 from trainlog.mcap import read_log
-from trainlog.mcap.reader import stretches
+from trainlog.mcap.reader import identity_of_log, stretches
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
 from trainlog.railway.line import Line
@@ -130,33 +138,86 @@ def update(
     track : TrackConditionMap
         Solved.
     skipped : tuple of str
-        Names of the trips that the map held already; they were not counted again.
+        Names of the trips that were not counted: of logs and drives that the map held already, or
+        that came in a fuller recording.
 
     Raises
     ------
     InputError
         If evidence belongs to another line or other bins.
     """
-    counted = {_identity(trip) for trip in track.trips}
-    sums = {name: _sums(layer) for name, layer in track.layers.items()}
-    trips, skipped = list(track.trips), []
-    for piece in pieces:
+    given = list(pieces)
+    for piece in given:
         _check_fits(track, piece)
-        if piece.identity in counted:
-            skipped.append(piece.trip)
+    left_out = _left_out(track, _of_pieces(given))
+    sums = {name: _sums(layer) for name, layer in track.layers.items()}
+    trips = list(track.trips)
+    for number, piece in enumerate(given):
+        if number in left_out:
             continue
-        counted.add(piece.identity)
         trips.append(
             {
                 "trip": piece.trip,
                 "sha256": piece.sha256,
                 "layer": piece.layer,
                 "software": f"trainlog {__version__}",
+                "identity": text_of(piece.recorded),
                 **piece.details,
             }
         )
         sums[piece.layer] = _added(sums.get(piece.layer), _sums(piece))
-    return _solved(track, sums, trips), tuple(skipped)
+    return _solved(track, sums, trips), tuple(given[number].trip for number in left_out)
+
+
+class _Log(NamedTuple):
+    """What a trip is known by."""
+
+    trip: str
+    sha256: str
+    identity: TripIdentity | None
+    steps: int = 0
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What identifies the log by itself: its SHA-256, or what was recorded, or the name."""
+        if self.sha256:
+            return "", self.sha256
+        return (self.trip, "") if self.identity is None else ("", self.identity.text)
+
+
+def _logs(track: TrackConditionMap) -> list[_Log]:
+    """The trips that a map holds; of those of older maps the identity is not known."""
+    return [
+        _Log(str(trip["trip"]), str(trip.get("sha256") or ""), identity_from_text(text))
+        for trip in track.trips
+        for text in [str(trip.get("identity") or "")]
+    ]
+
+
+def _of_pieces(pieces: Iterable[Evidence]) -> list[_Log]:
+    return [_Log(piece.trip, piece.sha256, piece.recorded, piece.steps) for piece in pieces]
+
+
+def _left_out(track: TrackConditionMap, logs: Sequence[_Log]) -> dict[int, str]:
+    """The trips that are not to be counted, by number, with the reason; see `same_drives`."""
+    held = _logs(track)
+    found: dict[int, str] = {}
+    counted = {log.key for log in held}
+    for number, log in enumerate(logs):
+        if log.key in counted or (not log.sha256 and (log.trip, "") in counted):
+            found[number] = f"trip '{log.trip}': in the map already, not counted again"
+        counted.add(log.key)
+    known = [Known(log.trip, log.identity, held=True) for log in held]
+    known += [
+        Known(
+            log.trip,
+            None if number in found else log.identity,
+            (log.steps, log.sha256, log.trip),
+        )
+        for number, log in enumerate(logs)
+    ]
+    found |= {same.number - len(held): same.sentence for same in same_drives(known)}
+    return dict(sorted(found.items()))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -167,11 +228,19 @@ class UpdatedMap:
     ----------
     track : TrackConditionMap
     skipped : tuple of str
-        Names of the trips that the map held already; they were not counted again.
+        Names of the trips that were not counted: the map held them already, or a fuller recording
+        of the same drive was given.
+    reasons : tuple of str
+        Why each was not counted.
+    doubts : tuple of str
+        Trips that the map holds under the name of one that was counted now, and of which the drive
+        is not known, in words.
     """
 
     track: TrackConditionMap
     skipped: tuple[str, ...]
+    reasons: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         skipped = ", ".join(self.skipped[:4]) + (" and more" if len(self.skipped) > 4 else "")
@@ -195,8 +264,9 @@ def adhesion_map(
 ) -> UpdatedMap:
     """Learn maximum adhesion along a line from trips, or add trips to a map.
 
-    A log is identified by the SHA-256 of its file, a trip at hand by its name. A log too long for
-    the memory is analysed in stretches: what is taken from a whole trip, the sizes of the noise and
+    Each drive is counted once, in its fullest recording (`trainlog.identity`); one that the map
+    holds already is not counted again, be it from another file. A log too long for the memory is
+    analysed in stretches: what is taken from a whole trip, the sizes of the noise and
     the wheel diameters, is then that of the stretch.
 
     Parameters
@@ -220,7 +290,8 @@ def adhesion_map(
     [('dry', 1)]
     """
     track = known
-    pieces = []
+    pieces: list[Evidence] = []
+    held: list[tuple[str, str]] = []
     for given in each_given(trips):
         path = None if isinstance(given, Trip) else given
         trip = given if isinstance(given, Trip) else read_log(given, topics=[])
@@ -228,16 +299,40 @@ def adhesion_map(
             if track is None:
                 track = empty_map(_own_line(trip))
             condition = condition_of(trip, track, layer)
-            parts = [slip(trip)] if path is None else _analysed(path)
             digest = "" if path is None else sha256_of(path)
-            pieces.append(evidence_of_parts(parts, track, condition, sha256=digest))
+            recorded = identity_of(trip) if path is None else identity_of_log(path)
+            why = _left_out(track, [_Log(trip.name, digest, recorded)])
+            if why:
+                held.append((trip.name, why[0]))
+                continue
+            parts = [slip(trip)] if path is None else _analysed(path)
+            piece = evidence_of_parts(parts, track, condition, sha256=digest)
+            pieces.append(replace(piece, recorded=recorded, steps=len(trip.provenance)))
         except TrainlogError as error:
             if path is None:
                 raise
             raise type(error)(error.problem, file=path, remedy=error.remedy) from error
     if track is None:
         raise InputError("no trip was given", remedy="name trips or logs to build the map from")
-    return UpdatedMap(*update(track, pieces))
+    left_out = _left_out(track, _of_pieces(pieces))
+    held += [(pieces[number].trip, why) for number, why in left_out.items()]
+    used = [piece for number, piece in enumerate(pieces) if number not in left_out]
+    return UpdatedMap(
+        update(track, used)[0],
+        tuple(name for name, _ in held),
+        tuple(why for _, why in held),
+        _doubts(track, used),
+    )
+
+
+def _doubts(track: TrackConditionMap, used: Sequence[Evidence]) -> tuple[str, ...]:
+    names = {piece.trip for piece in used}
+    return tuple(
+        f"trip '{name}': the map holds another log of that name, made before drives were known by"
+        " what was recorded; if it is the same drive, build the map anew from the logs"
+        for name, _, identity, _ in _logs(track)
+        if identity is None and name in names
+    )
 
 
 def _analysed(path: Path) -> Iterator[SlipAnalysis]:
@@ -268,9 +363,10 @@ def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackCondition
                 f" {getattr(first, name)} and {getattr(second, name)}",
                 remedy="merge maps of one line that were made with the same settings",
             )
-    both = {_identity(t) for t in first.trips} & {_identity(t) for t in second.trips}
+    more = _logs(second)
+    both = _left_out(first, more)
     if both:
-        names = sorted(str(t["trip"]) for t in first.trips if _identity(t) in both)
+        names = sorted(more[number].trip for number in both)
         raise InputError(
             f"both track-condition maps count trip '{names[0]}' ({len(both)} in common)",
             remedy="build one map from the logs instead",
@@ -319,7 +415,8 @@ def _solved(
             censored=censored,
             common=common if common.any() else None,
         )
-    ordered = tuple(sorted(trips, key=lambda t: (t["layer"], t["trip"], t["sha256"])))
+    keys = ("layer", "trip", "sha256", "identity")
+    ordered = tuple(sorted(trips, key=lambda trip: [trip.get(key, "") for key in keys]))
     return replace(track, layers=layers, trips=ordered)
 
 
@@ -335,10 +432,6 @@ def _added(held: Sums | None, more: Sums) -> Sums:
         one + other for one, other in zip(held, more, strict=True)
     )
     return events, weight, weighted_log, censored, common
-
-
-def _identity(trip: dict[str, Any]) -> str:
-    return str(trip.get("sha256") or trip["trip"])
 
 
 def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:

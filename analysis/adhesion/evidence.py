@@ -16,7 +16,7 @@ Laplace's approximation its spread (Rasmussen and Williams, Gaussian Processes f
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from scipy.special import log_ndtr
 from analysis.adhesion.slip import SlipAnalysis, joined_details, slip
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of
+from trainlog.identity import TripIdentity, identity_of
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.trip import Trip
 
@@ -223,6 +224,11 @@ class Evidence:
         See `trainlog.railway.condition.ConditionLayer`.
     details : dict
         What the map keeps of the trip beside its name: see `SlipAnalysis.details`.
+    recorded : TripIdentity, optional
+        Which drive the trip is; None: not known.
+    steps : int
+        Of processing since it was recorded: of equally full recordings of a drive that of the
+        fewest is counted.
     """
 
     line: str
@@ -237,11 +243,8 @@ class Evidence:
     censored: FloatArray
     common: FloatArray | None = None
     details: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def identity(self) -> str:
-        """What identifies this log: its SHA-256, or the trip's name without one."""
-        return self.sha256 or self.trip
+    recorded: TripIdentity | None = None
+    steps: int = 0
 
 
 def evidence(
@@ -266,7 +269,8 @@ def evidence(
         (`analysis.adhesion.slip.slip`).
     """
     condition = condition_of(trip, track, layer)
-    return evidence_of(slip(trip), track, condition, sha256=sha256)
+    found = evidence_of(slip(trip), track, condition, sha256=sha256)
+    return replace(found, recorded=identity_of(trip), steps=len(trip.provenance))
 
 
 def condition_of(trip: Trip, track: TrackConditionMap, layer: str | None = None) -> str:

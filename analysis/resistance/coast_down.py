@@ -8,6 +8,7 @@ that differ widen the band instead of biasing it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -46,6 +47,7 @@ from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256_of
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
+from trainlog.identity import Known, TripIdentity, identity_of, same_drives, text_of
 from trainlog.mcap.reader import stretches
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
@@ -137,19 +139,23 @@ class Sources:
     Attributes
     ----------
     trips : tuple of Trip
-        In order of name. A log too long for the memory is read in stretches, each a trip.
+        In order of name; of several of one name the later ones are numbered. A log too long for
+        the memory is read in stretches, each a trip.
     line : Line or None
         For trips that carry none.
     digests : dict of str to str
         SHA-256 of the log of each trip that came from one, and of the file of the ``line``.
     logs : tuple of Path
         That were read.
+    identities : tuple of TripIdentity or None
+        Of the trips, in their order.
     """
 
     trips: tuple[Trip, ...]
     line: Line | None
     digests: dict[str, str]
     logs: tuple[Path, ...] = ()
+    identities: tuple[TripIdentity | None, ...] = ()
 
     @staticmethod
     def of(
@@ -158,24 +164,36 @@ class Sources:
         topics: tuple[str, ...] = TOPICS,
     ) -> Sources:
         """The trips and the line given, read where they are paths."""
-        found: list[Trip] = []
-        digests: dict[str, str] = {}
+        found: list[tuple[Trip, str, TripIdentity | None]] = []
         logs: list[Path] = []
         for given in each_given(trips):
             if isinstance(given, Trip):
-                found.append(given)
+                found.append((given, "", identity_of(given)))
                 continue
             logs.append(given)
             digest = sha256_of(given)
             for stretch in stretches(given, topics):
-                found.append(stretch.named())
-                digests[found[-1].name] = digest
-        digests = dict(sorted(digests.items()))
+                own = identity_of(stretch.core(stretch.trip))
+                found.append((stretch.named(), digest, own))
+        found.sort(key=lambda each: (each[0].name, each[1], text_of(each[2])))
+        every = _named_apart([trip for trip, _, _ in found])
+        digests = {
+            trip.name: digest for trip, (_, digest, _) in zip(every, found, strict=True) if digest
+        }
         if isinstance(line, str | Path):
             digests["line"] = sha256_of(line)
             line = read_line(line)
-        every = tuple(sorted(found, key=lambda trip: trip.name))
-        return Sources(every, line, digests, tuple(logs))
+        identities = tuple(identity for _, _, identity in found)
+        return Sources(every, line, digests, tuple(logs), identities)
+
+    def again(self, numbers: Sequence[int]) -> dict[int, str]:
+        """Of the trips with these numbers those of a drive that another is of, with the reason."""
+        known = []
+        for number in numbers:
+            name = self.trips[number].name
+            order = (self.digests.get(name, ""), name)
+            known.append(Known(name, self.identities[number], order))
+        return {numbers[same.number]: same.sentence for same in same_drives(known)}
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
@@ -194,6 +212,18 @@ class Sources:
                 place=error.place,
                 remedy=error.remedy,
             ) from error
+
+
+def _named_apart(trips: Sequence[Trip]) -> tuple[Trip, ...]:
+    """The trips, those of a name that was there before with a number."""
+    seen: Counter[str] = Counter()
+    found = []
+    for trip in trips:
+        seen[trip.name] += 1
+        number = seen[trip.name]
+        metadata = {**trip.metadata, "trip": f"{trip.name} ({number})"}
+        found.append(trip if number == 1 else replace(trip, metadata=metadata))
+    return tuple(found)
 
 
 def with_origin(result: CoastDownResult, digests: dict[str, str]) -> CoastDownResult:
@@ -222,7 +252,8 @@ def coast_down(
     ----------
     trips : Trip, path, or iterable of them
         Trips at hand, logs and folders of logs, with ``/gnss/motion`` or ``/train/state``, and
-        chainage; efforts are not looked at.
+        chainage; efforts are not looked at. Of several trips of one drive the fullest that can be
+        used is (`trainlog.identity`); the others are listed among the refused.
     line : Line or path, optional
         In its own direction, for trips that carry none; default: the one that each trip carries.
     speeds : (float, float) [m/s], optional
@@ -238,8 +269,7 @@ def coast_down(
         If there is no speed or no chainage, no coasting is found, the train coasted too shortly or
         at one speed only, or the curve is not known to 10 % at the speeds asked for.
     InputError
-        If the trips are of different trains, a trip appears twice, or the speeds are not finite
-        or not in order.
+        If the trips are of different trains, or the speeds are not finite or not in order.
     LogError
         If a trip carries no line and none is given.
 
@@ -259,12 +289,16 @@ def _coast_down(sources: Sources, speeds: tuple[float, float] | None) -> CoastDo
     train, name = one_train(sources.trips)
     expected = MassRatio.expected(train)
     refused: dict[str, str] = {}
-    moved: list[tuple[Motion, Line]] = []
-    for trip in sources.trips:
+    found: dict[int, tuple[Motion, Line]] = {}
+    for number, trip in enumerate(sources.trips):
         try:
-            moved.append(_located(trip, sources.line))
+            found[number] = _located(trip, sources.line)
         except NotIdentifiableError as error:
             refused[trip.name] = str(error)
+    for number, reason in sources.again(list(found)).items():
+        refused[sources.trips[number].name] = reason
+        del found[number]
+    moved = list(found.values())
     check_not_empty(moved, refused)
     detection = _detected(moved, expected)
     fits: list[TripCoastDown] = []
@@ -407,12 +441,8 @@ def one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:
     Raises
     ------
     InputError
-        If the trips are of different trains, or a trip appears twice.
+        If the trips are of different trains.
     """
-    names = [trip.name for trip in trips]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"trip '{twice}' is given twice", remedy="give each trip once")
     trains = [train_of(trip) for trip in trips if TRAIN_ATTACHMENT in trip.attachments]
     called = {train.name for train in trains}
     called |= {trip.metadata["train"] for trip in trips if trip.metadata.get("train")}

@@ -44,11 +44,13 @@ from trainlog.formats.summaries import (
     COVARIANCE,
     PARAMETERS,
     SURVEY,
+    age,
     covariances_of,
     ordered,
     parameters_of,
     surveys_of,
 )
+from trainlog.identity import Known, identity_from_text, same_drives
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import KMH
 
@@ -133,6 +135,7 @@ def _row(fit: TripFit) -> dict[str, object]:
         "message": "",
         "speed_scale_source": fit.scale.source,
         "gradients": fit.gradients,
+        "identity": fit.identity,
         **dict(zip(PARAMETERS, [*fit.beta.tolist(), fit.mass], strict=True)),
         **dict(zip(COVARIANCE, upper, strict=True)),
         **dict(zip(SURVEY, survey, strict=True)),
@@ -398,14 +401,16 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     Parameters
     ----------
     trips : DataFrame of summaries, or sequence of TripFit
-        In any order; the result is the same to the last bit. Refused trips are left aside.
+        In any order; the result is the same to the last bit. Refused trips are left aside, and
+        of several trips of one drive the fullest is used (`each_drive_once`).
 
     Raises
     ------
     NotIdentifiableError
         If there is no trip that determines the curve.
     InputError
-        If the trips belong to different trains, or one appears twice.
+        If the trips belong to different trains, or one of which the drive is not known appears
+        twice.
 
     Examples
     --------
@@ -452,9 +457,10 @@ def _lines(rows: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:
-    """Summaries of the trips that determine the curve, in order; errors as `combine`."""
+    """Summaries of the drives that determine the curve, in order; errors as `combine`."""
     every = trips if isinstance(trips, pd.DataFrame) else summarised(trips)
-    rows = ordered(every[every["refused"] == ""])
+    every = each_drive_once(every)
+    rows = every[every["refused"] == ""].reset_index(drop=True)
     if rows.empty:
         raise NotIdentifiableError(
             "no trip determines the running resistance", remedy="give more, or more varied, trips"
@@ -464,10 +470,51 @@ def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:
         raise InputError(
             f"trips of different trains: {', '.join(trains)}", remedy="fit each train apart"
         )
-    again = rows.duplicated(["trip", "sha256"])
+    again = rows.duplicated(["trip", "sha256", "identity"])
     if again.any():
         twice = rows["trip"][again].iloc[0]
         raise InputError(f"trip '{twice}' is given twice", remedy="give each trip once")
+    return rows
+
+
+SAME_DRIVE = "same drive"
+"""Why a trip is refused of whose drive a fuller recording is there."""
+
+
+def each_drive_once(summaries: pd.DataFrame) -> pd.DataFrame:
+    """Summaries in which all trips of one drive but the fullest are refused.
+
+    Of recordings that are equally full that of the later software is used, then the first by
+    SHA-256. Trips whose identity is not known are left as they are.
+
+    Parameters
+    ----------
+    summaries : DataFrame
+        In any order.
+
+    Returns
+    -------
+    DataFrame
+        In order, the trips of drives that others stand for refused as `SAME_DRIVE`.
+
+    Examples
+    --------
+    >>> from analysis.resistance.fit import fit_trip
+    >>> fit = fit_trip("sample_logs/nonstop.mcap")
+    >>> each_drive_once(summarised([fit, fit]))["refused"].tolist()
+    ['', 'same drive']
+    """
+    rows = ordered(summaries)
+    usable = np.flatnonzero((rows["refused"] == "") & (rows["identity"] != ""))
+    some = rows.iloc[usable]
+    known = [
+        Known(trip, identity_from_text(text), (-int(version), digest, trip, text))
+        for trip, text, version, digest in zip(
+            some["trip"], some["identity"], age(rows).iloc[usable], some["sha256"], strict=True
+        )
+    ]
+    for same in same_drives(known):
+        rows.loc[usable[same.number], ["refused", "message"]] = (SAME_DRIVE, same.sentence)
     return rows
 
 

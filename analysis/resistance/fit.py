@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -34,6 +34,7 @@ from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
+from trainlog.identity import identity_of, text_of
 from trainlog.railway.line import Line, StepProfile
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
@@ -131,6 +132,8 @@ class TripFit:
     timeline : Timeline
         The trip at a glance, and what was masked.
     history : History
+    identity : str
+        Of the drive, by its recorded samples (`trainlog.identity`); empty if it is not known.
     """
 
     trip: str
@@ -160,6 +163,7 @@ class TripFit:
     residuals: Residuals
     timeline: Timeline
     history: History
+    identity: str = ""
 
     def __repr__(self) -> str:
         return as_text(self._title, self._summary())
@@ -285,7 +289,8 @@ def fit_trip(trip: Given, speeds: tuple[float, float] | None = None) -> TripFit:
     line, train = line_of(trip), train_of(trip)
     scale, origin = scale_of(trip), origin_of(trip)
     evidence = Evidence.of([part_of(trip, line, train, scale, origin)])
-    return fit_evidence(evidence, trip.name, line, train, scale, origin, speeds)
+    fit = fit_evidence(evidence, trip.name, line, train, scale, origin, speeds)
+    return replace(fit, identity=text_of(identity_of(trip)))
 
 
 def origin_of(trip: Trip) -> pd.Timestamp:

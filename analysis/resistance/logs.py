@@ -12,7 +12,14 @@ import pandas as pd
 from rich.console import Group
 
 from analysis.given import Given, each_given
-from analysis.resistance.combination import SOFTWARE, CommonFit, combine, summarised
+from analysis.resistance.combination import (
+    SAME_DRIVE,
+    SOFTWARE,
+    CommonFit,
+    combine,
+    each_drive_once,
+    summarised,
+)
 from analysis.resistance.fit import (
     TOPICS,
     TripFit,
@@ -35,12 +42,13 @@ from analysis.resistance.regression import diagnosed
 from analysis.resistance.windows import Evidence, part_of, within
 from analysis.tables import new_table, with_band
 from trainlog.display import as_text, counted, span
-from trainlog.errors import InputError, LogError, NotIdentifiableError
+from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
+from trainlog.identity import text_of
 from trainlog.mcap import read_log
-from trainlog.mcap.reader import stretches
+from trainlog.mcap.reader import identity_of_log, stretches
 from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip, seconds
 from trainlog.units import KMH
@@ -80,6 +88,8 @@ class Fits:
         Logs that were not read because a summary of theirs was given.
     summaries : DataFrame
         All trips, fitted now or known; see `trainlog.formats.summaries`.
+    drives : DataFrame
+        The same with each drive once; see `analysis.resistance.combination.each_drive_once`.
     common : CommonFit
     parameters : ParameterSet
         The observed configurations, ready to be written.
@@ -89,6 +99,7 @@ class Fits:
     refused: dict[str, TripRefusedError]
     known: int
     summaries: pd.DataFrame
+    drives: pd.DataFrame
     common: CommonFit
     parameters: ParameterSet
 
@@ -102,11 +113,17 @@ class Fits:
 
     @property
     def _title(self) -> str:
-        accepted = int(np.count_nonzero(self.summaries["refused"] == ""))
+        accepted, again = len(self.common.trips), len(self.same)
         return (
             f"Running resistance of {self.common.train}: {counted(accepted, 'trip')} accepted,"
-            f" {len(self.summaries) - accepted} refused"
+            f" {len(self.drives) - accepted - again} refused"
+            + (f", {again} of drives that are counted" if again else "")
         )
+
+    @property
+    def same(self) -> tuple[str, ...]:
+        """The trips that are not used because another of the same drive is, in words."""
+        return tuple(self.drives["message"][self.drives["refused"] == SAME_DRIVE])
 
     def _summary(self) -> dict[str, str]:
         common, found = self.common, self.parameters
@@ -132,8 +149,7 @@ class _Read:
     earlier: list[pd.DataFrame] = field(default_factory=list)
     held: set[str] = field(default_factory=set)
     known: int = 0
-    digests: dict[str, str] = field(default_factory=dict)
-    trains: dict[str, str] = field(default_factory=dict)
+    rows: list[pd.DataFrame] = field(default_factory=list)
     trips: list[TripFit] = field(default_factory=list)
     refused: dict[str, TripRefusedError] = field(default_factory=dict)
 
@@ -148,18 +164,24 @@ class _Read:
         if digest in self.held:
             self.known += 1
             return
-        about = given if isinstance(given, Trip) else read_log(given, [])
-        if about.name in self.digests:
-            raise InputError(
-                f"trip '{about.name}' is given twice", file=path, remedy="give each trip once"
-            )
-        self.digests[about.name] = digest
         try:
             one = fit_trip(given, speeds) if isinstance(given, Trip) else fit_log(given, speeds)
-            self.trips.append(one)
         except TripRefusedError as error:
-            self.refused[about.name] = error
-            self.trains[about.name] = _train_name(about)
+            about = given if isinstance(given, Trip) else read_log(given, [])
+            self.refused[self._label(about.name)] = error
+            refused, trains = {about.name: error}, {about.name: _train_name(about)}
+            digests = {about.name: digest}
+            self.rows.append(summarised([], refused, trains=trains, digests=digests))
+        else:
+            self.trips.append(one)
+            self.rows.append(summarised([one], digests={one.trip: digest}))
+        if digest:
+            self.held.add(digest)
+
+    def _label(self, name: str) -> str:
+        """A name for a refused trip that no other has."""
+        number = 1 + sum(each == name or each.startswith(f"{name} (") for each in self.refused)
+        return name if number == 1 else f"{name} ({number})"
 
 
 def fit(
@@ -176,7 +198,7 @@ def fit(
     trips : Trip, path, or iterable of them
         Of one train: trips at hand, logs, folders of logs, and files of summaries of earlier fits
         (``.parquet``). Logs are read one after the other; one that summaries given before it hold
-        is not read, but for its SHA-256.
+        is not read, but for its SHA-256. Trips of one drive are used once (`trainlog.identity`).
     speeds : (float, float) [m/s], optional
         Speeds between which the curve is asked for; see `fit_trip`.
     cover : float
@@ -198,8 +220,8 @@ def fit(
     LogError
         If a file is not a log, or a trip lacks its line or its train.
     InputError
-        If the trips are of different trains, one appears twice, a file of summaries is none, or
-        `speeds`, `cover` or `most` is out of its range.
+        If the trips are of different trains, a file of summaries is none, or `speeds`, `cover` or
+        `most` is out of its range.
 
     Examples
     --------
@@ -214,8 +236,7 @@ def fit(
     read = _Read()
     for given in each_given(trips):
         read.add(given, speeds)
-    rows = summarised(read.trips, read.refused, trains=read.trains, digests=read.digests)
-    summaries = merged([*read.earlier, rows])
+    summaries = merged([*read.earlier, summarised([]), *read.rows])
     if summaries.empty:
         raise NotIdentifiableError(
             "the summaries that were given hold no trip" if read.earlier else "no log was given",
@@ -231,13 +252,15 @@ def fit(
             " each was refused",
             refused=read.refused,
         )
-    common = combine(summaries)
-    parameters = parameter_set(summaries, cover=cover, most=most, common=common)
+    drives = each_drive_once(summaries)
+    common = combine(drives)
+    parameters = parameter_set(drives, cover=cover, most=most, common=common)
     return Fits(
-        trips=tuple(sorted(read.trips, key=lambda one: one.trip)),
+        trips=tuple(sorted(read.trips, key=lambda one: (one.trip, one.identity))),
         refused=read.refused,
         known=read.known,
         summaries=summaries,
+        drives=drives,
         common=common,
         parameters=replace(parameters, provenance=_provenance(summaries)),
     )
@@ -274,7 +297,8 @@ def fit_log(path: Path, speeds: tuple[float, float] | None = None) -> TripFit:
         for part in chain([first], parts)
         if _has_samples(part.trip)
     )
-    return fit_evidence(evidence, name, line, train, scale, origin, speeds)
+    fit = fit_evidence(evidence, name, line, train, scale, origin, speeds)
+    return replace(fit, identity=text_of(identity_of_log(path)))
 
 
 def _has_samples(trip: Trip) -> bool:
@@ -364,6 +388,7 @@ def fit_table(fits: Fits) -> Group:
     for fit in fits.trips:
         words += [f"{fit.trip}: {doubt}" for doubt in diagnosed(fit.residuals).doubts]
     words += [f"refused, {error.reason}: {error}" for error in fits.refused.values()]
+    words += [f"counted once: {sentence}" for sentence in fits.same]
     words += _observed_set(fits)
     return Group(table, *words)
 

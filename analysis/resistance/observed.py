@@ -40,13 +40,15 @@ from analysis.resistance.combination import (
     CommonFit,
     accepted,
     combine,
+    each_drive_once,
     nearest_physical,
     summarised,
 )
 from analysis.resistance.fit import TripFit
 from analysis.resistance.regression import powers
 from trainlog.errors import InputError
-from trainlog.formats.summaries import PARAMETERS, covariances_of, ordered, parameters_of
+from trainlog.formats.files import sha256
+from trainlog.formats.summaries import PARAMETERS, covariances_of, parameters_of
 from trainlog.railway.train import Configuration, ParameterSet
 
 FloatArray = NDArray[np.float64]
@@ -136,7 +138,8 @@ def parameter_set(
     ['trip-01']
     """
     check_choice(cover, most, all_trips=True)
-    every = ordered(trips) if isinstance(trips, pd.DataFrame) else summarised(trips)
+    every = trips if isinstance(trips, pd.DataFrame) else summarised(trips)
+    every = each_drive_once(every)
     rows = accepted(every)
     common = common or combine(rows)
     betas = _spread_out(common)
@@ -363,11 +366,15 @@ def _of_neighbours(masses: FloatArray, seen: NDArray[np.bool_], limits: FloatArr
 
 
 def _names(rows: pd.DataFrame) -> list[str]:
-    """Names of the trips; trips of one name are distinguished by the digest of their logs."""
+    """Names of the trips; those of one name are distinguished by the digest of logs or samples."""
     twice = rows.duplicated("trip", keep=False).to_numpy()
     if not twice.any():
         return [str(name) for name in rows["trip"]]
-    pairs = zip(rows["trip"], rows["sha256"], twice, strict=True)
+    digests = [
+        digest or sha256(identity.encode())
+        for digest, identity in zip(rows["sha256"], rows["identity"], strict=True)
+    ]
+    pairs = zip(rows["trip"], digests, twice, strict=True)
     return [f"{trip} {digest[:8]}" if same else str(trip) for trip, digest, same in pairs]
 
 

@@ -73,7 +73,7 @@ def draw_fits(fits: Fits, path: str | Path) -> None:
     _per_trip(below, fits)
     draw_correlation(corner, fits.common.covariance, "correlation of the mean's coefficients")
     trips = counted(len(fits.common.trips), "trip")
-    count = len(fits.summaries) - len(fits.common.trips)
+    count = len(fits.drives) - len(fits.common.trips) - len(fits.same)
     refused = f", {count} refused" if count else ""
     headline(figure, f"{fits.common.train}: running resistance from {trips}{refused}")
     write_figure(figure, path)
@@ -97,7 +97,7 @@ def _together(axes: Axes, fits: Fits) -> None:
             markeredgewidth=0,
             label=f"{seen.size} means over 10 s",
         )
-    accepted = fits.summaries[fits.summaries["refused"] == ""]
+    accepted = fits.drives[fits.drives["refused"] == ""]
     curves = parameters_of(accepted)[_some(len(accepted)), :3] @ powers(speed).T
     lines = axes.plot(KMH * speed, curves.T / KILONEWTON, color=SKY, linewidth=0.8)
     lines[0].set_label(_counted("each trip", len(curves), len(accepted)))
@@ -144,7 +144,7 @@ def _observed(axes: Axes, fits: Fits) -> None:
 
 def _per_trip(axes: Axes, fits: Fits) -> None:
     """Mass and power of each trip with their 95 % bands; of many trips the distribution."""
-    accepted = fits.summaries[fits.summaries["refused"] == ""]
+    accepted = fits.drives[fits.drives["refused"] == ""]
     mass = accepted["mass"].to_numpy(np.float64) / TONNE
     reach = 1.96 * np.sqrt(accepted["covariance_mass_mass"].to_numpy(np.float64)) / TONNE
     if len(accepted) > MOST_NAMED:

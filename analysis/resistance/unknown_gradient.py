@@ -119,7 +119,7 @@ def coast_down_without_gradient(
         If it is not known where the trips coasted, or no piece of track was coasted at different
         speeds, or the speeds' differences do not determine the resistance to 10 %.
     InputError
-        If the trips are of different trains, or a trip appears twice.
+        If the trips are of different trains.
 
     Examples
     --------
@@ -134,18 +134,23 @@ def coast_down_without_gradient(
 
 def _without_gradient(sources: Sources, spans: Mapping[str, Spans] | None) -> CoastDownResult:
     _, train = one_train(sources.trips)
-    parts: list[Passages] = []
-    notes: list[dict[str, object]] = []
+    found: dict[int, Passages] = {}
+    refused: dict[int, str] = {}
     for number, trip in enumerate(sources.trips):
         try:
             motion = motion_of(trip)
             known = lever_at_rest(trip, motion) if spans is None else spans.get(trip.name, ())
-            found = passages(motion, known, number, _turned(trip, sources.line))
+            found[number] = passages(motion, known, number, _turned(trip, sources.line))
         except NotIdentifiableError as error:
-            notes.append({"trip": trip.name, "accepted": False, "reason": str(error)})
-            continue
-        parts.append(found)
-        notes.append({"trip": trip.name, "accepted": True, "passages": int(found.piece.size)})
+            refused[number] = str(error)
+    refused |= sources.again(list(found))
+    parts = [each for number, each in found.items() if number not in refused]
+    notes: list[dict[str, object]] = [
+        {"trip": trip.name, "accepted": False, "reason": refused[number]}
+        if number in refused
+        else {"trip": trip.name, "accepted": True, "passages": int(found[number].piece.size)}
+        for number, trip in enumerate(sources.trips)
+    ]
     check_not_empty(
         parts, {str(each["trip"]): str(each["reason"]) for each in notes if "reason" in each}
     )

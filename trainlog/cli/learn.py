@@ -118,7 +118,7 @@ def map_update(
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
 
-    A log that the map already holds is not counted again.
+    A drive that the map already holds is not counted again, whatever file it comes in.
 
     Example: trainlog map update results/trips --map results/map.json
     """
@@ -131,10 +131,8 @@ def map_update(
     with progress_bar() as progress:
         every = progress.track(logs_in(logs), description="mapping")
         found = adhesion_map(every, known, layer)
-    for trip in found.skipped:
-        console.print(
-            f"  {trip}: in the map already, not counted again", highlight=False, markup=False
-        )
+    for words in (*found.reasons, *found.doubts):
+        console.print(f"  {words}", highlight=False, markup=False)
     write_map(found.track, condition)
     draw_map(found.track, condition.with_suffix(".png"))
     console.print(map_table(found.track))

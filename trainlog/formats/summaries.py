@@ -104,9 +104,10 @@ COLUMNS: tuple[Column, ...] = (
     Column("masked_standstill", "s", "time masked: standstill"),
     Column("masked_braking", "s", "time masked: braking effort not known well enough"),
     Column("masked_slip", "s", "time masked: slip"),
+    Column("identity", "", "of the drive, by its recorded samples; empty: not known", "text"),
 )
 
-_LATER = {"gradients", *SURVEY}
+_LATER = {"gradients", *SURVEY, "identity"}
 """Columns that older files lack: then nothing is known of what the trip shares with others."""
 
 _ALWAYS = (*PARAMETERS, *COVARIANCE, "rotating_mass", "train_power", "asked_highest")
@@ -174,14 +175,15 @@ def read_summaries(path: str | Path) -> pd.DataFrame:
         }
     )
     for name in _LATER - set(frame):
-        frame[name] = "" if name == "gradients" else np.nan
+        frame[name] = "" if name in ("gradients", "identity") else np.nan
     _check(frame, path)
     return ordered(frame[[column.name for column in COLUMNS]])
 
 
 def ordered(summaries: pd.DataFrame) -> pd.DataFrame:
-    """The summaries in the order of trip, SHA-256 and software."""
-    return summaries.sort_values(["trip", "sha256", "software"], kind="stable", ignore_index=True)
+    """The summaries in the order of trip, SHA-256, software and identity."""
+    keys = ["trip", "sha256", "software", "identity"]
+    return summaries.sort_values(keys, kind="stable", ignore_index=True)
 
 
 def merged(pieces: Sequence[pd.DataFrame]) -> pd.DataFrame:
@@ -191,14 +193,19 @@ def merged(pieces: Sequence[pd.DataFrame]) -> pd.DataFrame:
     pieces.
     """
     together = pd.concat(pieces, ignore_index=True)
-    versions = sorted(together["software"].unique(), key=lambda name: (_version(name), name))
-    together["_version"] = together["software"].map({name: n for n, name in enumerate(versions)})
+    together["_version"] = age(together)
     together = together.sort_values(
         ["sha256", "trip", "_version", *PARAMETERS], kind="stable", ignore_index=True
     )
     unknown = together["sha256"] == ""
     again = together.duplicated(["sha256", "trip"], keep="last") & ~unknown
     return ordered(together[~again].drop(columns="_version"))
+
+
+def age(summaries: pd.DataFrame) -> pd.Series:
+    """Place of the software of each row among those of all, the oldest first."""
+    versions = sorted(summaries["software"].unique(), key=lambda name: (_version(name), name))
+    return summaries["software"].map({name: place for place, name in enumerate(versions)})
 
 
 def parameters_of(summaries: pd.DataFrame) -> FloatArray:

@@ -16,6 +16,7 @@ from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from trainlog.errors import InputError, LogError
+from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.account import Account, DamageWarning, Loss
 from trainlog.mcap.index import (
     AttachmentPlace,
@@ -195,6 +196,25 @@ def about_log(path: str | Path) -> Trip:
     with Source(path) as source, in_file(path):
         contents, trip = contents_used(source, found)
     return with_losses(trip, contents)
+
+
+def identity_of_log(path: str | Path) -> TripIdentity | None:
+    """Which drive a log is of; only the column that this takes is read. Errors as `read_log`.
+
+    Examples
+    --------
+    >>> identity_of_log("sample_logs/nonstop.mcap") == identity_of(
+    ...     read_log("sample_logs/nonstop.mcap")
+    ... )
+    True
+    """
+    columns: dict[str, list[str]] = {}
+    for topic, column, _ in COLUMNS:
+        columns.setdefault(topic, []).append(column)
+    with warnings.catch_warnings():
+        # Whoever reads the trip itself is warned of the damage.
+        warnings.simplefilter("ignore", DamageWarning)
+        return identity_of(read_log(path, columns))
 
 
 # ------------------------------------------------------------------------------- the file's part

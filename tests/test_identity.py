@@ -1,0 +1,385 @@
+"""A drive is known by what was recorded of it, and counts once in fit, coast-down and map."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from analysis.adhesion.condition_map import adhesion_map, empty_map, merge, update
+from analysis.estimates import estimate_log
+from analysis.resistance import combine
+from analysis.resistance.coast_down import coast_down
+from analysis.resistance.combination import SAME_DRIVE, each_drive_once
+from analysis.resistance.fit import fit_trip
+from analysis.resistance.logs import fit, fit_table
+from trainlog.errors import InputError
+from trainlog.formats.condition import map_from_bytes, map_to_bytes
+from trainlog.formats.samples import sample
+from trainlog.formats.summaries import read_summaries, write_summaries
+from trainlog.identity import (
+    SHARED,
+    Known,
+    TripIdentity,
+    identity_from_text,
+    identity_of,
+    same_drives,
+)
+from trainlog.ingest import ingest, profile_of
+from trainlog.mcap import read_log, recover, write_log
+from trainlog.mcap.convert import convert
+from trainlog.mcap.reader import identity_of_log
+from trainlog.topics import TRAIN_STATE
+from trainlog.trip import Trip, frame_of
+
+LOG = sample("nonstop.mcap")
+WHOLE = read_log(LOG)
+MIDDLE = WHOLE.start + (WHOLE.end - WHOLE.start) / 2
+
+
+def reloaded(folder: Path) -> Path:
+    """As ingested again under another name, with another load."""
+    metadata = {**WHOLE.metadata, "load": "31000", "trip": "again"}
+    write_log(replace(WHOLE, metadata=metadata), folder / "reloaded.mcap")
+    return folder / "reloaded.mcap"
+
+
+def estimated(folder: Path) -> Path:
+    estimate_log(LOG, folder / "estimated.mcap")
+    return folder / "estimated.mcap"
+
+
+def first_half(folder: Path) -> Path:
+    convert(LOG, folder / "first.mcap", time=(None, MIDDLE))
+    return folder / "first.mcap"
+
+
+def second_half(folder: Path) -> Path:
+    convert(LOG, folder / "second.mcap", time=(MIDDLE, None))
+    return folder / "second.mcap"
+
+
+def converted(folder: Path) -> Path:
+    """To Parquet and back, without the topics that fit and map do not read."""
+    topics = ["/train/state", "/train/controls", "/train/axles", "/gnss/motion"]
+    convert(LOG, folder / "trip.parquet", topics=topics)
+    convert(folder / "trip.parquet", folder / "converted.mcap")
+    return folder / "converted.mcap"
+
+
+def recovered(folder: Path) -> Path:
+    """What is left of it after it was cut at some byte."""
+    data = LOG.read_bytes()
+    at = random.Random(folder.name).randrange(len(data) // 2, len(data) - 1000)
+    (folder / "cut.broken").write_bytes(data[:at])
+    recover(folder / "cut.broken", folder / "recovered.mcap")
+    return folder / "recovered.mcap"
+
+
+def overwritten(folder: Path) -> Path:
+    """A log with a damaged place in its middle: some chunk is lost."""
+    data = bytearray(LOG.read_bytes())
+    at = random.Random(folder.name).randrange(len(data) // 3, len(data) // 2)
+    data[at : at + 64] = bytes(64)
+    (folder / "overwritten.mcap").write_bytes(data)
+    return folder / "overwritten.mcap"
+
+
+VERSIONS = (reloaded, estimated, first_half, second_half, converted, recovered, overwritten)
+EQUAL = ("reloaded", "estimated", "converted")
+"""Versions that hold all that was recorded."""
+
+
+@pytest.fixture(scope="module")
+def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return {make.__name__: make(tmp_path_factory.mktemp(make.__name__)) for make in VERSIONS}
+
+
+@pytest.fixture(scope="module")
+def alone() -> object:
+    return fit([LOG])
+
+
+@pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
+class TestIdentity:
+    @pytest.mark.parametrize("make", VERSIONS, ids=lambda make: make.__name__)
+    def test_a_drive_is_recognised_in_every_form(
+        self, make: Callable[[Path], Path], versions: dict[str, Path]
+    ) -> None:
+        whole, found = identity_of(WHOLE), identity_of_log(versions[make.__name__])
+        assert whole is not None
+        assert found is not None
+        if make.__name__ in EQUAL:
+            assert found == whole
+            return
+        assert found.samples < whole.samples
+        # The minute in which it was cut, on one side and the other, is no whole one.
+        lost = found.blocks.size - np.intersect1d(found.blocks, whole.blocks).size
+        assert lost <= 2
+        assert whole.shared(found) > 0.8
+
+    def test_the_halves_of_a_drive_share_nothing(self, versions: dict[str, Path]) -> None:
+        halves = [identity_of_log(versions[name]) for name in ("first_half", "second_half")]
+        assert halves[0] is not None
+        assert halves[1] is not None
+        assert halves[0].shared(halves[1]) == 0.0
+
+    def test_a_table_in_other_units_is_the_same_drive(self, tmp_path: Path) -> None:
+        """As CSV in km/h, in local time, with the load and the line not known."""
+        state = WHOLE["/train/state"]
+        times = pd.DatetimeIndex(state.index).tz_convert("Europe/Zurich")
+        table = pd.DataFrame({"t": times.map(pd.Timestamp.isoformat), "v": 3.6 * state["speed"]})
+        table.to_csv(tmp_path / "run.csv", index=False)
+        profile = profile_of(
+            {
+                "format": "trainlog/recorder-profile",
+                "version": 1,
+                "name": "table",
+                "time": {"column": "t"},
+                "columns": {"/train/state.speed": {"column": "v", "unit": "km/h"}},
+            }
+        )
+        assert identity_of(ingest(tmp_path / "run.csv", profile)) == identity_of(WHOLE)
+
+    def test_other_drives_share_nothing(self) -> None:
+        other = identity_of(read_log(sample("stopping.mcap")))
+        later = {
+            name: frame.set_axis(frame.index + pd.Timedelta("1D"))
+            for name, frame in WHOLE.topics.items()
+        }
+        whole, tomorrow = identity_of(WHOLE), identity_of(replace(WHOLE, topics=later))
+        assert whole is not None
+        assert other is not None
+        assert tomorrow is not None
+        assert whole.shared(other) == 0.0
+        assert whole.shared(tomorrow) == 0.0
+
+    def test_trains_that_stand_at_the_same_time_are_two(self) -> None:
+        """All standing trains are alike: what they record must not make them one."""
+
+        def standing(train: str) -> Trip:
+            frame = frame_of(TRAIN_STATE, np.arange(3600) * 10**9, {"speed": np.zeros(3600)})
+            return Trip({"/train/state": frame}, {"train": train})
+
+        assert identity_of(standing("a")) == identity_of(standing("a"))
+        assert identity_of(standing("a")) != identity_of(standing("b"))
+
+    def test_what_recorded_neither_speed_nor_place_has_none(self) -> None:
+        assert identity_of(replace(WHOLE, topics={"/events": WHOLE["/events"]})) is None
+        assert identity_from_text("") is None
+        with pytest.raises(InputError, match="is no identity of a trip"):
+            identity_from_text("2024-10-07 1 x")
+
+    def test_it_takes_a_fraction_of_the_time_of_reading(self) -> None:
+        from time import perf_counter
+
+        def shortest(act: Callable[[], object]) -> float:
+            times = []
+            for _ in range(5):
+                begin = perf_counter()
+                act()
+                times.append(perf_counter() - begin)
+            return min(times)
+
+        assert shortest(lambda: identity_of(WHOLE)) < 0.5 * shortest(lambda: read_log(LOG))
+
+
+def drive(minutes: range, samples: int = 600) -> TripIdentity:
+    """A made-up drive: its minutes are its numbers."""
+    blocks = np.array(minutes, dtype=np.uint64)
+    return TripIdentity(pd.Timestamp("2024-01-01", tz="UTC"), samples, blocks)
+
+
+class TestSameDrives:
+    @settings(max_examples=50, deadline=None)
+    @given(order=st.permutations(range(6)))
+    def test_what_is_left_out_does_not_depend_on_the_order(self, order: list[int]) -> None:
+        trips = [
+            Known("whole", drive(range(100)), ("b",)),
+            Known("copy", drive(range(100)), ("a",)),
+            Known("first", drive(range(50)), ("c",)),
+            Known("other", drive(range(200, 260)), ("d",)),
+            Known("fuller", drive(range(200, 260), samples=601), ("e",)),
+            Known("unknown", None, ("f",)),
+        ]
+        found = same_drives([trips[number] for number in order])
+        assert {each.trip: each.of for each in found} == {
+            "whole": "copy",
+            "first": "copy",
+            "other": "fuller",
+        }
+
+    def test_parts_that_hardly_overlap_are_both_used(self) -> None:
+        """Recorders that begin a new file each hour repeat the last minute or two."""
+        hours = [range(0, 62), range(60, 122), range(120, 180)]
+        assert all(len(set(a) & set(b)) <= SHARED * 60 for a, b in pairwise(hours))
+        assert same_drives([Known(str(hour), drive(hour)) for hour in hours]) == []
+
+    def test_of_parts_that_overlap_the_fuller_is_used(self) -> None:
+        (found,) = same_drives([Known("a", drive(range(40))), Known("b", drive(range(30, 80)))])
+        assert (found.trip, found.of, found.share) == ("a", "b", 0.25)
+        assert found.sentence == (
+            "trip 'a' is to 25% of the shorter one's minutes the same drive as 'b', which is used"
+        )
+
+    def test_a_part_that_is_held_keeps_the_whole_out(self) -> None:
+        """What a map has counted cannot be taken out of it; to count it twice would be wrong."""
+        trips = [Known("part", drive(range(4)), held=True), Known("whole", drive(range(100)))]
+        (found,) = same_drives(trips)
+        assert (found.trip, found.of, found.held) == ("whole", "part", True)
+
+
+@pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
+class TestFit:
+    def test_each_form_of_a_drive_leaves_the_band_as_it_is(
+        self, versions: dict[str, Path], alone: object
+    ) -> None:
+        every = fit([LOG, *versions.values()])
+        assert len(every.common.trips) == 1
+        assert every.common.freedom == alone.common.freedom
+        speed = np.linspace(0.0, 40.0, 9)
+        if every.common.trips == alone.common.trips:
+            np.testing.assert_array_equal(every.common.band(speed), alone.common.band(speed))
+        else:
+            np.testing.assert_allclose(
+                every.common.band(speed), alone.common.band(speed), rtol=1e-9
+            )
+        assert len(every.same) + len(every.refused) == len(versions)
+        assert len(every.same) >= 4
+        assert len(every.parameters.configurations) == 1
+        assert every.parameters.cover["refused"][SAME_DRIVE] == len(every.same)
+
+    def test_once_more_they_would_narrow_it(self, versions: dict[str, Path], alone: object) -> None:
+        """Without identities, as in files of older versions, they count as trips of their own."""
+        rows = fit([LOG, versions["estimated"], versions["converted"]]).summaries
+        assert len(combine(rows).trips) == 1
+        unknown = combine(rows.assign(identity=""))
+        assert len(unknown.trips) == 3
+        assert unknown.std(20.0) < 0.9 * alone.common.std(20.0)
+
+    def test_order_and_pieces_do_not_matter(
+        self, versions: dict[str, Path], tmp_path: Path
+    ) -> None:
+        paths = [LOG, *(versions[name] for name in ("reloaded", "converted", "first_half"))]
+        one = fit(paths)
+        other = fit(paths[::-1])
+        pd.testing.assert_frame_equal(one.drives, other.drives, check_exact=True)
+        for number, path in enumerate(paths):
+            try:
+                write_summaries(fit([path]).summaries, tmp_path / f"{number}.parquet")
+            except Exception:  # noqa: BLE001  (a half alone may be refused)
+                continue
+        together = fit(sorted(tmp_path.glob("*.parquet"), reverse=True))
+        assert together.common.resistance == one.common.resistance
+        np.testing.assert_array_equal(together.common.covariance, one.common.covariance)
+
+    def test_the_table_lists_what_was_counted_once(self, versions: dict[str, Path]) -> None:
+        from io import StringIO
+
+        from rich.console import Console
+
+        shown = Console(file=StringIO(), width=200)
+        shown.print(fit_table(fit([LOG, versions["reloaded"]])))
+        text = shown.file.getvalue()  # type: ignore[attr-defined]
+        assert "counted once: trip" in text
+        assert "is the same drive as" in text
+
+    def test_two_drives_of_one_name_are_two(self, tmp_path: Path) -> None:
+        stopping = read_log(sample("stopping.mcap"))
+        named = replace(stopping, metadata={**stopping.metadata, "trip": WHOLE.name})
+        found = fit([WHOLE, named])
+        assert found.common.trips == (WHOLE.name, WHOLE.name)
+        assert found.same == ()
+        names = [each.name for each in found.parameters.configurations]
+        assert len(set(names)) == len(names)
+
+    def test_summaries_of_older_versions_are_read(self, tmp_path: Path) -> None:
+        rows = fit([LOG]).summaries
+        write_summaries(rows, tmp_path / "new.parquet")
+        table = pq.read_table(tmp_path / "new.parquet").drop_columns(["identity"])
+        pq.write_table(table, tmp_path / "old.parquet")
+        old = read_summaries(tmp_path / "old.parquet")
+        assert old["identity"].tolist() == [""]
+        pd.testing.assert_frame_equal(each_drive_once(old), old)
+
+    def test_a_fit_knows_its_drive(self) -> None:
+        assert identity_from_text(fit_trip(WHOLE).identity) == identity_of(WHOLE)
+
+
+@pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
+class TestMap:
+    def test_each_form_of_a_drive_gives_the_same_map(self, versions: dict[str, Path]) -> None:
+        alone = adhesion_map([LOG]).track
+        paths = [LOG, *(versions[name] for name in ("estimated", "converted", "recovered"))]
+        every = adhesion_map(paths)
+        assert len(every.track.trips) == 1
+        assert len(every.reasons) == 3
+        for name, layer in alone.layers.items():
+            found = every.track.layer(name)
+            for field in ("events", "weight", "weighted_log", "censored", "log_mean", "log_std"):
+                np.testing.assert_array_equal(getattr(found, field), getattr(layer, field))
+        assert map_to_bytes(adhesion_map(paths[::-1]).track) == map_to_bytes(every.track)
+
+    def test_a_map_knows_the_drives_that_it_holds(self, versions: dict[str, Path]) -> None:
+        held = map_from_bytes(map_to_bytes(adhesion_map([LOG]).track))
+        again = adhesion_map([*versions.values(), WHOLE], held)
+        assert map_to_bytes(again.track) == map_to_bytes(held)
+        assert len(again.reasons) == len(versions) + 1
+        assert all("counted already" in reason for reason in again.reasons)
+
+    def test_the_halves_of_a_drive_are_two(self, versions: dict[str, Path]) -> None:
+        halves = [versions["first_half"], versions["second_half"]]
+        found = adhesion_map(halves)
+        assert len(found.track.trips) == 2
+        whole = adhesion_map([LOG], found.track)
+        assert whole.skipped == (WHOLE.name,)
+        assert map_to_bytes(whole.track) == map_to_bytes(found.track)
+        apart = [adhesion_map([half]).track for half in halves]
+        assert map_to_bytes(merge(*apart)) == map_to_bytes(found.track)
+        with pytest.raises(InputError, match="both track-condition maps count trip"):
+            merge(apart[0], adhesion_map([LOG]).track)
+
+    def test_two_drives_of_one_name_are_two(self) -> None:
+        stopping = read_log(sample("stopping.mcap"))
+        named = replace(stopping, metadata={**stopping.metadata, "trip": WHOLE.name})
+        one, other = adhesion_map([WHOLE, named]), adhesion_map([named, WHOLE])
+        assert len(one.track.trips) == 2
+        assert map_to_bytes(one.track) == map_to_bytes(other.track)
+
+    def test_a_map_of_an_older_version_states_what_it_cannot_know(
+        self, versions: dict[str, Path]
+    ) -> None:
+        data = json.loads(map_to_bytes(adhesion_map([LOG]).track))
+        for trip in data["trips"]:
+            del trip["identity"]
+        old = map_from_bytes(json.dumps(data).encode())
+        assert adhesion_map([LOG], old).skipped == (WHOLE.name,), "known by its SHA-256"
+        found = adhesion_map([versions["estimated"]], old)
+        assert found.skipped == ()
+        assert "build the map anew" in found.doubts[0]
+        assert update(empty_map(_line()), []) is not None
+
+
+def _line() -> object:
+    from trainlog.formats.attached import line_of
+
+    return line_of(WHOLE)
+
+
+def test_coast_down_uses_a_drive_once(versions: dict[str, Path]) -> None:
+    alone = coast_down([LOG])
+    found = coast_down([LOG, versions["converted"], versions["first_half"]])
+    assert len(found.trips) == 1
+    assert len(found.refused) == 2
+    assert all("same drive" in reason for reason in found.refused.values())
+    np.testing.assert_array_equal(found.curve.theta, alone.curve.theta)
+    np.testing.assert_array_equal(found.curve.covariance, alone.curve.covariance)

@@ -1,0 +1,341 @@
+"""Which drive a trip is: known by the samples that were recorded, not by file, name or metadata.
+
+Of each minute of UTC one number is kept, computed from the times and values of one recorded column:
+the same drive ingested again with another load, estimated, cut, converted or recovered has the same
+numbers, or some of them, and another drive has none of them. Two trips that share more than
+`SHARED` of the shorter one's minutes are one drive; parts of a drive that overlap by less are two.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trainlog.display import as_text
+from trainlog.errors import InputError
+from trainlog.trip import Trip
+from trainlog.units import NANOSECONDS
+
+UintArray = NDArray[np.uint64]
+IntArray = NDArray[np.int64]
+
+COLUMNS = (
+    ("/train/state", "speed", 1e-6),
+    ("/gnss/motion", "speed", 1e-6),
+    ("/gnss/fix", "latitude", 1e-9),
+    ("/train/state", "position", 1e-4),
+)
+"""Topic, column and step to which its values are rounded; the first of them that was recorded."""
+
+MINUTE = 60 * NANOSECONDS
+"""Length of a block of samples [ns]."""
+
+LEAST_VALUES = 8
+"""Different values from which on a minute distinguishes a drive: all standing trains are alike."""
+
+SHARED = 0.05
+"""Share of the shorter trip's minutes beyond which two trips are one drive."""
+
+_MICROSECOND = 1000
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TripIdentity:
+    """What distinguishes a drive from all others.
+
+    Attributes
+    ----------
+    start : Timestamp
+        Of the first sample of the column.
+    samples : int
+        Recorded values of the column.
+    blocks : (n,) uint64 array
+        One number a minute with at least `LEAST_VALUES` different values, increasing. Of a trip
+        without such a minute one number of all its samples and its train.
+    """
+
+    start: pd.Timestamp
+    samples: int
+    blocks: UintArray
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, TripIdentity):
+            return NotImplemented
+        return self.text == other.text
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+    def __repr__(self) -> str:
+        begin = self.start.strftime("%Y-%m-%d %H:%M:%S UTC")
+        rows = {"samples": f"{self.samples}", "minutes": f"{self.blocks.size}"}
+        return as_text(f"Identity of the trip of {begin}", rows)
+
+    def shared(self, other: TripIdentity) -> float:
+        """Share of the shorter trip's minutes that both have: 1 if one holds the other.
+
+        Examples
+        --------
+        >>> import trainlog
+        >>> trip = trainlog.read("sample_logs/stopping.mcap")
+        >>> part = trip.between("2024-10-07T08:05", "2024-10-07T08:15")
+        >>> identity_of(trip).shared(identity_of(part))
+        1.0
+        """
+        both = np.intersect1d(self.blocks, other.blocks, assume_unique=True).size
+        return both / max(1, min(self.blocks.size, other.blocks.size))
+
+    @cached_property
+    def text(self) -> str:
+        """The identity as files hold it; `identity_from_text` reads it."""
+        data = base64.b64encode(self.blocks.astype("<u8").tobytes()).decode("ascii")
+        return f"{self.start.isoformat()} {self.samples} {data}"
+
+
+def identity_of(trip: Trip) -> TripIdentity | None:
+    """Which drive a trip is, by what was recorded: neither estimates nor metadata matter.
+
+    The train takes part only where no minute distinguishes the drive: whatever it is called, the
+    same samples at the same instants are one drive.
+
+    Returns
+    -------
+    TripIdentity or None
+        None if no column of `COLUMNS` was recorded.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/stopping.mcap")
+    >>> heavier = replace(trip, metadata={**trip.metadata, "load": "12000", "trip": "again"})
+    >>> identity_of(heavier) == identity_of(trip)
+    True
+    >>> identity_of(trip)
+    Identity of the trip of 2024-10-07 08:00:00 UTC
+      samples  14140
+      minutes  24
+    """
+    for topic, column, step in COLUMNS:
+        frame = trip.topics.get(topic)
+        if frame is None or column not in frame:
+            continue
+        values = frame[column].to_numpy(np.float64)
+        known = np.isfinite(values)
+        if not known.any():
+            continue
+        time = pd.DatetimeIndex(frame.index).as_unit("ns").asi8[known]
+        rounded = np.rint(values[known] / step).astype(np.int64)
+        if np.any(np.diff(time) < 0):
+            order = np.argsort(time, kind="stable")
+            time, rounded = time[order], rounded[order]
+        blocks = _blocks(time, rounded)
+        if not blocks.size:
+            blocks = _whole(time, rounded, f"{topic}.{column} {trip.metadata.get('train', '')}")
+        return TripIdentity(pd.Timestamp(time[0], tz="UTC"), int(time.size), blocks)
+    return None
+
+
+def identity_from_text(text: str) -> TripIdentity | None:
+    """The identity that a file holds; None if it holds none.
+
+    Raises
+    ------
+    InputError
+        If the text is no identity.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> found = identity_of(trainlog.read("sample_logs/nonstop.mcap"))
+    >>> identity_from_text(found.text) == found, identity_from_text("")
+    (True, None)
+    """
+    if not text:
+        return None
+    try:
+        start, samples, data = text.split(" ")
+        blocks = np.frombuffer(base64.b64decode(data, validate=True), dtype="<u8")
+        return TripIdentity(pd.Timestamp(start), int(samples), blocks.astype(np.uint64))
+    except (ValueError, binascii.Error) as error:
+        raise InputError(
+            f"'{text[:40]}' is no identity of a trip", remedy="make the file again from the logs"
+        ) from error
+
+
+def text_of(identity: TripIdentity | None) -> str:
+    """The identity as files hold it; empty if it is not known."""
+    return "" if identity is None else identity.text
+
+
+class Known(NamedTuple):
+    """A trip to be compared with others, and its place among those of one drive.
+
+    Attributes
+    ----------
+    name : str
+    identity : TripIdentity or None
+        None: not known; such a trip is the same as no other.
+    order : sortable
+        Decides between recordings that are equally full: the least is used.
+    held : bool
+        Whether it is used whatever comes; such trips are not compared with each other.
+    """
+
+    name: str
+    identity: TripIdentity | None
+    order: tuple[Hashable, ...] = ()
+    held: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SameDrive:
+    """A trip that is not used, since another that is used is of the same drive.
+
+    Attributes
+    ----------
+    number, other : int
+        Of the trip, and of the one that is used in its place.
+    trip, of : str
+        Their names.
+    share : float
+        Of the shorter one's minutes that are in both.
+    held : bool
+        Whether the other was used before these trips came.
+    """
+
+    number: int
+    other: int
+    trip: str
+    of: str
+    share: float
+    held: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """It in words."""
+        part = "" if self.share >= 1.0 else f" to {self.share:.0%} of the shorter one's minutes"
+        used = "which is counted already" if self.held else "which is used"
+        return f"trip '{self.trip}' is{part} the same drive as '{self.of}', {used}"
+
+
+def same_drives(trips: Sequence[Known]) -> list[SameDrive]:
+    """The trips that are not to be used, since others of the same drive are.
+
+    The fullest recording of a drive is used: that of the most minutes, of these that of the most
+    samples, of these the first by `Known.order`. Which trips are left out does not depend on the
+    order in which they come, as long as `order` distinguishes them.
+
+    Parameters
+    ----------
+    trips : sequence of Known
+
+    Returns
+    -------
+    list of SameDrive
+        In the order of `trips`.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/stopping.mcap")
+    >>> halves = trip.between(None, "2024-10-07T08:10"), trip.between("2024-10-07T08:10", None)
+    >>> whole, first, second = (identity_of(each) for each in (trip, *halves))
+    >>> same_drives([Known("first", first), Known("second", second)])
+    []
+    >>> [each.trip for each in same_drives([Known("first", first), Known("whole", whole)])]
+    ['first']
+    """
+    known = [number for number, trip in enumerate(trips) if trip.identity is not None]
+    involved = _involved(trips, known)
+    if not involved:
+        return []
+    used: dict[int, int] = {}
+    found = []
+    for number in sorted(involved, key=lambda number: _place(trips[number])):
+        trip = trips[number]
+        blocks = [] if trip.identity is None else trip.identity.blocks.tolist()
+        owners = Counter(used[block] for block in blocks if block in used)
+        share = _share(owners, len(blocks), trips)
+        if share > SHARED and not trip.held:
+            other = min(owners, key=lambda owner: (-owners[owner], _place(trips[owner])))
+            of = trips[other]
+            found.append(SameDrive(number, other, trip.name, of.name, share, of.held))
+        else:
+            used |= {block: number for block in blocks if block not in used}
+    return sorted(found, key=lambda each: each.number)
+
+
+def _share(owners: Counter[int], blocks: int, trips: Sequence[Known]) -> float:
+    """Share of the shorter one's minutes that a trip has in common with those that are used."""
+    parts = [owners.total() / max(1, blocks)]
+    for owner, count in owners.items():
+        identity = trips[owner].identity
+        parts += [] if identity is None else [count / identity.blocks.size]
+    return max(parts)
+
+
+def _place(trip: Known) -> tuple[object, ...]:
+    identity = trip.identity
+    assert identity is not None
+    return (not trip.held, -identity.blocks.size, -identity.samples, trip.order)
+
+
+def _involved(trips: Sequence[Known], known: Sequence[int]) -> list[int]:
+    """The trips that share a block with another; of most there is none."""
+    sizes = [trips[number].identity.blocks.size for number in known]  # type: ignore[union-attr]
+    if sum(sizes) == 0:
+        return []
+    blocks = np.concatenate([trips[number].identity.blocks for number in known])  # type: ignore[union-attr]
+    owner = np.repeat(np.asarray(known, dtype=np.int64), sizes)
+    order = np.argsort(blocks, kind="stable")
+    again = blocks[order][1:] == blocks[order][:-1]
+    return sorted({*owner[order][1:][again].tolist(), *owner[order][:-1][again].tolist()})
+
+
+def _blocks(time: IntArray, values: IntArray) -> UintArray:
+    """A number for each minute in which the values distinguish a drive, increasing."""
+    minute = time // MINUTE
+    first = np.flatnonzero(np.diff(minute, prepend=minute[0] - 1))
+    order = np.lexsort((values, minute))
+    new = np.diff(values[order], prepend=values[order[0]]) != 0
+    new[first] = True
+    different = np.add.reduceat(new.astype(np.int64), first)
+    with np.errstate(over="ignore"):
+        total = np.add.reduceat(_of_samples(time, values), first)
+        found = _mixed(total + _mixed(minute[first].view(np.uint64)))
+    return np.asarray(np.unique(found[different >= LEAST_VALUES]), dtype=np.uint64)
+
+
+def _whole(time: IntArray, values: IntArray, words: str) -> UintArray:
+    """One number for all samples."""
+    with np.errstate(over="ignore"):
+        total = np.add.reduce(_of_samples(time, values))
+        for byte in words.encode():
+            total = _mixed(np.array([total + np.uint64(byte)]))[0]
+    return np.array([total], dtype=np.uint64)
+
+
+def _of_samples(time: IntArray, values: IntArray) -> UintArray:
+    """A number for each sample; times to the microsecond."""
+    instants = (time + _MICROSECOND // 2) // _MICROSECOND
+    return _mixed(instants.view(np.uint64) * _GOLDEN + _mixed(values.view(np.uint64)))
+
+
+def _mixed(number: UintArray) -> UintArray:
+    """SplitMix64's finaliser (Steele, Lea and Flood, 2014): every bit depends on every other."""
+    number = (number ^ (number >> np.uint64(30))) * _FIRST
+    number = (number ^ (number >> np.uint64(27))) * _SECOND
+    return number ^ (number >> np.uint64(31))
