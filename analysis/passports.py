@@ -36,7 +36,7 @@ from analysis.resistance.recording import (
     speed_scale,
 )
 from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD
-from analysis.resistance.windows import WINDOW, Windows, build_windows, effort_impulse
+from analysis.resistance.windows import Windows, build_windows, effort_impulse, window_width
 from trainlog.display import counted
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import (
@@ -66,6 +66,9 @@ DELAY_STD = 0.25
 
 DELAYS = np.round(np.arange(-0.5, 2.55, 0.1), 3)
 """Delays [s] among which the least squares are sought."""
+
+LEAST_DELAY = 0.02
+"""Smaller delays [s] are not corrected."""
 
 MOST_DELAY = 1.0
 """Standard deviation [s] of the delay that is sought, beforehand."""
@@ -256,9 +259,13 @@ def _gain_and_load(
     gain, load_mean = float(gains @ weight), float(prior.loads @ weight)
     gain_std = float(np.sqrt((variance + (gains - gain) ** 2) @ weight))
     load_std = float(np.sqrt((prior.loads - load_mean) ** 2 @ weight))
-    sharper = gain_std < SHARPER * prior.gain_std
-    no_load = "" if sharper else "effort gain and load cannot be separated: no load recorded"
-    of_gain = Quantity(gain, gain_std, "estimated" if sharper else "assumed", no_load)
+    if gain_std < SHARPER * prior.gain_std:
+        of_gain = Quantity(gain, gain_std, "estimated")
+    else:
+        # Its expected square about what is assumed: all trips of a recorder are taken alike.
+        gain_std = float(np.hypot(gain_std, gain - prior.gain))
+        reason = "effort gain and load cannot be separated: no load recorded"
+        of_gain = Quantity(prior.gain, gain_std, "assumed", reason)
     loaded = prior.load
     if prior.load.source == "assumed":
         narrow = load_std < SHARPER * prior.load.std
@@ -309,7 +316,7 @@ class _Motion:
         self._trip, self._line, self._train, self._scale = trip, line, train, scale
         self._mass = train.mass + 0.5 * largest_load(train)
         step = float(np.median(np.diff(seconds(trip["/train/state"]))))
-        self._width = max(WINDOW, 3.0 * step)
+        self._width = window_width(seconds(trip["/train/state"]))
         white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan
         per_end = (white if np.isfinite(white) else 0.1) * np.sqrt(step / self._width)
         self._noise = replace(Expected.on(line).sizes, speed=max(float(per_end), 0.002))
@@ -453,6 +460,52 @@ def with_effort_delay(trip: Trip, delay: float) -> Trip:
     moved.index.name = frame.index.name
     moved.attrs = frame.attrs
     return trip.with_topic(moved)
+
+
+def with_calibrated_efforts(trip: Trip, known: Passport) -> Trip:
+    """The trip with its efforts as they were, by its passport: in time, and in their true size.
+
+    All of ``/train/controls`` is taken to be late alike, the efforts of the axles as well; demands
+    are in the measure of the efforts. What the passport does not know stays as it is, and so does a
+    delay that is not distinguished from none.
+
+    Examples
+    --------
+    >>> from trainlog.mcap import read_log
+    >>> trip = read_log("sample_logs/stopping.mcap")
+    >>> known = replace(passport(trip), effort_gain=Quantity(0.5, 0.01, "estimated"))
+    >>> found = with_calibrated_efforts(trip, known)
+    >>> largest = [each["/train/controls"]["tractive_effort"].max() for each in (trip, found)]
+    >>> round(float(largest[1] / largest[0]), 6)
+    2.0
+    """
+    delay = known.effort_delay.value if known.effort_delay.known else 0.0
+    if abs(delay) < max(LEAST_DELAY, 2.0 * known.effort_delay.std):
+        delay = 0.0
+    gain = known.effort_gain.value if known.effort_gain.known else 1.0
+    ratio = known.axle_effort_ratio.value if known.axle_effort_ratio.known else 1.0
+    if "/train/controls" in trip:
+        trip = _scaled(with_effort_delay(trip, delay), "/train/controls", "effort", 1.0 / gain)
+    if "/train/axles" not in trip or not (known.effort_delay.known or known.effort_gain.known):
+        return trip
+    axles = trip["/train/axles"]
+    time = seconds(axles)
+    moved = {
+        name: np.interp(time + delay, time, axles[name].to_numpy(np.float64))
+        for name in axles.columns
+        if name.startswith("wheel_effort_")
+    }
+    changed = axles.assign(**moved)
+    changed.attrs = axles.attrs
+    return _scaled(trip.with_topic(changed), "/train/axles", "effort", 1.0 / (gain * ratio))
+
+
+def _scaled(trip: Trip, topic: str, word: str, factor: float) -> Trip:
+    """The trip with the columns of a topic that have a word in their name times a factor."""
+    frame = trip[topic]
+    changed = frame.assign(**{n: factor * frame[n] for n in frame.columns if word in n})
+    changed.attrs = frame.attrs
+    return trip.with_topic(changed)
 
 
 def _sample_times(trip: Trip) -> dict[str, float]:

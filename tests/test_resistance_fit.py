@@ -12,7 +12,16 @@ import pandas as pd
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from numpy.typing import NDArray
-from resistance_trips import LINE, RESISTANCE, TRAIN, changed, constant_speed, random_trip, trip
+from resistance_trips import (
+    LINE,
+    RESISTANCE,
+    TRAIN,
+    changed,
+    constant_speed,
+    random_trip,
+    trip,
+    with_exact_efforts,
+)
 
 import analysis
 from analysis.estimates import with_estimates, without_wheel_error
@@ -71,7 +80,9 @@ def test_truth_of_simulated_trips_is_found(simulated: list[Trip], fitted: list[T
         true, mass = truth(one)
         assert curve_error(fit, true) < 0.05
         assert abs(fit.mass - mass) < 4.0 * fit.mass_std
-        assert fit.mass_std < 0.005 * mass
+        # The load is weighed to 625 kg; the motion alone shows more.
+        assert fit.mass_std < 0.008 * mass
+    assert fit_trip(with_exact_efforts(simulated[0])).mass_std < 0.005 * truth(simulated[0])[1]
 
 
 def test_truth_lies_in_the_band_of_trips_on_lines_surveyed_apart() -> None:
@@ -143,7 +154,7 @@ def test_windows_scatter_around_the_curve_as_they_say(fitted: list[TripFit]) -> 
 def test_a_wrong_wheel_diameter_moves_the_curve_as_the_covariance_states() -> None:
     """Speeds times s: r1 over s, r2 over s², mass over s, where no satellites calibrate."""
     train = replace(TRAIN, rotating_mass_factor=0.0, axles=replace(TRAIN.axles, rotating_mass=0.0))
-    made = trip(noise=1e-4, train=train)
+    made = with_exact_efforts(trip(noise=1e-4, train=train))
     fit = fit_trip(made)
     assert fit.scale.source == "nothing"
     speed = made["/train/state"]["speed"]
@@ -211,7 +222,7 @@ def test_level_track_without_satellites_or_axles() -> None:
 
 
 def test_wrong_wheels_are_found_by_satellites_and_charged_without_them() -> None:
-    made = trip(noise=0.03)
+    made = with_exact_efforts(trip(noise=0.03))
     worn = changed(made, "/train/state", speed=1.004 * made["/train/state"]["speed"])
     stamps = made["/train/state"].index[::2]
     speed = made["/train/state"]["speed"].to_numpy()[::2].copy()
@@ -336,7 +347,7 @@ def test_power_limit_is_read_off_where_it_was_reached() -> None:
     )
     assert fit_trip(trip()).max_power is None
     assert fit_trip(simulate(strong)).max_power is None
-    found = fit_trip(simulate(weak)).max_power
+    found = fit_trip(with_exact_efforts(simulate(weak))).max_power
     assert found == pytest.approx(1.7e6, rel=0.005)
 
 
@@ -416,7 +427,7 @@ def test_mass_prior_is_weak() -> None:
     mass, std = mass_prior(replace(TRAIN, max_load=0.0))
     assert std == pytest.approx(0.15 * TRAIN.mass)
     for true in (105e3, 170e3):
-        fit = fit_trip(trip(mass=true, noise=0.02))
+        fit = fit_trip(with_exact_efforts(trip(mass=true, noise=0.02)))
         assert fit.mass == pytest.approx(true, rel=5e-3)
 
 

@@ -8,10 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis import passport
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.estimates import estimate_log, with_estimates
 from analysis.resistance.logs import TOPICS, fit_log
 from tests.mcap_trips import assert_same, trip_of
+from trainlog.formats.attached import passport_of, with_passport
 from trainlog.formats.samples import folder
 from trainlog.mcap import read_log, reader as module, write_log
 from trainlog.mcap.reader import stretches
@@ -67,13 +69,16 @@ def test_a_log_without_rows_is_one_stretch(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def estimated(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Trip, Trip]:
-    """What is estimated of the whole, and in three stretches."""
-    target = tmp_path_factory.mktemp("estimated") / "parts.mcap"
+    """What is estimated of a log with its passport: of the whole, and in three stretches."""
+    folder = tmp_path_factory.mktemp("estimated")
+    recorded, target = folder / "recorded.mcap", folder / "parts.mcap"
+    trip = read_log(log)
+    write_log(with_passport(trip, passport(trip)), recorded)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "ROWS", PARTS)
         patch.setattr(module, "FINER", 1)
-        estimate_log(log, target)
-    return with_estimates(read_log(log))[0], read_log(target)
+        estimate_log(recorded, target)
+    return with_estimates(read_log(recorded))[0], read_log(target)
 
 
 def test_motion_and_slip_have_no_seams(estimated: tuple[Trip, Trip]) -> None:
@@ -105,7 +110,9 @@ def test_what_was_recorded_stays_as_it_was(estimated: tuple[Trip, Trip], log: Pa
     recorded = read_log(log)
     for name in (TRAIN_STATE.name, "/train/axles", "/gnss/fix"):
         pd.testing.assert_frame_equal(estimated[1][name], recorded[name], check_exact=True)
-    assert [step["step"] for step in estimated[1].provenance] == ["simulate", "estimate"]
+    steps = [step["step"] for step in estimated[1].provenance]
+    assert steps == ["simulate", "passport", "estimate"]
+    assert passport_of(estimated[1]) == passport_of(estimated[0])
 
 
 def test_the_map_is_nearly_that_of_the_whole(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,10 +130,12 @@ def test_the_map_is_nearly_that_of_the_whole(log: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("name", ["stopping", "nonstop"])
 def test_a_log_fitted_in_stretches_gives_what_the_whole_gives(
-    name: str, monkeypatch: pytest.MonkeyPatch
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Runs that cross a border are carried over it: the windows are the same."""
-    log = folder() / f"{name}.mcap"
+    log = tmp_path / f"{name}.mcap"
+    trip = read_log(folder() / f"{name}.mcap")
+    write_log(with_passport(trip, passport(trip)), log)
     whole = fit_log(log)
     for rows in (1_500, 9_000, 25_000):
         monkeypatch.setattr(module, "ROWS", rows)

@@ -5,20 +5,34 @@
 `fit` does all of it for trips, logs and summaries.
 """
 
-from analysis.resistance.combination import CommonFit, combine, summarised
-from analysis.resistance.fit import TripFit, estimated_resistance, fit_trip
-from analysis.resistance.logs import Fits
-from analysis.resistance.observed import parameter_set
-from analysis.resistance.recording import TripRefusedError
+from __future__ import annotations
 
-__all__ = [
-    "CommonFit",
-    "Fits",
-    "TripFit",
-    "TripRefusedError",
-    "combine",
-    "estimated_resistance",
-    "fit_trip",
-    "parameter_set",
-    "summarised",
-]
+from typing import TYPE_CHECKING
+
+from trainlog.public import names_on_first_use
+
+if TYPE_CHECKING:
+    from analysis.resistance.combination import (
+        CommonFit as CommonFit,
+        combine as combine,
+        summarised as summarised,
+    )
+    from analysis.resistance.fit import (
+        TripFit as TripFit,
+        estimated_resistance as estimated_resistance,
+        fit_trip as fit_trip,
+    )
+    from analysis.resistance.logs import Fits as Fits
+    from analysis.resistance.observed import parameter_set as parameter_set
+    from analysis.resistance.recording import TripRefusedError as TripRefusedError
+
+_NAMES = {
+    "analysis.resistance.combination": "CommonFit combine summarised",
+    "analysis.resistance.fit": "TripFit estimated_resistance fit_trip",
+    "analysis.resistance.logs": "Fits",
+    "analysis.resistance.observed": "parameter_set",
+    "analysis.resistance.recording": "TripRefusedError",
+}
+"""Names by the module that defines them."""
+
+__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)

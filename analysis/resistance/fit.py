@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.given import Given, trip_of
+from analysis.passports import passport, with_calibrated_efforts
 from analysis.resistance.noise import Expected
 from analysis.resistance.power import power_limit
 from analysis.resistance.recording import (
@@ -21,6 +22,7 @@ from analysis.resistance.recording import (
     speed_scale,
 )
 from analysis.resistance.regression import (
+    DELAY_STD,
     LARGEST_STD,
     Regression,
     Residuals,
@@ -36,6 +38,7 @@ from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
 from trainlog.identity import identity_of, text_of
 from trainlog.railway.line import Line, StepProfile
+from trainlog.railway.passport import Passport
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
@@ -54,6 +57,9 @@ and band go down to standstill all the same."""
 
 LARGEST_CONDITION = 300.0
 """Column-normalised condition number beyond which the parameters cannot be separated."""
+
+LARGEST_GAIN_ERROR = 0.2
+"""Recorded efforts that are further off than this share are not those of the train."""
 
 SHORTEST_TIME = 200.0
 """Less usable time than this [s] is too short a trip."""
@@ -134,6 +140,8 @@ class TripFit:
     history : History
     identity : str
         Of the drive, by its recorded samples (`trainlog.identity`); empty if it is not known.
+    passport : Passport or None
+        By which the recorded efforts were corrected; what it does not know widens the band.
     """
 
     trip: str
@@ -164,6 +172,7 @@ class TripFit:
     timeline: Timeline
     history: History
     identity: str = ""
+    passport: Passport | None = None
 
     def __repr__(self) -> str:
         return as_text(self._title, self._summary())
@@ -187,7 +196,24 @@ class TripFit:
             "speeds": f"{span(self.speed_range, KMH)} km/h, asked for {span(self.asked, KMH)} km/h",
             "windows": f"{self.windows['used']} used, {self.windows['outlier']} outliers",
             "masked": ", ".join(masked) or "nothing",
+        } | self._efforts()
+
+    def _efforts(self) -> dict[str, str]:
+        """How the recorded efforts were corrected."""
+        if self.passport is None:
+            return {}
+        delay, gain = self.passport.effort_delay, self.passport.effort_gain
+        return {
+            "efforts": f"recorded {delay.value:.2f} ± {1.96 * delay.std:.2f} s late"
+            f" ({delay.source}), {gain.value:.3f} ± {1.96 * gain.std:.3f} times ({gain.source})"
         }
+
+    @property
+    def gain_std(self) -> float:
+        """Standard deviation of the effort's gain over the gain: that of all efforts found."""
+        if self.passport is None:
+            return 0.0
+        return self.passport.effort_gain.std / self.passport.effort_gain.value
 
     @property
     def mass_std(self) -> float:
@@ -288,9 +314,32 @@ def fit_trip(trip: Given, speeds: tuple[float, float] | None = None) -> TripFit:
     check_recorded(trip)
     line, train = line_of(trip), train_of(trip)
     scale, origin = scale_of(trip), origin_of(trip)
-    evidence = Evidence.of([part_of(trip, line, train, scale, origin)])
-    fit = fit_evidence(evidence, trip.name, line, train, scale, origin, speeds)
+    known = effort_passport(trip)
+    corrected = with_calibrated_efforts(trip, known)
+    evidence = Evidence.of([part_of(corrected, line, train, scale, origin)])
+    fit = fit_evidence(evidence, known, line, train, scale, origin, speeds)
     return replace(fit, identity=text_of(identity_of(trip)))
+
+
+def effort_passport(trip: Trip) -> Passport:
+    """The passport of a trip whose efforts can be those of its train.
+
+    Raises
+    ------
+    TripRefusedError
+        If no load and no ordinary error of a converter explains the motion under the efforts.
+    """
+    known = passport(trip)
+    gain = known.effort_gain.value
+    if known.effort_over_mass.known and abs(gain - 1.0) > LARGEST_GAIN_ERROR:
+        raise TripRefusedError(
+            "contradiction",
+            f"trip '{trip.name}': the recorded efforts are {gain:.2f} times what the motion needs",
+            place="topic /train/controls",
+            remedy="check their unit and whether they are those of the whole train, and the mass"
+            " in the train's file",
+        )
+    return known
 
 
 def origin_of(trip: Trip) -> pd.Timestamp:
@@ -307,7 +356,7 @@ def scale_of(trip: Trip) -> SpeedScale:
 
 def fit_evidence(
     evidence: Evidence,
-    name: str,
+    known: Passport,
     line: Line,
     train: Train,
     scale: SpeedScale,
@@ -319,9 +368,8 @@ def fit_evidence(
     Parameters
     ----------
     evidence : Evidence
-        Of the whole trip.
-    name : str
-        Of the trip.
+        Of the whole trip, its efforts corrected by the passport.
+    known : Passport
     line, train
     scale : SpeedScale
     origin : Timestamp
@@ -335,18 +383,22 @@ def fit_evidence(
     InputError
         If the speeds are higher than line and train allow.
     """
-    asked = _asked(speeds, line, train)
+    asked, name = _asked(speeds, line, train), known.trip
     windows, timeline = evidence.windows, evidence.timeline
     _check_windows(name, evidence)
     mass, mass_std = mass_prior(train)
-    regression = regress(windows, mass, mass_std, Expected.on(line))
+    estimated = known.effort_delay.source == "estimated"
+    delay_std = DELAY_STD if estimated else known.effort_delay.std
+    regression = regress(windows, mass, mass_std, Expected.on(line), delay_std)
+    gain_std = known.effort_gain.std / known.effort_gain.value
     covariance = _with_scale(regression, scale)
     _check_curve(name, regression, covariance, asked, timeline)
+    covariance = _with_gain(regression.beta, covariance, gain_std)
     used = windows.select(regression.kept)
     merged = used.merged()
-    known = np.searchsorted(used.end, merged.end)
+    ends = np.searchsorted(used.end, merged.end)
     residual = regression.residual
-    limit = power_limit(evidence.limited, train, scale.std)
+    limit = power_limit(evidence.limited, train, float(np.hypot(scale.std, gain_std)))
     return TripFit(
         trip=name,
         train=train.name,
@@ -367,7 +419,10 @@ def fit_evidence(
         noise=dict(
             zip(("speed", "gradient", "position", "effort"), regression.noise.sizes, strict=True)
         ),
-        nuisance={"delay": regression.delay, "brake_scale": regression.brake_scale},
+        nuisance={
+            "delay": known.effort_delay.value + regression.delay,
+            "brake_scale": regression.brake_scale,
+        },
         cluster_factor=regression.cluster_factor,
         residual_std=float(np.sqrt(residual @ residual / max(residual.size - 4, 1))),
         residual_correlation=float(
@@ -386,9 +441,12 @@ def fit_evidence(
         history=History(
             time=origin + pd.to_timedelta(np.round(merged.end, 3), unit="s"),
             speed=merged.end_speed,
-            beta=regression.history[known],
-            covariance=regression.history_covariance[known],
+            beta=regression.history[ends],
+            covariance=_with_gain(
+                regression.history[ends], regression.history_covariance[ends], gain_std
+            ),
         ),
+        passport=known,
     )
 
 
@@ -481,6 +539,14 @@ def _with_scale(regression: Regression, scale: SpeedScale) -> FloatArray:
     """
     effect = regression.beta * np.array([0.0, 1.0, 2.0, 1.0]) * scale.std
     return np.asarray(regression.covariance + np.outer(effect, effect))
+
+
+def _with_gain(beta: FloatArray, covariance: FloatArray, gain_std: float) -> FloatArray:
+    """Covariances (..., 4, 4) of parameters (..., 4) with the uncertainty of the effort's gain.
+
+    All of them are in the measure of the effort: a gain 1 % too high makes each 1 % too high.
+    """
+    return np.asarray(covariance + gain_std**2 * beta[..., :, None] * beta[..., None, :])
 
 
 def _check_windows(name: str, evidence: Evidence) -> None:

@@ -12,6 +12,7 @@ import pandas as pd
 from rich.console import Group
 
 from analysis.given import Given, each_given
+from analysis.passports import with_calibrated_efforts
 from analysis.resistance.combination import (
     SAME_DRIVE,
     SOFTWARE,
@@ -25,6 +26,7 @@ from analysis.resistance.fit import (
     TripFit,
     check_speeds,
     curve_words,
+    effort_passport,
     fit_evidence,
     fit_trip,
     origin_of,
@@ -49,6 +51,7 @@ from trainlog.formats.summaries import SUFFIX, merged, read_summaries
 from trainlog.identity import text_of
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log, stretches
+from trainlog.railway.passport import Passport
 from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip, seconds
 from trainlog.units import KMH
@@ -291,14 +294,27 @@ def fit_log(path: Path, speeds: tuple[float, float] | None = None) -> TripFit:
         return fit_trip(first.trip, speeds)
     line, train = line_of(first.trip), train_of(first.trip)
     scale, origin = _calibration(path)
-    name = first.trip.name
+    known = _first_passport(path)
     evidence = Evidence.of(
-        part_of(part.trip, line, train, scale, origin, part.span)
+        part_of(with_calibrated_efforts(part.trip, known), line, train, scale, origin, part.span)
         for part in chain([first], parts)
         if _has_samples(part.trip)
     )
-    fit = fit_evidence(evidence, name, line, train, scale, origin, speeds)
+    fit = fit_evidence(evidence, known, line, train, scale, origin, speeds)
     return replace(fit, identity=text_of(identity_of_log(path)))
+
+
+def _first_passport(path: Path) -> Passport:
+    """The passport of a long log: the stored one, or that of the first stretch that shows it."""
+    found: Passport | None = None
+    for part in stretches(path, TOPICS):
+        if _has_samples(part.trip):
+            found = effort_passport(part.trip)
+            if found.effort_over_mass.known:
+                return found
+    if found is None:
+        raise LogError("holds no samples", file=path, remedy="record it again")
+    return found
 
 
 def _has_samples(trip: Trip) -> bool:

@@ -34,7 +34,8 @@ Reason = Literal[
     "excitation",
 ]
 """``"not recorded"``: speed, chainage or tractive effort is missing altogether.
-``"contradiction"``: the speed is not that of satellites or chainage. ``"gap"``,
+``"contradiction"``: the speed is not that of satellites or chainage, or no load explains the motion
+under the recorded efforts. ``"gap"``,
 ``"standstill"``, ``"braking"``, ``"slip"``: most of the trip was masked for that. ``"too short"``:
 it was not, and there are too few windows all the same. ``"condition"``: speed and effort vary too
 little to separate the parameters. ``"excitation"``: at some speed that was asked for the curve
@@ -110,7 +111,11 @@ MARGIN = 1.0
 """Masked before and after anything that is masked [s]."""
 
 LONGEST_GAP = 0.5
-"""Longest time between two samples that is interpolated [s]."""
+"""Longest time between two samples that is interpolated [s], longer where a topic is always
+recorded less often."""
+
+LONGEST_STEP = 1.2
+"""Longest time between two samples [s] of a topic that is always recorded so seldom."""
 
 SMOOTHING = 1.0
 """Speed is smoothed in blocks of this length [s]; masks need no finer."""
@@ -508,10 +513,16 @@ def _gaps(time: FloatArray, frames: list[pd.DataFrame], origin: pd.Timestamp) ->
         there = seconds(frame, origin)
         after = np.clip(np.searchsorted(there, time, side="left"), 0, there.size - 1)
         before = np.clip(np.searchsorted(there, time, side="right") - 1, 0, there.size - 1)
-        mask |= (there[after] - there[before] > LONGEST_GAP) | (there[before] > time)
+        mask |= (there[after] - there[before] > _longest_gap(there)) | (there[before] > time)
         mask |= there[after] < time
-    mask[1:] |= np.diff(time) > LONGEST_GAP
+    mask[1:] |= np.diff(time) > _longest_gap(time)
     return mask
+
+
+def _longest_gap(time: FloatArray) -> float:
+    """Longest time between samples at these times that is no gap [s]."""
+    step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    return max(LONGEST_GAP, min(1.2 * step, LONGEST_STEP))
 
 
 def widened(time: FloatArray, mask: BoolArray) -> BoolArray:

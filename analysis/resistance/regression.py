@@ -260,7 +260,11 @@ class Regression:
 
 
 def regress(
-    windows: Windows, mass: float, mass_std: float, expected_noise: Expected | None = None
+    windows: Windows,
+    mass: float,
+    mass_std: float,
+    expected_noise: Expected | None = None,
+    delay_std: float = DELAY_STD,
 ) -> Regression:
     """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``.
 
@@ -272,12 +276,14 @@ def regress(
         What is known beforehand; weak.
     expected_noise : Expected, optional
         Where the search for the noise begins, and towards what it is drawn.
+    delay_std : float [s]
+        Of the delay of the efforts, beforehand.
 
     Returns
     -------
     Regression
     """
-    spread = np.array([mass_std / mass**2, *DRAG_STD, DELAY_STD / mass, BRAKE_SCALE_STD / mass])
+    spread = np.array([mass_std / mass**2, *DRAG_STD, delay_std / mass, BRAKE_SCALE_STD / mass])
     expected = np.array([1.0 / mass, 0.0, 0.0, 0.0, 0.0, 0.0])
     prior = np.column_stack([np.diag(1.0 / spread), expected / spread])
     kept = np.ones(windows.count, dtype=bool)

@@ -45,6 +45,9 @@ IntArray = NDArray[np.int64]
 WINDOW = 1.0
 """Length of a window [s]; short beside the time a train takes over a piece of gradient."""
 
+SAMPLES = 3.0
+"""A window is at least so many samples long."""
+
 MERGED = 10.0
 """Length of the windows that are looked at, in pictures and tables [s]."""
 
@@ -170,14 +173,23 @@ class WindowPoints:
     used: NDArray[np.bool_]
 
 
-def build_windows(recording: Recording, width: float = WINDOW) -> Windows:
+def window_width(time: FloatArray) -> float:
+    """Length [s] of the windows of a recording with samples at these times [s], (n,).
+
+    Several samples of the speed, or the errors of neighbouring ends are alike.
+    """
+    step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    return max(WINDOW, SAMPLES * step)
+
+
+def build_windows(recording: Recording, width: float | None = None) -> Windows:
     """Cut the usable stretches of a recording into windows.
 
     Parameters
     ----------
     recording : Recording
-    width : float [s]
-        Of a window; several samples of the speed, or the errors of neighbouring ends are alike.
+    width : float [s], optional
+        Of a window; default: `window_width`.
 
     Returns
     -------
@@ -185,6 +197,7 @@ def build_windows(recording: Recording, width: float = WINDOW) -> Windows:
         None of them (`count` 0) if no stretch is long enough.
     """
     time = recording.time
+    width = width or window_width(time)
     start, end = _window_ends(time, recording.usable, width)
     integrals = _integral(
         time,
@@ -220,7 +233,7 @@ def build_windows(recording: Recording, width: float = WINDOW) -> Windows:
 
 
 def effort_impulse(
-    recording: Recording, windows: Windows, shifts: FloatArray, width: float = WINDOW
+    recording: Recording, windows: Windows, shifts: FloatArray, width: float | None = None
 ) -> FloatArray:
     """Impulse of the effort (n, k) [N s] over each window, had it come earlier by each shift [s].
 
@@ -231,9 +244,10 @@ def effort_impulse(
         Of this recording.
     shifts : (k,) array [s]
         A shift of 0.5 s takes the effort that was recorded half a second later.
-    width : float [s]
+    width : float [s], optional
         Of the windows, as `build_windows` was given it.
     """
+    width = width or window_width(recording.time)
     integral = _integral(recording.time, recording.effort[:, None])
 
     def up_to(instants: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import __version__
 
-MAX_LOAD_SHARE = 0.15
+MAX_LOAD_SHARE = 0.25
 """Largest load over the empty mass where the train's file states none."""
 
 WEIGHING_SHARE, WEIGHING_OFFSET = 0.03, 0.02
