@@ -35,7 +35,8 @@ from trainlog.trip import Trip, seconds
 RATES = (1, 2, 5, 10, 100)
 """Samples a second of the recorded trips."""
 
-EFFORTS = ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
+Row = tuple[str, float, float, bool, float]
+"""Quantity, error, stated standard deviation, whether it was estimated, whether the band holds."""
 
 
 def changed(trip: Trip, topic: str, columns: dict[str, np.ndarray], every: int) -> Trip:
@@ -48,7 +49,7 @@ def changed(trip: Trip, topic: str, columns: dict[str, np.ndarray], every: int) 
 
 def recorded(trip: Trip, rate: int, gain: float, delay: float, rng: np.random.Generator) -> Trip:
     """What a recorder with these defects keeps of a trip."""
-    state, controls, axles = (trip[f"/train/{name}"] for name in ("state", "controls", "axles"))
+    state, axles = trip["/train/state"], trip["/train/axles"]
     time = seconds(state)
     period, count = float(np.median(np.diff(time))), len(state)
     every = round(1.0 / (rate * period))
@@ -64,23 +65,24 @@ def recorded(trip: Trip, rate: int, gain: float, delay: float, rng: np.random.Ge
         if name.startswith("wheel_speed")
     }
     slow = gain * (1.0 + lasting(0.01, 30.0))
-    late = {
-        name: np.interp(time - delay, time, slow * frame[name].to_numpy())
-        for frame, names in (
-            (controls, EFFORTS),
-            (axles, [f"wheel_effort_{i + 1}" for i in range(len(wheels))]),
-        )
-        for name in names
-    }
-    trip = changed(trip, "/train/controls", {n: late[n] for n in EFFORTS}, every)
-    trip = changed(
-        trip, "/train/axles", wheels | {n: v for n, v in late.items() if n[:5] == "wheel"}, every
-    )
-    return changed(trip, "/train/state", speeds, every)
+
+    def late(topic: str, *begins: str) -> dict[str, np.ndarray]:
+        frame = trip[topic]
+        names = [n for n in frame.columns if n.startswith(begins) and not n.endswith("demand")]
+        return {n: np.interp(time - delay, time, slow * frame[n].to_numpy()) for n in names}
+
+    efforts = late("/train/controls", "tractive", "dynamic", "pneumatic")
+    found = changed(trip, "/train/controls", efforts, every)
+    found = changed(found, "/train/axles", wheels | late("/train/axles", "wheel_effort"), every)
+    return changed(found, "/train/state", speeds, every)
 
 
-def judged(task: tuple[int, Path]) -> list[tuple[str, float, float, bool]]:
-    """(quantity, error, stated standard deviation, estimated) of one trip."""
+def row(name: str, error: float, std: float = np.nan, estimated: bool = True) -> Row:
+    return name, error, std, estimated, float(abs(error) < 1.96 * std)
+
+
+def judged(task: tuple[int, Path]) -> list[Row]:
+    """What one trip shows."""
     seed, published = task
     rng = np.random.default_rng([seed, 41])
     line, train = line_and_train(seed % len(PAIRS), published)
@@ -98,7 +100,7 @@ def judged(task: tuple[int, Path]) -> list[tuple[str, float, float, bool]]:
     known = "weighed" if weighed else "load unknown"
     begin = perf_counter()
     found = estimated_passport(trip)
-    rows = [("seconds", perf_counter() - begin, np.nan, True)]
+    rows = [row("seconds", perf_counter() - begin)]
     true = {
         "effort_delay": delay,
         "effort_gain": gain,
@@ -108,37 +110,26 @@ def judged(task: tuple[int, Path]) -> list[tuple[str, float, float, bool]]:
     for name, value in true.items():
         each = getattr(found, name)
         group = f"{rate:3d} Hz" if name in ("effort_delay", "effort_over_mass") else known
-        rows.append((f"{name}, {group}", each.value - value, each.std, each.source == "estimated"))
-    rows.append(
-        (
-            "axle_effort_ratio",
-            found.axle_effort_ratio.value - 1.0,
-            found.axle_effort_ratio.std,
-            True,
-        )
-    )
+        error = each.value - value
+        rows.append(row(f"{name}, {group}", error, each.std, each.source == "estimated"))
+    ratio = found.axle_effort_ratio
+    rows.append(row("axle_effort_ratio", ratio.value - 1.0, ratio.std))
     try:
         fit = fit_trip(trip)
     except TrainlogError as error:
-        return [
-            *rows,
-            (f"fit, {rate:3d} Hz", np.nan, np.nan, False),
-            (f"refused: {getattr(error, 'reason', error)}", np.nan, np.nan, False),
-        ]
+        reason = getattr(error, "reason", "error")
+        return [*rows, row(f"fit refused: {reason}", np.nan), row(f"fit, {rate:3d} Hz", np.nan)]
     speeds = np.linspace(*fit.asked, 30)
-    error = fit.resistance(speeds) - curve(speeds)
+    true_curve = curve(speeds)
     low, high = fit.band(speeds)
-    worst = np.max(np.maximum(low - curve(speeds), curve(speeds) - high))
-    relative = float(np.sqrt(np.mean((error / curve(speeds)) ** 2)))
-    width = float(np.mean(high - low) / np.mean(curve(speeds)) / 3.92)
-    # In its band as a whole or not: written as an error of none or of ten standard deviations.
-    rows += [
-        (f"fit, {rate:3d} Hz", relative, width * (1e3 if worst <= 0 else 1e-3), True),
-        (f"fit, {known}", relative, width * (1e3 if worst <= 0 else 1e-3), True),
-        ("fit width", width, np.nan, True),
-        (f"mass of the fit, {known}", fit.mass - scenario.mass, fit.mass_std, True),
-    ]
-    return rows
+    whole = float(np.all((low <= true_curve) & (true_curve <= high)))
+    error = float(np.sqrt(np.mean((fit.resistance(speeds) / true_curve - 1.0) ** 2)))
+    std = float(np.mean(fit.std(speeds) / true_curve))
+    rows += [(f"fit, {name}", error, std, True, whole) for name in (f"{rate:3d} Hz", known)]
+    for k, name in enumerate(("r0", "r1", "r2")):
+        off = float(fit.beta[k] - (curve.r0, curve.r1, curve.r2)[k])
+        rows.append(row(f"fit: {name}", off, float(np.sqrt(fit.covariance[k, k]))))
+    return [*rows, row(f"fit: mass, {known}", fit.mass - scenario.mass, fit.mass_std)]
 
 
 def main() -> int:
@@ -147,29 +138,23 @@ def main() -> int:
     parser.add_argument("--trips", type=int, default=60)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
-    found: dict[str, list[tuple[float, float, bool]]] = defaultdict(list)
+    found: dict[str, list[tuple[float, float, bool, float]]] = defaultdict(list)
     with ProcessPoolExecutor(options.workers) as pool:
-        for rows in pool.map(judged, [(k, options.published) for k in range(options.trips)]):
-            for name, error, std, estimated in rows:
-                found[name].append((error, std, estimated))
-    print(
-        f"{'quantity':32} {'trips':>5} {'given':>6} {'estim.':>6} {'median':>9} {'std':>9} {'rms/std':>8} {'in band':>8}"
-    )
+        tasks = [(k, options.published) for k in range(options.trips)]
+        for rows in pool.map(judged, tasks):
+            for name, *values in rows:
+                found[name].append(tuple(values))
+    heading = ("trips", "given", "estim.", "median", "std", "rms/std", "in band")
+    print(f"{'quantity':32}" + "".join(f"{word:>10}" for word in heading))
     for name in sorted(found):
-        error, std, estimated = (
-            np.array(column, dtype=float) for column in zip(*found[name], strict=True)
-        )
+        error, std, estimated, inside = np.array(found[name], dtype=float).T
         given = np.isfinite(error)
-        if not given.any():
-            print(f"{name:32} {error.size:5d}")
-            continue
-        over = error[given] / std[given]
-        inside = np.mean(np.abs(over) < 1.96) if np.isfinite(over).any() else np.nan
-        print(
-            f"{name:32} {error.size:5d} {given.mean():6.2f} {estimated.mean():6.2f}"
-            f" {np.median(np.abs(error[given])):9.4g} {np.median(std[given]):9.4g}"
-            f" {np.sqrt(np.mean(over**2)):8.2f} {inside:8.2f}"
-        )
+        cells = [error.size, given.mean(), estimated.mean(), *(4 * [np.nan])]
+        if given.any():
+            over = np.sqrt(np.mean((error[given] / std[given]) ** 2))
+            cells[3:] = np.median(np.abs(error[given])), np.median(std[given]), over, 0.0
+            cells[6] = inside[given].mean() if np.isfinite(over) else np.nan
+        print(f"{name:32}" + "".join("-".rjust(10) if np.isnan(c) else f"{c:10.4g}" for c in cells))
     return 0
 
 
