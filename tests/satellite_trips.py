@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.signal import lfilter
 
 from trainlog.railway import Geometry
 from trainlog.railway.geometry import from_plane
@@ -144,3 +145,258 @@ def errors(estimate: pd.DataFrame, truth: pd.DataFrame, name: str) -> tuple[np.n
     ]
     known = (truth.index.as_unit("ns").asi8 - index[0]) / 1e9
     return stated[0] - np.interp(at, known, truth[name]), stated[1]
+
+
+# --- Receivers whose errors no estimator assumes ------------------------------------------------
+
+
+def valley() -> Geometry:
+    """Up a valley's side: winding, a hairpin with tracks 40 m apart, and a loop over itself."""
+    s = np.arange(0.0, 26_000.0, 5.0)
+    curvature = np.clip(3.0 * np.sin(s / 700.0), -1.0, 1.0) / 450.0
+    first, second = 8_000.0, 16_000.0
+    turn = np.pi * 180.0
+    curvature[(s > first - 2_500.0) & (s < first + 2_500.0 + turn)] = 0.0
+    # Out a little, round, and back in: the tracks lie 40 m apart after the hairpin.
+    part = 180.0 * np.arccos(1.0 - (180.0 - 20.0) / 360.0)
+    edges = first + np.cumsum([0.0, part, 2.0 * part + turn, part])
+    curvature[(s >= edges[0]) & (s < edges[1])] = -1.0 / 180.0
+    curvature[(s >= edges[1]) & (s < edges[2])] = 1.0 / 180.0
+    curvature[(s >= edges[2]) & (s < edges[3])] = -1.0 / 180.0
+    curvature[(s > second) & (s < second + 2.0 * np.pi * 260.0)] = 1.0 / 260.0
+    return curve_of(curvature)
+
+
+def streets() -> Geometry:
+    """A tram's way: straight streets, corners of 30 m radius, twice round the same block."""
+    pieces = [(600.0, 1), (250.0, 1), (600.0, -1), (900.0, -1), (400.0, 1)]
+    block = [(300.0, 1), (200.0, 1), (300.0, 1), (200.0, 1)]
+    curvature: list[float] = []
+    for straight, sense in [*pieces, *block, *block, *pieces, *pieces]:
+        curvature += [0.0] * int(straight / 5.0)
+        curvature += [sense * np.pi / 2.0 / 45.0] * 9
+    curvature += [0.0] * 200
+    return curve_of(np.array(curvature))
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How a train is driven: top speed [m/s], acceleration and braking [m/s²], stops."""
+
+    top: float
+    accelerating: float
+    braking: float
+    between_stops: float
+    dwell: float
+
+
+PACES = {
+    "regional": Pace(38.0, 0.7, 0.8, 4_500.0, 40.0),
+    "freight": Pace(23.0, 0.12, 0.25, 12_000.0, 150.0),
+    "tram": Pace(14.0, 1.1, 1.2, 600.0, 20.0),
+}
+
+
+def paced(length: float, pace: Pace, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time [s], position [m] and speed [m/s] ten times a second; stops, limits, checks at signals.
+
+    The driver changes between power, coasting and brake as the speed allowed changes, and stands
+    for a drawn time; nothing of it is a random process that a smoother models.
+    """
+    generator = np.random.default_rng(seed)
+    s = np.arange(0.0, length + 1.0, 1.0)
+    allowed = np.full(s.size, pace.top)
+    at = 0.0
+    while at < length:
+        stretch = generator.uniform(300.0, 3_000.0)
+        inside = (s >= at) & (s < at + stretch)
+        allowed[inside] *= generator.choice([1.0, 1.0, 0.8, 0.6, 0.4])
+        at += stretch
+    stops = []
+    at = pace.between_stops * generator.uniform(0.5, 1.5)
+    while at < length - 300.0:
+        stops.append(int(at))
+        at += pace.between_stops * generator.uniform(0.5, 1.5)
+    stops.append(s.size - 1)
+    allowed[[0, *stops]] = 0.0
+    square = allowed**2
+    forward, backward = square.copy(), square.copy()
+    for k in range(1, s.size):
+        forward[k] = min(forward[k], forward[k - 1] + 2.0 * pace.accelerating)
+        backward[-k - 1] = min(backward[-k - 1], backward[-k] + 2.0 * pace.braking)
+    speed = np.sqrt(np.minimum(forward, backward))
+    took = 2.0 / np.maximum(speed[1:] + speed[:-1], 0.5)
+    clock = 25.0 + np.concatenate(([0.0], np.cumsum(took)))
+    for stop in stops[:-1]:
+        clock[stop + 1 :] += pace.dwell * generator.uniform(0.6, 2.0)
+    # A dwell is a step between two points of the way, 1 m apart: it is crept over at its end.
+    knots, way = [0.0], [0.0]
+    for begin, end in zip([0, *stops[:-1]], stops, strict=True):
+        first = clock[begin] if begin == 0 else clock[begin + 1] - took[begin]
+        knots += [first, *clock[begin + 1 : end + 1]]
+        way += [s[begin], *s[begin + 1 : end + 1]]
+    knots.append(knots[-1] + 30.0)
+    way.append(way[-1])
+    even = np.arange(0.0, knots[-1], 0.1)
+    position = np.interp(even, knots, way)
+    window = np.hanning(21) / np.hanning(21).sum()
+    smooth = np.convolve(np.pad(position, 10, mode="edge"), window, mode="valid")
+    smooth = np.maximum.accumulate(smooth)
+    return even, smooth, np.gradient(smooth, even)
+
+
+@dataclass(frozen=True)
+class Field:
+    """A receiver as met in the field.
+
+    Attributes
+    ----------
+    interval : float [s]
+        Between fixes.
+    noise, memory : float [m], [s]
+        Of each axis: size, and how long an error lasts; tails are those of Student's t with 3
+        degrees of freedom.
+    reflections : float [1/h]
+        Times an hour that all fixes are shifted by 10 to 60 m, for 8 to 60 s.
+    outages : float [1/h]
+        Times an hour that nothing is received, for 20 to 240 s.
+    extrapolated : float [1/h]
+        Times an hour that the receiver goes straight on at its last speed, for 20 to 90 s.
+    stated : float
+        Accuracy stated, over the true one; 0 states 5 m always.
+    speed : str
+        "none", "good", "lasting", "late", "replayed", "frozen" or "wrong unit".
+    speed_stated : float
+        Speed accuracy stated, over 0.2 m/s; 0 states none.
+    """
+
+    interval: float = 1.0
+    noise: float = 4.0
+    memory: float = 20.0
+    reflections: float = 6.0
+    outages: float = 3.0
+    extrapolated: float = 0.0
+    stated: float = 1.0
+    speed: str = "good"
+    speed_stated: float = 1.0
+
+
+def heavy(count: int, interval: float, memory: float, generator: np.random.Generator) -> np.ndarray:
+    """Errors of unit size with heavy tails that last: two lags in series behind Student's t."""
+    drawn = generator.standard_t(3.0, count + 2_000)
+    keep = np.exp(-interval / max(memory / 2.0, 1e-3))
+    for _ in range(2):
+        drawn = lfilter([1.0 - keep], [1.0, -keep], drawn)
+    drawn = drawn[2_000:]
+    size = np.sqrt(3.0) * np.sqrt(np.sum(np.convolve(*[(1 - keep) * keep ** np.arange(3000)] * 2) ** 2))
+    return drawn / size
+
+
+def spans(
+    rate: float, shortest: float, longest: float, end: float, generator: np.random.Generator
+) -> list[tuple[float, float]]:
+    """Times drawn at a rate an hour, each of a drawn length [s]."""
+    count = generator.poisson(rate * end / 3_600.0) if rate else 0
+    begins = generator.uniform(40.0, end - 60.0, count)
+    return [(b, b + generator.uniform(shortest, longest)) for b in np.sort(begins)]
+
+
+def shown_speed(
+    kind: str, t: np.ndarray, time: np.ndarray, speed: np.ndarray, generator: np.random.Generator
+) -> np.ndarray:
+    """What a receiver gives for the speed."""
+    step = t[1] - t[0]
+    true = np.interp(t, time, speed)
+    white = 0.1 * generator.standard_normal(t.size)
+    if kind == "good":
+        return np.abs(true + 2.0 * white)
+    if kind == "lasting":
+        return np.abs(true + white + 0.5 * heavy(t.size, step, 15.0, generator))
+    if kind == "late":
+        return np.abs(np.interp(t - 3.0, time, speed) + white)
+    if kind == "replayed":
+        # A phone: filtered by 2 s, renewed when it likes to, 1 to 6 s old.
+        keep = np.exp(-step / 2.0)
+        filtered = lfilter([1.0 - keep], [1.0, -keep], true)
+        renewed = np.cumsum(generator.uniform(1.0, 6.0, int(t[-1]) + 2))
+        last = np.maximum(np.searchsorted(renewed, t, side="right") - 1, 0)
+        at = np.interp(renewed[last], t, filtered)
+        held_noise = generator.standard_normal(renewed.size)[last]
+        return np.abs(np.where(t < renewed[0], 0.0, at) + 0.3 * held_noise)
+    if kind == "frozen":
+        seen = np.abs(true + white)
+        for begin, end in spans(5.0, 40.0, 300.0, t[-1], generator):
+            inside = np.flatnonzero((t >= begin) & (t < end))
+            if inside.size:
+                seen[inside] = seen[inside[0]]
+        return seen
+    if kind == "wrong unit":
+        return np.abs(true + white) / 0.5144
+    raise ValueError(kind)
+
+
+def receive(
+    geometry: Geometry,
+    run: tuple[np.ndarray, np.ndarray, np.ndarray],
+    field: Field,
+    seed: int,
+) -> tuple[Trip, pd.DataFrame]:
+    """A trip as a receiver of the field records it, and its truth."""
+    generator = np.random.default_rng(seed)
+    time, position, speed = run
+    t = np.arange(generator.uniform(0.0, field.interval), time[-1], field.interval)
+    s = np.interp(t, time, position)
+    error = field.noise * (
+        heavy(t.size, field.interval, field.memory, generator)
+        + 1j * heavy(t.size, field.interval, field.memory, generator)
+    )
+    error += 0.5 * (generator.standard_normal(t.size) + 1j * generator.standard_normal(t.size))
+    for begin, end in spans(field.reflections, 8.0, 60.0, t[-1], generator):
+        size = generator.uniform(10.0, 60.0) * np.exp(2j * np.pi * generator.uniform())
+        error[(t >= begin) & (t < end)] += size
+    latitude, longitude = geometry.at(s)
+    metre = np.degrees(1.0 / 6_371_000.0)
+    shrink = np.cos(np.radians(latitude))
+    latitude = latitude + error.imag * metre
+    longitude = longitude + error.real * metre / shrink
+    seen = np.ones(t.size, dtype=bool)
+    for begin, end in spans(field.outages, 20.0, 240.0, t[-1], generator):
+        seen &= (t < begin) | (t >= end)
+    shown = None
+    if field.speed != "none":
+        shown = shown_speed(field.speed, t, time, speed, generator)
+    for begin, end in spans(field.extrapolated, 20.0, 90.0, t[-1], generator):
+        inside = np.flatnonzero((t >= begin) & (t < end))
+        if inside.size < 2 or inside[0] < 1:
+            continue
+        before = max(inside[0] - max(round(3.0 / field.interval), 1), 0)
+        last = inside[0]
+        span = t[last] - t[before]
+        for axis in (latitude, longitude):
+            rate = (np.interp(s[last], s, axis) - axis[before]) / span
+            axis[inside] = axis[last] + rate * (t[inside] - t[last])
+        if shown is not None:
+            shown[inside] = shown[last]
+    stamps = START + (t[seen] * 1e9).astype(np.int64)
+    size = np.hypot(field.noise, 0.5)
+    stated = size * field.stated * np.exp(0.3 * heavy(t.size, field.interval, 30.0, generator))
+    topics = {
+        "/gnss/fix": frame_of(
+            GNSS_FIX,
+            stamps,
+            {
+                "latitude": latitude[seen],
+                "longitude": longitude[seen],
+                "horizontal_accuracy": stated[seen] if field.stated else np.full(seen.sum(), 5.0),
+            },
+        )
+    }
+    if shown is not None:
+        columns = {"speed": shown[seen]}
+        if field.speed_stated:
+            columns["speed_accuracy"] = np.full(seen.sum(), 0.2 * field.speed_stated)
+        topics["/gnss/motion"] = frame_of(GNSS_MOTION, stamps, columns)
+    index = pd.DatetimeIndex(START + (time * 1e9).astype(np.int64), tz="UTC")
+    return Trip(topics, {"trip": f"field-{seed:02d}"}), pd.DataFrame(
+        {"position": position, "speed": speed}, index=index
+    )
