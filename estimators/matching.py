@@ -33,6 +33,12 @@ TURN_SHARE, IDLE_SPEED = 0.3, 2.0
 share of it, and of this [m/s] for a train that went and came or hardly moved."""
 
 
+STEP_PENALTY, STEP_LENGTH = 8.0, 100.0
+"""What a link forward costs at most, in the unit of `REWARD`: the first and, for every so many
+metres by which it departs from the distance driven, 1 more. Speeds may be wrong and receivers
+step; fixes in a row that go with each other outweigh that."""
+
+
 @dataclass(frozen=True, eq=False)
 class Nodes:
     """Fixes that may be in the chain, and their candidates.
@@ -150,7 +156,11 @@ def _viterbi(
                     gained = way * (chainage[c] - chainage[d])
                     if gained > FASTEST * elapsed + 4.0 * np.sqrt(variance):
                         continue
-                    value = worth[d] - 0.5 * (gained - step) ** 2 / variance
+                    penalty = 0.5 * (gained - step) ** 2 / variance
+                    if gained > -3.0 * np.sqrt(std[i] ** 2 + std[j] ** 2):
+                        most = STEP_PENALTY + np.abs(gained - step) / STEP_LENGTH
+                        penalty = min(penalty, most)
+                    value = worth[d] - penalty
                     if value > best:
                         best = value
                         before[c] = d

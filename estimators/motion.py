@@ -36,11 +36,40 @@ reflections that come and go."""
 WHEEL_ERROR_STD = 0.02
 """Standard deviation of the relative error of wheel speeds before it is known: worn wheels."""
 
+STATES = 6
+"""States of the model; see `motion_model`."""
+
 NO_SPEED_STD = 50.0
 """Standard deviation of the speed [m/s] before the first sample."""
 
 NO_POSITION_STD = 1e4
 """Standard deviation of the position [m] before the first one is measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """How a train moves, and how long errors of its measurements last.
+
+    Attributes
+    ----------
+    acceleration_std : float [m/s²]
+    acceleration_time : float [s]
+        Over which the acceleration stays alike.
+    position_time, speed_time : float [s]
+        Correlation times of the parts of the position's and the speed's errors that last.
+    drift : float [m/√s]
+        Random walk of the position beyond the integral of the speed.
+    unmeasured : (n,) array or None [1]
+        Factor of the variance of the acceleration over each step: where nothing was measured for
+        long, a train may have braked, stood and started.
+    """
+
+    acceleration_std: float = ACCELERATION_STD
+    acceleration_time: float = ACCELERATION_TIME
+    position_time: float = LASTING_TIME
+    speed_time: float = LASTING_TIME
+    drift: float = 0.0
+    unmeasured: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,17 +103,18 @@ def smooth_motion(
     position_std: ArrayLike | None = None,
     *,
     lasting_std: ArrayLike | None = None,
-    drift: float = 0.0,
+    lasting_speed_std: ArrayLike | None = None,
     wheel_speed: ArrayLike | None = None,
     wheel_speed_std: ArrayLike | None = None,
+    model: MotionModel | None = None,
 ) -> SmoothedMotion:
     """Smooth measured speed, and position where there is one, over a whole trip.
 
-    The motion is modelled as position, speed and a first-order Markov acceleration (Singer) of
-    `ACCELERATION_STD` and `ACCELERATION_TIME`; the noise of the measurements as white. Beside its
-    white noise the position may have an error that lasts, a first-order Markov process of
-    `LASTING_TIME`; beside theirs the wheels may have an unknown diameter. NaN marks a missing
-    measurement; through an outage the model carries on and the standard deviations grow.
+    The motion is modelled as position, speed and a first-order Markov acceleration (Singer); the
+    noise of the measurements as white. Beside its white noise the position may have an error that
+    lasts, a first-order Markov process, and so may the speed; beside theirs the wheels may have an
+    unknown diameter. NaN marks a missing measurement; through an outage the model carries on and
+    the standard deviations grow.
 
     Parameters
     ----------
@@ -97,13 +127,14 @@ def smooth_motion(
         Needed with `position`.
     lasting_std : float or (n,) array [m], optional
         Of the part of the position's error that lasts.
-    drift : float [m/√s]
-        Random walk of the position beyond the integral of the speed.
+    lasting_speed_std : float or (n,) array [m/s], optional
+        Of the part of the speed's error that lasts.
     wheel_speed : (n,) array [m/s], optional
         A second speed, wrong by a constant factor of 1 with a standard deviation of
         `WHEEL_ERROR_STD`.
     wheel_speed_std : float or (n,) array [m/s], optional
         Needed with `wheel_speed`.
+    model : MotionModel, optional
 
     Returns
     -------
@@ -131,9 +162,10 @@ def smooth_motion(
         ("wheel_speed", wheel_speed, wheel_speed_std),
     )
     values, variances = _checked(instants, channels)
-    transition, noise = motion_model(np.diff(instants, prepend=instants[0]), drift)
-    model = LinearGaussian(transition, noise, _observed(values, lasting_std))
-    found = model.smooth(values, variances, *_start(values, position is not None))
+    motion = MotionModel() if model is None else model
+    transition, noise = motion_model(np.diff(instants, prepend=instants[0]), motion)
+    series = LinearGaussian(transition, noise, _observed(values, lasting_std, lasting_speed_std))
+    found = series.smooth(values, variances, *_start(values, motion, position is not None))
     means, deviations = found.means, found.std
     return SmoothedMotion(
         position=means[:, 0],
@@ -188,41 +220,50 @@ def _checked(
     return values, variances
 
 
-def _observed(values: FloatArray, lasting_std: ArrayLike | None) -> FloatArray:
-    """What of the state each measurement shows, (n, 3, 5)."""
-    observed = np.zeros((values.shape[0], 3, 5))
+def _observed(
+    values: FloatArray, lasting_std: ArrayLike | None, lasting_speed_std: ArrayLike | None
+) -> FloatArray:
+    """What of the state each measurement shows, (n, 3, `STATES`)."""
+    observed = np.zeros((values.shape[0], 3, STATES))
     observed[:, 0, 0] = observed[:, 1, 1] = observed[:, 2, 1] = 1.0
     if lasting_std is not None:
         observed[:, 0, 3] = np.nan_to_num(np.asarray(lasting_std, dtype=np.float64))
+    if lasting_speed_std is not None:
+        observed[:, 1, 5] = np.nan_to_num(np.asarray(lasting_speed_std, dtype=np.float64))
     # w = v / (1 - k) is linear in speed and error: w = v + w k.
     observed[:, 2, 4] = np.nan_to_num(values[:, 2])
     return observed
 
 
-def _start(values: FloatArray, has_position: bool) -> tuple[FloatArray, FloatArray]:
+def _start(
+    values: FloatArray, motion: MotionModel, has_position: bool
+) -> tuple[FloatArray, FloatArray]:
     """State and covariance before the first sample, weak unless position is only relative."""
     known = values[np.isfinite(values[:, 0]), 0]
     first = float(known[0]) if known.size else 0.0
     position_std = NO_POSITION_STD if has_position else 1e-3
-    deviations = [position_std, NO_SPEED_STD, ACCELERATION_STD, 1.0, WHEEL_ERROR_STD]
-    return np.array([first, 0.0, 0.0, 0.0, 0.0]), np.diag(np.square(deviations))
+    acceleration_std = motion.acceleration_std
+    deviations = [position_std, NO_SPEED_STD, acceleration_std, 1.0, WHEEL_ERROR_STD, 1.0]
+    return np.array([first, *[0.0] * (STATES - 1)]), np.diag(np.square(deviations))
 
 
-def motion_model(steps: FloatArray, drift: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def motion_model(
+    steps: FloatArray, model: MotionModel | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Transition and process noise over each step.
 
-    The state is position [m], speed [m/s], acceleration [m/s²], and two errors of measurements
-    that last: of the position over its standard deviation, of the wheels over the speed they show.
+    The state is position [m], speed [m/s], acceleration [m/s²], and three errors of measurements
+    that last: of the position over its standard deviation, of the wheels over the speed they show,
+    of the speed over its standard deviation.
 
     Parameters
     ----------
     steps : (n,) array [s]
-    drift : float [m/√s]
-        Random walk of the position beyond the integral of the speed.
+    model : MotionModel, optional
 
     Returns
     -------
-    transition, process_noise : (n, 5, 5) array
+    transition, process_noise : (n, 6, 6) array
 
     Examples
     --------
@@ -231,16 +272,20 @@ def motion_model(steps: FloatArray, drift: float = 0.0) -> tuple[FloatArray, Flo
     >>> transition[1, 0, :3].round(3)  # position after 1 s: x + v + 0.47 a
     array([1.   , 1.   , 0.468])
     """
-    transition, noise = np.zeros((2, steps.size, 5, 5))
-    transition[:, :3, :3], noise[:, :3, :3] = _singer(steps)
-    noise[:, 0, 0] += drift**2 * steps
-    transition[:, 3, 3] = np.exp(-steps / LASTING_TIME)
-    noise[:, 3, 3] = -np.expm1(-2.0 * steps / LASTING_TIME)
+    motion = MotionModel() if model is None else model
+    transition, noise = np.zeros((2, steps.size, STATES, STATES))
+    transition[:, :3, :3], noise[:, :3, :3] = _singer(steps, motion)
+    if motion.unmeasured is not None:
+        noise[:, :3, :3] *= motion.unmeasured[:, None, None]
+    noise[:, 0, 0] += motion.drift**2 * steps
+    for state, time in ((3, motion.position_time), (5, motion.speed_time)):
+        transition[:, state, state] = np.exp(-steps / time)
+        noise[:, state, state] = -np.expm1(-2.0 * steps / time)
     transition[:, 4, 4] = 1.0
     return transition, noise
 
 
-def _singer(steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _singer(steps: FloatArray, motion: MotionModel) -> tuple[FloatArray, FloatArray]:
     """Transition (n, 3, 3) and process noise (n, 3, 3) of Singer's model over each step [s].
 
     The noise is ``∫ g(u) g(u)ᵀ q du`` over the step, ``g`` the response to an impulse of jerk,
@@ -249,22 +294,22 @@ def _singer(steps: FloatArray) -> tuple[FloatArray, FloatArray]:
     transition = np.zeros((steps.size, 3, 3))
     transition[:, 0, 0] = transition[:, 1, 1] = 1.0
     transition[:, 0, 1] = steps
-    transition[:, :, 2] = _impulse_response(steps)
+    transition[:, :, 2] = _impulse_response(steps, motion.acceleration_time)
     nodes, weights = np.polynomial.legendre.leggauss(12)
-    response = _impulse_response(0.5 * steps[:, None] * (1.0 + nodes))
-    spectral_density = 2.0 * ACCELERATION_STD**2 / ACCELERATION_TIME
+    response = _impulse_response(0.5 * steps[:, None] * (1.0 + nodes), motion.acceleration_time)
+    spectral_density = 2.0 * motion.acceleration_std**2 / motion.acceleration_time
     noise = np.einsum("nqi,nqj,q,n->nij", response, response, weights, 0.5 * steps)
     return transition, spectral_density * noise
 
 
-def _impulse_response(delay: FloatArray) -> FloatArray:
+def _impulse_response(delay: FloatArray, time: float) -> FloatArray:
     """Position, speed and acceleration (..., 3) a `delay` [s] after a unit step of acceleration."""
-    share = delay / ACCELERATION_TIME
+    share = delay / time
     decay = -np.expm1(-share)
     return np.stack(
         [
-            ACCELERATION_TIME**2 * (share - decay),
-            ACCELERATION_TIME * decay,
+            time**2 * (share - decay),
+            time * decay,
             1.0 - decay,
         ],
         axis=-1,

@@ -288,7 +288,9 @@ def heavy(count: int, interval: float, memory: float, generator: np.random.Gener
     for _ in range(2):
         drawn = lfilter([1.0 - keep], [1.0, -keep], drawn)
     drawn = drawn[2_000:]
-    size = np.sqrt(3.0) * np.sqrt(np.sum(np.convolve(*[(1 - keep) * keep ** np.arange(3000)] * 2) ** 2))
+    size = np.sqrt(3.0) * np.sqrt(
+        np.sum(np.convolve(*[(1 - keep) * keep ** np.arange(3000)] * 2) ** 2)
+    )
     return drawn / size
 
 
@@ -372,9 +374,9 @@ def receive(
         before = max(inside[0] - max(round(3.0 / field.interval), 1), 0)
         last = inside[0]
         span = t[last] - t[before]
-        for axis in (latitude, longitude):
-            rate = (np.interp(s[last], s, axis) - axis[before]) / span
-            axis[inside] = axis[last] + rate * (t[inside] - t[last])
+        ahead = np.array(geometry.at(s[[before, last]]))
+        for axis, (first, second) in zip((latitude, longitude), ahead, strict=True):
+            axis[inside] = axis[last] + (second - first) / span * (t[inside] - t[last])
         if shown is not None:
             shown[inside] = shown[last]
     stamps = START + (t[seen] * 1e9).astype(np.int64)

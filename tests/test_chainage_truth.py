@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from satellite_trips import Receiver, curve_of, drive, errors, hairpin, spiral, winding
+from satellite_trips import (
+    PACES,
+    Field,
+    Receiver,
+    curve_of,
+    drive,
+    errors,
+    hairpin,
+    paced,
+    receive,
+    spiral,
+    streets,
+    valley,
+    winding,
+)
 
 from trainlog.errors import InputError
 from trainlog.ingest import Profile, profile_of
@@ -181,3 +196,109 @@ def test_a_line_that_lies_right_is_rarely_called_misplaced() -> None:
     moved = replace(moved, latitudes=moved.latitudes + np.degrees(40.0 / 6_371_000.0))
     trip, _ = drive(winding(), Receiver(lasting=True), 1)
     assert 15.0 < float(estimated(trip, moved).metadata["line.misfit"]) < 45.0
+
+
+FIELD = {
+    "errors that last": Field(memory=60.0),
+    "accuracies too small": Field(stated=0.2),
+    "accuracies too large": Field(stated=5.0),
+    "no speed": Field(noise=8.0, stated=0.0, speed="none"),
+    "speed errors that last": Field(speed="lasting", speed_stated=0.5),
+    "late speeds": Field(speed="late"),
+    "replayed speeds": Field(noise=6.0, stated=0.5, speed="replayed", speed_stated=0.0),
+    "frozen speeds": Field(speed="frozen"),
+    "speeds in knots": Field(speed="wrong unit"),
+    "extrapolated fixes": Field(extrapolated=8.0),
+    "a phone": Field(
+        noise=8.0, memory=60.0, stated=0.3, extrapolated=4.0, speed="replayed", speed_stated=0.0
+    ),
+}
+"""Receivers with heavy-tailed errors in series of two lags, reflections and outages of minutes."""
+
+
+@pytest.fixture(scope="module")
+def field_rides() -> list[tuple[Geometry, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    return [
+        (track, paced(float(track.positions[-1]), PACES[pace], 3))
+        for track, pace in ((winding(), "regional"), (valley(), "freight"), (streets(), "tram"))
+    ]
+
+
+@pytest.mark.parametrize("interval", [1.0, 11.0])
+@pytest.mark.parametrize("name", FIELD)
+def test_bands_hold_whatever_the_receiver_does(
+    name: str, interval: float, field_rides: list[tuple]
+) -> None:
+    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {"position": [], "speed": []}
+    for seed, (track, run) in enumerate(field_rides):
+        trip, truth = receive(track, run, replace(FIELD[name], interval=interval), 21 + seed)
+        frame = estimated(trip, track).frame
+        assert frame is not None
+        for quantity, sums in found.items():
+            sums.append(errors(frame, truth, quantity))
+    for quantity, sums in found.items():
+        error, std = (np.concatenate(part) for part in zip(*sums, strict=True))
+        held = np.mean(np.abs(error) <= 1.96 * std)
+        assert held >= 0.88, f"{quantity}: the band holds {held:.1%}"
+        if quantity == "position":
+            assert np.median(np.abs(error)) < 10.0
+
+
+def test_late_and_frozen_speeds_are_reported(field_rides: list[tuple]) -> None:
+    track, run = field_rides[0]
+    quiet = Field(outages=0.0, reflections=0.0)
+    late = estimated(receive(track, run, replace(quiet, speed="late"), 1)[0], track)
+    assert abs(float(late.metadata["receiver.speed_delay"]) - 3.0) <= 0.5
+    good = estimated(receive(track, run, quiet, 1)[0], track)
+    assert "receiver.speed_delay" not in good.metadata
+    assert sum(f.count for f in good.findings if f.rule == "contradicted") < 10
+    knots = estimated(receive(track, run, replace(quiet, speed="wrong unit"), 1)[0], track)
+    (finding,) = (f for f in knots.findings if f.rule == "contradicted")
+    assert re.search(r"\b(1\.9|2\.0)\d times what positions show", finding.note)
+    track, run = field_rides[1]
+    frozen = estimated(receive(track, run, replace(quiet, speed="frozen"), 2)[0], track)
+    (finding,) = (f for f in frozen.findings if f.rule == "contradicted")
+    assert "frozen" in finding.note
+    kept = estimated(
+        receive(track, run, replace(quiet, speed="late"), 1)[0],
+        track,
+        profile_of({**PLAIN, "repair": {"contradicted": False}}),
+    )
+    assert "receiver.speed_delay" not in kept.metadata
+
+
+def test_the_noise_of_a_receiver_is_estimated_and_not_believed(field_rides: list[tuple]) -> None:
+    track, run = field_rides[1]
+    sizes = []
+    for stated in (0.2, 1.0, 5.0):
+        field = Field(noise=6.0, stated=stated, outages=0.0, reflections=0.0)
+        metadata = estimated(receive(track, run, field, 4)[0], track).metadata
+        sizes.append(float(metadata["receiver.position_std"]))
+    assert np.ptp(sizes) < 1.0
+    assert 4.0 < np.mean(sizes) < 8.0
+
+
+def test_two_receivers_on_one_trip_agree_within_both_bands(field_rides: list[tuple]) -> None:
+    track, run = field_rides[0]
+    fields = (Field(memory=40.0, interval=0.2), FIELD["a phone"])
+    frames = [
+        estimated(receive(track, run, field, 31 + number)[0], track).frame
+        for number, field in enumerate(fields)
+    ]
+    one, other = (frame for frame in frames if frame is not None)
+    at = one.index.as_unit("ns").asi8
+    known = other.index.as_unit("ns").asi8
+    inside = (at >= known[0]) & (at <= known[-1])
+    apart = one["position"] - np.interp(at, known, other["position"])
+    band = np.hypot(one["position_std"], np.interp(at, known, other["position_std"]))
+    assert np.mean((np.abs(apart) <= 1.96 * band)[inside]) >= 0.9
+
+
+def test_a_trip_most_of_whose_fixes_are_elsewhere_is_refused() -> None:
+    trip, _ = drive(winding(), Receiver(), 1)
+    fix = trip["/gnss/fix"].copy()
+    generator = np.random.default_rng(1)
+    away = np.arange(len(fix)) % 10 < 6
+    fix.loc[away, "latitude"] += generator.uniform(-2e-3, 2e-3, int(away.sum()))
+    with pytest.raises(InputError, match=r"were set aside|near the line follow"):
+        estimated(Trip({**trip.topics, "/gnss/fix": fix}, trip.metadata), winding())

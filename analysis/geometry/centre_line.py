@@ -14,8 +14,9 @@ from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
 from trainlog.display import as_html, counted, picture
 from trainlog.errors import InputError
-from trainlog.ingest.chainage import Fixes, Matched, chainage_of, distance_driven
+from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
+from trainlog.ingest.fixes import Fixes
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile
 from trainlog.trip import Trip

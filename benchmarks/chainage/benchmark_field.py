@@ -118,6 +118,7 @@ class Sums:
     spent: float = 0.0
 
     def line(self) -> str:
+        """The case's line of the table."""
         if not self.position:
             return f"{'':>38s} all refused: {self.refused[0]}"
         error, std = (np.concatenate(x) for x in zip(*self.position, strict=True))
@@ -145,9 +146,9 @@ def agreement(one, other) -> np.ndarray:
     first, second = (e.frame.index.as_unit("ns").asi8 for e in (one, other))
     even = np.arange(max(first[0], second[0]), min(first[-1], second[-1]), 1_000_000_000)
     values = [
-        np.interp((even - even[0]) / 1e9, (e.frame.index.as_unit("ns").asi8 - even[0]) / 1e9, e.frame[c])
-        for e in (one, other)
-        for c in ("position", "position_std")
+        np.interp((even - even[0]) / 1e9, (times - even[0]) / 1e9, estimate.frame[name])
+        for estimate, times in ((one, first), (other, second))
+        for name in ("position", "position_std")
     ]
     return np.abs(values[0] - values[2]) <= 1.96 * np.hypot(values[1], values[3])
 

@@ -23,8 +23,8 @@ FloatArray = NDArray[np.float64]
 
 COUNT = 5_000
 STD = np.array([3.0, 0.1])
-START = np.array([0.0, 0.0, 0.0, 0.0, 0.0])
-SPREAD = np.diag(np.square([10.0, 50.0, ACCELERATION_STD, 1.0, WHEEL_ERROR_STD]))
+START = np.zeros(6)
+SPREAD = np.diag(np.square([10.0, 50.0, ACCELERATION_STD, 1.0, WHEEL_ERROR_STD, 1.0]))
 
 
 def samples() -> tuple[FloatArray, FloatArray]:
@@ -37,13 +37,13 @@ def samples() -> tuple[FloatArray, FloatArray]:
 
 
 def observation() -> FloatArray:
-    shown = np.zeros((1, 2, 5))
+    shown = np.zeros((1, 2, 6))
     shown[0, 0, 0] = shown[0, 1, 1] = 1.0
     return shown
 
 
 def own(steps: FloatArray, measured: FloatArray) -> FloatArray:
-    """The smoothed states, (n, 5)."""
+    """The smoothed states, (n, 6)."""
     model = LinearGaussian(*motion_model(steps), observation())
     return model.smooth(measured, STD**2, START, SPREAD).means
 
@@ -51,7 +51,7 @@ def own(steps: FloatArray, measured: FloatArray) -> FloatArray:
 def by_filterpy(steps: FloatArray, measured: FloatArray) -> FloatArray:
     """The same by filterpy."""
     transition, noise = motion_model(steps)
-    peer = KalmanFilter(dim_x=5, dim_z=2)
+    peer = KalmanFilter(dim_x=6, dim_z=2)
     peer.x, peer.P, peer.H, peer.R = START.copy(), SPREAD.copy(), observation()[0], np.diag(STD**2)
     means, covariances, _, _ = peer.batch_filter(measured, Fs=list(transition), Qs=list(noise))
     smooth, *_ = peer.rts_smoother(means, covariances, list(transition), list(noise))

@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from estimators.motion import SmoothedMotion, smooth_motion
-from trainlog.ingest.chainage import Fixes, Matched, chainage_of
+from trainlog.ingest.chainage import Matched, chainage_of
+from trainlog.ingest.fixes import Fixes
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.recording import Finding, FloatArray
 from trainlog.railway.line import Line
@@ -69,9 +70,13 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
     if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
         fixes = fixes_of(trip)
         matched = chainage_of(
-            geometry, fixes, gated=profile.repair.off_line, slip_aware=profile.repair.slip
+            geometry,
+            fixes,
+            gated=profile.repair.off_line,
+            slip_aware=profile.repair.slip,
+            speed_aware=profile.repair.contradicted,
         )
-        metadata = {"line.misfit": f"{matched.misfit:.1f}"}
+        metadata = _noise_of(matched)
         usable = np.isfinite(matched.chainage).sum() > 1
         frame = _smoothed_fixes(fixes, matched) if usable else None
         return Estimate(frame, _findings(matched), metadata)
@@ -145,12 +150,12 @@ def _wheels(trip: Trip, index: pd.DatetimeIndex) -> pd.Series[float] | None:
 
 
 def _bridged(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
-    """The times, and further ones in the gaps between them, a usual step apart."""
+    """The times, and further ones in the gaps between them, a usual step and at most 1 s apart."""
     time = index.as_unit("ns").asi8
     steps = np.diff(time)
-    usual = int(np.median(steps))
+    usual = min(int(np.median(steps)), NANOSECONDS)
     lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_OUTAGE * NANOSECONDS))
-    count = steps[lost] // usual
+    count = -(-steps[lost] // usual)
     start, width = np.repeat(time[lost], count), np.repeat(steps[lost] / count, count)
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     extra = start + (within * width).astype(np.int64)
@@ -159,15 +164,34 @@ def _bridged(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
 
 def _findings(matched: Matched) -> tuple[Finding, ...]:
     """What was set aside, by rule."""
+    count = int(np.count_nonzero(matched.extrapolated))
+    computed = f"{count} extrapolated by the receiver" if count else ""
     counts = (
-        ("off_line", matched.rejected, "/gnss/fix"),
-        ("slip", matched.slipping, "/train/state.speed"),
+        ("contradicted", matched.contradicted, "/gnss/motion.speed", matched.reasons),
+        ("off_line", matched.rejected | matched.extrapolated, "/gnss/fix", computed),
+        ("slip", matched.slipping, "/train/state.speed", ""),
     )
     return tuple(
-        Finding(rule, int(np.count_nonzero(flags)), (), column)
-        for rule, flags, column in counts
+        Finding(rule, int(np.count_nonzero(flags)), (), column, note)
+        for rule, flags, column, note in counts
         if flags.any()
     )
+
+
+def _noise_of(matched: Matched) -> dict[str, str]:
+    """What was found of the receiver and the line, as metadata."""
+    noise = matched.position_noise
+    found = {
+        "line.misfit": f"{matched.misfit:.1f}",
+        "receiver.position_std": f"{noise.std:.1f}",
+        "receiver.position_time": f"{noise.time:.0f}",
+    }
+    if matched.speed_noise is not None:
+        found["receiver.speed_std"] = f"{matched.speed_noise.std:.2f}"
+        found["receiver.speed_time"] = f"{matched.speed_noise.time:.0f}"
+    if matched.delay:
+        found["receiver.speed_delay"] = f"{matched.delay:g}"
+    return found
 
 
 def _smoothed_fixes(fixes: Fixes, matched: Matched) -> pd.DataFrame:

@@ -478,6 +478,7 @@ class Repair(_Strict):
     unit_suspected: bool = True
     quantised: bool = True
     gaps: bool = True
+    contradicted: bool = True
     off_line: bool = True
     slip: bool = True
 

@@ -504,10 +504,11 @@ RULES = (
     Rule("unit_suspected", "keep", suspect_units),
     Rule("quantised", "keep", find_quantised),
     Rule("gaps", "keep", clock.count_gaps),
+    Rule("contradicted", "keep"),
     Rule("off_line", "keep"),
     Rule("slip", "keep"),
 )
-"""Every rule by the order of its application; the last two where chainage is estimated."""
+"""Every rule by the order of its application; the last three where chainage is estimated."""
 
 
 def refuse_switched_off(findings: tuple[Finding, ...], repair: Repair) -> None:
