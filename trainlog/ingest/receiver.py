@@ -102,7 +102,7 @@ def hold_of(seconds: FloatArray, speed: FloatArray) -> float:
     --------
     >>> import numpy as np
     >>> hold_of(np.arange(40.0), np.repeat(np.arange(20.0, 30.0), 4))
-    4.0
+    3.9
     """
     moving = np.flatnonzero(speed > MOVING)
     if moving.size < FROZEN_SAMPLES:
