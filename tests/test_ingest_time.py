@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
-from clock_steps import LAYOUTS, LINES, STEPS, Layout, error_of, recorded, table_profile
+from clock_steps import (
+    LAYOUTS,
+    LINES,
+    STEPS,
+    Case,
+    Layout,
+    drive,
+    error_of,
+    recorded,
+    table_profile,
+)
 from hypothesis import given, strategies as st
+from recorder_files import nmea_lines
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, report_of
@@ -219,3 +231,110 @@ def test_a_gap_at_a_standstill_may_be_a_step(tmp_path: Path) -> None:
     assert "clock_step" not in report.counts
     assert any("+5 s: a gap or a step of the clock" in line for line in report.lines())
     assert len(trip["/train/state"]) == 450
+
+
+def undated(folder: Path, date: str, rows: int) -> tuple[Case, Path]:
+    """An MTK log of whole seconds whose first `rows` rows have the date `date`, but fixes."""
+    case = recorded(folder, "hilly", LAYOUTS[0], None, count=120.0)
+    lines = case.path.read_text().splitlines()
+    for i in range(1, rows + 1):
+        lines[i] = lines[i].replace("2024,5,1,", f"{date},", 1)
+    case.path.write_text("\n".join(lines) + "\n")
+    return case, case.path
+
+
+@pytest.mark.parametrize("date", ["2000,0,0", "1980,1,6", "2000,1,1", "2080,1,6"])
+@pytest.mark.parametrize("rows", [7, 300, 900])
+def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(
+    tmp_path: Path, date: str, rows: int
+) -> None:
+    case, path = undated(tmp_path, date, rows)
+    trip = ingest(path)
+    assert report_of(trip).counts["clock_step"] == rows
+    assert report_of(trip).rows_dropped == 0
+    assert error_of(trip["/gnss/motion"].index.as_unit("ns").asi8, case) < 0.15
+
+
+def test_dates_of_zeros_in_text(tmp_path: Path) -> None:
+    times = [f"2024-05-01T06:00:{i:02d}Z" for i in range(40)]
+    times[:15] = [f"0000-00-00T06:00:{i:02d}Z" for i in range(15)]
+    rows = [f"{t},{10 + 0.1 * i},{10 * i}" for i, t in enumerate(times)]
+    path = tmp_path / "run.csv"
+    path.write_text("t,v,s\n" + "\n".join(rows) + "\n")
+    trip = ingest(path, profile=profile_of(table_profile({})))
+    assert report_of(trip).counts == {"clock_step": 15}
+    assert trip.start == pd.Timestamp("2024-05-01T06:00:00Z")
+
+
+def test_a_date_that_changes_while_the_time_of_day_goes_on(tmp_path: Path) -> None:
+    """Two thirds of the rows decide; where the dates are as many, the file is refused."""
+    times = pd.date_range("2024-05-01T06:00:00Z", periods=600, freq="s")
+    for changed, right in ((150, True), (300, False)):
+        rows = [
+            f"{t + pd.Timedelta(days=3 if i < changed else 0):%Y-%m-%dT%H:%M:%SZ},15.0,{15 * i}"
+            for i, t in enumerate(times)
+        ]
+        path = tmp_path / f"{changed}.csv"
+        path.write_text("t,v,s\n" + "\n".join(rows) + "\n")
+        if right:
+            trip = ingest(path, profile=profile_of(table_profile({})))
+            assert report_of(trip).counts["clock_step"] == changed
+            assert trip["/train/state"].index.equals(times.as_unit("ns"))
+        else:
+            with pytest.raises(InputError, match="the clock jumps: 300 of 600 rows"):
+                ingest(path, profile=profile_of(table_profile({})))
+
+
+@pytest.mark.parametrize("layout", [LAYOUTS[0], LAYOUTS[1]], ids=["mtk", "ublox"])
+def test_a_week_count_that_rolled_over_in_the_whole_file(tmp_path: Path, layout: Layout) -> None:
+    """2024-05-01 reads as 2004-09-15; no u-blox or MTK logger is that old."""
+    case = recorded(tmp_path, "hilly", layout, None, count=60.0)
+    text = case.path.read_text().replace("2024,5,1,", "2004,9,15,")
+    case.path.write_text(text)
+    trip = ingest(case.path)
+    report = report_of(trip)
+    assert report.count("clock_step") == len(case.truth)
+    assert any("moved by +1024 weeks" in line for line in report.lines())
+    assert error_of(trip["/gnss/motion"].index.as_unit("ns").asi8, case) < 0.15
+
+
+def test_old_dates_of_a_receiver_are_suspected(tmp_path: Path) -> None:
+    case = recorded(tmp_path, "hilly", LAYOUTS[3], None, count=60.0)
+    case.path.write_text(case.path.read_text().replace("2024-05-01", "2004-09-15"))
+    report = report_of(ingest(case.path))
+    assert report.counts == {"clock_step_suspected": 1}
+    assert any("all dates are of 2004: 1024 weeks too early?" in line for line in report.lines())
+    stated = profile_of(
+        {
+            "format": "trainlog/recorder-profile",
+            "version": 1,
+            "name": "logger",
+            "limits": {"not_before": datetime.date(2012, 1, 1)},
+        }
+    )
+    trip = ingest(case.path, profile=stated)
+    assert trip.start == pd.Timestamp(case.truth[0], tz="UTC")
+
+
+@pytest.mark.parametrize("step", [-2, 2])
+def test_sentences_that_learn_the_time_one_after_the_other(tmp_path: Path, step: int) -> None:
+    """For 20 s the receiver's RMC have the new clock and its GGA the old one."""
+    run = drive("hilly", 5.0, 900)
+    row = np.arange(900)
+    old = run.time - step * 1_000_000_000
+    lines = []
+    for kind, set_at in (("RMC", 302), ("GGA", 402)):
+        clock = np.where(row < set_at, old, run.time)
+        lines.append(nmea_lines(replace(run, time=clock), (kind,)))
+    path = tmp_path / "log.nmea"
+    path.write_text("\r\n".join(s for pair in zip(*lines, strict=True) for s in pair) + "\r\n")
+    trip = ingest(path)
+    assert report_of(trip).count("clock_step") > 0
+    for topic, column in (("/gnss/motion", "speed"), ("/gnss/fix", "altitude")):
+        frame = trip[topic]
+        known = frame[column].notna().to_numpy()
+        at = frame.index.as_unit("ns").asi8[known]
+        values = run.speed if column == "speed" else run.altitude
+        expected = np.interp(at, run.time, values)
+        assert at.size == 900
+        np.testing.assert_allclose(frame[column].to_numpy()[known], expected, atol=2e-3)

@@ -18,6 +18,7 @@ import numpy as np
 
 from trainlog.ingest.clock import (
     Result,
+    has_fix,
     longest_nondecreasing,
     outside_largest_group,
     rows_per_second,
@@ -27,6 +28,7 @@ from trainlog.ingest.clock import (
 from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import (
     METRES_PER_DEGREE,
+    BoolArray,
     Finding,
     FloatArray,
     IntArray,
@@ -42,6 +44,9 @@ DAY = 86_400 * NANOSECONDS
 
 QUARTER = 900 * NANOSECONDS
 """Time zones differ by multiples of a quarter of an hour [ns]."""
+
+EARLY = np.datetime64("2007-01-01").astype("datetime64[ns]").astype(np.int64)
+"""Time [ns] before which a recording is rather one of today with a week number that rolled over."""
 
 MOST_QUARTERS = 56
 """Time zones span 26 hours, but nobody sets a clock by more than 14."""
@@ -67,6 +72,9 @@ LEAST_ROWS = 10
 CHAIN = 15.0
 """Time [s] between two steps that may belong to one setting of the clock."""
 
+LEAST_KIND = 0.2
+"""Share of the rows that a kind of them must have to be judged by itself."""
+
 MOST_MISFITS = 0.05
 """Share of rows between the first and the last step that may fit neither clock."""
 
@@ -91,8 +99,11 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
     time = table.time
     if len(table) < LEAST_ROWS:
         return table, []
-    shift = _coarse(time, limits)
-    shift = shift + _seconds(table.at(time + shift))[0]
+    shift = _too_early(time, limits)
+    shift = shift + _coarse(time + shift, limits)
+    shift = shift + _to_most(_seconds(table.at(time + shift))[0])
+    if np.any(np.diff(time + shift) < 0):
+        shift = shift + _by_kind(table.at(time + shift))
     if not shift.any():
         return table, []
     sizes = ", ".join(_size(int(size)) for size in np.unique(shift[shift != 0]))
@@ -100,7 +111,7 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
     return table.at(time + shift), table.found("clock_step", shift != 0, note=note)
 
 
-def suspect_clock_steps(table: Table, limits: Limits) -> Result:  # noqa: ARG001
+def suspect_clock_steps(table: Table, limits: Limits) -> Result:
     """Report what may be steps of the clock, and what may be dates of another week count."""
     findings: list[Finding] = []
     if len(table) < LEAST_ROWS:
@@ -112,7 +123,25 @@ def suspect_clock_steps(table: Table, limits: Limits) -> Result:  # noqa: ARG001
         sizes = ", ".join(f"{size:+d} s" for _, size in undecided)
         note = f"{sizes}: a gap or a step of the clock, which the motion does not show"
         findings += table.found("clock_step_suspected", marked, note=note)
+    if limits.not_before is None and table.time[-1] < EARLY and has_fix(table) is not None:
+        first = np.arange(len(table)) == 0
+        note = (
+            f"all dates are of {str(table.time[0].astype('datetime64[ns]'))[:4]}: 1024 weeks too"
+            " early? not_before under [limits] puts them right"
+        )
+        findings += table.found("clock_step_suspected", first, note=note)
     return table, findings
+
+
+def _too_early(time: IntArray, limits: Limits) -> IntArray:
+    """What brings times from before the recorder existed into the weeks after that [ns]."""
+    if limits.not_before is None:
+        return np.zeros(time.size, dtype=np.int64)
+    earliest = np.datetime64(limits.not_before).astype("datetime64[ns]").astype(np.int64)
+    shift = -np.minimum((time - earliest) // ROLLOVER, 0) * ROLLOVER
+    undated = _undated(time)
+    # Rows without a date follow those that have one, if there are such.
+    return np.asarray(shift if undated.all() else np.where(undated, 0, shift))
 
 
 def _size(shift: int) -> str:
@@ -172,13 +201,18 @@ UNDATED = (
 """Days on which receivers begin that know none: of GPS, its week counts, and of their clocks."""
 
 
+def _undated(time: IntArray) -> BoolArray:
+    """Which times are of a day that stands for none."""
+    return np.isin(time.astype("datetime64[ns]").astype("datetime64[D]"), UNDATED)
+
+
 def _to_dated(time: IntArray, levels: IntArray) -> IntArray:
     """What puts every row on the date of most rows whose receiver knew one.
 
     Nothing where no date is that of two thirds of them, and nothing for a few rows with another.
     """
     none = np.zeros(levels.size, dtype=np.int64)
-    undated = np.isin(time.astype("datetime64[ns]").astype("datetime64[D]"), UNDATED)
+    undated = _undated(time)
     if undated.all() or not levels.any():
         return none
     values, counts = np.unique(levels[~undated], return_counts=True)
@@ -301,7 +335,7 @@ def _with_fractions(seconds: FloatArray, usual: int) -> FloatArray:
 
 
 def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, int]]]:
-    """What undoes steps by whole seconds [ns]; and the undecided ones, by row and size [s]."""
+    """How far [ns] steps by whole seconds set the clock; undecided ones by row and size [s]."""
     if rows_per_second(table) == 1:
         doubled = same_as_previous(table) & (np.diff(table.time, prepend=table.time[0] - 1) == 0)
         if doubled.any():
@@ -329,7 +363,29 @@ def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, int]]]:
         accepted += 1
         level[cluster[0] + 1 : cluster[-1] + 1] += size * ahead
         level[cluster[-1] + 1 :] += size
-    return _to_most(level) * NANOSECONDS if accepted else none, undecided
+    return level * NANOSECONDS if accepted else none, undecided
+
+
+def _by_kind(table: Table) -> IntArray:
+    """What undoes steps by whole seconds [ns] where rows of two kinds were set one by one.
+
+    Rows are of a kind by the columns that they hold, as the sentences of a receiver are.
+    """
+    none = np.zeros(len(table), dtype=np.int64)
+    held = {np.isfinite(values).tobytes() for values in table.signals.values()}
+    kinds = [np.frombuffer(each, dtype=np.bool_) for each in sorted(held)]
+    kinds = [kind for kind in kinds if LEAST_KIND * kind.size < np.count_nonzero(kind) < kind.size]
+    if len(kinds) < 2 or len(kinds) > 4 or not np.logical_or.reduce(kinds).all():
+        return none
+    found = np.zeros((len(kinds), len(table)), dtype=np.int64)
+    for number, kind in enumerate(kinds):
+        found[number, kind] = _seconds(table.take(np.flatnonzero(kind)))[0]
+    known = np.ma.masked_array(found, ~np.array(kinds))
+    if np.any(known.min(axis=0) != known.max(axis=0)):
+        return none
+    shift = _to_most(np.asarray(known.max(axis=0)))
+    in_order = np.count_nonzero(longest_nondecreasing(table.time + shift))
+    return shift if in_order > np.count_nonzero(longest_nondecreasing(table.time)) else none
 
 
 def _setting(

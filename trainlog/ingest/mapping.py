@@ -280,6 +280,15 @@ NANOSECONDS_PER = {"s": NANOSECONDS, "ms": 1_000_000, "us": 1_000, "ns": 1}
 _WITH_OFFSET = r":\d\d.*(Z|z|[+-]\d\d(:?\d\d)?)$"
 
 
+UNDATED_PARTS = (1980, 1, 6)
+"""Year, month and day that stand in for a date of zeros: the begin of GPS time."""
+
+LONGEST_UNDATED = 5 * NANOSECONDS
+"""Time [ns] between two rows from which on the time of day does not lead from one to the other."""
+
+_NO_DATE = r"^\s*\d{4}-00-00"
+
+
 def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -> IntArray:
     """Time of each row [ns] UTC, `NO_TIME` where it cannot be read or is not plausible.
 
@@ -298,15 +307,23 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
         If a local time does not exist or comes twice, or no time at all is plausible.
     """
     columns = [table[name] for name in options.names]
+    undated = np.zeros(table.num_rows, dtype=np.bool_)
     if options.format == "parts":
-        time = from_parts([numbers(column, decimal)[0] for column in columns])
-        time = _localised(time, options.timezone, file)
+        parts = [numbers(column, decimal)[0] for column in columns]
+        undated = (parts[1] == 0.0) | (parts[2] == 0.0)
+        for values, stand_in in zip(parts[:3], UNDATED_PARTS, strict=True):
+            values[undated] = stand_in
+        time = _localised(from_parts(parts), options.timezone, file)
     elif options.format in ("epoch", "elapsed"):
         time = _from_count(columns[0], options, decimal, file)
     elif pa.types.is_timestamp(columns[0].type):
         time = _from_typed(columns[0], options.timezone, file)
     else:
+        if options.format == "iso" and len(columns) == 1 and _is_text(columns[0]):
+            undated = pc.fill_null(pc.match_substring_regex(columns[0], _NO_DATE), False).to_numpy()
+            columns = [pc.replace_substring_regex(columns[0], _NO_DATE, "1980-01-06")]
         time = _from_text(columns, options, decimal, file)
+    time = _with_time_of_day(time, undated)
     plausible = (time >= EARLIEST) & (time < LATEST)
     if not plausible.any() and np.any(time != NO_TIME):
         first = int(np.argmax(time != NO_TIME))
@@ -317,6 +334,22 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
             remedy="check format, unit and start under [time] of the profile",
         )
     return np.where(plausible, time, NO_TIME)
+
+
+def _with_time_of_day(time: IntArray, undated: BoolArray) -> IntArray:
+    """Times of which those without a date are kept where their time of day leads to dated rows.
+
+    They stand on the day that `UNDATED_PARTS` gives; the rule "clock_step" puts them on theirs.
+    """
+    if not undated.any():
+        return time
+    known = np.flatnonzero(time != NO_TIME)
+    apart = np.abs(np.diff(time[known] % DAY))
+    group = np.cumsum(np.concatenate(([0], np.minimum(apart, DAY - apart) > LONGEST_UNDATED)))
+    dated = np.isin(group, group[~undated[known]])
+    kept = time.copy()
+    kept[known[~dated]] = NO_TIME
+    return kept
 
 
 def from_parts(parts: list[FloatArray]) -> IntArray:

@@ -440,6 +440,8 @@ class Limits(_Strict):
         A pause beyond it is not within one trip.
     gap : float [s], optional
         Time between two rows that counts as a gap; default five usual steps, at least 1 s.
+    not_before : date, optional
+        Day before which this recorder did not exist: earlier dates are 1024 weeks off, or twice.
     columns : dict of str to Limit
         By ``"/topic.field"``, in place of the built-in ones (docs/ingest.md).
     """
@@ -447,6 +449,7 @@ class Limits(_Strict):
     sort_within: float = Field(default=10.0, ge=0.0)
     pause: float = Field(default=21_600.0, gt=0.0)
     gap: float | None = Field(default=None, gt=0.0)
+    not_before: datetime.date | None = None
     columns: dict[str, Limit] = Field(default_factory=dict)
 
     @pydantic.model_validator(mode="after")
