@@ -28,6 +28,7 @@ from trainlog.cli.options import (
     stretch,
     times,
 )
+from trainlog.cli.proposing import Proposals
 from trainlog.cli.terminal import (
     about,
     console,
@@ -164,6 +165,12 @@ def ingest(
         list[str] | None,
         typer.Option("--set", help="What the file does not state: weather=wet, load=12000 (kg)."),
     ] = None,
+    accept: Annotated[
+        bool,
+        typer.Option(
+            "--accept", "--yes", help="Use the profile that is proposed, where none fits."
+        ),
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print what became of each recording as JSON.")
     ] = False,
@@ -174,8 +181,12 @@ def ingest(
     several files, or a folder, every one is tried; the end is a table of what became of each. What
     was made before of the same content in the same way is not made again.
 
-    Exit status 0: every recording became a trip; 1: some did not; 2: the only file given did not,
-    or something else that was given cannot be used.
+    For a table that no profile fits one is proposed: a commented TOML file in the output folder,
+    to be read, corrected and given with [bold]--profile[/bold], or used at once with
+    [bold]--accept[/bold].
+
+    Exit status 0: every recording became a trip; 1: some did not, or a profile is proposed; 2: the
+    only file given did not, or something else that was given cannot be used.
 
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
     """
@@ -185,7 +196,9 @@ def ingest(
 
     alone = len(recordings) == 1 and not recordings[0].is_dir()
     found: list[Outcome] = []
+    the_train = None if train is None else read_train(train)
     with progress_bar() as progress:
+        proposals = Proposals(output, the_train, format, None if as_json else progress, accept)
         task = progress.add_task("ingesting", total=None)
 
         began = monotonic()
@@ -203,15 +216,19 @@ def ingest(
                 profile,
                 format=format,
                 line=None if line is None else read_line(line),
-                train=None if train is None else read_train(train),
+                train=the_train,
                 direction="reverse" if reverse else None,
                 metadata=pairs(facts or []),
                 each=note,
+                choose=proposals.profile_for,
             )
         except KeyboardInterrupt:
             _print_ingested(Ingested(output, tuple(found)), alone=False, as_json=as_json)
             raise
     if alone and not as_json and [each.state for each in found] == ["refused"]:
+        if proposals.waiting:
+            print_error(found[0].reason)
+            raise typer.Exit(1)
         raise InputError(found[0].reason)
     _print_ingested(result, alone=alone, as_json=as_json)
     if result.failed:

@@ -10,6 +10,7 @@ Examples
 from trainlog.ingest.batch import Ingested, Outcome, ingest_all
 from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest, ingest_each
 from trainlog.ingest.profile import Profile, profile_of, read_profile
+from trainlog.ingest.proposal import Proposal, needs_profile, propose_profile
 from trainlog.ingest.recording import NO_TIME, Finding, Raw, Recording, Table
 from trainlog.ingest.registry import Format, formats
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Report, repairs_of, report_of
@@ -25,6 +26,7 @@ __all__ = [
     "Ingested",
     "Outcome",
     "Profile",
+    "Proposal",
     "Raw",
     "Recording",
     "Report",
@@ -34,7 +36,9 @@ __all__ = [
     "ingest",
     "ingest_all",
     "ingest_each",
+    "needs_profile",
     "profile_of",
+    "propose_profile",
     "read_profile",
     "repairs_of",
     "report_of",

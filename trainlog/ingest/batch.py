@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -232,6 +232,7 @@ def ingest_all(
     direction: Direction | None = None,
     metadata: Mapping[str, str] | None = None,
     each: Callable[[Outcome, int, int], object] | None = None,
+    choose: Callable[[Path], str | Path | Profile | None] | None = None,
 ) -> Ingested:
     """Turn recorded files into logs; one that cannot be used does not keep the others from it.
 
@@ -250,6 +251,9 @@ def ingest_all(
         As for `ingest`, the same for all files.
     each : callable, optional
         Called with each outcome, the number of files that are finished, and that of all.
+    choose : callable, optional
+        Gives the profile of a file, where `profile` is none; an `InputError` that it raises is why
+        the file is refused. See `trainlog.ingest.propose_profile`.
 
     Returns
     -------
@@ -280,7 +284,7 @@ def ingest_all(
         raise InputError("no recording was given", remedy="name files or folders")
     found: list[Outcome] = []
     with output_folder(target):
-        batch = _Batch(target, given, [file for file, reason in files if not reason])
+        batch = _Batch(target, given, [file for file, reason in files if not reason], choose)
         for number, (file, reason) in enumerate(files, start=1):
             outcomes = [Outcome(file, "passed_over", reason=reason)] if reason else batch.make(file)
             for outcome in outcomes:
@@ -424,8 +428,15 @@ class _Made:
 class _Batch:
     """The output folder, what it holds, and what was done so far."""
 
-    def __init__(self, output: Path, given: Given, files: list[Path]) -> None:
+    def __init__(
+        self,
+        output: Path,
+        given: Given,
+        files: list[Path],
+        choose: Callable[[Path], str | Path | Profile | None] | None = None,
+    ) -> None:
         self._output = output
+        self._choose = choose
         self._given = given
         self._names = distinct_names(files)
         self._files = files
@@ -457,14 +468,17 @@ class _Batch:
             yield Outcome(file, "refused", reason=_unexpected(file, error))
 
     def _made_of(self, file: Path) -> Iterator[Outcome]:
-        mark = fingerprint(file, self._given)
+        given = self._given
+        if self._choose is not None and given.profile is None:
+            given = replace(given, profile=self._choose(file))
+        mark = fingerprint(file, given)
         digest = sha256_of(file)
         before = self._before(file, mark, digest)
         if before and len(before) == _recordings(next(iter(before.values()))):
             for name, made in before.items():
                 yield self._unchanged(file, name, made)
             return
-        for name, outcome in ingested(file, self._given):
+        for name, outcome in ingested(file, given):
             if isinstance(outcome, TrainlogError):
                 yield Outcome(file, "refused", name, reason=str(outcome))
             elif name in before:

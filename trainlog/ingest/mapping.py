@@ -249,14 +249,27 @@ def _words(table: pa.Table, column: Column) -> NDArray[np.object_]:
     return np.asarray(pc.utf8_trim_whitespace(text).to_pylist(), dtype=np.object_)
 
 
+def degrees_of(values: FloatArray) -> FloatArray:
+    """Degrees of numbers such as 4728.513 (NMEA): 47 degrees and 28.513 minutes.
+
+    Examples
+    --------
+    >>> degrees_of(np.array([4730.0, -915.0])).tolist()
+    [47.5, -9.25]
+    """
+    size = np.abs(values)
+    degrees = np.floor(size / 100.0)
+    return np.asarray(np.sign(values) * (degrees + (size - 100.0 * degrees) / 60.0))
+
+
 def in_si(name: str, column: Column, raw: FloatArray | NDArray[np.float64]) -> FloatArray:
     """``sign * part(raw * scale + offset)`` in the column's unit, converted to SI."""
-    scaled = raw
+    scaled = degrees_of(raw) if column.notation == "degrees_minutes" else raw
     if column.scale != 1.0:
         # 1e-7 as a factor is not exact; dividing by 1e7 is.
         inverse = round(1.0 / column.scale) if 0.0 < abs(column.scale) < 1.0 else 0
         exact = inverse and abs(inverse * column.scale - 1.0) < 1e-12
-        scaled = raw / inverse if exact else raw * column.scale
+        scaled = scaled / inverse if exact else scaled * column.scale
     if column.offset:
         scaled = scaled + column.offset
     if column.part == "positive":

@@ -240,6 +240,9 @@ class Column(_Strict):
         What the quantity is, for a field of a topic of the recorder's own (``"/recorded/..."``).
     between : {"linear", "previous"}
         How its values between two samples are found.
+    notation : {"number", "degrees_minutes"}
+        How the raw number is written; ``"degrees_minutes"``: as NMEA writes angles, 4728.513 for
+        47 degrees and 28.513 minutes.
     """
 
     column: str | None = None
@@ -254,6 +257,7 @@ class Column(_Strict):
     optional: bool = False
     meaning: str = ""
     between: Literal["linear", "previous"] = "linear"
+    notation: Literal["number", "degrees_minutes"] = "number"
 
     def field(self, name: str) -> Item:
         """The field of the topics that it fills, as the table or, of the recorder's own, it states.

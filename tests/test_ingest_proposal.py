@@ -1,0 +1,271 @@
+"""Profiles proposed for tables of unknown layouts: what they read must be what was recorded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from recorder_layouts import Verdict, draw, judged, table
+from typer.testing import CliRunner
+
+from analysis import fit_trip
+from trainlog.cli.main import app
+from trainlog.errors import InputError
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train
+from trainlog.ingest import Proposal, ingest, propose_profile
+from trainlog.railway import RunningResistance
+from trainlog.trip import Trip
+
+SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
+RECORDER = Path("sample_logs/recorder.csv")
+LAYOUTS = range(500, 530)
+
+
+def drive(count: int = 600, step: float = 1.0) -> pd.DataFrame:
+    """A trip of a train of 200 t over level track: speeds up, runs, brakes, three times."""
+    seconds = np.arange(count) * step
+    rate = (
+        0.6
+        * np.sign(np.sin(2.0 * np.pi * seconds / 200.0))
+        * (np.abs(np.sin(2.0 * np.pi * seconds / 200.0)) > 0.6)
+    )
+    speed = np.maximum(np.cumsum(rate) * step, 0.0)
+    resistance = (3e3 + 60.0 * speed + 8.0 * speed**2) * (speed > 0)
+    return pd.DataFrame(
+        {
+            "t": seconds,
+            "v": speed,
+            "s": np.cumsum(speed) * step,
+            "F": 200e3 * rate + resistance,
+        }
+    )
+
+
+def written(folder: Path, columns: dict[str, object], name: str = "run.csv") -> Path:
+    path = folder / name
+    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.6g")
+    return path
+
+
+def field(proposal: Proposal, name: str) -> dict[str, str]:
+    return dict(proposal.evidence.set_index("field").loc[name])
+
+
+@pytest.fixture(scope="module")
+def verdicts(tmp_path_factory: pytest.TempPathFactory) -> list[Verdict]:
+    folder = tmp_path_factory.mktemp("layouts")
+    return [judged(draw(folder, seed)) for seed in LAYOUTS]
+
+
+def test_no_layout_is_read_wrongly_without_a_word(verdicts: list[Verdict]) -> None:
+    wrong = [str(verdict) for verdict in verdicts if verdict.silently_wrong]
+    assert not wrong, table(verdicts) + "\n".join(wrong)
+
+
+def test_nine_of_ten_layouts_are_read_rightly(verdicts: list[Verdict]) -> None:
+    right = sum(verdict.all_right for verdict in verdicts)
+    others = [str(verdict) for verdict in verdicts if not verdict.all_right]
+    assert right >= 0.9 * len(verdicts), table(verdicts) + "\n".join(others)
+
+
+def test_every_column_is_used_or_listed(verdicts: list[Verdict]) -> None:
+    for verdict in verdicts:
+        proposal = verdict.proposal
+        assert proposal is not None, verdict.refused
+        assert proposal.profile.time is not None
+        used = {n for c in proposal.profile.columns.values() for n in c.names}
+        used |= set(proposal.profile.time.names)
+        assert used | set(proposal.not_used) == set(proposal.names)
+
+
+def test_the_sample_recorder_is_ingested_as_with_its_own_profile() -> None:
+    proposal = propose_profile(RECORDER)
+    assert proposal.profile.time is not None
+    zoned = proposal.profile.model_copy(
+        update={"time": proposal.profile.time.model_copy(update={"timezone": "Europe/Zurich"})}
+    )
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    proposed, true = (
+        ingest(RECORDER, profile, line=line, train=train, metadata={"load": "12000"})
+        for profile in (zoned, "sample_logs/recorder.profile.toml")
+    )
+    assert list(proposed.topics) == list(true.topics)
+    for name, frame in true.topics.items():
+        pd.testing.assert_frame_equal(proposed[name], frame)
+    assert curve(proposed) == curve(true)
+
+
+def curve(trip: Trip) -> RunningResistance:
+    return fit_trip(trip).resistance
+
+
+def test_what_the_file_does_not_state_is_open() -> None:
+    proposal = propose_profile(RECORDER)
+    assert [question.split(":")[0] for question in proposal.open] == ["time zone"]
+    assert "# open: or local time" in proposal.text
+
+
+def test_units_follow_from_mechanics(tmp_path: Path) -> None:
+    run = drive()
+    path = written(
+        tmp_path, {"t [s]": run.t, "v": run.v * 1.943844, "s": run.s / 1e3, "F": run.F / 1e3}
+    )
+    proposal = propose_profile(path)
+    assert field(proposal, "/train/state.speed")["unit"] == "knot"
+    assert field(proposal, "/train/state.position")["unit"] == "km"
+    effort = field(proposal, "/train/controls.tractive_effort")
+    assert effort["unit"] == "kN"
+    mass = float(effort["check"].split("accelerates ")[1].split(" t")[0])
+    assert 150.0 < mass < 260.0
+
+
+def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> None:
+    run = drive()
+    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F [kN]": run.F})
+    effort = field(propose_profile(path), "/train/controls.tractive_effort")
+    assert effort["unit"] == "N"
+    assert effort["alternative"] == "kN, as the file states"
+
+
+def test_the_train_decides_between_units(tmp_path: Path) -> None:
+    run = drive()
+    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F": run.F})
+    unknown = field(propose_profile(path), "/train/controls.tractive_effort")
+    assert (unknown["unit"], unknown["alternative"]) == ("N", "daN or lbf")
+    train = read_train(sample(DEFAULT_TRAIN))
+    known = field(propose_profile(path, train), "/train/controls.tractive_effort")
+    assert (known["unit"], known["alternative"]) == ("N", "")
+
+
+def test_a_column_of_an_unknown_name_is_found_by_what_it_does(tmp_path: Path) -> None:
+    run = drive()
+    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "kanal_17": run.s})
+    proposal = propose_profile(path)
+    assert field(proposal, "/train/state.position")["column"] == "kanal_17"
+    assert any("the name is not known" in reading.why for reading in proposal.readings)
+
+
+def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path: Path) -> None:
+    run = drive()
+    noise = np.random.default_rng(1).uniform(0.0, 9_000.0, len(run))
+    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "Weg [m]": noise})
+    proposal = propose_profile(path)
+    assert "/train/state.position" not in proposal.profile.columns
+    assert "does not follow the speed" in proposal.not_used["Weg [m]"]
+
+
+@pytest.mark.parametrize(
+    ("days", "pattern", "opened"),
+    [
+        (["03/04/2024"], "%d/%m/%Y", True),
+        (["13/04/2024"], "%d/%m/%Y", False),
+        (["04/13/2024"], "%m/%d/%Y", False),
+        (["03.04.2024"], "%d.%m.%Y", False),
+        (["04/12/2024", "05/12/2024"], "%d/%m/%Y", False),
+    ],
+)
+def test_day_and_month(tmp_path: Path, days: list[str], pattern: str, opened: bool) -> None:
+    run = drive()
+    half = len(run) // len(days)
+    stamps = pd.Timestamp("2024-01-01T23:55:00") + pd.to_timedelta(run.t, unit="s")
+    day = [days[min(row // half, len(days) - 1)] for row in range(len(run))]
+    if len(days) > 1:
+        day = [days[int(stamp.day > 1)] for stamp in stamps]
+    else:
+        stamps = stamps - pd.Timedelta(hours=5)
+    path = written(
+        tmp_path,
+        {"Date": day, "Time": stamps.dt.strftime("%H:%M:%S"), "Speed [km/h]": run.v * 3.6},
+    )
+    proposal = propose_profile(path)
+    assert proposal.profile.time is not None
+    assert proposal.profile.time.format == f"{pattern} %H:%M:%S"
+    assert any(question.startswith("date") for question in proposal.open) == opened
+
+
+def test_parquet_with_typed_times(tmp_path: Path) -> None:
+    run = drive()
+    path = tmp_path / "run.parquet"
+    stamps = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(run.t, unit="s")
+    pd.DataFrame({"stamp": stamps, "vitesse": run.v * 3.6, "distance": run.s}).to_parquet(path)
+    proposal = propose_profile(path)
+    assert field(proposal, "/train/state.speed")["unit"] == "km/h"
+    trip = ingest(path, proposal.profile)
+    np.testing.assert_allclose(trip["/train/state"]["speed"], run.v, atol=1e-9)
+
+
+def test_a_timetable_is_no_trip(tmp_path: Path) -> None:
+    rows = 40
+    path = written(
+        tmp_path,
+        {
+            "Station": [f"S{number}" for number in range(rows)],
+            "Arrival": [
+                f"{6 + number // 12:02d}:{5 * (number % 12):02d}" for number in range(rows)
+            ],
+            "km": np.arange(rows) * 4.2,
+        },
+    )
+    with pytest.raises(InputError, match="lie 300 s apart, as those of a timetable"):
+        propose_profile(path)
+
+
+def test_text_and_tables_without_motion_are_refused(tmp_path: Path) -> None:
+    run = drive()
+    path = written(tmp_path, {"t [s]": run.t, "Temperature [°C]": 20.0 + run.v})
+    with pytest.raises(InputError, match="no column is a speed, a distance or a satellite"):
+        propose_profile(path)
+    words = tmp_path / "words.txt"
+    words.write_text("Dear all,\nthe train was late again.\nRegards\n")
+    with pytest.raises(InputError, match="is no table"):
+        propose_profile(words)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the public data")
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("creep/eurosprinter_creep_curves.csv", "no column is a time that goes forward"),
+        ("aalto/device_data.csv", "does it hold several devices"),
+        ("aalto/device_models.csv", "no column is a time that goes forward"),
+    ],
+)
+def test_public_tables_that_are_no_trip(name: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        propose_profile(SHARED / name)
+
+
+def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:
+    run = drive()
+    (tmp_path / "in").mkdir()
+    stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
+    for number in (1, 2):
+        day = stamps + pd.Timedelta(days=number)
+        columns = {"Zeit (UTC)": day, "v [km/h]": run.v * 3.6, "Weg [m]": run.s + number}
+        path = written(tmp_path / "in", columns, f"run-{number}.csv")
+    output = tmp_path / "out"
+    command = CliRunner()
+    given = ["ingest", str(path), "-o", str(output)]
+    first = command.invoke(app, given)
+    assert first.exit_code == 1, first.output
+    proposed = output / "run-2.profile.toml"
+    assert f"--profile {proposed} -o {output}" in " ".join(first.output.split())
+    assert not list(output.glob("*.mcap"))
+    again = command.invoke(app, [*given, "--profile", str(proposed)])
+    assert again.exit_code == 0, again.output
+    # Of a folder, one proposal for all files of a layout.
+    whole = command.invoke(
+        app, ["ingest", str(tmp_path / "in"), "-o", str(tmp_path / "all"), "--accept", "--json"]
+    )
+    assert whole.exit_code == 0, whole.output
+    assert json.loads(whole.stdout)["counts"]["refused"] == 0
+    assert sorted(each.name for each in (tmp_path / "all").iterdir()) == [
+        "run-1.mcap",
+        "run-1.profile.toml",
+        "run-2.mcap",
+    ]

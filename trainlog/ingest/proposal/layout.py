@@ -1,0 +1,378 @@
+"""How an unknown table is written: encoding, delimiter, decimal mark, header, units, missing words.
+
+Nothing here knows what the columns mean. A library that guesses (csv.Sniffer, charset detection)
+would guess from letters; a recorder's file is decided by its numbers: the delimiter is the one that
+leaves the most cells which are numbers or times, in rows of equal length.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes
+from trainlog.ingest.mapping import numbers
+from trainlog.ingest.profile import MISSING, FileOptions
+from trainlog.ingest.proposal.vocabulary import unit_of
+from trainlog.ingest.recording import FloatArray, IntArray
+from trainlog.ingest.tabular import is_parquet, open_text
+
+DELIMITERS = (";", ",", "\t", "|")
+
+SAMPLE = 200
+"""Lines that the layout is judged by: of the file's begin, middle and end."""
+
+HEAD = 60
+"""Lines in which the header must stand."""
+
+CODECS = ("cp1252", "cp850")
+"""Encodings of one byte a letter that recorders write, the likelier first."""
+
+_LETTERS = "äöüÄÖÜßéèàçêâîôûëïùÉÈÀ°²³‰µ·"
+"""What stands beyond ASCII in headers of these languages."""
+
+_NUMBER = {
+    ".": re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"),
+    ",": re.compile(r"^[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?$"),
+}
+_TIME = re.compile(
+    r"^\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([T ].*)?$|^\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp][Mm])?"
+    r"(Z|[+-]\d\d:?\d\d)?$|^\d{8}T\d{6}.*$|^\d{1,2}[- .]\w{3,4}[-. ]+\d{2,4}.*$"
+)
+_SENTINEL = re.compile(
+    r"^-?(9{3,6}([.,]9+|[.,]0+)?|327(67|68)|3276[,.]7|655(35|34)|6553[,.]5|655[,.]35|327[,.]67)$"
+)
+
+EXTRA_MISSING = (
+    "#N/A", "k.A.", "k. A.", "n.v.", "n.a.", "inf", "-inf", "----", "?", "***", "****", "*",
+    "invalid", "INVALID", "ungültig", "ungueltig", "invalide", "error", "ERROR", "Fehler", "#",
+    "undefined", "NULL", "none", "x",
+)  # fmt: skip
+"""Words that mean "no value" beyond those that every profile knows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One thing that was read from the data.
+
+    Attributes
+    ----------
+    what, taken, why : str
+        What it is about, what was taken for it, and the numbers or words it rests on.
+    alternative : str
+        The other reading that the data allow; empty where they decide.
+    """
+
+    what: str
+    taken: str
+    why: str
+    alternative: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A table whose cells can be read.
+
+    Attributes
+    ----------
+    path : Path
+    format : str
+        ``"csv"`` or ``"parquet"``.
+    options : FileOptions
+    names, units : tuple of str
+        Of the columns that can be named; a unit is empty where no line of units gives one.
+    table : pyarrow.Table
+    rows : (n,) int64 array
+        Row of the file of each row of the table.
+    preamble : str
+        What stands before the header.
+    readings : tuple of Reading
+    unnamed : dict of str to str
+        Columns that no profile can name, and why.
+    """
+
+    path: Path
+    format: str
+    options: FileOptions
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    table: pa.Table
+    rows: IntArray
+    preamble: str = ""
+    readings: tuple[Reading, ...] = ()
+    unnamed: dict[str, str] = field(default_factory=dict)
+
+    def number(self, name: str) -> FloatArray:
+        """A column as numbers, NaN where a cell is none."""
+        return numbers(self.table[name], self.options.decimal)[0]
+
+    def share_of_numbers(self, name: str) -> float:
+        """Share of the cells with a value that are numbers; 0 where there is no value."""
+        values, empty, _ = numbers(self.table[name], self.options.decimal)
+        return float(np.isfinite(values).sum() / max(1, np.count_nonzero(~empty)))
+
+
+def layout_of(path: Path) -> Layout:
+    """How a table is written, and its cells.
+
+    Raises
+    ------
+    InputError
+        If it is no table.
+    """
+    data = read_bytes(path)
+    return _parquet_layout(path, data) if is_parquet(data[:8]) else _text_layout(path, data)
+
+
+def _parquet_layout(path: Path, data: bytes) -> Layout:
+    try:
+        table = pa.parquet.read_table(pa.BufferReader(data))
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"is no Parquet table that can be read: {str(error).splitlines()[0][:120]}",
+            file=path,
+            remedy="copy the file again; was the recorder stopped while writing?",
+        ) from error
+    names = tuple(str(name) for name in table.schema.names)
+    fields = [table.schema.field(name).metadata or {} for name in names]
+    units = tuple(
+        unit_of(each.get(b"unit", b"").decode("utf-8", "ignore")) or "" for each in fields
+    )
+    rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
+    known = Reading("file", "Parquet", f"{len(names)} columns, {table.num_rows:,} rows")
+    return Layout(path, "parquet", FileOptions(), names, units, table, rows, "", (known,))
+
+
+def _text_layout(path: Path, data: bytes) -> Layout:
+    encoding, text, why = _decoded(path, data)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    sample = _sample(lines)
+    delimiter, decimal, width, judged = _separators(path, sample)
+    header, units, first = _header(lines, delimiter, decimal, width, sample)
+    readings = [
+        Reading("encoding", encoding, why),
+        Reading("delimiter", repr(delimiter), judged),
+        Reading("decimal mark", repr(decimal), _decimals_seen(sample, delimiter)),
+    ]
+    options = FileOptions(
+        format="csv",
+        delimiter=delimiter,
+        decimal=decimal,
+        encoding=encoding,
+        header=header or (0 if header == 0 else None),
+        skip_after_header=max(0, first - header - 1) if header else 0,
+    )
+    opened = open_text(path, options)
+    unique = [name for name, count in Counter(opened.names).items() if name and count == 1]
+    table = opened.cells(unique).table
+    words, seen = _missing(table, decimal)
+    if words:
+        options = options.model_copy(update={"missing": (*MISSING, *words)})
+        opened = open_text(path, options)
+        readings.append(Reading("missing values", " ".join(map(repr, words)), seen))
+    cells = opened.cells(unique)
+    places = {name: place for place, name in enumerate(opened.names)}
+    stated = tuple(units[places[name]] if places[name] < len(units) else "" for name in unique)
+    where = f"line {header}" if header else "none: the columns are numbered"
+    readings.append(Reading("header", where, f"{len(unique)} columns, {cells.rows.size:,} rows"))
+    if any(units):
+        readings.append(Reading("units", f"line {header + 1}", " ".join(u or "-" for u in units)))
+    unnamed = {
+        name or "(no name)": f"the name stands {count} times in the header"
+        for name, count in Counter(opened.names).items()
+        if name and count > 1
+    }
+    preamble = "\n".join(lines[: max(0, header - 1)])
+    return Layout(
+        path, "csv", options, tuple(unique), stated, cells.table, cells.rows, preamble,
+        tuple(readings), unnamed,
+    )  # fmt: skip
+
+
+def _decoded(path: Path, data: bytes) -> tuple[str, str, str]:
+    """The encoding, the text, and why."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16", _strict(path, data, "utf-16"), "its byte order mark"
+    head = data[:4096]
+    if head.count(b"\0") > len(head) // 3:
+        codec = "utf-16-le" if head[1:2] == b"\0" else "utf-16-be"
+        return codec, _strict(path, data, codec), "every other byte is zero"
+    data = data.rstrip(b"\0")
+    if not data or data.isspace():
+        raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
+    if b"\0" in data:
+        raise InputError(
+            "is not text: it holds zero bytes",
+            file=path,
+            place=f"byte {data.index(0)}",
+            remedy="give the recorder's table, not its binary file",
+        )
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError:
+        texts = {}
+        for codec in CODECS:
+            try:
+                texts[codec] = data.decode(codec)
+            except UnicodeDecodeError:
+                texts[codec] = data.decode("latin-1") if codec == "cp1252" else ""
+        counts = {
+            codec: sum(text.count(letter) for letter in _LETTERS) for codec, text in texts.items()
+        }
+        best = max(counts, key=lambda codec: counts[codec])
+        try:
+            data.decode(best)
+        except UnicodeDecodeError:
+            best, texts[best] = "latin-1", data.decode("latin-1")
+        shown = sorted({letter for letter in texts[best] if letter in _LETTERS})
+        return best, texts[best], f"not UTF-8; as {best} it holds {' '.join(shown)}"
+    plain_ascii = text.isascii()
+    return "utf-8", text.removeprefix("\ufeff"), "ASCII" if plain_ascii else "valid UTF-8"
+
+
+def _strict(path: Path, data: bytes, codec: str) -> str:
+    try:
+        return data.decode(codec).removeprefix("\ufeff")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"is not {codec} text", file=path, place=f"byte {error.start}", remedy="copy it again"
+        ) from error
+
+
+def _sample(lines: list[str]) -> list[str]:
+    """Lines of data to judge by: of the begin, without what may be a header, middle and end."""
+    filled = [line for line in lines if line.strip() and not line.startswith("#")]
+    body = filled[min(HEAD, len(filled) // 3) :]
+    third = SAMPLE // 3
+    if len(body) <= SAMPLE:
+        return body
+    middle = len(body) // 2
+    return [*body[:third], *body[middle : middle + third], *body[-third - 1 : -1]]
+
+
+def _separators(path: Path, sample: list[str]) -> tuple[str, str, int, str]:
+    """Delimiter, decimal mark, cells a row, and the shares that decide."""
+    best: tuple[float, str, str, int, str] | None = None
+    for delimiter in DELIMITERS:
+        rows = _rows(sample, delimiter)
+        width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
+        if width < 2:
+            continue
+        cells = [cell for row in rows if len(row) == width for cell in row if cell]
+        even = count / len(rows)
+        for decimal in (".", ","):
+            if decimal == delimiter:
+                quoted = any(f'"{cell}"' in line for line in sample[:5] for cell in cells[:20])
+                if not quoted:
+                    continue
+            good = sum(bool(_NUMBER[decimal].match(c) or _TIME.match(c)) for c in cells)
+            share = good / max(1, len(cells))
+            score = even * share + (1e-6 if decimal == "." else 0.0)
+            if best is None or score > best[0] + 1e-9:
+                why = (
+                    f"{even:.0%} of the rows have {width} cells,"
+                    f" {share:.0%} of them numbers or times"
+                )
+                best = (score, delimiter, decimal, width, why)
+    if best is None or best[0] < 0.2:
+        raise InputError(
+            "is no table: no delimiter leaves rows of equal length with numbers in them",
+            file=path,
+            remedy="expected text with ';', ',', '|' or tabulators between the cells",
+        )
+    return best[1], best[2], best[3], best[4]
+
+
+def _rows(lines: list[str], delimiter: str) -> list[list[str]]:
+    try:
+        return [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
+    except csv.Error:
+        return [[cell.strip() for cell in line.split(delimiter)] for line in lines]
+
+
+def _decimals_seen(sample: list[str], delimiter: str) -> str:
+    cells = [cell for row in _rows(sample, delimiter) for cell in row]
+    points = sum(bool(re.match(r"^[+-]?\d*\.\d+$", cell)) for cell in cells)
+    commas = sum(bool(re.match(r"^[+-]?\d*,\d+$", cell)) for cell in cells)
+    return f"{points} cells of the sample have a point, {commas} a comma"
+
+
+def _header(
+    lines: list[str], delimiter: str, decimal: str, width: int, sample: list[str]
+) -> tuple[int, tuple[str, ...], int]:
+    """Line of the names (0: none), units of the columns, and line of the first row of data."""
+    number = _NUMBER[decimal]
+
+    def measured(cell: str) -> bool:
+        return bool(number.match(cell) or _TIME.match(cell))
+
+    body = [row for row in _rows(sample, delimiter) if len(row) == width]
+    filled = [[row[column] for row in body if row[column]] for column in range(width)]
+    numeric = [bool(cells) and sum(map(measured, cells)) > 0.5 * len(cells) for cells in filled]
+    candidates: list[tuple[int, list[str]]] = []
+    first = 0
+    for place, line in enumerate(lines[:HEAD], start=1):
+        if not line.strip():
+            continue
+        row = _rows([line], delimiter)[0]
+        if abs(len(row) - width) > 1 and len(row) < width:
+            continue
+        row = (row + [""] * width)[: max(width, len(row))]
+        cells = [cell for cell, wanted in zip(row, numeric, strict=False) if wanted and cell]
+        is_data = bool(cells) and sum(map(measured, cells)) > 0.5 * len(cells)
+        if is_data and any(numeric):
+            first = place
+            break
+        candidates.append((place, row))
+    if not first:
+        return 0, (), 1
+    units: tuple[str, ...] = ()
+    names = 0
+    for place, row in candidates:
+        words = [cell for cell in row if cell]
+        spelt = [unit_of(cell) or "" for cell in row]
+        bracketed = sum(cell.startswith(("[", "(")) for cell in words)
+        if names and words and sum(map(bool, spelt)) + bracketed > 0.6 * len(words):
+            units = tuple(spelt)
+        elif len(words) >= max(2, width // 2):
+            names, units = place, ()
+    return names, units, first
+
+
+def _missing(table: pa.Table, decimal: str) -> tuple[tuple[str, ...], str]:
+    """Words and numbers that stand for "no value" in columns of numbers, and how often."""
+    counts: Counter[str] = Counter()
+    for name in table.column_names:
+        values, _, garbled = numbers(table[name], decimal)
+        good = np.isfinite(values)
+        if not good.any() or np.count_nonzero(garbled) > np.count_nonzero(good):
+            continue
+        if garbled.any():
+            words = table[name].filter(pa.array(garbled)).to_pylist()
+            counts.update(word.strip() for word in words if word.strip() in EXTRA_MISSING)
+        counts.update(_sentinels(table[name], values))
+    found = tuple(sorted(counts))
+    return found, ", ".join(f"{word!r} {counts[word]} times" for word in found)
+
+
+def _sentinels(column: pa.ChunkedArray, values: FloatArray) -> dict[str, int]:
+    """Numbers such as 65535 that stand far beyond all others of a column."""
+    known = values[np.isfinite(values)]
+    size = np.abs(known)
+    extreme = float(size.max())
+    rest = size[size < extreme]
+    if extreme < 300.0 or not rest.size or rest.size < 0.5 * size.size:
+        return {}
+    if extreme < 3.0 * max(float(np.percentile(rest, 99.9)), 1.0):
+        return {}
+    mask = np.abs(values) == extreme
+    words = Counter(str(word).strip() for word in column.filter(pa.array(mask)).to_pylist())
+    return {word: count for word, count in words.items() if _SENTINEL.match(word)}

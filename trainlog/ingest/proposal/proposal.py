@@ -1,0 +1,401 @@
+"""From an unknown table to a profile: proposed, with what each line of it rests on."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from trainlog.display import as_html, as_text, counted
+from trainlog.errors import InputError
+from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, TimeOptions, parse_profile
+from trainlog.ingest.proposal.columns import columns_of
+from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
+from trainlog.ingest.proposal.times import Clock, clock_of
+from trainlog.ingest.proposal.vocabulary import meaning_of
+from trainlog.ingest.proposal.work import Proposed
+from trainlog.ingest.recording import Recording, base_name, field_of
+from trainlog.ingest.registry import format_of, own_profile
+from trainlog.ingest.rules import repaired
+from trainlog.ingest.tabular import read_delimited, read_parquet
+from trainlog.railway.train import Train
+from trainlog.topics import TOPICS
+from trainlog.units import KMH, PER_MILLE
+
+TABLES = ("csv", "parquet")
+"""Formats whose files a profile can be proposed for."""
+
+SHOWN = {
+    "m": ("km", 1e-3, 3), "m/s": ("km/h", KMH, 1), "N": ("kN", 1e-3, 1), "K": ("°C", 1.0, 1),
+    "deg": ("°", 1.0, 6), "m/s^2": ("m/s²", 1.0, 2),
+}  # fmt: skip
+"""Units of the preview: those of railway people, factor, decimals."""
+
+PREVIEW = 3
+"""Rows of the preview from the file's begin, and from where the train is fast."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Proposal:
+    """A profile proposed for a file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    text : str
+        The profile as a commented TOML file.
+    profile : Profile
+        The same, parsed.
+    evidence : DataFrame
+        A row a field: column, field, unit, why, check (what physics says, in numbers), alternative.
+    preview : DataFrame
+        First rows, and some of a moving train, as they would be read; km, km/h, kN.
+    readings : tuple of Reading
+        How the file is written, and its time.
+    not_used : dict of str to str
+        Columns that became no field, and why.
+    one_file : bool
+        Whether the profile holds for this file alone: it states the day of its start.
+    names : tuple of str
+        Columns of the file, by which files of the same layout are known.
+
+    Examples
+    --------
+    >>> from trainlog.ingest import propose_profile
+    >>> proposal = propose_profile("sample_logs/recorder.csv")
+    >>> proposal.profile.columns["/train/state.speed"].unit
+    'km/h'
+    """
+
+    path: Path
+    text: str
+    profile: Profile
+    evidence: pd.DataFrame
+    preview: pd.DataFrame
+    readings: tuple[Reading, ...]
+    not_used: dict[str, str]
+    one_file: bool
+    names: tuple[str, ...]
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """What the data leave open: what was taken, and the alternative."""
+        found = [
+            f"{r.what}: {r.taken} ({r.why}); or {r.alternative}"
+            for r in self.readings
+            if r.alternative
+        ]
+        for row in self.evidence.to_dict("records"):
+            if row["alternative"]:
+                unit = f" [{row['unit']}]" if row["unit"] else ""
+                found += [
+                    f"{row['column']}: {row['field']}{unit} ({row['why']}); or {row['alternative']}"
+                ]
+        return tuple(found)
+
+    def fits(self, path: str | Path) -> bool:
+        """Whether another file has the same columns, so that the profile can be used for it."""
+        if self.one_file:
+            return False
+        try:
+            return layout_of(Path(path)).names == self.names
+        except InputError:
+            return False
+
+    def lines(self) -> list[str]:
+        """The proposal in words, a line each."""
+        found = [f"{r.what}: {r.taken} ({r.why})" for r in self.readings]
+        for row in self.evidence.to_dict("records"):
+            unit = f" [{row['unit']}]" if row["unit"] else ""
+            reason = "; ".join(filter(None, [row["why"], row["check"]]))
+            found.append(f"{row['column']} -> {row['field']}{unit}: {reason}")
+        found += [f"not used: {name}: {why}" for name, why in self.not_used.items()]
+        found += [f"open: {question}" for question in self.open]
+        shown = self.preview.set_index("row").T.to_string().splitlines()
+        return [*found, "as it would be read, by row of the file:", *(f"  {row}" for row in shown)]
+
+    def __repr__(self) -> str:
+        return as_text(f"Proposed profile of {self.path.name}", self._summary())
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return as_html(f"Proposed profile of {self.path.name}", self._summary())
+
+    def _summary(self) -> dict[str, str]:
+        rows = {reading.what: reading.taken for reading in self.readings}
+        for row in self.evidence.to_dict("records"):
+            unit = f" [{row['unit']}]" if row["unit"] else ""
+            rows[row["field"]] = f"{row['column']}{unit}"
+        rows["not used"] = ", ".join(self.not_used) or "-"
+        rows["open"] = counted(len(self.open), "reading")
+        return rows
+
+
+def propose_profile(path: str | Path, train: Train | None = None) -> Proposal:
+    """Propose a profile for a table of an unknown layout.
+
+    Encoding, delimiter, decimal mark, header and units are read from the cells; columns by their
+    names and units in English, German and French; each is checked by mechanics: the speed must
+    integrate to the distance and to the way between satellite fixes, efforts must accelerate a
+    train's mass, wheels must turn as fast as the train runs. What the data leave open is stated.
+
+    Parameters
+    ----------
+    path : path
+        Delimited text or Parquet.
+    train : Train, optional
+        Whose mass the efforts must accelerate; without it, any train's.
+
+    Raises
+    ------
+    InputError
+        If the file is no table, or is no recording of a trip, with the reason.
+
+    Examples
+    --------
+    >>> proposal = propose_profile("sample_logs/recorder.csv")
+    >>> speed = proposal.evidence.set_index("field").loc["/train/state.speed"]
+    >>> speed["column"], speed["unit"]
+    ('V_kmh', 'km/h')
+    >>> [question.split(":")[0] for question in proposal.open][:1]
+    ['time zone']
+    """
+    source = Path(path)
+    layout = layout_of(source)
+    meanings = {
+        name: meaning_of(name, unit or None)
+        for name, unit in zip(layout.names, layout.units, strict=True)
+    }
+    clock = clock_of(layout, meanings)
+    work = columns_of(layout, clock, meanings, train)
+    proposed = sorted(work.proposed.values(), key=lambda each: _order(each.field))
+    not_used = layout.unnamed | {
+        name: work.left[name] for name in layout.names if name in work.left
+    }
+    readings = (*layout.readings, *clock.readings, *work.readings)
+    text = _toml(layout, clock, proposed, readings, not_used)
+    profile = parse_profile(text.encode(), file=f"the profile proposed for {source.name}")
+    read = read_parquet if layout.format == "parquet" else read_delimited
+    recording = read(source, profile)
+    refused = _refused(recording)
+    if refused is not None:
+        readings = (*readings, refused)
+    return Proposal(
+        source, text, profile, _evidence(proposed), _preview(recording), readings, not_used,
+        clock.one_file, layout.names,
+    )  # fmt: skip
+
+
+def needs_profile(path: Path, format: str | None = None) -> bool:
+    """Whether a file is a table that no format and no profile of the user's folder knows.
+
+    Examples
+    --------
+    >>> needs_profile(Path("sample_logs/recorder.csv")), needs_profile(Path("sample_logs/gnss.csv"))
+    (True, False)
+    """
+    return format_of(path, format).name in TABLES and own_profile(path) is None
+
+
+def _order(field: str) -> int:
+    """Place of a field in the table of topics."""
+    return [
+        f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields
+    ].index(field)
+
+
+def _evidence(proposed: list[Proposed]) -> pd.DataFrame:
+    rows = [
+        {
+            "column": ", ".join(each.columns),
+            "field": each.field,
+            "unit": each.unit,
+            "why": each.why,
+            "check": each.check,
+            "alternative": each.alternative,
+        }
+        for each in proposed
+    ]
+    return pd.DataFrame(rows, columns=["column", "field", "unit", "why", "check", "alternative"])
+
+
+def _refused(recording: Recording) -> Reading | None:
+    """What the rules of repair would refuse of the file, read so."""
+    for table in recording.tables:
+        try:
+            repaired(table, Limits(), Repair())
+        except InputError as error:
+            return Reading("the file as a whole", "is refused", error.problem, error.remedy or "")
+    return None
+
+
+def _preview(recording: Recording) -> pd.DataFrame:
+    """Rows as they would be read, in units of railway people."""
+    table = recording.tables[0]
+    count = len(table)
+    first = np.arange(min(PREVIEW, count))
+    middle = count // 2
+    speed = table.signals.get("/train/state.speed", table.signals.get("/gnss/motion.speed"))
+    if speed is not None and np.isfinite(speed).any():
+        middle = int(np.nanargmax(speed >= 0.9 * np.nanpercentile(speed, 98)))
+    later = np.arange(middle, min(middle + PREVIEW, count))
+    rows = np.unique(np.concatenate([first, later]))
+    columns: dict[str, object] = {"row": table.rows[rows]}
+    for name, values in table.signals.items():
+        si = field_of(name)[2].unit
+        unit, size, digits = SHOWN.get(si, (si, 1.0, 3))
+        if base_name(name) == "/environment.gradient":
+            unit, size, digits = "‰", PER_MILLE, 1
+        elif name.startswith("/gnss/fix") and si == "m":
+            unit, size, digits = "m", 1.0, 1
+        shown = values[rows] * size - (273.15 if si == "K" else 0.0)
+        label = name.rpartition(".")[2]
+        label = f"gnss {label}" if name.startswith("/gnss/motion.speed") else label
+        columns[f"{label} [{unit}]" if unit not in ("", "1") else label] = np.round(shown, digits)
+    columns |= {name.rpartition(".")[2]: words[rows] for name, words in table.texts.items()}
+    known = np.where(table.time[rows] > 0, table.time[rows], np.iinfo(np.int64).min)
+    return pd.DataFrame(columns, index=pd.DatetimeIndex(known, tz="UTC", name="time"))
+
+
+def _toml(
+    layout: Layout,
+    clock: Clock,
+    proposed: list[Proposed],
+    readings: tuple[Reading, ...],
+    not_used: dict[str, str],
+) -> str:
+    """The profile as commented TOML."""
+    found = {reading.what: reading for reading in readings}
+    lines = [
+        *_wrapped(
+            f"Proposed by trainlog from {layout.path.name}. Comments say what each line rests on;"
+            " 'open' marks what the data do not decide. docs/ingest.md explains the keys."
+        ),
+        'format = "trainlog/recorder-profile"',
+        "version = 1",
+        f"name = {_quoted('Proposed from ' + layout.path.name)}",
+        "",
+    ]
+    if layout.format == "csv" and layout.options.header and not clock.one_file:
+        used = [*clock.options.names, *(name for each in proposed for name in each.columns)]
+        lines += [
+            "# Files with these columns are recognised (folder TRAINLOG_PROFILES).",
+            "[detect]",
+        ]
+        lines += [f"columns = {_list(tuple(dict.fromkeys(used)))}", ""]
+    lines += _file_section(layout, found)
+    lines += _time_section(clock)
+    lines.append("[columns]")
+    for reading in readings:
+        if reading.what.startswith("column "):
+            lines += _wrapped(f"{reading.what}: {reading.taken}: {reading.why}")
+    for each in proposed:
+        lines += _column_lines(each)
+    if not_used:
+        lines += ["", "# Not used:"]
+        lines += [f"#   {_quoted(name)}: {_plain(why)}" for name, why in not_used.items()]
+    lines += [
+        "",
+        "[trip]",
+        "# What the file does not state, and fit, slip and map need:",
+        '# load = { value = 12, unit = "t" }',
+        '# weather = "dry"',
+        '# direction = "forward"',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _file_section(layout: Layout, found: dict[str, Reading]) -> list[str]:
+    lines = ["[file]", f"format = {_quoted(layout.format)}"]
+    if layout.format != "csv":
+        return [*lines, ""]
+    options = layout.options
+    for key, value, what in (
+        ("encoding", _quoted(options.encoding), "encoding"),
+        ("delimiter", _quoted(options.delimiter), "delimiter"),
+        ("decimal", _quoted(options.decimal), "decimal mark"),
+    ):
+        lines.append(f"{key} = {value}  # {_plain(found[what].why)}")
+    lines.append(f"header = {options.header if options.header is not None else 1}")
+    if options.skip_after_header:
+        units = found.get("units")
+        note = f"  # a line of units: {_plain(units.why)}" if units else ""
+        lines.append(f"skip_after_header = {options.skip_after_header}{note}")
+    if options.missing != MISSING:
+        lines.append(f"missing = {_list(options.missing)}  # {_plain(found['missing values'].why)}")
+    return [*lines, ""]
+
+
+def _time_section(clock: Clock) -> list[str]:
+    lines = ["[time]"]
+    for reading in clock.readings:
+        lines += _wrapped(f"{reading.what}: {reading.taken}: {reading.why}")
+        if reading.alternative:
+            lines += _wrapped(f"open: or {reading.alternative}")
+    options = clock.options
+    if options.column is not None:
+        lines.append(f"column = {_quoted(options.column)}")
+    else:
+        lines.append(f"columns = {_list(options.columns)}")
+    default = TimeOptions(column="time")
+    for key in ("format", "unit", "timezone"):
+        value = getattr(options, key)
+        if value != getattr(default, key) or (key == "timezone" and options.format != "epoch"):
+            lines.append(f"{key} = {_quoted(value)}")
+    if isinstance(options.start, datetime.datetime):
+        lines.append(f"start = {options.start.isoformat()}")
+    if options.date is not None:
+        lines.append(f"date = {options.date.isoformat()}")
+    return [*lines, ""]
+
+
+def _column_lines(each: Proposed) -> list[str]:
+    lines = _wrapped("; ".join(filter(None, [each.why, each.check])))
+    if each.alternative:
+        lines += _wrapped(f"open: or {each.alternative}")
+    if field_of(_first(each.field))[2].per_axle:
+        keys = [f"columns = {_list(each.columns)}"]
+    else:
+        keys = [f"column = {_quoted(each.columns[0])}"]
+    if each.unit:
+        keys.append(f"unit = {_quoted(each.unit)}")
+    keys += [f"scale = {each.scale!r}"] if each.scale != 1.0 else []
+    keys += [f"offset = {each.offset!r}"] if each.offset else []
+    keys += [f'part = "{each.part}"'] if each.part != "all" else []
+    keys += [f"sign = {each.sign}"] if each.sign != 1 else []
+    keys += [f'notation = "{each.notation}"'] if each.notation != "number" else []
+    return [*lines, f'"{each.field}" = {{ {", ".join(keys)} }}']
+
+
+def _first(field: str) -> str:
+    """A column of a field's frame, with which `field_of` finds per-axle fields, too."""
+    return f"{field}_1" if field.startswith("/train/axles.") else field
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _list(words: tuple[str, ...]) -> str:
+    return f"[{', '.join(map(_quoted, words))}]"
+
+
+def _plain(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _wrapped(text: str) -> list[str]:
+    """A comment, broken at 100 columns."""
+    lines, line = [], "#"
+    for word in text.split():
+        if len(line) + 1 + len(word) > 100:
+            lines.append(line)
+            line = "#"
+        line += f" {word}"
+    return [*lines, line]

@@ -1,0 +1,169 @@
+"""Which field of our topics a column is meant for, by what its name says."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from trainlog.ingest.proposal.vocabulary import Meaning
+from trainlog.topics import TOPICS
+
+POSITION, SPEED = "/train/state.position", "/train/state.speed"
+ACCELERATION = "/train/state.acceleration"
+LEVER = "/train/controls.lever"
+TRACTION = "/train/controls.tractive_effort"
+DYNAMIC = "/train/controls.dynamic_braking_effort"
+PNEUMATIC = "/train/controls.pneumatic_braking_effort"
+TRACTION_DEMAND = "/train/controls.tractive_effort_demand"
+BRAKING_DEMAND = "/train/controls.braking_effort_demand"
+WHEEL_SPEED, WHEEL_EFFORT = "/train/axles.wheel_speed", "/train/axles.wheel_effort"
+LATITUDE, LONGITUDE = "/gnss/fix.latitude", "/gnss/fix.longitude"
+GNSS_SPEED = "/gnss/motion.speed"
+
+SIGNED = "effort of both signs"
+"""Role of a column that holds traction and braking, or does not say which."""
+
+BRAKING = "braking effort"
+"""Role of a column of braking efforts that does not say of which brake."""
+
+TORQUE = "torque of an axle"
+"""Role of a column that becomes a wheel effort by a factor that only the efforts give."""
+
+_PLAIN = {
+    "acceleration": ACCELERATION,
+    "latitude": LATITUDE,
+    "longitude": LONGITUDE,
+    "altitude": "/gnss/fix.altitude",
+    "satellites": "/gnss/motion.satellites",
+    "horizontal_dilution": "/gnss/fix.horizontal_accuracy",
+    "position_dilution": "/gnss/motion.pdop",
+    "horizontal_accuracy": "/gnss/fix.horizontal_accuracy",
+    "vertical_accuracy": "/gnss/fix.vertical_accuracy",
+    "speed_accuracy": "/gnss/motion.speed_accuracy",
+    "gradient": "/environment.gradient",
+    "curvature": "/environment.curvature",
+    "message": "/events.message",
+}
+
+_UNPLACED = {
+    "temperature": "a temperature, not stated to be the outside air's",
+    "wind": "a wind, not stated to be along the train",
+    "radius": "a radius: curvature is its inverse, which no factor gives",
+    "heading": "a heading: the line gives it",
+    "clock": "a further time",
+    "date": "a further date",
+    "station": "the name of a place",
+    "slip_protection": "slip protection: give it as a message, see docs/ingest.md",
+}
+
+
+def role_of(meaning: Meaning) -> tuple[str | None, str]:
+    """The field or role of a column, and, where it has none, why.
+
+    Examples
+    --------
+    >>> from trainlog.ingest.proposal.vocabulary import meaning_of
+    >>> role_of(meaning_of("Geschwindigkeit"))[0]
+    '/train/state.speed'
+    >>> role_of(meaning_of("v_soll"))
+    (None, 'a speed that is asked for, not driven')
+    """
+    quantity = meaning.quantity
+    if quantity is None:
+        return None, "its name is not known"
+    if meaning.coverage < 0.5:
+        return None, f"its name is hardly known ('{quantity}' is a part of it)"
+    if quantity in ("speed", "rotation", "distance", "effort", "torque", "lever"):
+        return _composed(quantity, meaning)
+    if quantity == "temperature" and "outside" in meaning:
+        return "/environment.air_temperature", ""
+    if "deviation" in meaning or "demand" in meaning or "limit" in meaning:
+        return None, f"no measured value ({quantity})"
+    if quantity in _PLAIN:
+        return _PLAIN[quantity], ""
+    return None, _UNPLACED.get(quantity, f"no field for it ({quantity.replace('_', ' ')})")
+
+
+def _composed(quantity: str, meaning: Meaning) -> tuple[str | None, str]:
+    """Roles that depend on the qualifiers."""
+    wheel = "axle" in meaning or "motor" in meaning
+    if "deviation" in meaning:
+        return None, f"an error or a difference ({quantity})"
+    if quantity == "speed":
+        return _speed(meaning, wheel=wheel)
+    if quantity == "rotation":
+        return WHEEL_SPEED, ""
+    if quantity == "distance":
+        if wheel or "limit" in meaning or "demand" in meaning:
+            return None, "no distance of the train"
+        if "remaining" in meaning:
+            return None, "a distance that is left, whose end is not known"
+        return POSITION, ""
+    if quantity == "lever":
+        return LEVER, ""
+    if quantity == "torque":
+        return TORQUE, ""
+    return _effort(meaning, wheel=wheel)
+
+
+def _speed(meaning: Meaning, *, wheel: bool) -> tuple[str | None, str]:
+    if "limit" in meaning:
+        return "/environment.speed_limit", ""
+    if "demand" in meaning:
+        return None, "a speed that is asked for, not driven"
+    if wheel:
+        return WHEEL_SPEED, ""
+    return (GNSS_SPEED, "") if "satellite" in meaning else (SPEED, "")
+
+
+def _effort(meaning: Meaning, *, wheel: bool) -> tuple[str | None, str]:
+    braking = {"braking", "electric", "pneumatic"} & meaning.qualifiers
+    if "limit" in meaning:
+        return None, "the effort that is available, not the one applied"
+    if "demand" in meaning:
+        if wheel or (braking and "traction" in meaning):
+            return None, "an effort that is asked for"
+        return (BRAKING_DEMAND if braking else TRACTION_DEMAND), ""
+    if wheel and "pneumatic" not in meaning and (meaning.index is not None or not braking):
+        return WHEEL_EFFORT, ""
+    if "traction" in meaning:
+        return (SIGNED if "braking" in meaning else TRACTION), ""
+    if "pneumatic" in meaning:
+        return PNEUMATIC, ""
+    if "electric" in meaning:
+        return DYNAMIC, ""
+    return (BRAKING, "") if "braking" in meaning else (SIGNED, "")
+
+
+def roles_of(meanings: dict[str, Meaning]) -> tuple[dict[str, list[str]], dict[str, str]]:
+    """Columns by role, the better named first, and the others with the reason.
+
+    Numbered speeds and efforts, such as ``v1`` to ``v4``, are those of axles.
+    """
+    found: dict[str, list[str]] = {}
+    left: dict[str, str] = {}
+    numbered = Counter(
+        (role_of(meaning)[0]) for meaning in meanings.values() if meaning.index is not None
+    )
+    for name, meaning in meanings.items():
+        role, why = role_of(meaning)
+        several = meaning.index is not None and numbered[role] > 1
+        if several and role == SPEED:
+            role = WHEEL_SPEED
+        elif several and role in (SIGNED, TRACTION):
+            role = WHEEL_EFFORT
+        if role is None or not _exists(role):
+            left[name] = why or "no field for it"
+        else:
+            found.setdefault(role, []).append(name)
+    for role, names in found.items():
+        if role in (WHEEL_SPEED, WHEEL_EFFORT, TORQUE):
+            names.sort(key=lambda name: meanings[name].index or 0)
+        else:
+            names.sort(key=lambda name: -meanings[name].coverage)
+    return found, left
+
+
+def _exists(role: str) -> bool:
+    """Whether a field is one of the table of topics; other roles are ours."""
+    topic, _, field = role.rpartition(".")
+    return not topic or (topic in TOPICS and any(f.name == field for f in TOPICS[topic].fields))

@@ -1,0 +1,474 @@
+"""Which columns of an unknown table are its time, in which format and zone."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from trainlog.errors import InputError
+from trainlog.ingest.mapping import numbers, read_time
+from trainlog.ingest.profile import TimeOptions
+from trainlog.ingest.proposal.layout import Layout, Reading
+from trainlog.ingest.proposal.vocabulary import Meaning, language_of, vocabulary, words_of, zone_of
+from trainlog.ingest.recording import NO_TIME, IntArray
+from trainlog.units import NANOSECONDS
+
+UNKNOWN_DAY = datetime.date(2000, 1, 1)
+"""Day that stands for one that the file does not state."""
+
+READABLE = 0.8
+"""Share of the cells that a time format must read."""
+
+FORWARD = 0.8
+"""Share of the steps that must not go back in time."""
+
+EPOCHS = (("s", 1e9, 2.6e9), ("ms", 1e12, 2.6e12), ("us", 1e15, 2.6e15), ("ns", 1e18, 2.6e18))
+"""Counts since 1970 that lie between 2001 and 2052."""
+
+_MONTHS = "jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec"
+_DATE = re.compile(rf"^(\d{{1,4}})([-./ ])(\d{{1,2}}|(?:{_MONTHS})[a-z]*)\2(\d{{1,4}})$", re.I)
+_CLOCK = re.compile(
+    r"^(?P<h>\d{1,3}):(?P<m>\d{2})(?::(?P<s>\d{2})(?P<f>[.,:]\d+)?)?(?P<p>\s*[AP]M)?"
+    r"(?P<z>\s*(?:Z|[+-]\d{2}:?\d{2}))?$",
+    re.I,
+)
+_BOTH = re.compile(r"^(?P<date>\S+?(?: \w{3,} \d+)?)(?P<sep>T|\s+|;)(?P<clock>\d{1,2}:\d{2}.*)$")
+_ISO = re.compile(
+    r"^\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?\s?(Z|[+-]\d{2}:?\d{2})?)?$"
+)
+_COMPACT = re.compile(r"^(\d{8})([T _]?)(\d{6})([.,]\d+)?(Z?)$")
+_DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)")
+_DAY_FIRST = re.compile(r"(?<!\d)([0-3]?\d)\.([01]?\d)\.(20\d\d)(?!\d)")
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """The time of a table.
+
+    Attributes
+    ----------
+    options : TimeOptions
+    time : (n,) int64 array [ns]
+        UTC; `NO_TIME` where a row has none.
+    readings : tuple of Reading
+    one_file : bool
+        Whether the options state a day that holds for this file only.
+    """
+
+    options: TimeOptions
+    time: IntArray
+    readings: tuple[Reading, ...]
+    one_file: bool = False
+
+
+def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
+    """The time of each row.
+
+    Raises
+    ------
+    InputError
+        If no column counts time.
+    """
+    tried: list[str] = []
+    for find in (_typed, _parts, _date_and_clock, _epoch, _elapsed):
+        found = find(layout, meanings, tried)
+        if found is not None:
+            return found
+    shown = ", ".join(layout.names[:12]) + (", ..." if len(layout.names) > 12 else "")
+    noted = f" ({'; '.join(tried)})" if tried else ""
+    raise InputError(
+        f"is no recording of a trip: no column is a time that goes forward{noted}",
+        file=layout.path,
+        remedy=f"columns: {shown}; if one of them is the time, write a profile, see docs/ingest.md",
+    )
+
+
+def _read(layout: Layout, options: TimeOptions) -> IntArray | None:
+    """The times; None unless most rows have one and most steps go forward."""
+    try:
+        time = read_time(layout.table, options, layout.options.decimal, layout.path)
+    except (InputError, ValueError, OverflowError, pa.ArrowException):
+        return None
+    known = time[time != NO_TIME]
+    filled = len(layout.table) - max(layout.table[name].null_count for name in options.names)
+    if known.size < max(2.0, READABLE * filled):
+        return None
+    steps = np.diff(known)
+    if known[0] == known[-1] or np.mean(steps >= 0) < FORWARD or not np.any(steps > 0):
+        return None
+    return time
+
+
+def _clock_names(layout: Layout, meanings: dict[str, Meaning], *quantities: str) -> list[str]:
+    """Columns whose name says time or date first, then others."""
+    named = [name for name in layout.names if set(meanings[name].quantities) & set(quantities)]
+    return [*named, *(name for name in layout.names if name not in named)]
+
+
+def _typed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> Clock | None:
+    """A column that the file types as a time stamp."""
+    for name in _clock_names(layout, meanings, "clock", "date"):
+        kind = layout.table[name].type
+        if not pa.types.is_timestamp(kind):
+            continue
+        zone, reading = (
+            ("UTC", Reading("time zone", str(kind.tz), "the file states it"))
+            if kind.tz
+            else _zone(layout, (name,))
+        )
+        options = TimeOptions(column=name, timezone=zone)
+        time = _read(layout, options)
+        if time is not None:
+            return Clock(
+                options, time, (Reading("time", name, "the file types it as time stamps"), reading)
+            )
+        tried.append(f"'{name}' is a time stamp that does not go forward")
+    return None
+
+
+def _parts(
+    layout: Layout,
+    meanings: dict[str, Meaning],  # noqa: ARG001
+    tried: list[str],  # noqa: ARG001
+) -> Clock | None:
+    """Six columns: year, month, day, hour, minute, second."""
+    found: dict[str, str] = {}
+    for part, spellings in vocabulary()["parts"].items():
+        for name in layout.names:
+            if set(words_of(name)) & set(spellings) and name not in found.values():
+                found.setdefault(part, name)
+    if len(found) < 6:
+        return None
+    names = tuple(found[part] for part in ("year", "month", "day", "hour", "minute", "second"))
+    zone, reading = _zone(layout, names)
+    options = TimeOptions(columns=names, format="parts", timezone=zone)
+    time = _read(layout, options)
+    if time is None:
+        return None
+    why = "six columns named year to second"
+    return Clock(options, time, (Reading("time", ", ".join(names), why), reading))
+
+
+def _date_and_clock(
+    layout: Layout,
+    meanings: dict[str, Meaning],
+    tried: list[str],  # noqa: ARG001
+) -> Clock | None:
+    """Text: date and time of day in one column, in two, or the time of day alone."""
+    texts = {name: _cells(layout, name) for name in layout.names}
+    order = _clock_names(layout, meanings, "clock", "date")
+    # Of several the one that states UTC, then the one whose name says time.
+    order.sort(key=lambda name: zone_of(name) != "UTC")
+    for name in order:
+        found = _one_column(layout, name, texts[name])
+        if found is not None:
+            return found
+    dates = [n for n in order if _share(_DATE, texts[n]) > READABLE or _compact_date(texts[n])]
+    clocks = [n for n in order if _share(_CLOCK, texts[n]) > READABLE]
+    for clock in clocks:
+        for date in dates:
+            found = _two_columns(layout, date, clock, texts)
+            if found is not None:
+                return found
+    for clock in clocks:
+        found = _clock_alone(layout, clock, texts[clock])
+        if found is not None:
+            return found
+    return None
+
+
+def _cells(layout: Layout, name: str) -> list[str]:
+    """Cells of a text column, up to 600 of them over the whole file."""
+    column = layout.table[name]
+    if not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)):
+        if not pa.types.is_date(column.type):
+            return []
+        column = column.cast(pa.string())
+    every = max(1, len(column) // 600)
+    picked = column.take(pa.array(np.arange(0, len(column), every)))
+    return [cell.strip() for cell in picked.to_pylist() if cell is not None and cell.strip()]
+
+
+def _share(pattern: re.Pattern[str], cells: list[str]) -> float:
+    return sum(bool(pattern.match(cell)) for cell in cells) / len(cells) if cells else 0.0
+
+
+def _one_column(layout: Layout, name: str, cells: list[str]) -> Clock | None:
+    if not cells:
+        return None
+    aware = bool(re.search(r":\d\d.*(Z|[+-]\d\d:?\d\d)$", cells[0]))
+    if aware:
+        zone, zoned = "UTC", Reading("time zone", "as each cell states", f"'{cells[0]}'")
+    else:
+        zone, zoned = _zone(layout, (name,))
+    if _share(_ISO, cells) > READABLE and any(":" in cell for cell in cells):
+        options = TimeOptions(column=name, timezone=zone)
+        time = _read(layout, options)
+        if time is not None:
+            return Clock(options, time, (Reading("time", name, f"ISO 8601, '{cells[0]}'"), zoned))
+    compact = _COMPACT.match(cells[0])
+    if compact and _share(_COMPACT, cells) > READABLE:
+        pattern = f"%Y%m%d{compact.group(2)}%H%M%S" + (
+            f"{compact.group(4)[0]}%f" if compact.group(4) else ""
+        )
+        pattern += compact.group(5)
+        if compact.group(5):
+            zone, zoned = "UTC", Reading("time zone", "UTC", "the cells end in Z")
+        options = TimeOptions(column=name, format=pattern, timezone=zone)
+        time = _read(layout, options)
+        if time is not None:
+            return Clock(options, time, (Reading("time", name, f"'{cells[0]}'"), zoned))
+    if _share(_BOTH, cells) <= READABLE:
+        return None
+    halves = [match for match in map(_BOTH.match, cells) if match]
+    dates, clocks = [h["date"] for h in halves], [h["clock"] for h in halves]
+    date, dated = _date_pattern(layout, dates)
+    clock = _clock_pattern(clocks)
+    if date is None or clock is None:
+        return None
+    options = TimeOptions(column=name, format=f"{date}{halves[0]['sep']}{clock}", timezone=zone)
+    time = _read(layout, options)
+    if time is None:
+        return None
+    readings = (Reading("time", f"{name}, {options.format}", f"'{cells[0]}'"), dated, zoned)
+    return Clock(options, time, readings)
+
+
+def _two_columns(
+    layout: Layout, date: str, clock: str, texts: dict[str, list[str]]
+) -> Clock | None:
+    day, dated = _date_pattern(layout, texts[date])
+    hour = _clock_pattern(texts[clock])
+    if day is None or hour is None:
+        return None
+    zone, zoned = _zone(layout, (date, clock))
+    options = TimeOptions(columns=(date, clock), format=f"{day} {hour}", timezone=zone)
+    if "%z" in hour:
+        zoned = Reading("time zone", "as each cell states", f"'{texts[clock][0]}'")
+    time = _read(layout, options)
+    if time is None:
+        return None
+    shown = f"'{texts[date][0]}' and '{texts[clock][0]}'"
+    named = Reading("time", f"{date}, {clock}, {options.format}", shown)
+    return Clock(options, time, (named, dated, zoned))
+
+
+def _clock_alone(layout: Layout, name: str, cells: list[str]) -> Clock | None:
+    """A time of day without date, or elapsed time that begins at zero."""
+    pattern = _clock_pattern(cells)
+    first = _CLOCK.match(cells[0])
+    assert first is not None, "most cells match it"
+    begins_at_zero = int(first["h"]) == 0 and int(first["m"]) == 0
+    elapsed = begins_at_zero and bool({"elapsed", "laufzeit"} & set(words_of(name)))
+    day, where = _day(layout)
+    if pattern is None or elapsed or (begins_at_zero and day is None and not first["p"]):
+        start = datetime.datetime.combine(day or UNKNOWN_DAY, datetime.time(), datetime.UTC)
+        options = TimeOptions(column=name, format="elapsed", start=start)
+        time = _read(layout, options)
+        if time is None:
+            return None
+        named = Reading(
+            "time", f"{name}, elapsed", f"'{cells[0]}' begins at zero", "the time of day"
+        )
+        return Clock(options, time, (named, _started(day, where)), one_file=True)
+    zone, zoned = _zone(layout, (name,))
+    options = TimeOptions(column=name, format=pattern, date=day or UNKNOWN_DAY, timezone=zone)
+    time = _read(layout, options)
+    if time is None:
+        return None
+    named = Reading("time", f"{name}, {pattern}", f"'{cells[0]}', without a date")
+    return Clock(options, time, (named, _started(day, where), zoned), one_file=True)
+
+
+def _started(day: datetime.date | None, where: str) -> Reading:
+    if day is not None:
+        return Reading("day", day.isoformat(), where)
+    return Reading(
+        "day",
+        UNKNOWN_DAY.isoformat(),
+        "the file states no date; this day stands for one that is not known",
+        "the day it was recorded: correct it in the profile",
+    )
+
+
+def _day(layout: Layout) -> tuple[datetime.date | None, str]:
+    """The day that the lines above the header, a column of dates or the file's name state."""
+    sources = [
+        ("the lines above the header", layout.preamble),
+        ("the file's name", layout.path.stem),
+    ]
+    for where, text in sources:
+        match = _DATE_IN_NAME.search(text)
+        parts = match.groups() if match else None
+        german = None if parts else _DAY_FIRST.search(text)
+        if german:
+            parts = german.group(3), german.group(2), german.group(1)
+        if parts:
+            try:
+                return datetime.date(*map(int, parts)), f"{where} state it"
+            except ValueError:
+                continue
+    return None, ""
+
+
+def _compact_date(cells: list[str]) -> bool:
+    return _share(re.compile(r"^(19|20)\d\d[01]\d[0-3]\d$"), cells) > READABLE
+
+
+def _date_pattern(layout: Layout, cells: list[str]) -> tuple[str | None, Reading]:
+    """The pattern of dates; the order of day and month is decided by the data where they can."""
+    if _compact_date(cells):
+        return "%Y%m%d", Reading("date", "year, month, day", f"'{cells[0]}'")
+    found = [match for match in map(_DATE.match, cells) if match]
+    if not found:
+        return None, Reading("date", "", "")
+    mark = found[0].group(2)
+    first, second, third = ([m.group(n) for m in found] for n in (1, 3, 4))
+    if not second[0].isdigit():
+        month = "%b" if max(map(len, second)) == 3 else "%B"
+        year = "%Y" if len(third[0]) == 4 else "%y"
+        shown = Reading("date", "day, month, year", f"'{cells[0]}' names the month")
+        return f"%d{mark}{month}{mark}{year}", shown
+    if len(first[0]) == 4:
+        return f"%Y{mark}%m{mark}%d", Reading("date", "year, month, day", f"'{cells[0]}'")
+    year = "%Y" if len(third[0]) == 4 else "%y"
+    day_first, why, other = _day_first(layout, mark, _whole(first), _whole(second))
+    taken = "day, month, year" if day_first else "month, day, year"
+    pattern = f"%d{mark}%m{mark}{year}" if day_first else f"%m{mark}%d{mark}{year}"
+    return pattern, Reading("date", taken, f"'{cells[0]}': {why}", other)
+
+
+def _whole(cells: Iterable[str]) -> list[int]:
+    return [int(cell) for cell in cells]
+
+
+def _day_first(
+    layout: Layout, mark: str, first: list[int], second: list[int]
+) -> tuple[bool, str, str]:
+    """Whether the day stands before the month, why, and the alternative if the data allow it."""
+    if max(first) > 12:
+        return True, f"a month {max(first)} does not exist", ""
+    if max(second) > 12:
+        return False, f"a month {max(second)} does not exist", ""
+    if first[0] == second[0] and len(set(first)) == 1 == len(set(second)):
+        return True, "day and month are the same number", ""
+    if mark == ".":
+        return True, "dates with points have the day first", ""
+    stated, where = _day(layout)
+    if stated is not None and {stated.day, stated.month} == {first[0], second[0]}:
+        return first[0] == stated.day, f"{where}: {stated.isoformat()}", ""
+    # Within a trip midnight changes the day, not the month.
+    if len(set(first)) != len(set(second)):
+        return len(set(first)) > len(set(second)), "the number that changes at midnight", ""
+    language = language_of(layout.names)
+    if language in ("de", "fr"):
+        return (
+            True,
+            f"the header is {'German' if language == 'de' else 'French'}",
+            ("month, day, year"),
+        )
+    return True, "both numbers could be a month", "month, day, year"
+
+
+def _clock_pattern(cells: list[str]) -> str | None:
+    """The pattern of times of day."""
+    found = [match for match in map(_CLOCK.match, cells) if match]
+    if not found or max(int(match["h"]) for match in found) > 23:
+        return None
+    fractions = {(match["f"] or " ")[0] for match in found}
+    if len(fractions) > 1:
+        return None
+    noon = bool(found[0]["p"])
+    pattern = "%I:%M" if noon else "%H:%M"
+    pattern += ":%S" if found[0]["s"] else ""
+    mark = fractions.pop()
+    pattern += f"{mark}%f" if mark != " " else ""
+    if noon:
+        pattern += " %p" if found[0]["p"].startswith(" ") else "%p"
+    if found[0]["z"]:
+        pattern += " %z" if found[0]["z"].startswith(" ") else "%z"
+    return pattern
+
+
+def _epoch(
+    layout: Layout,
+    meanings: dict[str, Meaning],
+    tried: list[str],  # noqa: ARG001
+) -> Clock | None:
+    """A count since 1970."""
+    for name in _clock_names(layout, meanings, "clock", "date"):
+        values = numbers(layout.table[name], layout.options.decimal)[0]
+        known = values[np.isfinite(values)]
+        if known.size < 2:
+            continue
+        middle = float(np.median(known))
+        for unit, low, high in EPOCHS:
+            if not low <= middle <= high or float(np.ptp(known)) == 0.0:
+                continue
+            options = TimeOptions(column=name, format="epoch", unit=unit)
+            time = _read(layout, options)
+            if time is not None:
+                instant = datetime.datetime.fromtimestamp(
+                    float(time[time != NO_TIME][0]) / NANOSECONDS, datetime.UTC
+                )
+                why = f"counts {unit} since 1970: the first is {instant:%Y-%m-%d %H:%M:%S} UTC"
+                return Clock(options, time, (Reading("time", f"{name}, epoch [{unit}]", why),))
+    return None
+
+
+STEPS = {"s": (0.0005, 100.0), "ms": (0.5, 60_000.0), "us": (500.0, 6e7)}
+"""Usual steps of recorders in each unit of a count."""
+
+
+def _elapsed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> Clock | None:
+    """A count since the start."""
+    named = [n for n in layout.names if "clock" in meanings[n].quantities]
+    for name in named:
+        values = numbers(layout.table[name], layout.options.decimal)[0]
+        known = values[np.isfinite(values)]
+        if known.size < 3 or np.mean(np.diff(known) > 0) < 0.5:
+            continue
+        step = float(np.median(np.diff(known)[np.diff(known) > 0]))
+        stated = meanings[name].unit
+        if stated in ("min", "h"):
+            tried.append(f"'{name}' counts in {stated}, which a profile cannot read")
+            continue
+        possible = [unit for unit, (low, high) in STEPS.items() if low <= step <= high]
+        if stated in STEPS:
+            unit, why, other = str(stated), f"the name states {stated}", ""
+        elif not possible:
+            continue
+        else:
+            unit = "ms" if step >= 20.0 and "ms" in possible else possible[0]
+            unit = "us" if step >= 2e4 and "us" in possible else unit
+            why = f"rows lie {step:g} apart"
+            other = ", ".join(each for each in possible if each != unit)
+        day, where = _day(layout)
+        start = datetime.datetime.combine(day or UNKNOWN_DAY, datetime.time(), datetime.UTC)
+        options = TimeOptions(column=name, format="elapsed", unit=unit, start=start)
+        time = _read(layout, options)
+        if time is not None:
+            named_so = Reading("time", f"{name}, elapsed [{unit}]", why, other)
+            return Clock(options, time, (named_so, _started(day, where)), one_file=True)
+    return None
+
+
+def _zone(layout: Layout, names: tuple[str, ...]) -> tuple[str, Reading]:
+    """The zone of times that name no offset."""
+    stated = [zone_of(name) for name in names]
+    zone = next((each for each in stated if each is not None), None) or zone_of(layout.preamble)
+    if zone == "local":
+        language = language_of(layout.names)
+        guess = {"de": "Europe/Berlin", "fr": "Europe/Paris"}.get(language or "", "UTC")
+        why = "the name states local time, not of which country"
+        return guess, Reading("time zone", guess, why, "another zone: correct it in the profile")
+    if zone is not None:
+        return zone, Reading("time zone", zone, "the name states it")
+    why = "the file does not state a zone"
+    other = 'local time, such as timezone = "Europe/Zurich": correct it in the profile'
+    return "UTC", Reading("time zone", "UTC", why, other)

@@ -1,0 +1,364 @@
+"""What a column's name says, in English, German and French: quantity, qualifiers, axle, unit.
+
+The words stand in ``vocabulary.toml`` beside this module.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import unicodedata
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+SHORT = 3
+"""Letters up to which a stem must be a whole word of the name."""
+
+_JOINED = 3
+"""Words of a name that may make one stem together, as ``h Acc``."""
+
+DIMENSION = {
+    "km/h": "speed", "m/s": "speed", "cm/s": "speed", "mm/s": "speed", "mph": "speed",
+    "ft/s": "speed", "knot": "speed",
+    "km": "length", "m": "length", "dm": "length", "cm": "length", "mm": "length",
+    "hm": "length", "mile": "length", "foot": "length",
+    "kN": "force", "N": "force", "daN": "force", "MN": "force", "lbf": "force", "klbf": "force",
+    "rpm": "rotation", "Hz": "rotation", "rad/s": "rotation",
+    "N*m": "torque", "kN*m": "torque",
+    "%": "share", "permil": "share", "1": "share",
+    "deg": "angle", "rad": "angle",
+    "V": "voltage", "kV": "voltage", "A": "current", "bar": "pressure", "kPa": "pressure",
+    "degC": "temperature", "K": "temperature",
+    "s": "time", "ms": "time", "us": "time", "ns": "time", "min": "time", "h": "time",
+    "kW": "power", "MW": "power", "kWh": "energy", "t": "mass", "kg": "mass",
+    "m/s^2": "acceleration", "g": "acceleration", "1/m": "curvature", "1/km": "curvature",
+}  # fmt: skip
+"""What each unit of the vocabulary measures."""
+
+DIMENSIONS: dict[str, tuple[str, ...]] = {
+    "speed": ("speed",),
+    "distance": ("length",),
+    "effort": ("force", "share"),
+    "rotation": ("rotation", "speed"),
+    "torque": ("torque",),
+    "acceleration": ("acceleration",),
+    "latitude": ("angle",),
+    "longitude": ("angle",),
+    "altitude": ("length",),
+    "satellites": ("share",),
+    "horizontal_dilution": ("share",),
+    "position_dilution": ("share",),
+    "horizontal_accuracy": ("length",),
+    "vertical_accuracy": ("length",),
+    "speed_accuracy": ("speed",),
+    "lever": ("share",),
+    "gradient": ("share",),
+    "curvature": ("curvature",),
+    "radius": ("length",),
+    "temperature": ("temperature",),
+    "wind": ("speed",),
+    "voltage": ("voltage",),
+    "current": ("current",),
+    "pressure": ("pressure",),
+    "power": ("power",),
+    "energy": ("energy",),
+    "mass": ("mass",),
+    "heading": ("angle",),
+    "clock": ("time",),
+    "date": (),
+    "door_state": (),
+    "state": (),
+    "slip_protection": (),
+    "message": (),
+    "station": (),
+}
+"""Kinds of unit that a quantity can have."""
+
+
+def plain(text: str) -> str:
+    """A word without capitals and accents; ``ä``, ``ae`` and ``a`` are the same.
+
+    Examples
+    --------
+    >>> plain("Höhe"), plain("HOEHE"), plain("caténaire")
+    ('hohe', 'hohe', 'catenaire')
+    """
+    lowered = unicodedata.normalize("NFKD", text.casefold())
+    bare = "".join(letter for letter in lowered if not unicodedata.combining(letter))
+    return bare.replace("ae", "a").replace("oe", "o").replace("ue", "u")
+
+
+@cache
+def vocabulary() -> dict[str, Any]:
+    """The words of ``vocabulary.toml``."""
+    return tomllib.loads(Path(__file__).with_name("vocabulary.toml").read_text("utf-8"))
+
+
+@cache
+def _stems() -> dict[str, tuple[tuple[str, str], ...]]:
+    """What a stem can mean: ("quantity" or "qualifier", which), by stem."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for kind in ("quantity", "qualifier"):
+        for name, stems in vocabulary()[kind].items():
+            for stem in stems:
+                found.setdefault(plain(stem), []).append((kind, name))
+    return {stem: tuple(means) for stem, means in found.items()}
+
+
+@cache
+def _units() -> dict[str, str]:
+    return {
+        spelling: unit for unit, spellings in vocabulary()["unit"].items() for spelling in spellings
+    }
+
+
+def unit_of(text: str) -> str | None:
+    """The unit that a text spells, in the profile's spelling; None if it is none.
+
+    Capitals count where they make a difference: ``kN`` is a kilonewton, ``kn`` a knot.
+
+    Examples
+    --------
+    >>> unit_of("[km/h]"), unit_of("kN"), unit_of("kn"), unit_of("tr/min"), unit_of("ok")
+    ('km/h', 'kN', 'knot', 'rpm', None)
+    """
+    bare = text.strip().strip("[](){}<> ").strip()
+    bare = bare.replace("⁻¹", "-1").replace("⁻²", "-2").replace("·", ".").replace("μ", "µ")
+    units = _units()
+    if bare in units:
+        return units[bare]
+    lowered = bare.lower().replace(" ", "")
+    return units.get(lowered) if len(lowered) > 1 and lowered not in ("mn",) else None
+
+
+_BRACKETED = re.compile(r"[\[({<]\s*([^\])}>]*)\s*[\])}>]")
+_TRAILING = re.compile(
+    r"^(.*?[\w.)])(?:\s*/\s*|\s+in\s+|[_\s]\s*|(?<=[a-z])(?=[A-Z][a-z]))"
+    r"([^\s_]{1,8}|km[_ ]h|m[_ ]s)$"
+)
+
+
+def split_unit(name: str) -> tuple[str, str | None, bool]:
+    """A name without its unit, the unit, and whether brackets or ``in`` state it beyond doubt.
+
+    Examples
+    --------
+    >>> split_unit("v [km/h]"), split_unit("V_axle1_kmh"), split_unit("Fahrhebel")
+    (('v', 'km/h', True), ('V_axle1', 'km/h', False), ('Fahrhebel', None, False))
+    """
+    for match in _BRACKETED.finditer(name):
+        unit = unit_of(match.group(1))
+        if unit is not None:
+            return (name[: match.start()] + name[match.end() :]).strip(" _,"), unit, True
+    trailing = _TRAILING.match(name.strip())
+    if trailing is not None:
+        unit = unit_of(trailing.group(2).replace("_", "/").replace(" ", "/"))
+        if unit is not None:
+            sure = " in " in name or "/" in name.removesuffix(trailing.group(2))
+            return trailing.group(1), unit, sure
+    return name.strip(), None, False
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a column's name says.
+
+    Attributes
+    ----------
+    name : str
+        As the file has it.
+    quantities : tuple of str
+        What it can be, the likeliest first; empty if no word is known.
+    qualifiers : frozenset of str
+    index : int, optional
+        The one number in the name, of an axle.
+    unit : str, optional
+        As the name, or a line of units, states it.
+    coverage : float
+        Share of the name's letters that are known words.
+    """
+
+    name: str
+    quantities: tuple[str, ...] = ()
+    qualifiers: frozenset[str] = field(default_factory=frozenset)
+    index: int | None = None
+    unit: str | None = None
+    coverage: float = 0.0
+
+    def __contains__(self, qualifier: str) -> bool:
+        return qualifier in self.qualifiers
+
+    @property
+    def quantity(self) -> str | None:
+        """The likeliest quantity."""
+        return self.quantities[0] if self.quantities else None
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a name: parted at signs, capitals and digits, in `plain` spelling.
+
+    Examples
+    --------
+    >>> words_of("V_axle1_kmh"), words_of("SpeedKmh"), words_of("Zug-/Bremskraft")
+    (['v', 'axle', '1', 'kmh'], ['speed', 'kmh'], ['zug', 'bremskraft'])
+    """
+    parted = re.sub(r"(?<=[a-zäöü])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
+    parted = re.sub(r"(?<=\D)(?=\d)|(?<=\d)(?=\D)", " ", parted)
+    return [plain(word) for word in re.findall(r"[^\W_\d]+|\d+", parted)]
+
+
+def meaning_of(name: str, unit: str | None = None) -> Meaning:
+    """What a column's name says, with the unit that a line of units gives, if any.
+
+    Examples
+    --------
+    >>> found = meaning_of("Istgeschwindigkeit [km/h]")
+    >>> found.quantity, found.unit
+    ('speed', 'km/h')
+    >>> found = meaning_of("F_axle3_kN")
+    >>> found.quantity, sorted(found.qualifiers), found.index
+    ('effort', ['axle'], 3)
+    >>> meaning_of("effort de freinage").qualifiers >= {"braking"}
+    True
+    """
+    label, own, sure = split_unit(name)
+    if unit is not None:
+        own, sure = unit, True
+    found = _meaning(name, label, own)
+    if own is not None and not sure:
+        # What looks like a unit may be a word: "F_t" is no force in tonnes.
+        possible = {
+            dimension for each in found.quantities for dimension in DIMENSIONS.get(each, ())
+        }
+        if found.quantities and DIMENSION[own] not in possible:
+            return _meaning(name, name, None)
+        if not found.quantities:
+            whole = _meaning(name, name, None)
+            return whole if whole.quantities else found
+    return found
+
+
+def _meaning(name: str, label: str, unit: str | None) -> Meaning:
+    words = words_of(label)
+    numbers = [int(word) for word in words if word.isdigit()]
+    kinds, matched = _matched(words)
+    letters = sum(len(word) for word in words if not word.isdigit())
+    quantities = [what for kind, what in kinds if kind == "quantity"]
+    if unit is not None:
+        fitting = [
+            each
+            for each in quantities
+            if not DIMENSIONS[each] or DIMENSION[unit] in DIMENSIONS[each]
+        ]
+        # "n [km/h]" of a wheel is a speed; "Achse 1 [km/h]" has no word for what it measures.
+        quantities = fitting or [*_by_unit(unit), *quantities]
+    qualifiers = frozenset(what for kind, what in kinds if kind == "qualifier")
+    if not quantities and {"axle", "motor"} & qualifiers and not {"outside"} & qualifiers:
+        quantities = [*_by_unit(unit)] if unit else []
+    if not quantities and {"braking", "traction"} & qualifiers:
+        # "Frein pneumatique": of which quantity, the unit or the data say.
+        quantities = ["effort"] if unit is None else [*_by_unit(unit)]
+    return Meaning(
+        name,
+        tuple(dict.fromkeys(quantities)),
+        qualifiers,
+        numbers[0] if len(numbers) == 1 else None,
+        unit,
+        matched / letters if letters else 0.0,
+    )
+
+
+def _by_unit(unit: str) -> tuple[str, ...]:
+    """What a unit alone says."""
+    known = {
+        "speed": "speed",
+        "force": "effort",
+        "rotation": "rotation",
+        "torque": "torque",
+        "acceleration": "acceleration",
+    }
+    dimension = DIMENSION[unit]
+    return (known[dimension],) if dimension in known else ()
+
+
+def _matched(words: list[str]) -> tuple[list[tuple[str, str]], int]:
+    """What the words of a name mean, and how many letters are known.
+
+    Quantities of longer stems come first.
+    """
+    stems = _stems()
+    found: list[tuple[int, int, tuple[str, str]]] = []
+    matched = 0
+    at = 0
+    while at < len(words):
+        for length in range(min(_JOINED, len(words) - at), 0, -1):
+            joined = "".join(words[at : at + length])
+            if joined in stems:
+                found += [(len(joined), -at, means) for means in stems[joined]]
+                matched += len(joined)
+                at += length
+                break
+        else:
+            parts = _segments(words[at])
+            found += [(len(part), -at, means) for part in parts for means in stems[part]]
+            matched += sum(map(len, parts))
+            at += 1
+    # Of equal lengths the earlier one; a stem's own order decides last (sorting is stable).
+    found.sort(key=lambda each: -each[0])
+    return [means for _, _, means in found], matched
+
+
+_INSIDE = ("ist", "soll", "max", "zug", "rad", "gps", "weg")
+"""Short stems that German compounds hold."""
+
+
+def _segments(word: str) -> list[str]:
+    """The stems that a compound holds, the longest first and without overlap."""
+    stems = sorted(
+        (stem for stem in _stems() if (len(stem) > SHORT or stem in _INSIDE) and stem in word),
+        key=len,
+        reverse=True,
+    )
+    rest, found = word, []
+    for stem in stems:
+        if stem in rest:
+            found.append(stem)
+            rest = rest.replace(stem, "\0" * len(stem), 1)
+    left = [part for part in re.split("\0+", rest) if len(part) > SHORT]
+    # A long unknown rest makes it another word: "windschutz" is no wind.
+    return [] if left and sum(map(len, found)) < len(word) / 2 else found
+
+
+def language_of(names: tuple[str, ...]) -> str | None:
+    """The language of a header: ``"en"``, ``"de"``, ``"fr"``; None if no word decides.
+
+    Examples
+    --------
+    >>> language_of(("Zeit", "Geschwindigkeit")), language_of(("t", "v"))
+    ('de', None)
+    """
+    text = " ".join(" ".join(words_of(name)) for name in names)
+    counts = {
+        language: sum(plain(word) in text for word in words)
+        for language, words in vocabulary()["language"].items()
+    }
+    best = max(counts, key=lambda language: counts[language])
+    others = [count for language, count in counts.items() if language != best]
+    return best if counts[best] > max(others) else None
+
+
+def zone_of(name: str) -> str | None:
+    """The time zone that a name states: ``"UTC"``, an offset, ``"local"``, or None.
+
+    Examples
+    --------
+    >>> zone_of("Time (UTC)"), zone_of("Zeit [MESZ]"), zone_of("heure locale"), zone_of("t")
+    ('UTC', '+02:00', 'local', None)
+    """
+    words = set(words_of(name))
+    for zone, spellings in vocabulary()["zone"].items():
+        if words & {plain(spelling) for spelling in spellings}:
+            return str(zone)
+    return None
