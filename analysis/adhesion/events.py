@@ -1,8 +1,8 @@
 """Slip events: where an axle slips, and what its onset says of the maximum adhesion.
 
 An axle slips where it turns faster or slower than the train by more than a threshold. Modern slip
-protection acts earlier: slips below the threshold are found from what they do. The wheel leaves the
-train's speed at once, and the effort is cut although the driver asks for no less.
+protection acts earlier: slips below the threshold are found from what it does. It cuts the effort
+of the axle although the driver asks for no less, and the wheel returns to the train's speed.
 """
 
 from __future__ import annotations
@@ -40,19 +40,20 @@ CUT = 0.7
 """Effort over the effort at peak slip, half a second later, below which slip protection acted."""
 
 CUT_TIME = 0.5
-"""Time in which it acts [s], and in which a wheel leaves the train's speed."""
-
-HELD = 0.8
-"""Share of what was asked for before that is still asked for, where it is held."""
+"""Time in which it acts [s]."""
 
 LOW_SLIP = 0.3
 """Least slip speed [m/s] that is looked at."""
 
 LEAST_SPEED = 1.0
-"""Train speed [m/s] below which small slips are not looked for: electric brakes fade out there."""
+"""Train speed [m/s] below which small slips are not looked for in braking: electric brakes fade
+out there."""
 
 SHARED_STD = 0.1
 """Relative standard deviation of an axle's effort that is known as a share of the total."""
+
+SHARED_TIME = 0.5
+"""Time before a slip in which the share of the total effort gives its level [s]."""
 
 RECOVERY = 8.0
 """How long after a slip [s] the axles do not share the total effort evenly."""
@@ -60,7 +61,11 @@ RECOVERY = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the onset of an event is read from; arrays (n,) and (n, k) of the recorded axles."""
+    """What the onset of an event is read from; arrays (n,) and (n, k) of the recorded axles.
+
+    Where only the total effort is known, `share` is the adhesion of each axle by its share of it,
+    (n, k): up to the sample, without what comes after.
+    """
 
     axles: PoweredAxles
     position: FloatArray
@@ -68,6 +73,7 @@ class Motion:
     slip_speed: FloatArray
     slip_std: float
     adhesion: FloatArray
+    share: FloatArray | None = None
 
 
 def slipping_axles(motion: Motion) -> BoolArray:
@@ -85,9 +91,9 @@ def slipping_axles(motion: Motion) -> BoolArray:
 def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
     """Slips that the threshold does not find, (n, k): of those the maximum adhesion was passed.
 
-    The wheel leaves the train's speed within `CUT_TIME`, and its effort is cut within as long
-    although what is asked for is held: by the driver, or, where that is not recorded, from the
-    other axles.
+    The effort of the axle is cut although no less is asked for, by the driver or, where that is
+    not recorded, from the other axles; and the wheel returns to the train's speed. Both within
+    `CUT_TIME`.
     """
     axles = motion.axles
     found = np.zeros_like(slipping)
@@ -96,36 +102,41 @@ def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
     if axles.level != "axle" or axles.sampling >= SLOW:
         return found
     for axle in np.flatnonzero(axles.levelled).tolist():
+        asked = _asked(axles, axle)
+        if asked is None:
+            continue
         size = np.abs(motion.slip_speed[:, axle])
-        above = (size > least) & (motion.speed > LEAST_SPEED)
-        for start, stop in _runs(above):
-            peak = start + int(np.argmax(size[start:stop]))
+        braking = motion.slip_speed[:, axle] < 0.0
+        for start, stop in _runs((size > least) & ~(braking & (motion.speed < LEAST_SPEED))):
             if slipping[max(start - 1, 0) : stop + 1, axle].any():
                 continue
+            peak = start + int(np.argmax(size[start:stop]))
             sign = np.sign(motion.slip_speed[peak, axle])
-            before = slice(max(peak - reach, 0), peak + 1)
-            after = slice(peak, peak + reach + 1)
-            effort = sign * axles.wheel_effort[:, axle]
-            left = size[before].min() < 0.5 * size[peak]
-            strong = effort[before].max() > COASTING_ADHESION * axles.axle_load
-            cut = effort[after].min() < CUT * effort[before].max()
-            if left and strong and cut and _held(axles, axle, sign, before, after):
+            effort = sign * axles.wheel_effort[max(peak - reach, 0) : peak + reach + 1, axle]
+            wanted = sign * asked[max(peak - reach, 0) : peak + reach + 1]
+            first = min(peak, reach)
+            strong, most = float(effort[: first + 1].max()), float(wanted[: first + 1].max())
+            last = first + int(np.argmin(effort[first:]))
+            returned = np.nanmin(size[peak : peak + reach + 1]) < 0.5 * size[peak]
+            if (
+                returned
+                and strong > COASTING_ADHESION * axles.axle_load
+                and effort[last] * most < CUT * strong * wanted[last]
+            ):
                 found[start:stop, axle] = True
     return found
 
 
-def _held(axles: PoweredAxles, axle: int, sign: float, before: slice, after: slice) -> bool:
-    """Whether what is asked for stays as it was, before and after the largest slip."""
+def _asked(axles: PoweredAxles, axle: int) -> FloatArray | None:
+    """What an axle is asked for, (n,), by the driver or as the other axles; None if unknown."""
     if axles.demand is not None:
-        asked = sign * axles.demand
-    else:
-        others = axles.levelled.copy()
-        others[axle] = False
-        if not others.any():
-            return False
-        asked = (sign * axles.wheel_effort[:, others]).max(axis=1)
-    most = asked[before].max()
-    return bool(most > 0.0 and asked[after].min() >= HELD * most)
+        return axles.demand
+    others = axles.levelled.copy()
+    others[axle] = False
+    if not others.any():
+        return None
+    effort = axles.wheel_effort[:, others]
+    return np.asarray(np.take_along_axis(effort, np.abs(effort).argmax(axis=1)[:, None], 1)[:, 0])
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:
@@ -199,8 +210,13 @@ def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) ->
     at = first + int(top[top.size // 2])
     after = int(np.searchsorted(axles.time, axles.time[peak] + CUT_TIME))
     cut = bool(effort[peak : after + 1].min() < CUT * effort[peak])
-    adhesion, known = float(used[top].mean()), bool(axles.levelled[axle])
-    spread = SHARED_STD * adhesion if axles.level == "shared" else 0.0
+    adhesion, known, spread = float(used[top].mean()), bool(axles.levelled[axle]), 0.0
+    if motion.share is not None:
+        # When whose effort is cut is not known: the level is what the axle used just before.
+        before = int(np.searchsorted(axles.time, axles.time[start] - SHARED_TIME))
+        shared = direction * motion.share[before : start + 1, axle]
+        at, adhesion = before + int(np.argmax(shared)), float(shared.max())
+        spread = SHARED_STD * abs(adhesion)
     return {
         "kind": "traction" if direction > 0.0 else "braking",
         "position": motion.position[at],

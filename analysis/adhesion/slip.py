@@ -320,13 +320,16 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     backwards = trip.metadata.get("direction") == "reverse"
     position = line.length - travelled if backwards else travelled
     std = float(np.hypot(noise, np.median(speed.std)))
-    motion = Motion(axles, position, speed.speed, slip_speed, std, adhesion)
+    share = _share(axles, train.axles.rotating_mass)
+    motion = Motion(axles, position, speed.speed, slip_speed, std, adhesion, share)
     slipping = slipping_axles(motion)
     slipping |= small_slips(motion, slipping)
     events = event_rows(motion, slipping)
     adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
-    if axles.level == "shared":
-        adhesion_std = np.hypot(adhesion_std, SHARED_STD * np.abs(adhesion))
+    if share is not None:
+        mean = (axles.total_effort / axles.count)[:, None] / axles.axle_load
+        adhesion = np.repeat(mean, axles.numbers.size, axis=1)
+        adhesion_std = SHARED_STD * np.abs(adhesion)
     return SlipAnalysis(
         trip=trip.name,
         time=axles.clock,
@@ -389,6 +392,16 @@ def _train_speed(
         time, wheels / factor, adhesion, noise, gained, reference, reference_std, rate
     )
     return speed, factor
+
+
+def _share(axles: PoweredAxles, rotating_mass: float) -> FloatArray | None:
+    """Adhesion of each axle by its share of the total effort, (n, k), where only that is known."""
+    if axles.level != "shared":
+        return None
+    turning = rotating_mass * np.diff(axles.wheel_speed, axis=0) / np.diff(axles.time)[:, None]
+    between = 0.5 * (axles.total_effort[1:] + axles.total_effort[:-1])[:, None] / axles.count
+    used = (between - turning) / axles.axle_load
+    return np.nan_to_num(np.concatenate((used[:1], used)))
 
 
 def _other_effort(trip: Trip, train: Train, axles: PoweredAxles, wheels: FloatArray) -> FloatArray:
