@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
+from rich.console import Console
 from scipy.optimize import minimize
 from scipy.stats import norm
 from simulated_line import flirt, hilly_line, level_line
@@ -19,6 +21,7 @@ from analysis.adhesion.condition_map import (
     SETTINGS,
     adhesion_map,
     empty_map,
+    map_table,
     merge,
     prior_of,
     summary,
@@ -439,3 +442,49 @@ class TestPicture:
     def test_nothing_to_draw(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no layer to draw"):
             draw_map(empty_map(LINE), tmp_path / "a.png")
+
+
+class TestWhatRecordersLack:
+    """The map states it, and does not claim that demand never met the limit where it may have."""
+
+    def shown(self, *pieces: Evidence) -> str:
+        track, _ = update(empty_map(LINE), pieces)
+        track = map_from_bytes(map_to_bytes(track))
+        console = Console(width=200, file=StringIO())
+        console.print(map_table(track))
+        return str(console.file.getvalue())
+
+    def test_a_map_of_complete_recordings(self) -> None:
+        assert "demand never met the limit" in self.shown(piece(1), piece(2))
+
+    def test_slips_without_a_level_and_slips_that_are_not_seen(self) -> None:
+        notes = ["the axles are sampled every 1 s: slips shorter than 2 s may be missed"]
+        other = ["the axles are sampled every 0.5 s: slips shorter than 1 s may be missed"]
+        shown = self.shown(
+            replace(piece(1), details={"unmeasured": 3, "complete": False, "notes": notes}),
+            replace(piece(2), details={"unmeasured": 2, "complete": False, "notes": other}),
+            piece(3),
+        )
+        assert "never met" not in shown
+        assert "5 slip events did not show the maximum" in shown
+        assert "on 2 trips slips may have gone unseen" in shown
+        assert "trip-1 and 1 more: the axles are sampled every" in shown
+
+    def test_a_load_that_is_not_recorded(self) -> None:
+        """The band is wider by it, in every bin alike, and the trip is listed."""
+        trip = simulate(draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2])
+        known = slip(
+            replace(trip, metadata={n: v for n, v in trip.metadata.items() if n != "load"})
+        )
+        assert known.load != "recorded"
+        track = empty_map(hilly_line())
+        wide, _ = update(track, [evidence_of(replace(known, common_std=0.1), track, "wet")])
+        narrow, _ = update(track, [evidence_of(replace(known, common_std=0.0), track, "wet")])
+        seen = wide.layer("wet").events > 0
+        assert np.all(wide.layer("wet").log_std[seen] > narrow.layer("wet").log_std[seen])
+        added = wide.layer("wet").log_std ** 2 - narrow.layer("wet").log_std ** 2
+        assert np.all(added[seen] < 0.1**2)
+        assert np.median(np.sqrt(added[seen])) > 0.04
+        assert wide.trips[0]["load"] == known.load
+        assert any("load is not recorded" in note for note in wide.trips[0]["notes"])
+        assert "recorders" in repr(wide)

@@ -93,6 +93,8 @@ class PoweredAxles:
         Where the load is from: ``"recorded"``, ``"estimated"`` or ``"assumed"``.
     notes : tuple of str
         What the recorder lacks, and what was made of it.
+    complete : bool
+        Whether slips of every axle, also short and small ones, can be found.
     """
 
     clock: pd.DatetimeIndex
@@ -111,6 +113,7 @@ class PoweredAxles:
     sampling: float
     load: str
     notes: tuple[str, ...]
+    complete: bool
 
     def of_all(self, values: NDArray[Value], absent: float | bool = np.nan) -> NDArray[Value]:
         """Values of the recorded axles, (n, k), as values of all powered axles, (n, count)."""
@@ -172,6 +175,7 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         sampling=sampling,
         load=known.load.source,
         notes=(*notes, *_load_notes(known), *said, *more),
+        complete=numbers.size == train.axles.count and level == "axle" and sampling < SLOW,
     )
 
 

@@ -7,8 +7,9 @@ order and grouping, and give the same map, byte for byte.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +30,7 @@ from analysis.adhesion.slip import TOPICS, SlipAnalysis, slip
 from analysis.given import Given, each_given
 from analysis.tables import new_table
 from trainlog import __version__
+from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
 from trainlog.formats.files import sha256_of
@@ -468,6 +470,12 @@ class LayerSummary:
         Onsets of slip that measured the maximum.
     lowest : tuple of Spot
         Least adhesion first, at least `SPOT_SEPARATION` apart.
+    unmeasured : int
+        Slip events that did not show the maximum.
+    incomplete : int
+        Trips on which slips may have gone unseen.
+    notes : dict of str to tuple of str
+        What the recorders of the trips lacked, as first met, with the trips of which that holds.
     """
 
     layer: str
@@ -477,6 +485,21 @@ class LayerSummary:
     observed_length: float
     events: int
     lowest: tuple[Spot, ...]
+    unmeasured: int = 0
+    incomplete: int = 0
+    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def elsewhere(self) -> str:
+        """What holds where nothing was observed, in words."""
+        if not self.unmeasured and not self.incomplete:
+            return "Elsewhere demand never met the limit: there the map says nothing."
+        words = "Elsewhere the map says nothing"
+        if self.unmeasured:
+            words += f"; {counted(self.unmeasured, 'slip event')} did not show the maximum"
+        if self.incomplete:
+            words += f"; on {counted(self.incomplete, 'trip')} slips may have gone unseen"
+        return words + "."
 
 
 def summary(track: TrackConditionMap, spots: int = 5) -> tuple[LayerSummary, ...]:
@@ -490,9 +513,27 @@ def summary(track: TrackConditionMap, spots: int = 5) -> tuple[LayerSummary, ...
             observed_length=_observed_length(track, layer),
             events=int(layer.events.sum()),
             lowest=_lowest(track, layer, spots),
+            **_recorded(track, name),
         )
         for name, layer in track.layers.items()
     )
+
+
+def _recorded(track: TrackConditionMap, layer: str) -> dict[str, Any]:
+    """What the trips of a layer lacked: the last fields of `LayerSummary`."""
+    trips = [trip for trip in track.trips if trip["layer"] == layer]
+    first: dict[str, str] = {}
+    found: dict[str, list[str]] = {}
+    for trip in trips:
+        for note in trip.get("notes", ()):
+            # Notes of one kind differ in their numbers only.
+            kind = "".join(re.split(r"[-\d., ]+", note))
+            found.setdefault(first.setdefault(kind, note), []).append(str(trip["trip"]))
+    return {
+        "unmeasured": sum(int(trip.get("unmeasured", 0)) for trip in trips),
+        "incomplete": sum(trip.get("complete") is False for trip in trips),
+        "notes": {note: tuple(names) for note, names in found.items()},
+    }
 
 
 def _observed_length(track: TrackConditionMap, layer: ConditionLayer) -> float:
@@ -539,4 +580,14 @@ def map_table(track: TrackConditionMap) -> Group:
             f"{layer.observed_length / 1e3:.1f} km, {share:.0%}",
             "\n".join(spots) or "nothing observed",
         )
-    return Group(table, "Elsewhere demand never met the limit: there the map says nothing.")
+    every = summary(track)
+    words = [
+        each.elsewhere if len(every) == 1 else f"{each.layer}: {each.elsewhere}" for each in every
+    ]
+    if len({each.elsewhere for each in every}) <= 1:
+        words = [each.elsewhere for each in every[:1]]
+    for each in every:
+        for note, trips in each.notes.items():
+            more = f" and {len(trips) - 1} more" if len(trips) > 1 else ""
+            words.append(f"{each.layer}, {trips[0]}{more}: {note}")
+    return Group(table, *words)

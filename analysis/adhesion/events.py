@@ -45,7 +45,7 @@ CUT_TIME = 0.5
 LOW_SLIP = 0.3
 """Least slip speed [m/s] that is looked at."""
 
-LEAST_SPEED = 1.0
+LEAST_SPEED = 3.0
 """Train speed [m/s] below which small slips are not looked for in braking: electric brakes fade
 out there."""
 
@@ -88,6 +88,11 @@ def slipping_axles(motion: Motion) -> BoolArray:
     return found
 
 
+def least_slip(motion: Motion) -> float:
+    """Least slip speed [m/s] that stands out from the noise."""
+    return max(LOW_SLIP, NOISE_MULTIPLE * motion.slip_std)
+
+
 def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
     """Slips that the threshold does not find, (n, k): of those the maximum adhesion was passed.
 
@@ -97,7 +102,7 @@ def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
     """
     axles = motion.axles
     found = np.zeros_like(slipping)
-    least = max(LOW_SLIP, NOISE_MULTIPLE * motion.slip_std)
+    least = least_slip(motion)
     reach = max(1, round(CUT_TIME / axles.sampling))
     if axles.level != "axle" or axles.sampling >= SLOW:
         return found
@@ -215,7 +220,7 @@ def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) ->
         # When whose effort is cut is not known: the level is what the axle used just before.
         before = int(np.searchsorted(axles.time, axles.time[start] - SHARED_TIME))
         shared = direction * motion.share[before : start + 1, axle]
-        at, adhesion = before + int(np.argmax(shared)), float(shared.max())
+        at, adhesion = start, float(shared.max())
         spread = SHARED_STD * abs(adhesion)
     return {
         "kind": "traction" if direction > 0.0 else "braking",

@@ -129,7 +129,9 @@ def _title(track: TrackConditionMap, name: str, layer: ConditionLayer) -> str:
     trips = sum(trip["layer"] == name for trip in track.trips)
     share = float(np.mean(layer.observed))
     onsets = int(layer.events.sum())
-    return f"{name}: {trips} trips, {onsets} onsets of slip, {share:.1%} observed"
+    lacking = sum(trip["layer"] == name and bool(trip.get("notes")) for trip in track.trips)
+    words = f", {lacking} with recorders that lack something" if lacking else ""
+    return f"{name}: {trips} trips, {onsets} onsets of slip, {share:.1%} observed{words}"
 
 
 def _top(track: TrackConditionMap) -> float:

@@ -21,6 +21,7 @@ from analysis.adhesion.events import (
     Motion,
     adhesion_noise,
     event_rows,
+    least_slip,
     slipping_axles,
     small_slips,
 )
@@ -28,6 +29,7 @@ from analysis.given import Given, trip_of
 from analysis.passports import passport
 from estimators.adhesion import smoothed_force
 from estimators.slip import (
+    SLIP_THRESHOLD,
     SLOPE_RATE,
     SLOPE_RATE_WITHOUT_BRAKE,
     TrainSpeed,
@@ -108,6 +110,9 @@ class SlipAnalysis:
         Where the load is from.
     notes : tuple of str
         What the recorder lacks, and what was made of it.
+    complete : bool
+        Whether slips of every axle, also short and small ones, are found: where none is, demand
+        never met the limit.
     """
 
     trip: str
@@ -124,18 +129,21 @@ class SlipAnalysis:
     common_std: float = 0.0
     load: str = "recorded"
     notes: tuple[str, ...] = ()
+    complete: bool = True
 
     @property
     def details(self) -> dict[str, Any]:
         """What the track-condition map keeps of the trip beside its name.
 
         ``load``: where it is from; ``common_std``; ``unmeasured``: slip events that did not show
-        the maximum adhesion; ``notes``. What is not worth a word is left out.
+        the maximum adhesion; ``complete``: false where slips may have gone unseen; ``notes``.
+        What is not worth a word is left out.
         """
         unmeasured = int(np.count_nonzero(~self.events["measured"]))
         known: dict[str, Any] = {} if self.load == "recorded" else {"load": self.load}
         known |= {"common_std": round(self.common_std, 4)} if self.common_std > 0.0 else {}
         known |= {"unmeasured": unmeasured} if unmeasured else {}
+        known |= {} if self.complete else {"complete": False}
         return known | ({"notes": list(self.notes)} if self.notes else {})
 
     def __repr__(self) -> str:
@@ -324,11 +332,14 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     motion = Motion(axles, position, speed.speed, slip_speed, std, adhesion, share)
     slipping = slipping_axles(motion)
     slipping |= small_slips(motion, slipping)
+    least = least_slip(motion)
     events = event_rows(motion, slipping)
     adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
     if share is not None:
         mean = (axles.total_effort / axles.count)[:, None] / axles.axle_load
         adhesion = np.repeat(mean, axles.numbers.size, axis=1)
+        # The effort of wheels that slip turns them, not the train.
+        adhesion[slipping.any(axis=1)] = np.nan
         adhesion_std = SHARED_STD * np.abs(adhesion)
     return SlipAnalysis(
         trip=trip.name,
@@ -344,8 +355,18 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
         events=events,
         common_std=axles.common_std,
         load=axles.load,
-        notes=axles.notes,
+        notes=(*axles.notes, *_noise_notes(noise, least)),
+        complete=axles.complete and least < SLIP_THRESHOLD,
     )
+
+
+def _noise_notes(noise: float, least: float) -> list[str]:
+    """What is to be stated where noise hides small slips."""
+    if least < SLIP_THRESHOLD:
+        return []
+    return [
+        f"wheel speeds have a noise of {noise:.2f} m/s: slips below {least:.1f} m/s are not seen"
+    ]
 
 
 def wheel_noise(wheel_speed: FloatArray) -> float:

@@ -117,6 +117,9 @@ class TrackConditionMap:
             rows[name] = f"{counted(known.size, 'bin')} observed, {slips}" + (
                 f", maximum adhesion {span(known, 1.0, 3)}" if known.size else ""
             )
+        lacking = sum(bool(trip.get("notes")) for trip in self.trips)
+        if lacking:
+            rows["recorders"] = f"of {counted(lacking, 'trip')} lack something of what is needed"
         return rows or {"layers": "none"}
 
     @property
