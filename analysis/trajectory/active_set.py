@@ -498,9 +498,8 @@ def _violators(
     active: list[int],
 ) -> set[int]:
     """The worst of the others of each kind: late, short of power or brake, too fast, too costly."""
-    fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge))
-    by_power = problem.dynamic_power / np.maximum(fastest, 1e-6)
-    brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
+    by_speed = problem.dynamic_by_speed(plan.z)
+    brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     late, soon = delays(problem, plan, running_time)
     excesses = [

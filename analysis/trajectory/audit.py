@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.discretisation import inside
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.railway import EffortCurve
 from trainlog.railway.motion import in_parts
 from trainlog.units import GRAVITY
 
@@ -155,11 +156,14 @@ def audit(
             train.max_pneumatic_braking_effort,
         ]
     )
+    pull_speeds, pull_efforts = _table(train.traction_curve)
+    shares = np.array([[c.max_power / train.max_traction_power] for c in run.configurations])
+    brake_table = np.stack(_table(train.dynamic_braking_curve))
     speeds, times, found = in_parts(
         len(run.configurations),
         lambda part: _roll(
             run.initial_speed, step, traction, taper, braking[part], constants[part], brakes, track,
-            tunnel, limit, adhesion,
+            tunnel, limit, adhesion, shares[part] * pull_speeds, pull_efforts, brake_table,
         ),
     )  # fmt: skip
     early, tardy, slow = _passed(run, positions, speeds, times)
@@ -202,6 +206,28 @@ def _passed(
     return early, tardy, slow
 
 
+def _table(curve: EffortCurve | None) -> tuple[FloatArray, FloatArray]:
+    """Speeds [m/s] and efforts [N] of a train's own curve; without one no effort limits."""
+    if curve is None:
+        return np.array([0.0, 1.0]), np.full(2, np.inf)
+    return curve.speeds, curve.efforts
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _in_table(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
+    """Effort in a table at a speed, by going through its rows; beyond it the power stays."""
+    if v >= speeds[-1]:
+        return efforts[-1] * speeds[-1] / v
+    k = 1
+    while speeds[k] < v:
+        k += 1
+    if efforts[k] == np.inf:
+        return np.inf
+    return efforts[k] + (efforts[k - 1] - efforts[k]) * (speeds[k] - v) / (
+        speeds[k] - speeds[k - 1]
+    )
+
+
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _force(v: float, r0: float, r1: float, r2: float) -> float:
     return r0 + (r1 + r2 * v) * v
@@ -211,7 +237,8 @@ def _force(v: float, r0: float, r1: float, r2: float) -> float:
 def _roll(
     initial_speed: float, step: FloatArray, traction: FloatArray, taper: FloatArray,
     braking: FloatArray, constants: FloatArray, brakes: FloatArray, track: FloatArray,
-    tunnel: FloatArray, limit: FloatArray, adhesion: FloatArray,
+    tunnel: FloatArray, limit: FloatArray, adhesion: FloatArray, pull_speeds: FloatArray,
+    pull_efforts: FloatArray, brake_table: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Runge-Kutta on half the squared speed; the time of a sub-step is 2 h / (v + v')."""
     q, n = braking.shape
@@ -258,8 +285,16 @@ def _roll(
                     time += 2.0 * part * h / (v + after)
                 fastest = max(v, after)
                 dynamic = min(brakes[0], brakes[1] / max(fastest, 1e-6), adhesion[k, j] * adhesive)
+                for each in (v, after):
+                    dynamic = min(dynamic, _in_table(each, brake_table[0], brake_table[1]))
                 found[a, 1] = max(found[a, 1], fastest - limit[k, j])
                 found[a, 2] = max(found[a, 2], begun * v / power, (begun - fall) * after / power)
+                if begun > 0.0:
+                    given = _in_table(v, pull_speeds[a], pull_efforts)
+                    found[a, 3] = max(found[a, 3], begun / max(given, 1.0))
+                if begun > fall:
+                    given = _in_table(after, pull_speeds[a], pull_efforts)
+                    found[a, 3] = max(found[a, 3], (begun - fall) / max(given, 1.0))
                 found[a, 4] = max(
                     found[a, 4], braking[a, k] / max(min(brake, dynamic + brakes[2]), 1.0)
                 )

@@ -19,7 +19,8 @@ from scipy.linalg.lapack import dptsv
 
 from analysis.trajectory.active_set import Answer, multipliers_for_all, shares_of
 from analysis.trajectory.audit import Audit
-from analysis.trajectory.convex import MEAN_SPEED, NoSolutionError, Relaxation, power_cells
+from analysis.trajectory.convex import MEAN_SPEED, SLOW, NoSolutionError, Relaxation, power_cells
+from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
@@ -72,7 +73,8 @@ def lower_bound(
     mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
     push = step * mean
     motion = multipliers.pull / (push * problem.gain[:, None])
-    power, dynamic_power, tau = _time_left(problem, multipliers)
+    offsets = _traction_bounds(problem, speeds)[0], _dynamic_bounds(problem, speeds)[0]
+    power, dynamic_power, tau = _time_left(problem, multipliers, speeds)
 
     price, regained = step, np.zeros(problem.shape)
     if problem.run.at_line:
@@ -82,6 +84,7 @@ def lower_bound(
     effort = price - multipliers.pull.sum(axis=0) + power.sum(axis=0)
     total = float((problem.traction * np.minimum(effort, 0.0)).sum())
     total += _brakes(problem, multipliers.pull, dynamic_power - regained)
+    total -= float((power * offsets[0]).sum() + (dynamic_power * offsets[1]).sum())
     total += float((motion * push * problem.mean_drag0).sum())
     total -= float(multipliers.time @ (running_time + spare))
     for price, latest in zip(multipliers.passing.T, problem.latest.tolist(), strict=True):
@@ -115,8 +118,34 @@ def lower_bound(
     return total
 
 
+def _traction_bounds(problem: DiscreteProblem, speeds: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """``traction <= offset + power / v``: of power or curve, the lower at speeds; (q, n) arrays."""
+    return _bounds_of(
+        problem.curves, np.broadcast_to(problem.power[:, None], problem.shape), speeds
+    )
+
+
+def _dynamic_bounds(problem: DiscreteProblem, speeds: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same of the dynamic brake."""
+    power = np.full(problem.shape, problem.dynamic_power)
+    return _bounds_of(problem.dynamic_curves, power, speeds)
+
+
+def _bounds_of(
+    curves: Curves | None, power: FloatArray, speeds: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    offset = np.zeros(power.shape)
+    if curves is None:
+        return offset, power
+    mean = np.maximum(0.5 * (speeds[:, :-1] + speeds[:, 1:]), SLOW)
+    tangents = [curves.tangent(row, v) for row, v in enumerate(mean)]
+    offsets, powers = (np.array(each) for each in zip(*tangents, strict=True))
+    lower = offsets + powers / mean < power / mean
+    return np.where(lower, offsets, offset), np.where(lower, powers, power)
+
+
 def _time_left(
-    problem: DiscreteProblem, multipliers: Multipliers
+    problem: DiscreteProblem, multipliers: Multipliers, speeds: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Multipliers of the power limits, lowered where they would outweigh the time's.
 
@@ -126,10 +155,15 @@ def _time_left(
     allowed, braked = np.zeros(problem.shape), np.zeros(problem.shape)
     for a, power in enumerate(problem.power.tolist()):
         at = power_cells(problem, power, problem.traction)
+        if problem.curves is not None:
+            at = np.arange(problem.shape[1])
         allowed[a, at] = multipliers.power[a, at]
         at = power_cells(problem, problem.dynamic_power, problem.dynamic[a])
+        if problem.dynamic_curves is not None:
+            at = np.arange(problem.shape[1])
         braked[a, at] = multipliers.dynamic_power[a, at]
-    used = problem.power[:, None] * allowed + problem.dynamic_power * braked
+    used = _traction_bounds(problem, speeds)[1] * allowed
+    used = used + _dynamic_bounds(problem, speeds)[1] * braked
     share = np.minimum(1.0, time / np.maximum(used, 1e-300))
     return share * allowed, share * braked, np.maximum(time - share * used, 0.0)
 
@@ -411,10 +445,8 @@ def _passings(run: TrajectoryProblem, rollout: Audit) -> dict[str, float]:
 
 def _most(problem: DiscreteProblem, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """The most that common traction, (n,), and each brake, (q, n), can do at the plan's speeds."""
-    fastest = np.sqrt(2.0 * (np.maximum(plan.z[:, :-1], plan.z[:, 1:]) + problem.bulge + 1e-9))
-    pull = most_traction(problem, plan.z)
-    by_power = problem.dynamic_power / fastest
-    brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_power))
+    pull, by_speed = most_traction(problem, plan.z), problem.dynamic_by_speed(plan.z, 1e-9)
+    brake = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
     if problem.common:
         brake = np.broadcast_to(brake.min(axis=0), brake.shape)
     return pull, brake

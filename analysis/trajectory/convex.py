@@ -24,6 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import dynamic_share
 
@@ -268,6 +269,9 @@ def power_cells(problem: DiscreteProblem, power: float, most: FloatArray) -> NDA
     return np.flatnonzero(power / fastest < most)
 
 
+_AROUND = (0.6, 0.8, 0.9, 1.0, 1.1)
+"""Times the speeds, at which the relaxation bounds a curve of effort."""
+
 MEAN_SPEED = 0.1
 """By which a cell's mean speed may exceed the mean of its ends [m/s]; the brake absorbs it."""
 
@@ -433,8 +437,12 @@ class Relaxation:
         ]
 
     def _power(self) -> None:
-        """Eq. (5), with the cell's time per metre in the place of ``1 / v``."""
+        """Eq. (5), with the cell's time per metre in the place of ``1 / v``; so with the curves."""
         problem, unknowns, inverse = self.problem, self.unknowns, 2.0 / self.total
+        for a in range(problem.shape[0]):
+            self._tangents(problem.curves, a, unknowns.traction)
+            if unknowns.dynamic is not None:
+                self._tangents(problem.dynamic_curves, a, unknowns.dynamic[a])
         for a, power in enumerate(problem.power):
             limits = [(unknowns.traction, float(power), problem.traction)]
             if unknowns.dynamic is not None:
@@ -443,3 +451,13 @@ class Relaxation:
                 at = power_cells(problem, most, ceiling)
                 slope = -most * inverse[a, at]
                 self.below.add(np.zeros(at.size), (effort[at], 1.0), (self.tau[a, at], slope))
+
+    def _tangents(self, curves: Curves | None, row: int, effort: IntArray) -> None:
+        """Bounds of a curve's effort, ``offset + power / v``, tangent at the speeds and around."""
+        if curves is None:
+            return
+        speeds = 0.5 * self.total[row]
+        inverse = 1.0 / speeds
+        for factor in _AROUND:
+            offset, power = curves.tangent(row, np.maximum(factor * speeds, SLOW))
+            self.below.add(offset, (effort, 1.0), (self.tau[row], -power * inverse))

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.trajectory.curves import Curves
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.railway import Trajectory
 from trainlog.railway.motion import SUBSTEPS
@@ -106,6 +107,11 @@ _CREST_SPARE, _ROUNDING = 1.1, 1e-7
 """What is left below the power in a tapered cell, over what its own curve asks for."""
 
 
+_CURVE_PARTS, _SHORTEST = 32, 1.02
+"""Parts of a cell in which a curve of effort is looked at, and times the least of it, that counts
+as short, too."""
+
+
 @dataclass(frozen=True, eq=False)
 class Taper:
     """Traction that is linear in a cell, where it follows the power as the speed changes.
@@ -150,6 +156,8 @@ class DiscreteProblem:
         Largest common tractive effort; eq. (6) with comfort and adhesion.
     power : (q,) array [W/kg]
         Largest tractive effort times speed; eq. (5).
+    curves, dynamic_curves : Curves or None
+        Of traction and of the dynamic brake over speed, where the train has them.
     taper : Taper
         Of the common traction; `drag0` holds it, so that the motion is that of the cells' means.
     braking : (q, n) array [m/s²]
@@ -193,6 +201,8 @@ class DiscreteProblem:
     earliest: FloatArray
     latest: FloatArray
     weights: FloatArray
+    curves: Curves | None = None
+    dynamic_curves: Curves | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -223,9 +233,33 @@ class DiscreteProblem:
         z : (q, n + 1) array [m²/s²]
         """
         speed = np.sqrt(2.0 * (z[:, :-1] + self.bulge)), np.sqrt(2.0 * (z[:, 1:] + self.bulge))
-        usable = self.power[:, None] * (1.0 - self.taper.crest)
-        begin, end = (usable / np.maximum(v, 1e-6) for v in speed)
+        begin, end = (self.traction_at(v, 1.0 - self.taper.crest) for v in speed)
         return np.asarray(np.minimum(begin - self.taper.fall, end + self.taper.fall))
+
+    def traction_at(self, speed: FloatArray, part: FloatArray | float = 1.0) -> FloatArray:
+        """A part of the traction that power and curve allow at speeds, (..., q, n) [m/s²]."""
+        found = self.power[:, None] * part / np.maximum(speed, 1e-6)
+        if self.curves is not None:
+            found = np.minimum(found, part * self.curves.at(speed))
+        return np.asarray(found)
+
+    def dynamic_by_speed(self, z: FloatArray, spare: float = 0.0) -> FloatArray:
+        """What power and curve leave of the dynamic brake all through each cell, (q, n) [m/s²].
+
+        Parameters
+        ----------
+        z : (q, n + 1) array [m²/s²]
+        spare : float [m²/s²]
+            Added to the higher end's.
+        """
+        begin, end = z[:, :-1], z[:, 1:]
+        fastest = np.sqrt(2.0 * (np.maximum(begin, end) + self.bulge + spare))
+        found = self.dynamic_power / np.maximum(fastest, 1e-6)
+        if self.dynamic_curves is not None:
+            slowest = np.sqrt(2.0 * np.maximum(np.minimum(begin, end), 0.0))
+            for speed in (fastest, slowest):
+                found = np.minimum(found, self.dynamic_curves.at(speed))
+        return np.asarray(found)
 
     def tapered(self, taper: Taper) -> DiscreteProblem:
         """The same problem with the common traction tapered so; this one must not be."""
@@ -250,6 +284,10 @@ class DiscreteProblem:
         }  # fmt: skip
         configurations = tuple(self.run.configurations[row] for row in chosen)
         run = replace(self.run, configurations=configurations, weights=())
+        if self.curves is not None:
+            arrays["curves"] = self.curves.select(chosen)
+        if self.dynamic_curves is not None:
+            arrays["dynamic_curves"] = self.dynamic_curves.select(chosen)
         return replace(self, run=run, **arrays)
 
 
@@ -305,7 +343,8 @@ def taper_along(problem: DiscreteProblem, plan: Plan) -> Taper:
     """
     speed = np.sqrt(2.0 * np.maximum(plan.z, _STANDING))
     ends = plan.z[:, :-1] + problem.bulge, plan.z[:, 1:] + problem.bulge
-    most = [(problem.power[:, None] / np.sqrt(2.0 * np.maximum(z, _STANDING))).min(0) for z in ends]
+    each = [problem.traction_at(np.sqrt(2.0 * np.maximum(z, _STANDING))) for z in ends]
+    most = [efforts.min(axis=0) for efforts in each]
     begin, end = (np.minimum(each, problem.traction) for each in most)
     mean = 0.5 * (begin + end)
     # Between half and nearly all of it by degrees: else a cell in which traction ends would be
@@ -321,10 +360,31 @@ def taper_along(problem: DiscreteProblem, plan: Plan) -> Taper:
     lift = lift * problem.step * shares * (1.0 - shares)
     left = (mean - fall) / (mean + fall)
     used = (1.0 - shares * (1.0 - left)) * np.sqrt(1.0 - shares + shares / left**2 + lift)
+    if problem.curves is not None:
+        used = np.maximum(1.0, _used_inside(problem, plan, each, fall))
     crest = _CREST_SPARE * (used.max(axis=0) - 1.0) + _ROUNDING
     crest = np.where(fall != 0.0, np.minimum(crest, 0.5), 0.0)
     full = (fall != 0.0) & (share >= 1.0) & (most[0] == begin) & (most[1] == end)
     return Taper(fall * (1.0 - crest), crest, full)
+
+
+def _used_inside(
+    problem: DiscreteProblem, plan: Plan, ends: Sequence[FloatArray], fall: FloatArray
+) -> FloatArray:
+    """Traction on the chord between its limits at the ends of a cell, over the limit inside.
+
+    Of the configurations that are nearly the shortest of it; (parts, n).
+    """
+    shares = np.linspace(0.0, 1.0, _CURVE_PARTS + 1)[1:-1, None, None]
+    begin, end = plan.z[:, :-1], plan.z[:, 1:]
+    mean = 0.5 * (np.sqrt(2.0 * begin) + np.sqrt(2.0 * end))
+    drag = problem.drag1[:, None] / np.maximum(mean, 1e-3) + 2.0 * problem.drag2
+    bend = np.maximum(problem.gain[:, None] * fall + 0.5 * drag * (end - begin), 0.0)
+    z = begin + shares * (end - begin) + shares * (1.0 - shares) * bend * problem.step
+    limit = problem.traction_at(np.sqrt(2.0 * np.maximum(z + problem.bulge, _STANDING)))
+    chord = np.minimum(ends[0] + shares * (ends[1] - ends[0]), problem.traction)
+    near = (ends[0] < _SHORTEST * ends[0].min(axis=0)) | (ends[1] < _SHORTEST * ends[1].min(axis=0))
+    return np.asarray(np.where(near, chord / limit, 0.0).max(axis=1))
 
 
 def tapered_as(problem: DiscreteProblem, trajectory: Trajectory) -> DiscreteProblem:
@@ -377,6 +437,8 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
             ceiling[node] = min(ceiling[node], 0.5 * point.highest_speed**2)
         floor[node] = 0.5 * (point.lowest_speed or 0.0) ** 2
     efforts = effort_limits(run, positions)
+    power, fastest = np.array([c.max_power for c in run.configurations]), run.train.max_speed
+    own, braking = train.traction_curve, train.dynamic_braking_curve
     return DiscreteProblem(
         run=run,
         positions=positions,
@@ -389,7 +451,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         ceiling=ceiling,
         bulge=bulge,
         traction=efforts.traction.min(axis=0) / reference,
-        power=np.array([c.max_power for c in run.configurations]) / reference,
+        power=power / reference,
         taper=Taper(np.zeros(step.size), np.zeros(step.size), np.zeros(step.size, dtype=bool)),
         braking=efforts.braking / reference,
         friction=efforts.friction / reference,
@@ -402,6 +464,15 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         earliest=_bounds([point.earliest for point in run.windows], -np.inf),
         latest=_bounds([point.latest for point in run.windows], np.inf),
         weights=_probabilities(run),
+        curves=Curves.of(
+            None if own is None else own.over(reference), power / train.max_traction_power, fastest
+        ),
+        dynamic_curves=Curves.of(
+            None if braking is None else braking.over(reference),
+            np.ones(power.size),
+            fastest,
+            brake=True,
+        ),
     )
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InfeasibleError
+from trainlog.railway.effort import arrays_of
 from trainlog.railway.motion import (
     Brakes,
     Motion,
@@ -92,6 +93,9 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
                 remedy="begin the run slower or end it faster",
             )
     traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
+    if problem.curves is not None:
+        # As published, not as plans keep to it: no trajectory is faster.
+        traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
     z, stalled = in_parts(
         problem.shape[0],
         lambda part: pull_forwards(
@@ -134,9 +138,16 @@ def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None)
             (slice(1, None), -problem.taper.fall),
         ):
             fastest = usable / np.maximum(traction + above, 1e-9)
+            if problem.curves is not None:
+                by_curve = problem.curves.speed_at((traction + above) / (1.0 - problem.taper.crest))
+                fastest = np.minimum(fastest, by_curve)
             highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
             ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
-    brakes = Brakes(problem.braking, problem.friction, problem.dynamic, problem.dynamic_power)
+    curves = problem.dynamic_curves
+    brakes = Brakes(
+        problem.braking, problem.friction, problem.dynamic, problem.dynamic_power,
+        *arrays_of(None if curves is None else curves.kept),
+    )  # fmt: skip
     motion = _motion_of(problem)
     return in_parts(
         problem.shape[0],

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction, taper_along
 from analysis.trajectory.envelope import braking_curves
-from trainlog.railway.motion import advance, in_parts, landing, speed_of, traverse
+from trainlog.railway.effort import NO_CURVE
+from trainlog.railway.motion import advance, effort_at, in_parts, landing, speed_of, traverse
 
 FloatArray = NDArray[np.float64]
 
@@ -285,18 +286,25 @@ def energy_of(problem: DiscreteProblem, plan: Plan) -> float:
 
 def dynamic_share(problem: DiscreteProblem, z: FloatArray, braking: FloatArray) -> FloatArray:
     """The most of `braking` that the dynamic brake can take at these speeds, (q, n) [m/s²]."""
-    highest = np.sqrt(2.0 * (np.maximum(z[:, :-1], z[:, 1:]) + problem.bulge + 1e-12))
-    by_power = problem.dynamic_power / highest
-    return np.asarray(np.minimum(np.minimum(braking, problem.dynamic), by_power))
+    by_speed = problem.dynamic_by_speed(z, 1e-12)
+    return np.asarray(np.minimum(np.minimum(braking, problem.dynamic), by_speed))
 
 
 def _run_at(problem: DiscreteProblem, curves: FloatArray, cruising_speed: float) -> Plan:
     z, traction, braking = cruise(
         curves, cruising_speed, problem.common, problem.initial, problem.traction, problem.gain,
-        problem.power, problem.taper.fall, problem.taper.crest, problem.braking, problem.drag0,
-        problem.drag1, problem.drag2, problem.step,
+        problem.power, *_curve_arrays(problem), problem.taper.fall, problem.taper.crest,
+        problem.braking, problem.drag0, problem.drag1, problem.drag2, problem.step,
     )  # fmt: skip
     return Plan(z, traction, braking, dynamic_share(problem, z, braking))
+
+
+def _curve_arrays(problem: DiscreteProblem) -> tuple[FloatArray, FloatArray]:
+    """Speeds of each configuration's curve, (q, m), and efforts, (m,), for compiled code."""
+    if problem.curves is not None:
+        return problem.curves.arrays
+    speeds, efforts = NO_CURVE
+    return np.tile(speeds, (problem.shape[0], 1)), efforts
 
 
 _LATEST = 2e-5
@@ -363,9 +371,9 @@ def _secant_share(late: Callable[[float], float]) -> float | None:
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def cruise(
     curves: FloatArray, cruising_speed: float, common: bool, initial: float,
-    traction: FloatArray, gain: FloatArray, power: FloatArray, fall: FloatArray,
-    crest: FloatArray, braking: FloatArray, drag0: FloatArray, drag1: FloatArray,
-    drag2: FloatArray, step: FloatArray,
+    traction: FloatArray, gain: FloatArray, power: FloatArray, speeds: FloatArray,
+    efforts: FloatArray, fall: FloatArray, crest: FloatArray, braking: FloatArray,
+    drag0: FloatArray, drag1: FloatArray, drag2: FloatArray, step: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """All together: full traction to the cruising speed, hold it, brake along the `curves`.
 
@@ -383,11 +391,15 @@ def cruise(
             y, cell = z[a, k], (drag0[a, k], drag1[a], drag2[a, k], step[k])
             # Power counts at both ends of the cell; an odd number of turns ends below it.
             usable = power[a] * (1.0 - crest[k])
-            begin = min(traction[k] - abs(fall[k]), usable / max(speed_of(y), 1e-9) - fall[k])
+            part, v = 1.0 - crest[k], speed_of(y)
+            limit = min(usable / max(v, 1e-9), part * effort_at(v, speeds[a], efforts))
+            begin = min(traction[k] - abs(fall[k]), limit - fall[k])
             u = begin
             for _ in range(3):
                 reached, _t = advance(y, gain[a] * u, *cell)
-                u = min(begin, usable / max(speed_of(reached), 1e-9) + fall[k])
+                v = speed_of(reached)
+                limit = min(usable / max(v, 1e-9), part * effort_at(v, speeds[a], efforts))
+                u = min(begin, limit + fall[k])
             most = min(most, u)
             safe = landing(y, curves[a, k + 1], *cell) / gain[a]
             most = min(most, braking[a, k] + safe)

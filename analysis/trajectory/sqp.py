@@ -26,6 +26,7 @@ from analysis.trajectory.convex import (
     power_cells,
     solve,
 )
+from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_along
 from analysis.trajectory.rollout import delays, integrate_cells, realise
 
@@ -388,10 +389,16 @@ class QPSubproblem:
             most = np.where(alone[a], 0.0, problem.traction)
             for nodes, above in ((slice(0, n), taper.fall), (slice(1, n + 1), -taper.fall)):
                 pulled.append(self._below(a, nodes, usable, effort, most, above))
+                pulled += self._below_curve(
+                    problem.curves, a, nodes, effort, most, above, 1.0 - taper.crest
+                )
                 if unknowns.dynamic is not None:
                     usable_brake, own = np.full(n, problem.dynamic_power), unknowns.dynamic[a]
                     limit = problem.dynamic[a]
                     braked.append(self._below(a, nodes, usable_brake, own, limit, level))
+                    braked += self._below_curve(
+                        problem.dynamic_curves, a, nodes, own, limit, level, level + 1.0
+                    )
         return pulled, braked
 
     def _single_power_limit(self) -> NDArray[np.bool_]:
@@ -400,7 +407,7 @@ class QPSubproblem:
         Others, and those that brake not to need more, must keep the limit at both ends.
         """
         problem = self.problem
-        limit = problem.power[:, None] / np.maximum(self.speed, SLOW)
+        limit = problem.traction_at(np.maximum(self.speed, SLOW))
         near = limit < _NEAR_LEAST * limit.min(axis=0)
         near = near[:, :-1] | near[:, 1:]
         driving = self.plan.braking < _BRAKE_APPLIED * problem.traction
@@ -427,6 +434,23 @@ class QPSubproblem:
         change, right = self.unknowns.z[a, nodes][at], (power / v - above)[at]
         return a, at, self.below.add(right, (effort[at], 1.0), (change, slope))
 
+    def _below_curve(
+        self, curves: Curves | None, a: int, nodes: slice, effort: NDArray[np.int64],
+        most: FloatArray, above: FloatArray, part: FloatArray,
+    ) -> list[_Limited]:  # fmt: skip
+        """Effort below a part of a curve's tangent in z, as `_below`: one set of rows a piece."""
+        if curves is None:
+            return []
+        v = np.sqrt(self.speed[a, nodes] ** 2 + 2.0 * self.problem.bulge)
+        found = []
+        for value, slope in curves.lines(a, v):
+            at = np.flatnonzero(value * part < _NEAR_POWER * most)
+            gained = (part * slope * self.scale[a, nodes] / np.maximum(v, SLOW))[at]
+            change, right = self.unknowns.z[a, nodes][at], (value * part - above)[at]
+            rows = self.below.add(right, (effort[at], 1.0), (change, -gained))
+            found.append((a, at, rows))
+        return found
+
     def _mean_below(
         self, a: int, power: FloatArray, effort: NDArray[np.int64], at: NDArray[np.int64]
     ) -> _Limited:
@@ -441,6 +465,11 @@ class QPSubproblem:
         total = v.sum(axis=1)
         most = power[at] * total / (2.0 * v.prod(axis=1))
         slope = (most / total)[:, None] * self.scale[a, ends] / v
+        if self.problem.curves is not None:
+            part = (1.0 - self.problem.taper.crest)[at, None]
+            limit, fall = self.problem.curves.limit_and_fall(a, v, float(self.problem.power[a]))
+            most = (part * limit).mean(axis=1)
+            slope = 0.5 * part * fall.mean(axis=1, keepdims=True) * self.scale[a, ends] / v
         change = self.unknowns.z[a, ends]
         return a, at, self.below.add(most, (effort[at], 1.0), (change, slope))
 

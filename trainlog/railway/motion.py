@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway.consist import Formation
-from trainlog.railway.effort import EffortCurve, arrays_of
+from trainlog.railway.effort import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
@@ -121,16 +121,22 @@ class Brakes(NamedTuple):
     limit, friction, dynamic : (q, n) array [m/s²]
         Of all brakes together, and of each kind.
     dynamic_power : float [W/kg]
+    speeds, efforts : (m,) array [m/s], [m/s²]
+        Of the dynamic brake's curve; see `effort_at`.
     """
 
     limit: FloatArray
     friction: FloatArray
     dynamic: FloatArray
     dynamic_power: float
+    speeds: FloatArray = NO_CURVE[0]
+    efforts: FloatArray = NO_CURVE[1]
 
     def rows(self, part: slice) -> Brakes:
         """The same for some of the trains."""
-        return Brakes(self.limit[part], self.friction[part], self.dynamic[part], self.dynamic_power)
+        return self._replace(
+            limit=self.limit[part], friction=self.friction[part], dynamic=self.dynamic[part]
+        )
 
 
 def in_parts(rows: int, work: Callable[[slice], tuple[FloatArray, ...]]) -> tuple[FloatArray, ...]:
@@ -287,6 +293,11 @@ def brake_backwards(
             z, effort = curve[a, k + 1], -1.0
             for _ in range(6):
                 by_power = brakes.dynamic_power / max(speed_of(z), 1e-6)
+                if brakes.speeds.size > 1:
+                    for each in (z, curve[a, k + 1]):
+                        by_power = min(
+                            by_power, effort_at(speed_of(each), brakes.speeds, brakes.efforts)
+                        )
                 limit = min(
                     brakes.limit[a, k],
                     brakes.friction[a, k] + min(brakes.dynamic[a, k], by_power),
