@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.railway import Trajectory
+from trainlog.railway.effort import arrays_of
+from trainlog.railway.motion import effort_at
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -89,6 +91,10 @@ class TrainLimits(NamedTuple):
         All brakes together.
     dynamic, dynamic_power : float [N], [W]
         The part of it that acts at once.
+    friction : float [N]
+        The other part.
+    pull_curve, brake_curve : (2, m) array [m/s], [N]
+        Speeds and efforts of traction and dynamic brake; a single point is no limit.
     on_powered, on_all : float [N]
         Weight on the powered axles, and on all of them.
     mass, inertia, r0, r1, r2 : float
@@ -106,6 +112,9 @@ class TrainLimits(NamedTuple):
     braking: float
     dynamic: float
     dynamic_power: float
+    friction: float
+    pull_curve: FloatArray
+    brake_curve: FloatArray
     on_powered: float
     on_all: float
     mass: float
@@ -179,12 +188,17 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
         for drag in (drags.min(axis=0), drags.max(axis=0))
     ]
     r0, r1, r2 = (0.5 * (drags.min(axis=0) + drags.max(axis=0))).tolist()
+    least = min(c.max_power for c in every)
+    pull, brake = train.traction_curve_with(least), train.dynamic_braking_curve
     return TrainLimits(
         traction=min(train.max_tractive_effort, train.max_acceleration * inertias[0]),
-        power=min(c.max_power for c in every),
+        power=least,
         braking=BLENDING * min(train.max_braking_effort, train.max_deceleration * inertias[0]),
         dynamic=train.max_dynamic_braking_effort,
         dynamic_power=train.max_dynamic_braking_power,
+        friction=train.max_pneumatic_braking_effort,
+        pull_curve=np.stack(arrays_of(None if pull is None else pull.without_rise)),
+        brake_curve=np.stack(arrays_of(None if brake is None else brake.without_dip)),
         on_powered=train.adhesive_weight(masses[0] - train.mass),
         on_all=GRAVITY * masses[0],
         mass=0.5 * sum(masses),
@@ -269,9 +283,14 @@ def effort_limits(
     powered = grip * limits.on_powered
     pulling = value(route.pulling, route.origin, p) * limits.on_powered
     pull = min(limits.traction, pulling, limits.power / max(v, 0.1))
+    if limits.pull_curve.shape[1] > 1:
+        pull = min(pull, effort_at(v, limits.pull_curve[0], limits.pull_curve[1]))
     brake = min(limits.braking, grip * limits.on_all)
     # The dynamic brake is used first, and it acts on the powered axles alone.
-    if dynamic_braking(v, limits) > powered:
+    quick = dynamic_braking(v, limits)
+    if limits.brake_curve.shape[1] > 1:
+        brake = min(brake, BLENDING * (limits.friction + quick))
+    if quick > powered:
         brake = min(brake, powered)
     return pull, brake
 
@@ -279,7 +298,10 @@ def effort_limits(
 @njit(cache=True)
 def dynamic_braking(v: float, limits: TrainLimits) -> float:
     """Braking effort [N] that needs no friction brake."""
-    return min(limits.dynamic, limits.dynamic_power / max(v, 0.1))
+    most = min(limits.dynamic, limits.dynamic_power / max(v, 0.1))
+    if limits.brake_curve.shape[1] > 1:
+        most = min(most, effort_at(v, limits.brake_curve[0], limits.brake_curve[1]))
+    return most
 
 
 @njit(cache=True)

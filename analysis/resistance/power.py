@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.resistance.recording import Prepared
+from trainlog.railway.effort import EffortCurve
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import Trip
@@ -34,6 +35,10 @@ PLATEAU = 0.03
 
 SPEED_RANGE = 2.0
 """Power must stay the same while speed changes by this [m/s]; a limit of effort does not."""
+
+STEEP = 0.5
+"""Relative fall of a curve of effort over the relative rise of speed, from which its efforts show
+the power; where power alone limits it is 1."""
 
 WEAKEST = 0.5
 """Share of the train's stated power below which another limit (adhesion, a fault) is at work."""
@@ -119,11 +124,13 @@ def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> Powe
     PowerLimit or None
         None if the train was not at its power limit for `SHORTEST` at least.
     """
-    power, step = samples.power, samples.step
+    power, speed, step = samples.power, samples.speed, samples.step
+    if train.traction_curve is not None:
+        power, speed = _equivalent_power(samples, train, train.traction_curve.without_rise)
     if power.size * step < SHORTEST:
         return None
     plateau = power > (1.0 - PLATEAU) * float(np.quantile(power, 0.98))
-    found, speeds = float(np.median(power[plateau])), samples.speed[plateau]
+    found, speeds = float(np.median(power[plateau])), speed[plateau]
     time = float(np.count_nonzero(plateau) * step)
     lasts = time >= SHORTEST and np.ptp(speeds) >= SPEED_RANGE
     if not lasts or found <= WEAKEST * train.max_traction_power:
@@ -132,6 +139,24 @@ def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> Powe
     # Averages overlap, and what scatters lasts longer than one of them.
     own = 1.2533 * scatter / np.sqrt(max(time / LASTING, 1.0))
     return PowerLimit(found, float(np.hypot(own, scale_std * found)), time)
+
+
+def _equivalent_power(
+    samples: LimitedSamples, train: Train, curve: EffortCurve
+) -> tuple[FloatArray, FloatArray]:
+    """Power [W] of a train whose curve gives the effort of each sample, and the speeds [m/s].
+
+    The curve of a train with a share of the power has each effort at that share of its speed. Where
+    effort hardly falls with the speed it says nothing of the power, and is left out.
+    """
+    speed = samples.speed
+    effort = samples.power / speed
+    reached = curve.speed_at(effort)
+    falls = -curve.slope(reached) * reached >= STEEP * effort
+    known = falls & (reached > 0.0) & np.isfinite(reached)
+    share = speed[known] / reached[known]
+    # Whichever limits more needs the larger share: the curve or the stated power.
+    return np.maximum(share * train.max_traction_power, samples.power[known]), speed[known]
 
 
 def _power(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared) -> np.ndarray:

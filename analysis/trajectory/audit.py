@@ -217,15 +217,14 @@ def _table(curve: EffortCurve | None) -> tuple[FloatArray, FloatArray]:
 def _in_table(v: float, speeds: FloatArray, efforts: FloatArray) -> float:
     """Effort in a table at a speed, by going through its rows; beyond it the power stays."""
     if v >= speeds[-1]:
-        return efforts[-1] * speeds[-1] / v
+        return float(efforts[-1] * speeds[-1] / v)
     k = 1
     while speeds[k] < v:
         k += 1
     if efforts[k] == np.inf:
         return np.inf
-    return efforts[k] + (efforts[k - 1] - efforts[k]) * (speeds[k] - v) / (
-        speeds[k] - speeds[k - 1]
-    )
+    share = (speeds[k] - v) / (speeds[k] - speeds[k - 1])
+    return float(efforts[k] + (efforts[k - 1] - efforts[k]) * share)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

@@ -1,0 +1,166 @@
+"""Trajectories of trains whose effort over speed is a curve: within it everywhere, and bounded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
+
+from analysis.trajectory.audit import audit
+from analysis.trajectory.certificate import GAP_TOLERANCE
+from analysis.trajectory.discretisation import discretise
+from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.rollout import paced_run
+from trainlog.railway import Configuration, EffortCurve, Train, Trajectory
+
+LINES = {"level": level_line(12_000.0, (0, 140), (5_000, 90), (9_000, 120)), "hilly": hilly_line()}
+
+
+def curve(*points: tuple[float, float]) -> EffortCurve:
+    """Points in km/h and kN."""
+    speeds, efforts = np.array(points).T
+    return EffortCurve(speeds / 3.6, 1e3 * efforts)
+
+
+LINEAR = curve((0, 200), (47, 190), (72, 120), (108, 60), (160, 35))
+"""Falls faster than a power lets it."""
+
+STEPPED = curve((0, 200), (36, 195), (43, 150), (90, 100), (94, 60), (165, 52))
+FADING = curve((0, 0), (7, 100), (29, 150), (72, 110), (162, 50))
+"""A dynamic brake that fades towards the stop, too."""
+
+BUMPED = curve((0, 180), (36, 120), (72, 80), (90, 95), (108, 80), (162, 35))
+"""Rises once, as no plan may count on in a cell that it passes."""
+
+TRAINS = {
+    "linear": replace(FLIRT, traction_curve=LINEAR),
+    "stepped": replace(FLIRT, traction_curve=STEPPED, dynamic_braking_curve=FADING),
+    "bumped": replace(VIRM6, traction_curve=BUMPED, dynamic_braking_curve=BUMPED),
+}
+
+
+@cache
+def found(train: str, line: str, count: int = 2) -> Trajectory:
+    configurations = drawn(TRAINS[train], count, seed=3, spread=0.05)
+    return optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=200)
+
+
+def within(train: Train, trajectory: Trajectory) -> NDArray[np.float64]:
+    """Largest traction over what each configuration's own curve gives, at both ends of cells."""
+    ends = [
+        (trajectory.tractive_effort + half * trajectory.tractive_effort_fall, nodes)
+        for half, nodes in ((0.5, slice(0, -1)), (-0.5, slice(1, None)))
+    ]
+    return np.array(
+        [
+            max(
+                float((effort / train.tractive_effort_limit(speeds[nodes], each.max_power)).max())
+                for effort, nodes in ends
+            )
+            for each, speeds in zip(trajectory.configurations, trajectory.speeds, strict=True)
+        ]
+    )
+
+
+@pytest.mark.parametrize("line", LINES)
+@pytest.mark.parametrize("train", TRAINS)
+def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str) -> None:
+    trajectory = found(train, line)
+    certificate = trajectory.certificate
+    assert certificate["audit"]["passed"]
+    assert certificate["audit"]["effort"] <= 1.0 + 1e-6
+    assert certificate["audit"]["braking"] <= 1.0 + 1e-6
+    assert -1e-6 <= certificate["gap"] <= 0.05
+    assert certificate["certified"] == (certificate["gap"] <= GAP_TOLERANCE)
+    assert np.all(within(TRAINS[train], trajectory) <= 1.0 + 1e-6)
+
+
+def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives() -> None:
+    """Effort and power alone ask this train for 54 kN where it gives 48."""
+    known = replace(
+        FLIRT,
+        max_tractive_effort=100e3,
+        max_traction_power=1.35e6,
+        traction_curve=curve((0, 100), (36, 96), (90, 48), (140, 26)),
+    )
+    at = 25.0
+    alone = replace(known, traction_curve=None)
+    assert float(alone.tractive_effort_limit(at)) == pytest.approx(54e3)
+    assert float(known.tractive_effort_limit(at)) == pytest.approx(48e3)
+    configurations = [Configuration.of(known)]
+    line = LINES["level"]
+    blind = optimised(line, alone, configurations, reserve=0.05, cells=200)
+    assert blind.certificate["audit"]["passed"]
+    run = TrajectoryProblem(line, known, configurations)
+    refused = audit(
+        run, blind.positions, blind.tractive_effort, 0.5 * blind.tractive_effort_fall,
+        blind.braking_effort,
+    )  # fmt: skip
+    assert refused.effort[0] > 1.1
+    assert any("exceeds the traction" in each for each in refused.failures(run, np.inf))
+    seeing = optimised(line, known, configurations, reserve=0.05, cells=200)
+    assert np.all(within(known, seeing) <= 1.0 + 1e-6)
+    assert seeing.certificate["audit"]["effort"] <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize("power", [1.0, 3.0])
+def test_a_curve_that_is_the_hyperbola_gives_what_effort_and_power_give(power: float) -> None:
+    speeds = np.linspace(0.0, 50.0, 2_001)
+    hyperbola = EffortCurve(speeds, FLIRT.tractive_effort_limit(speeds))
+    same = replace(FLIRT, traction_curve=hyperbola, max_traction_power=power * 2.6e6)
+    results = []
+    for train in (FLIRT, same):
+        run = TrajectoryProblem(LINES["hilly"], train, [Configuration.of(train)])
+        plan = optimised(
+            LINES["hilly"], train, [Configuration.of(train)], running_time=400.0, cells=200
+        )
+        results.append((float(fastest_run(run).times[0]), plan.certificate["energy"]))
+    assert results[1] == pytest.approx(results[0], rel=2e-4)
+
+
+def test_the_fastest_run_of_a_linear_curve_is_that_of_its_closed_form() -> None:
+    """Without resistance ``dv/dt = a (1 - v/w)``: after t the speed is ``w (1 - exp(-a t/w))``."""
+    train = replace(
+        FLIRT,
+        resistance=replace(FLIRT.resistance, r0=0.0, r1=0.0, r2=0.0),
+        traction_curve=curve((0, 100), (200, 0)),
+        max_speed=50.0,
+    )
+    line = level_line(6_000.0, (0, 180))
+    run = TrajectoryProblem(line, train, [Configuration.of(train)], final_speed=50.0)
+    fastest = fastest_run(run)
+    a, w = 100e3 / (train.mass + train.rotating_mass), 200.0 / 3.6
+    v = fastest.speeds[0, 1:]
+    needed = -w / a * (v + w * np.log1p(-v / w))
+    np.testing.assert_allclose(needed[40:500], fastest.positions[41:501], rtol=1e-6)
+
+
+def test_no_plan_needs_less_than_the_bound() -> None:
+    """Neither the optimum nor plans that were not optimised, of a curve that bends both ways."""
+    train, line = TRAINS["stepped"], LINES["level"]
+    trajectory = found("stepped", "level")
+    bound = trajectory.certificate["lower_bound"]
+    run = TrajectoryProblem(line, train, trajectory.configurations)
+    problem = discretise(run, trajectory.positions)
+    time = float(trajectory.times[:, -1].max())
+    paced = paced_run(problem, time)
+    spent = float(paced.traction @ problem.step) * problem.reference
+    assert bound <= trajectory.certificate["energy"] * (1.0 + 1e-9)
+    assert bound <= spent * (1.0 + 1e-9)
+
+
+def test_configurations_of_less_power_have_the_stretched_curve() -> None:
+    train = TRAINS["linear"]
+    weak = replace(Configuration.of(train), name="weak", max_power=0.85 * train.max_traction_power)
+    trajectory = optimised(
+        LINES["level"], train, [Configuration.of(train), weak], reserve=0.1, cells=200
+    )
+    assert np.all(within(train, trajectory) <= 1.0 + 1e-6)
+    assert within(train, trajectory).max() > 0.999
+    least = trajectory.certificate["least_time"]
+    assert least[1] > 1.005 * least[0]
