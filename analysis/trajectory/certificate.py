@@ -11,7 +11,7 @@ few Newton steps minimise.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,8 +73,8 @@ def lower_bound(
     mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
     push = step * mean
     motion = multipliers.pull / (push * problem.gain[:, None])
-    offsets = _traction_bounds(problem, speeds)[0], _dynamic_bounds(problem, speeds)[0]
-    power, dynamic_power, tau = _time_left(problem, multipliers, speeds)
+    pull, brake = _traction_bounds(problem, speeds), _dynamic_bounds(problem, speeds)
+    power, dynamic_power, tau = _time_left(problem, multipliers, pull, brake)
 
     price, regained = step, np.zeros(problem.shape)
     if problem.run.at_line:
@@ -84,7 +84,7 @@ def lower_bound(
     effort = price - multipliers.pull.sum(axis=0) + power.sum(axis=0)
     total = float((problem.traction * np.minimum(effort, 0.0)).sum())
     total += _brakes(problem, multipliers.pull, dynamic_power - regained)
-    total -= float((power * offsets[0]).sum() + (dynamic_power * offsets[1]).sum())
+    total -= float((power * pull.offset).sum() + (dynamic_power * brake.offset).sum())
     total += float((motion * push * problem.mean_drag0).sum())
     total -= float(multipliers.time @ (running_time + spare))
     for price, latest in zip(multipliers.passing.T, problem.latest.tolist(), strict=True):
@@ -99,6 +99,7 @@ def lower_bound(
     square[:, :-1] -= np.exp(-decay) * motion
     linear = np.zeros(speeds.shape)
     half = 0.5 * problem.drag1[:, None] * push * motion
+    half = half - 0.5 * (power * pull.slope + dynamic_power * brake.slope)
     linear[:, 1:] += half
     linear[:, :-1] += half
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
@@ -118,34 +119,43 @@ def lower_bound(
     return total
 
 
-def _traction_bounds(problem: DiscreteProblem, speeds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``traction <= offset + power / v``: of power or curve, the lower at speeds; (q, n) arrays."""
-    return _bounds_of(
-        problem.curves, np.broadcast_to(problem.power[:, None], problem.shape), speeds
-    )
+class _Bounds(NamedTuple):
+    """``effort <= offset + power / v + slope v`` in each cell, (q, n) arrays."""
+
+    offset: FloatArray
+    power: FloatArray
+    slope: FloatArray
 
 
-def _dynamic_bounds(problem: DiscreteProblem, speeds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The same of the dynamic brake."""
+def _traction_bounds(problem: DiscreteProblem, speeds: FloatArray) -> _Bounds:
+    """Of traction by power or curve, the lower at speeds, (q, n + 1)."""
+    power = np.broadcast_to(problem.power[:, None], problem.shape)
+    return _bounds_of(problem.curves, power, speeds)
+
+
+def _dynamic_bounds(problem: DiscreteProblem, speeds: FloatArray) -> _Bounds:
+    """Of the dynamic brake."""
     power = np.full(problem.shape, problem.dynamic_power)
     return _bounds_of(problem.dynamic_curves, power, speeds)
 
 
-def _bounds_of(
-    curves: Curves | None, power: FloatArray, speeds: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    offset = np.zeros(power.shape)
+def _bounds_of(curves: Curves | None, power: FloatArray, speeds: FloatArray) -> _Bounds:
+    none = np.zeros(power.shape)
     if curves is None:
-        return offset, power
+        return _Bounds(none, power, none)
     mean = np.maximum(0.5 * (speeds[:, :-1] + speeds[:, 1:]), SLOW)
-    tangents = [curves.tangent(row, v) for row, v in enumerate(mean)]
-    offsets, powers = (np.array(each) for each in zip(*tangents, strict=True))
-    lower = offsets + powers / mean < power / mean
-    return np.where(lower, offsets, offset), np.where(lower, powers, power)
+    found = [curves.bounds(row, v) for row, v in enumerate(mean)]
+    offset, by_curve, slope = (np.array(each) for each in zip(*found, strict=True))
+    lower = offset + by_curve / mean + slope * mean < power / mean
+    return _Bounds(
+        np.where(lower, offset, none),
+        np.where(lower, by_curve, power),
+        np.where(lower, slope, none),
+    )
 
 
 def _time_left(
-    problem: DiscreteProblem, multipliers: Multipliers, speeds: FloatArray
+    problem: DiscreteProblem, multipliers: Multipliers, pull: _Bounds, brake: _Bounds
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Multipliers of the power limits, lowered where they would outweigh the time's.
 
@@ -162,8 +172,7 @@ def _time_left(
         if problem.dynamic_curves is not None:
             at = np.arange(problem.shape[1])
         braked[a, at] = multipliers.dynamic_power[a, at]
-    used = _traction_bounds(problem, speeds)[1] * allowed
-    used = used + _dynamic_bounds(problem, speeds)[1] * braked
+    used = pull.power * allowed + brake.power * braked
     share = np.minimum(1.0, time / np.maximum(used, 1e-300))
     return share * allowed, share * braked, np.maximum(time - share * used, 0.0)
 

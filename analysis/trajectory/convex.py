@@ -24,7 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.trajectory.curves import Curves
+from analysis.trajectory.curves import SPARE, Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import dynamic_share
 
@@ -272,7 +272,7 @@ def power_cells(problem: DiscreteProblem, power: float, most: FloatArray) -> NDA
 _AROUND = (0.6, 0.8, 0.9, 1.0, 1.1)
 """Times the speeds, at which the relaxation bounds a curve of effort."""
 
-MEAN_SPEED = 0.1
+MEAN_SPEED = SPARE
 """By which a cell's mean speed may exceed the mean of its ends [m/s]; the brake absorbs it."""
 
 
@@ -459,5 +459,12 @@ class Relaxation:
         speeds = 0.5 * self.total[row]
         inverse = 1.0 / speeds
         for factor in _AROUND:
-            offset, power = curves.tangent(row, np.maximum(factor * speeds, SLOW))
-            self.below.add(offset, (effort, 1.0), (self.tau[row], -power * inverse))
+            offset, power, slope = curves.bounds(row, np.maximum(factor * speeds, SLOW))
+            half = -0.5 * slope
+            self.below.add(
+                offset,
+                (effort, 1.0),
+                (self.tau[row], -power * inverse),
+                (self.w[row, :-1], half * self.scale[row, :-1]),
+                (self.w[row, 1:], half * self.scale[row, 1:]),
+            )

@@ -2,8 +2,9 @@
 
 A plan keeps to the highest curve below the train's own that falls with the speed (of the dynamic
 brake: that rises to its peak and falls after it), so that the ends of a cell decide for all of it.
-A lower bound takes ``effort <= offset + power / v`` instead, tangents of the train's own curve from
-above: linear in the time that a metre takes, as the limit of power is.
+A lower bound takes ``effort <= offset + power / v + slope v`` instead, tangents of the train's own
+curve from above: linear in the time that a metre takes, as the limit of power is, and in the speed.
+Since a speed and its inverse lie on a curve that bends one way, there is a tangent at every speed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,16 @@ from numpy.typing import NDArray
 from trainlog.railway import EffortCurve
 
 FloatArray = NDArray[np.float64]
+
+_STEEPNESS = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
+"""By which bounds bend up beside the speed of their tangent, over the effort there: the least that
+is above the curve is the best."""
+
+SPARE = 0.1
+"""By which a cell's mean speed may exceed the mean of its ends [m/s]."""
+
+_STANDSTILL = 1e-6
+"""Speed below which bounds are not looked at [m/s]."""
 
 _BESIDE = 0.5
 """Change of speed [m/s] within which a piece that begins beside a speed limits it, too."""
@@ -35,7 +46,9 @@ class Curves:
     share : (q,) array
         Of the speeds, by which the curve is that of each configuration.
     offsets, powers, begins : (m,) array [m/s²], [W/kg], [m/s]
-        Tangents from above, and the lowest speed of each one's side.
+        Tangents from above without slope, and the lowest speed of each one's side.
+    fastest : float [m/s]
+        Up to which the bounds hold.
     """
 
     own: EffortCurve
@@ -44,6 +57,7 @@ class Curves:
     offsets: FloatArray
     powers: FloatArray
     begins: FloatArray
+    fastest: float
 
     @staticmethod
     def of(
@@ -52,9 +66,10 @@ class Curves:
         """Of a curve [m/s²] up to the fastest speed [m/s]; None without one."""
         if curve is None:
             return None
-        begins, offsets, powers = curve.tangents(fastest / float(share.min()))
+        fastest = fastest / float(share.min())
+        begins, offsets, powers = curve.tangents(fastest)
         kept = curve.without_dip if brake else curve.without_rise
-        return Curves(curve, kept, share, offsets, powers, begins)
+        return Curves(curve, kept, share, offsets, powers, begins, fastest)
 
     def select(self, rows: Sequence[int]) -> Curves:
         """Those of some of the configurations."""
@@ -108,9 +123,60 @@ class Curves:
         curve = by_curve < by_power
         return np.where(curve, by_curve, by_power), np.where(curve, fall, by_power / speed)
 
-    def tangent(self, row: int, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Offset and power of the bound that is lowest at speeds of a configuration."""
+    def bounds(self, row: int, speed: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Upper bounds ``offset + power / v + slope v`` of a configuration's effort at any speed.
+
+        Parameters
+        ----------
+        row : int
+        speed : (n,) array [m/s]
+            Where each bound is to be low; above 0.
+
+        Returns
+        -------
+        offset, power, slope : (n,) arrays [m/s²], [W/kg], [1/s]
+        """
         share = float(self.share[row])
-        at = np.searchsorted(-self.begins, -speed / share)
+        v = speed / share
+        effort, fall = self.kept(v), self.kept.slope(v)
+        best = self._tangent(v)
+        lowest = best[0] + best[1] / v + SPARE * np.maximum(best[2], 0.0)
+        for steepness in _STEEPNESS:
+            bend = steepness * effort
+            power, slope = bend * v, fall + bend / v
+            offset = effort - fall * v - 2.0 * bend
+            offset = offset + self._excess(offset, power, slope)
+            value = offset + power / v + slope * v + SPARE * np.maximum(slope, 0.0)
+            better = value < lowest
+            lowest = np.where(better, value, lowest)
+            best = tuple(
+                np.where(better, new, old)
+                for new, old in zip((offset, power, slope), best, strict=True)
+            )
+        offset, power, slope = best
+        # The mean speed of a cell may be above that of its ends.
+        return offset + SPARE * np.maximum(slope, 0.0) / share, power * share, slope / share
+
+    def _excess(self, offset: FloatArray, power: FloatArray, slope: FloatArray) -> FloatArray:
+        """By how much the curve is above ``offset + power / v + slope v`` at most, (n,) [m/s²].
+
+        Over a straight piece the difference is concave: its peak is known.
+        """
+        v = np.append(self.own.speeds, max(self.fastest, self.own.speeds[-1] * (1.0 + 1e-9)))
+        f = self.own(v)
+        low, high = np.maximum(v[:-1], _STANDSTILL), np.maximum(v[1:], _STANDSTILL)
+        change = np.diff(f) / np.diff(v)
+        # Beyond the last point the power stays: below the chord of it in between.
+        net = change - slope[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            peak = np.sqrt(power[:, None] / -net)
+        peak = np.clip(np.where(net < 0.0, peak, high), low, high)
+        start = f[:-1] + change * (peak - v[:-1])
+        bound = offset[:, None] + power[:, None] / peak + slope[:, None] * peak
+        return np.asarray(np.maximum((start - bound).max(axis=1), 0.0))
+
+    def _tangent(self, v: FloatArray) -> tuple[FloatArray, ...]:
+        """The bound without slope that is lowest at speeds of the curve."""
+        at = np.searchsorted(-self.begins, -v)
         at = np.clip(at, 0, self.begins.size - 1)
-        return self.offsets[at], self.powers[at] * share
+        return self.offsets[at], self.powers[at], np.zeros(v.size)
