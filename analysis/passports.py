@@ -45,6 +45,7 @@ from trainlog.formats.attached import (
     passport_of,
     recorded_load,
     train_of,
+    with_passport,
 )
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity, Source
@@ -176,6 +177,19 @@ def estimated_passport(trip: Trip, fleet: Iterable[Passport] = ()) -> Passport:
         sample_time=_sample_times(trip),
     )
     return replace(found, findings=(*findings, *_findings(found, prior)))
+
+
+def with_estimated_passport(trip: Trip) -> Trip:
+    """The trip with the passport that its samples and metadata give, stored in it.
+
+    Examples
+    --------
+    >>> from trainlog.mcap import read_log
+    >>> trip = with_estimated_passport(read_log("sample_logs/stopping.mcap"))
+    >>> passport_of(trip).trip, trip.provenance[-1]["step"]
+    ('trip-03', 'passport')
+    """
+    return with_passport(trip, estimated_passport(trip))
 
 
 @dataclass(frozen=True, slots=True)

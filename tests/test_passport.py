@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +12,11 @@ import pytest
 import trainlog
 from analysis import passport
 from analysis.passports import estimated_passport, with_effort_delay
+from trainlog.cli import main as cli
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import passport_of, recorded_load, with_passport
 from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Passport, Quantity
 from trainlog.trip import Trip
 
@@ -157,3 +161,33 @@ def test_a_passport_reads_as_a_few_lines(stopping: Trip) -> None:
     assert lines[0] == "Passport of trip 'trip-03'"
     assert len(lines) < 16
     assert "<table>" in found._repr_html_()
+
+
+def test_ingest_stores_the_passport_and_info_shows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(*words: str | Path) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return int(ended.value.code or 0), capsys.readouterr().out
+
+    recording, profile = sample("recorder.csv"), sample("recorder.profile.toml")
+    command: list[str | Path] = ["ingest", recording, "-o", tmp_path, "--profile", profile]
+    command += ["--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN)]
+    log, estimated = tmp_path / "recorder.mcap", tmp_path / "estimated"
+
+    assert run(*command)[0] == 0
+    found = passport_of(trainlog.read(log))
+    assert found is not None
+    assert found.effort_delay.source == "estimated"
+    assert "no load recorded" in "; ".join(found.findings)
+    made = log.stat().st_mtime_ns
+    assert run(*command)[0] == 0
+    assert log.stat().st_mtime_ns == made, "what was made before is not made again"
+
+    shown = run("info", log)[1]
+    assert "Passport of trip" in shown
+    assert "effort delay" in shown
+    assert run("estimate", log, "-o", estimated)[0] == 0
+    assert passport_of(trainlog.read(estimated / log.name)) == found

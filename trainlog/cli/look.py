@@ -31,22 +31,27 @@ PIECE = 200_000
 
 @app.command(rich_help_panel="Look")
 def info(logs: LogsOrConsists) -> None:
-    """List what a log holds: topics, units, rates, time and position span, gaps, provenance.
+    """List what a log holds: topics, units, rates, time and position span, gaps, passport.
 
     Of a consist (.consist.json) its vehicles, couplers and brake.
 
     Example: trainlog info results/trips/trip-01.mcap
     """
     from analysis.consist_table import consist_tables
+    from trainlog.formats.attached import passport_of
     from trainlog.formats.train import read_consist
-    from trainlog.mcap import describe
+    from trainlog.mcap import describe, read_log
     from trainlog.mcap.description import render
+    from trainlog.trip import PASSPORT_ATTACHMENT
 
     for log in logs_in(logs):
         if log.name.endswith(".consist.json"):
             console.print(consist_tables(read_consist(log)))
         else:
-            console.print(render(describe(log)))
+            description = describe(log)
+            console.print(render(description))
+            if PASSPORT_ATTACHMENT in (each.name for each in description.attachments):
+                console.print(repr(passport_of(read_log(log, []))), highlight=False, markup=False)
 
 
 @app.command(rich_help_panel="Look")

@@ -190,6 +190,7 @@ def ingest(
 
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
     """
+    from analysis.passports import with_estimated_passport
     from trainlog.formats.line import read_line
     from trainlog.formats.train import read_train
     from trainlog.ingest import Ingested, Outcome, ingest_all
@@ -221,6 +222,7 @@ def ingest(
                 metadata=pairs(facts or []),
                 each=note,
                 choose=proposals.profile_for,
+                finish=with_estimated_passport if line and train else None,
             )
         except KeyboardInterrupt:
             _print_ingested(Ingested(output, tuple(found)), alone=False, as_json=as_json)

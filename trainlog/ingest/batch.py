@@ -233,6 +233,7 @@ def ingest_all(
     metadata: Mapping[str, str] | None = None,
     each: Callable[[Outcome, int, int], object] | None = None,
     choose: Callable[[Path], str | Path | Profile | None] | None = None,
+    finish: Callable[[Trip], Trip] | None = None,
 ) -> Ingested:
     """Turn recorded files into logs; one that cannot be used does not keep the others from it.
 
@@ -254,6 +255,8 @@ def ingest_all(
     choose : callable, optional
         Gives the profile of a file, where `profile` is none; an `InputError` that it raises is why
         the file is refused. See `trainlog.ingest.propose_profile`.
+    finish : callable, optional
+        Makes of each trip the one that is written.
 
     Returns
     -------
@@ -284,7 +287,8 @@ def ingest_all(
         raise InputError("no recording was given", remedy="name files or folders")
     found: list[Outcome] = []
     with output_folder(target):
-        batch = _Batch(target, given, [file for file, reason in files if not reason], choose)
+        recordings = [file for file, reason in files if not reason]
+        batch = _Batch(target, given, recordings, choose, finish)
         for number, (file, reason) in enumerate(files, start=1):
             outcomes = [Outcome(file, "passed_over", reason=reason)] if reason else batch.make(file)
             for outcome in outcomes:
@@ -434,9 +438,11 @@ class _Batch:
         given: Given,
         files: list[Path],
         choose: Callable[[Path], str | Path | Profile | None] | None = None,
+        finish: Callable[[Trip], Trip] | None = None,
     ) -> None:
         self._output = output
         self._choose = choose
+        self._finish = finish
         self._given = given
         self._names = distinct_names(files)
         self._files = files
@@ -501,6 +507,8 @@ class _Batch:
         return Outcome(file, "unchanged", name, made.log, reason, report, known)
 
     def _written(self, file: Path, name: str, digest: str, trip: Trip) -> Outcome:
+        if self._finish is not None:
+            trip = self._finish(trip)
         log = self._log(file, name, digest)
         write_log(trip, log)
         self._taken[log] = file
@@ -547,7 +555,7 @@ def _made(log: Path) -> _Made | None:
     except TrainlogError:
         return None
     steps = [step for step in trip.provenance if step.get("step") != "read damaged log"]
-    if [step.get("step") for step in steps] != ["ingest"]:
+    if [step.get("step") for step in steps] not in (["ingest"], ["ingest", "passport"]):
         return None
     return _Made(log, trip, steps[0], whole=len(steps) == len(trip.provenance))
 
