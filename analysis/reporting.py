@@ -184,6 +184,7 @@ def _followed(folder: Path) -> tuple[str, str, str] | None:
             found = punctuality(logs)
             words.append(
                 f"{how} at most {abs(found.late):.1f} s from the trajectory on arrival, slip"
-                f" protection acts {found.slips} times on {found.trips} trips"
+                f" protection acts {'?' if found.slips is None else found.slips} times on"
+                f" {found.trips} trips"
             )
     return ("following", "; ".join(words), str(folder / "driven")) if words else None

@@ -14,7 +14,7 @@ from analysis.comparison.cost import compare, punctuality, savings_table, trip_c
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
-from trainlog.topics import EVENTS, REFERENCE, TRAIN_CONTROLS, TRAIN_STATE
+from trainlog.topics import EVENTS, REFERENCE, TRAIN_CONTROLS, TRAIN_SLIP_PROTECTION, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 
 
@@ -113,6 +113,20 @@ def test_slip_protection_and_lateness_are_reported_where_the_log_tells_them() ->
     found = punctuality(stated)
     assert (found.trips, found.slips) == (2, 2)
     assert found.late == pytest.approx(-0.7)
+
+
+def test_slip_protection_that_is_not_recorded_is_not_zero() -> None:
+    """A flag counts where there is one, else events; without both, how often is not known."""
+    silent = followed("departure from A", "arrival at B", late=0.1)
+    assert trip_cost(silent).slips is None
+    assert punctuality([silent, followed("slip protection active", late=0.1)]).slips is None
+    mapped = replace(silent, metadata={**silent.metadata, "slip_protection": "events"})
+    assert trip_cost(mapped).slips == 0
+    active = [0.0, 2.0, 1.0, np.nan, 1.0, 0.0, 1.0]
+    flags = frame_of(
+        TRAIN_SLIP_PROTECTION, np.arange(7) * 1_000_000_000, {"active": np.array(active)}
+    )
+    assert trip_cost(silent.with_topic(flags)).slips == 2
 
 
 def followed(*messages: str, late: float) -> Trip:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from ingest_logs import PLAIN, clean_run, plain_profile, write
 
+from analysis.adhesion.events import protection_onsets
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, read_profile, report_of
+from trainlog.mcap import read_log, write_log
 from trainlog.railway import RunningResistance, Train
 
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"
@@ -372,3 +374,56 @@ def test_a_profile_and_a_report_are_printed_in_a_few_lines(tmp_path: Path) -> No
     ]
     assert "<table>" in report._repr_html_()
     assert "<table>" in profile._repr_html_()
+
+
+def test_what_a_recorder_calls_slip_protection_is_named_so(tmp_path: Path) -> None:
+    words = ["", "GLEITSCHUTZ aktiv", "Tür zu", "wsp on axle 3"]
+    rows = [f"2024-05-01T06:00:0{i}Z,{20 + i},{word}" for i, word in enumerate(words)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["t,v,Meldung", *rows]) + "\n", encoding="utf-8")
+    columns = {
+        "/train/state.speed": {"column": "v", "unit": "m/s"},
+        "/events.message": {"column": "Meldung", "slip_protection": ["Gleitschutz", "WSP"]},
+        "/events.name": {"value": "recorder"},
+    }
+    trip = ingest(path, profile=plain_profile(columns=columns, time={"column": "t"}))
+    events = trip["/events"]
+    named = events.loc[events["name"] == "slip protection", "message"]
+    assert named.tolist() == [words[1], words[3]]
+    assert events.loc[events["message"] == "Tür zu", "name"].tolist() == ["recorder"]
+    onsets = protection_onsets(trip)
+    assert onsets is not None
+    assert len(onsets) == 2
+
+
+def test_an_axle_that_is_not_recorded_keeps_its_number(tmp_path: Path) -> None:
+    """One speed a bogie: those of axles 1 and 3, also in the log."""
+    rows = [f"2024-05-01T06:00:{i:02d}Z,{10 + i},{11 + i}" for i in range(20)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["t,front,rear", *rows]) + "\n", encoding="utf-8")
+    columns = {
+        "/train/axles.wheel_speed": {"columns": ["front", "", "rear", ""], "unit": "m/s"},
+        "/train/state.speed": {"column": "front", "unit": "m/s"},
+    }
+    trip = ingest(path, profile=plain_profile(columns=columns, time={"column": "t"}))
+    write_log(trip, tmp_path / "run.mcap")
+    axles = read_log(tmp_path / "run.mcap")["/train/axles"]
+    assert [n for n in axles if axles[n].notna().any()] == ["wheel_speed_1", "wheel_speed_3"]
+    assert axles["wheel_speed_3"].tolist() == [11.0 + i for i in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("'/train/axles.wheel_speed' = {columns=['', ''], unit='m/s'}", "names no column"),
+        (
+            "'/events.name' = {column='n', slip_protection=['WSP']}",
+            'slip_protection is for "/events.message"',
+        ),
+    ],
+)
+def test_what_names_nothing_is_refused(tmp_path: Path, toml: str, message: str) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text(HEAD + "[columns]\n" + toml + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        read_profile(path)

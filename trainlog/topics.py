@@ -133,6 +133,23 @@ TRAIN_AXLES = Topic(
     ),
 )
 
+TRAIN_SLIP_PROTECTION = Topic(
+    "/train/slip_protection",
+    "trainlog.SlipProtection",
+    "Whether the slip protection of the powered axles acts.",
+    (
+        Field(
+            "active",
+            "1",
+            "axles on which it acts; where that is not recorded 1 while it acts anywhere, else 0",
+            "previous",
+        ),
+    ),
+)
+
+SLIP_PROTECTION = "slip protection"
+"""Name, or beginning of the message, of an event that reports that slip protection acts."""
+
 TRAIN_VEHICLES = Topic(
     "/train/vehicles",
     "trainlog.TrainVehicles",
@@ -320,6 +337,7 @@ TOPICS: dict[str, Topic] = {
         TRAIN_STATE,
         TRAIN_CONTROLS,
         TRAIN_AXLES,
+        TRAIN_SLIP_PROTECTION,
         TRAIN_VEHICLES,
         TRAIN_COUPLERS,
         GNSS_FIX,

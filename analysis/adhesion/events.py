@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from analysis.adhesion.axles import SLOW, PoweredAxles
 from estimators.slip import NOISE_MULTIPLE, SlipDetector
+from trainlog.topics import EVENTS, SLIP_PROTECTION, TRAIN_SLIP_PROTECTION
+from trainlog.trip import SCENARIO_ATTACHMENT, Trip
 from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
@@ -142,6 +144,31 @@ def _asked(axles: PoweredAxles, axle: int) -> FloatArray | None:
         return None
     effort = axles.wheel_effort[:, others]
     return np.asarray(np.take_along_axis(effort, np.abs(effort).argmax(axis=1)[:, None], 1)[:, 0])
+
+
+def protection_onsets(trip: Trip) -> pd.DatetimeIndex | None:
+    """When the slip protection began to act; None where that is not recorded.
+
+    From the topic ``/train/slip_protection``, or from events of that name. Where there are none, it
+    never acted only if the recorder's profile maps its words (metadata ``slip_protection``) or the
+    trip is simulated.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> len(protection_onsets(trainlog.read("sample_logs/stopping.mcap")))
+    27
+    """
+    frame = trip.topics.get(TRAIN_SLIP_PROTECTION.name)
+    if frame is not None and frame["active"].notna().any():
+        active = frame["active"].ffill().to_numpy() > 0.0
+        return pd.DatetimeIndex(frame.index[np.diff(active, prepend=False) & active])
+    if EVENTS.name not in trip:
+        return None
+    events = trip[EVENTS.name]
+    named = (events["name"] == SLIP_PROTECTION) | events["message"].str.startswith(SLIP_PROTECTION)
+    covered = "slip_protection" in trip.metadata or SCENARIO_ATTACHMENT in trip.attachments
+    return pd.DatetimeIndex(events.index[named]) if covered or named.any() else None
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:

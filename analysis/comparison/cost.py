@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Group
 
+from analysis.adhesion.events import protection_onsets
 from analysis.given import Given, each_given
 from analysis.tables import kwh, new_table
 from trainlog.display import as_text, counted
@@ -20,7 +21,7 @@ from trainlog.mcap import read_log
 from trainlog.mcap.reader import stream_log
 from trainlog.railway import Line, Train
 from trainlog.resampling import joined_pieces
-from trainlog.topics import EVENTS, REFERENCE, STANDSTILL
+from trainlog.topics import EVENTS, REFERENCE, STANDSTILL, TRAIN_SLIP_PROTECTION
 from trainlog.trip import Trip, seconds
 from trainlog.units import JOULES_PER_KWH
 
@@ -52,7 +53,7 @@ class TripCost:
         Energy drawn from the line less what was fed back, with the train's efficiencies.
     top_speed : float [m/s]
     slips : int or None
-        How often the slip protection acted; None if the log has no events.
+        How often the slip protection acted; None where that is not recorded.
     late : float or None [s]
         On arrival, behind the trajectory that was followed; None if there was none.
     """
@@ -140,11 +141,10 @@ def _mass(bare: Trip, train: Train) -> float:
 
 
 def _slips(trip: Recorded) -> int | None:
-    """How often the slip protection acted, as the events say."""
-    whole = trip if isinstance(trip, Trip) else read_log(trip, [EVENTS.name])
-    if EVENTS.name not in whole:
-        return None
-    return int(whole[EVENTS.name]["message"].str.startswith("slip protection").sum())
+    """How often the slip protection acted; None where that is not recorded."""
+    topics = [EVENTS.name, TRAIN_SLIP_PROTECTION.name]
+    onsets = protection_onsets(trip if isinstance(trip, Trip) else read_log(trip, topics))
+    return None if onsets is None else len(onsets)
 
 
 def _late(trip: Recorded) -> float | None:
@@ -280,13 +280,13 @@ class Punctuality:
     trips : int
     late : float [s]
         On arrival behind the trajectory, of the trip furthest from it; signed.
-    slips : int
-        How often the slip protection acted on all of them.
+    slips : int or None
+        How often the slip protection acted on all of them; None where one does not record it.
     """
 
     trips: int
     late: float
-    slips: int
+    slips: int | None
 
 
 def punctuality(followed: Sequence[Recorded]) -> Punctuality:
@@ -297,7 +297,7 @@ def punctuality(followed: Sequence[Recorded]) -> Punctuality:
     LogError
         If one of them has no reference.
     """
-    late, slips = [], 0
+    late, slips = [], list[int | None]()
     for trip in followed:
         found = _late(trip)
         if found is None:
@@ -306,8 +306,10 @@ def punctuality(followed: Sequence[Recorded]) -> Punctuality:
                 remedy="give the trips of 'trainlog simulate --trajectory'",
             )
         late.append(found)
-        slips += _slips(trip) or 0
-    return Punctuality(len(late), max(late, key=abs), slips)
+        slips.append(_slips(trip))
+    known = [each for each in slips if each is not None]
+    acted = sum(known) if len(known) == len(slips) else None
+    return Punctuality(len(late), max(late, key=abs), acted)
 
 
 @dataclass(frozen=True, slots=True)

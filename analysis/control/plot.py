@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from analysis.adhesion.events import protection_onsets
 from analysis.plotting import (
     BLUE,
     GREY,
@@ -98,21 +99,22 @@ def _draw_speeds(axes: Axes, trips: Sequence[Trip], line: Line) -> None:
     )  # fmt: skip
     reference = KMH * trips[0]["/reference"]["speed"].to_numpy()
     axes.plot(_km(trips[0]), reference, color=ORANGE, linewidth=3.0, label="reference")
-    slips = 0
+    slips, recorded = 0, True
     for number, trip in enumerate(trips):
         speed = KMH * trip["/train/state"]["speed"].to_numpy()
         axes.plot(
             _km(trip), speed, color=BLUE, linewidth=0.6, label="trains" if number == 0 else None
         )
-        events = trip["/events"]
-        when = events.index[events["message"].str.startswith("slip protection")]
-        rows = trip["/train/state"].index.searchsorted(when)
+        when = protection_onsets(trip)
+        recorded &= when is not None
+        rows = trip["/train/state"].index.searchsorted([] if when is None else when)
         slips += len(rows)
         if len(rows):
             axes.plot(_km(trip)[rows], speed[rows], color=RED, linestyle="", marker=".")
     for station in line.stations:
         axes.axvline(station.position / 1e3, color=PALE, linewidth=0.8, zorder=0)
-    title = f"{len(trips)} trip{'s' * (len(trips) > 1)}; slip protection acted {slips} times"
+    acted = f"slip protection acted {slips} times" if recorded else "slip protection not recorded"
+    title = f"{len(trips)} trip{'s' * (len(trips) > 1)}; {acted}"
     dress(axes, x="", y="km/h", title=f"Speed, {title}{' (red)' * (slips > 0)}")
     axes.legend(fontsize=8, frameon=False, ncols=3, loc="lower center")
 

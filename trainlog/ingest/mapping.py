@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from trainlog.ingest.recording import (
     Recording,
     Table,
 )
+from trainlog.topics import SLIP_PROTECTION
 from trainlog.units import NANOSECONDS, to_si
 
 MAX_UNREADABLE = 0.5
@@ -121,8 +123,23 @@ def recording_of(
             place=f"columns {', '.join(sorted(present - times))}",
             remedy="check the columns under [columns] of the profile",
         )
+    _name_slip_protection(profile, texts, constants)
     table = Table(time, cells.rows, values, texts)
     return Recording((table,), cells.rows_read, tuple(findings), constants, raw=tuple(raw))
+
+
+def _name_slip_protection(
+    profile: Profile, texts: dict[str, NDArray[np.object_]], constants: dict[str, float | str]
+) -> None:
+    """Name the events that report slip protection, in place."""
+    messages = texts.get("/events.message")
+    if messages is None or not profile.columns["/events.message"].slip_protection:
+        return
+    words = "|".join(map(re.escape, profile.columns["/events.message"].slip_protection))
+    known = str(constants.pop("/events.name", ""))
+    names = texts.get("/events.name", np.full(messages.size, known, dtype=np.object_))
+    acts = pd.Series(messages, dtype="str").str.contains(words, case=False).to_numpy()
+    texts["/events.name"] = np.where(acts, SLIP_PROTECTION, names)
 
 
 def _unreadable_times(cells: Cells, names: tuple[str, ...], time: IntArray) -> list[Raw]:
@@ -152,7 +169,10 @@ def _field(
     values: dict[str, FloatArray] = {}
     empty = np.zeros(0, dtype=np.int64)
     unreadable = empty
-    for axle, source in enumerate(column.names, start=1):
+    for axle, source in enumerate(column.sources, start=1):
+        if not source:
+            values[f"{name}_{axle}"] = np.full(len(cells.table), np.nan)
+            continue
         cell = cells.table[source]
         raw, absent, garbled = numbers(cell, profile.file.decimal)
         _refuse_garbled(source, cells, raw, garbled, profile, file)

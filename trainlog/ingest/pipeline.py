@@ -556,6 +556,9 @@ def _metadata(
         "trip": options.name,
     }
     stated = {key: value for key, value in known.items() if value is not None}
+    messages = profile.columns.get("/events.message")
+    if messages is not None and messages.slip_protection:
+        stated["slip_protection"] = "events"
     return {**recording.metadata, **profile.metadata, **stated}
 
 

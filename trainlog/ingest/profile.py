@@ -224,8 +224,8 @@ class Column(_Strict):
     Attributes
     ----------
     column : str
-        Name of the column; `columns` for the fields that have one value an axle; or a constant
-        `value`.
+        Name of the column; `columns` for the fields that have one value an axle, ``""`` for an
+        axle that is not recorded; or a constant `value`.
     unit : str
         Unit of the number after `scale` and `offset`.
     scale, offset : float
@@ -243,6 +243,9 @@ class Column(_Strict):
     notation : {"number", "degrees_minutes"}
         How the raw number is written; ``"degrees_minutes"``: as NMEA writes angles, 4728.513 for
         47 degrees and 28.513 minutes.
+    slip_protection : list of str
+        Of ``"/events.message"``: words by which the recorder reports that slip protection acts, in
+        any case; events that hold one are named ``"slip protection"``.
     """
 
     column: str | None = None
@@ -258,6 +261,7 @@ class Column(_Strict):
     meaning: str = ""
     between: Literal["linear", "previous"] = "linear"
     notation: Literal["number", "degrees_minutes"] = "number"
+    slip_protection: tuple[str, ...] = ()
 
     def field(self, name: str) -> Item:
         """The field of the topics that it fills, as the table or, of the recorder's own, it states.
@@ -277,6 +281,11 @@ class Column(_Strict):
     @property
     def names(self) -> tuple[str, ...]:
         """The columns of the file, one an axle where the field has one value an axle."""
+        return tuple(name for name in self.sources if name)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The same by axle, front first, with ``""`` for an axle that is not recorded."""
         return self.columns if self.column is None else (self.column,)
 
 
@@ -734,6 +743,12 @@ def _check_column(name: str, column: Column, needs_unit: bool) -> None:
     if column.value is None and item.per_axle != bool(column.columns):
         kind = "columns, one an axle" if item.per_axle else "one column"
         raise ValueError(f'columns."{name}" needs {kind}')
+    if column.value is None and not column.names:
+        raise ValueError(f'columns."{name}" names no column')
+    if "" in column.sources and not needs_unit:
+        raise ValueError(f'columns."{name}": every axle of this format needs a channel')
+    if column.slip_protection and name != "/events.message":
+        raise ValueError(f'columns."{name}": slip_protection is for "/events.message"')
     if isinstance(column.value, str) != (name in WORDS) and column.value is not None:
         raise ValueError(f'columns."{name}" needs a {"text" if name in WORDS else "number"}')
     if item.unit:
