@@ -591,3 +591,19 @@ def test_all_problems_of_a_train_file_are_listed_line_by_line(
     lines = err.splitlines()
     assert lines[0] == f"trainlog: {light}: 3 problems"
     assert [line.split(":")[0] for line in lines[1:]] == ["  colour", "  max_speed", "  mass"]
+
+
+def test_a_line_begins_with_a_template_or_a_table(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    target = tmp_path / "my.line.toml"
+    assert run(monkeypatch, capsys, "new", "line", "-o", target) == (0, f"wrote {target}\n", "")
+    status, _, err = run(monkeypatch, capsys, "new", "line", "-o", target)
+    assert status == 2
+    assert "my.line.toml: exists; choose another name" in err
+    table = tmp_path / "A-B.csv"
+    table.write_text("km;gradient [permil];limit [km/h];station\n0;2;80;A\n9;;;B\n", "utf-8")
+    made = tmp_path / "A-B.line.json"
+    status, out, _ = run(monkeypatch, capsys, "new", "line", "--from", table, "-o", made)
+    assert (status, out) == (0, f"wrote {made}\n")
+    assert json.loads(made.read_text("utf-8"))["length"] == {"value": 9000, "unit": "m"}

@@ -353,6 +353,34 @@ def import_(
                     console.print(f"  not taken over: {'; '.join(each.dropped)}", highlight=False)
 
 
+@app.command(rich_help_panel="Record")
+def new(
+    kind: Annotated[
+        Literal["line", "train", "journey", "profile"], typer.Argument(help="What to begin.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File to write, .toml; it must not exist.")
+    ],
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="For a line: CSV of chainage, gradient, limit and, if known, station, radius,"
+            " latitude, longitude; units in its header. The output may then be .json.",
+        ),
+    ] = None,
+) -> None:
+    """Begin a line, train, journey or profile: a commented file that is valid and ready to edit.
+
+    Example: trainlog new train -o my.train.toml
+
+    trainlog new line --from A-B.csv -o A-B.line.toml
+    """
+    from trainlog.formats.templates import write_template
+
+    wrote(write_template(kind, output, table=table))
+
+
 @line_app.command("build")
 def line_build(
     logs: Logs,

@@ -9,7 +9,6 @@ import os
 import re
 import secrets
 import shutil
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -319,31 +318,6 @@ def sha256_of(path: str | Path) -> str:
 def read_json(path: str | Path) -> Any:
     """The value that a JSON file holds; errors as `read_bytes` and `parse_json`."""
     return parse_json(read_bytes(path), file=path)
-
-
-def parse_toml(data: bytes, *, file: str | Path) -> dict[str, Any]:
-    """The content of the bytes of a TOML file.
-
-    Raises
-    ------
-    InputError
-        With the line and column where the text ceases to be TOML.
-
-    Examples
-    --------
-    >>> parse_toml(b"length = {value = 1, unit = 'km'}", file="line.toml")
-    {'length': {'value': 1, 'unit': 'km'}}
-    """
-    try:
-        return tomllib.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "is not UTF-8 text", file=file, place=f"byte {error.start}", remedy="expected TOML"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"is not TOML: {error}", file=file, remedy="correct it there or just before"
-        ) from error
 
 
 def parse_json(data: bytes, *, file: str | Path) -> Any:

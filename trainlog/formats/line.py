@@ -247,6 +247,17 @@ def line_to_bytes(line: Line) -> bytes:
     return _LineFile.of(line).to_bytes()
 
 
+def line_content(line: Line) -> dict[str, Any]:
+    """What stands in a line's file, as plain values.
+
+    Examples
+    --------
+    >>> line_content(read_line("sample_logs/CH_StGallen_Wil.line.json"))["length"]
+    {'value': 29556.1, 'unit': 'm'}
+    """
+    return _LineFile.of(line).file_content()
+
+
 def read_line(path: str | Path) -> Line:
     """Read a line file, JSON or TOML.
 
@@ -267,7 +278,7 @@ def read_line(path: str | Path) -> Line:
 
 
 def write_line(line: Line, path: str | Path) -> None:
-    """Write a line file, whole or not at all.
+    """Write a line file, whole or not at all; as TOML if its name ends so.
 
     Examples
     --------
@@ -279,7 +290,7 @@ def write_line(line: Line, path: str | Path) -> None:
     'CH_StGallen_Wil'
     """
     check_written(line, Line)
-    write_bytes(path, line_to_bytes(line))
+    write_bytes(path, _LineFile.of(line).bytes_for(path))
 
 
 _Points = Annotated[
@@ -362,6 +373,18 @@ def journey_to_bytes(journey: Journey) -> bytes:
     return _JourneyFile.of(journey).to_bytes()
 
 
+def journey_content(journey: Journey) -> dict[str, Any]:
+    """What stands in a journey's file, as plain values.
+
+    Examples
+    --------
+    >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
+    >>> journey_content(journey)["timing_points"]["values"][1]
+    [9000, None, 600, None, None]
+    """
+    return _JourneyFile.of(journey).file_content()
+
+
 def read_journey(path: str | Path) -> Journey:
     """Read a journey file, JSON or TOML.
 
@@ -376,11 +399,12 @@ def read_journey(path: str | Path) -> Journey:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.journey.json: does not exist; check the path
     """
-    return journey_from_bytes(read_bytes(path), file=path)
+    journey: Journey = _JourneyFile.read(read_bytes(path), path)
+    return journey
 
 
 def write_journey(journey: Journey, path: str | Path) -> None:
-    """Write a journey file, whole or not at all.
+    """Write a journey file, whole or not at all; as TOML if its name ends so.
 
     Examples
     --------
@@ -392,4 +416,4 @@ def write_journey(journey: Journey, path: str | Path) -> None:
     True
     """
     check_written(journey, Journey)
-    write_bytes(path, journey_to_bytes(journey))
+    write_bytes(path, _JourneyFile.of(journey).bytes_for(path))

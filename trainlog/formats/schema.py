@@ -28,7 +28,8 @@ from pydantic_core import (
 )
 
 from trainlog.errors import InputError
-from trainlog.formats.files import parse_json, parse_toml, plain, shortest, to_bytes
+from trainlog.formats.files import parse_json, plain, shortest, to_bytes
+from trainlog.formats.toml import as_toml, parse_toml
 from trainlog.units import factor, to_si
 
 
@@ -138,7 +139,17 @@ class File(Part):
 
     def to_bytes(self) -> bytes:
         """The file's bytes: canonical units, parts without content left out."""
-        return to_bytes({"format": self.FORMAT, "version": self.VERSION} | dumped(self))
+        return to_bytes(self.file_content())
+
+    def bytes_for(self, path: str | Path) -> bytes:
+        """The bytes of the file `path`: TOML if its name ends so, else JSON."""
+        if is_toml(path):
+            return as_toml(self.file_content(), {}).encode()
+        return self.to_bytes()
+
+    def file_content(self) -> dict[str, Any]:
+        """What stands in the file: canonical units, parts without content left out."""
+        return {"format": self.FORMAT, "version": self.VERSION} | dumped(self)
 
 
 @cache
@@ -238,9 +249,14 @@ def _problem(complaint: ErrorDetails) -> InputError:
     return InputError(problem, place=place.lstrip(".") or None, remedy=remedy)
 
 
+def is_toml(file: str | Path) -> bool:
+    """Whether the name of a file ends in .toml."""
+    return Path(file).suffix.lower() == ".toml"
+
+
 def _parsed(data: bytes, file: str | Path) -> Any:
     """The content of a file: TOML if its name ends so, else JSON."""
-    if Path(file).suffix.lower() == ".toml":
+    if is_toml(file):
         return without_nan(parse_toml(data, file=file))
     return parse_json(data, file=file)
 

@@ -254,6 +254,17 @@ def train_to_bytes(train: Train) -> bytes:
     return _TrainFile.of(train).to_bytes()
 
 
+def train_content(train: Train) -> dict[str, Any]:
+    """What stands in a train's file, as plain values.
+
+    Examples
+    --------
+    >>> train_content(read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json"))["mass"]
+    {'value': 122, 'unit': 't'}
+    """
+    return _TrainFile.of(train).file_content()
+
+
 def read_train(path: str | Path) -> Train:
     """Read a train file, JSON or TOML.
 
@@ -274,7 +285,7 @@ def read_train(path: str | Path) -> Train:
 
 
 def write_train(train: Train, path: str | Path) -> None:
-    """Write a train file, whole or not at all.
+    """Write a train file, whole or not at all; as TOML if its name ends so.
 
     Examples
     --------
@@ -286,7 +297,7 @@ def write_train(train: Train, path: str | Path) -> None:
     True
     """
     check_written(train, Train)
-    write_bytes(path, train_to_bytes(train))
+    write_bytes(path, _TrainFile.of(train).bytes_for(path))
 
 
 Stiffness = Annotated[float, Quantity("MN/m", "N/m")]

@@ -21,9 +21,10 @@ from pydantic_core import ErrorDetails
 
 from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
-from trainlog.formats.files import parse_toml, read_bytes
+from trainlog.formats.files import read_bytes
 from trainlog.formats.plausible import TRAIN
 from trainlog.formats.schema import must_be
+from trainlog.formats.toml import parse_toml
 from trainlog.ingest.recording import field_of
 from trainlog.topics import RECORDED, TOPICS, Field as Item, Topic, recorded_topic
 from trainlog.units import factor, si_unit, to_si

@@ -1,0 +1,288 @@
+"""Templates are valid and ready to edit; TOML equals JSON; a line's table becomes a line."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_examples import TRAINS, assert_same, journeys, lines
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+from trainlog.errors import InputError
+from trainlog.formats import templates
+from trainlog.formats.line import (
+    journey_from_bytes,
+    line_from_bytes,
+    line_to_bytes,
+    read_journey,
+    read_line,
+    write_journey,
+    write_line,
+)
+from trainlog.formats.samples import sample
+from trainlog.formats.templates import read_line_table, write_template
+from trainlog.formats.train import read_train, train_from_bytes, write_train
+from trainlog.ingest import ingest, read_profile
+from trainlog.railway import Line, Train
+from trainlog.railway.journey import Journey
+
+ROUNDING = 5e-14
+quick = settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+# ------------------------------------------------------------------ templates
+
+
+@pytest.mark.parametrize(
+    ("kind", "read", "expected"),
+    [
+        ("line", read_line, templates.LINE),
+        ("train", read_train, templates.TRAIN),
+        ("journey", read_journey, templates.JOURNEY),
+    ],
+)
+def test_a_template_is_valid_as_it_is(
+    tmp_path: Path, kind: templates.Kind, read: object, expected: object
+) -> None:
+    path = write_template(kind, tmp_path / f"mine.{kind}.toml")
+    assert_same(read(path), expected, ROUNDING)  # type: ignore[operator]
+    text = path.read_text("utf-8")
+    assert text.startswith("# A ")
+    assert text.count("\n#") > 2
+
+
+@pytest.mark.parametrize("kind", ["line", "train"])
+def test_what_a_template_offers_besides_is_valid_too(tmp_path: Path, kind: templates.Kind) -> None:
+    """Without their marks, the keys in comments at the end are read."""
+    offered = templates.MORE[kind].split("\n", 3)[3]
+    plain = "\n".join(line.removeprefix("# ") for line in offered.splitlines() if line != "#")
+    path = tmp_path / "whole.toml"
+    path.write_text(templates.template(kind).split("\n# What may")[0] + "\n" + plain, "utf-8")
+    found = read_line(path) if kind == "line" else read_train(path)
+    if isinstance(found, Line):
+        assert found.curvature(1000.0) == pytest.approx(1.0 / 500.0)
+        assert found.tunnels[0].cross_section == 45.0
+        assert found.geometry is not None
+    else:
+        assert found.traction_curve is not None
+        assert found.tunnel_resistance[0][0] == 45.0
+
+
+def test_every_comment_of_a_template_belongs_to_a_key() -> None:
+    for kind in ("line", "train", "journey"):
+        known = set(tomllib.loads(templates.template(kind))) | {"", "assumed"}
+        offered = set(templates.MORE[kind].replace("[", " ").replace("]", " ").split())
+        assert set(templates.COMMENTS[kind]) <= known | offered
+
+
+def test_the_profiles_template_reads_what_it_describes(tmp_path: Path) -> None:
+    """Its optional columns may be missing, the others not."""
+    path = write_template("profile", tmp_path / "mine.profile.toml")
+    profile = read_profile(path)
+    rows = [f"01.05.2024 08:00:{i:02d}.0;{0.02 * i:.2f};72;{50 - 2 * i}".replace(".0;", ".0;", 1)
+            for i in range(40)]  # fmt: skip
+    text = "\n".join(["Time;Distance;Speed;Effort", *(row.replace("0.", "0,", 0) for row in rows)])
+    log = tmp_path / "run.csv"
+    log.write_text(text.replace(";0.", ";0,") + "\n", "utf-8")
+    trip = ingest(log, profile=profile)
+    assert trip["/train/state"]["speed"].iloc[0] == pytest.approx(20.0)
+    assert trip["/train/controls"]["dynamic_braking_effort"].iloc[-1] == 28_000.0
+    assert trip.start.isoformat() == "2024-05-01T06:00:00+00:00"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "message"),
+    [
+        ("train", "mine.json", r"mine\.json: is not the name of a \.toml file"),
+        ("profile", "mine.csv", r"mine\.csv: is not the name of a \.toml file"),
+        ("line", "there.toml", r"there\.toml: exists; choose another name"),
+    ],
+)
+def test_nothing_is_overwritten(
+    tmp_path: Path, kind: templates.Kind, name: str, message: str
+) -> None:
+    (tmp_path / "there.toml").write_text("edited")
+    with pytest.raises(InputError, match=message):
+        write_template(kind, tmp_path / name)
+    assert (tmp_path / "there.toml").read_text() == "edited"
+
+
+def test_a_train_is_not_made_from_a_table(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a train cannot be made from a table"):
+        write_template("train", tmp_path / "a.toml", table=tmp_path / "b.csv")
+
+
+# ------------------------------------------------------------------ TOML equals JSON
+
+
+@quick
+@given(lines())
+def test_lines_in_toml(tmp_path: Path, line: Line) -> None:
+    write_line(line, tmp_path / "a.toml")
+    data = (tmp_path / "a.toml").read_bytes()
+    found = line_from_bytes(data, file="a.toml")
+    assert_same(found, line, ROUNDING)
+    assert line_to_bytes(found) == line_to_bytes(line)
+
+
+@quick
+@given(TRAINS)
+def test_trains_in_toml(tmp_path: Path, train: Train) -> None:
+    write_train(train, tmp_path / "a.toml")
+    found = train_from_bytes((tmp_path / "a.toml").read_bytes(), file="a.toml")
+    assert_same(found, train, ROUNDING)
+
+
+@quick
+@given(journeys())
+def test_journeys_in_toml(tmp_path: Path, journey: Journey) -> None:
+    """What has no bound is nan."""
+    write_journey(journey, tmp_path / "a.toml")
+    found = journey_from_bytes((tmp_path / "a.toml").read_bytes(), file="a.toml")
+    assert_same(found, journey, ROUNDING)
+
+
+def test_mistakes_in_toml_are_named_as_in_json(tmp_path: Path) -> None:
+    path = tmp_path / "a.train.toml"
+    text = templates.template("train")
+    path.write_text(text.replace('mass = { value = 120, unit = "t" }', "mass = 120", 1), "utf-8")
+    with pytest.raises(InputError, match=r"a\.train\.toml, mass: 120 has no unit; give value and"):
+        read_train(path)
+    path.write_text(text.replace("[axles]", "[axles", 1), "utf-8")
+    with pytest.raises(InputError, match=r"a\.train\.toml: is not TOML: .*line \d+"):
+        read_train(path)
+
+
+# ------------------------------------------------------------------ a line from a table
+
+
+def table(tmp_path: Path, text: str, name: str = "A-B.csv") -> Path:
+    path = tmp_path / name
+    path.write_text(text, "utf-8")
+    return path
+
+
+def test_a_table_becomes_a_line(tmp_path: Path) -> None:
+    path = table(
+        tmp_path,
+        """\
+# surveyed 2019
+Kilometrierung [km];Neigung [‰];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];Länge [deg]
+12,3;0;60;Aach;;47,40;9,30
+12,9;;120;;;;
+13,8;8,5;;;500;47,41;9,31
+15,0;8,5;;Berg;0;;
+17,3;-5;80;;-800;47,42;9,33
+24,3;;;Chur;;47,44;9,43
+""",
+    )
+    line = read_line_table(path)
+    assert (line.name, line.length) == ("A-B", 12_000.0)
+    assert line.source == "table A-B.csv; position 0 is km 12.300 of the table"
+    assert [s.name for s in line.stations] == ["Aach", "Berg", "Chur"]
+    assert [s.position for s in line.stations] == pytest.approx([0.0, 2_700.0, 12_000.0])
+    np.testing.assert_allclose(line.speed_limits.positions, [0.0, 600.0, 5_000.0])
+    np.testing.assert_allclose(line.speed_limits.values * 3.6, [60, 120, 80])
+    np.testing.assert_allclose(line.gradients.positions, [0.0, 1_500.0, 5_000.0])
+    np.testing.assert_allclose(line.gradients.values, [0.0, 0.0085, -0.005])
+    np.testing.assert_allclose(line.curvature([1_000.0, 2_000.0, 3_000.0, 6_000.0]),
+                               [0.0, 1 / 500, 0.0, -1 / 800])  # fmt: skip
+    assert line.geometry is not None
+    assert line.geometry.latitudes.tolist() == [47.40, 47.41, 47.42, 47.44]
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_a_lines_file_is_made_from_a_table(tmp_path: Path, suffix: str) -> None:
+    path = table(tmp_path, "km,slope [%],speed [mph]\n0,0.5,50\n5,-1.2,75\n8,,\n")
+    target = write_template("line", tmp_path / f"A-B.line{suffix}", table=path)
+    line = read_line(target)
+    assert_same(line, read_line_table(path), ROUNDING)
+    assert line.gradient(6e3) == pytest.approx(-0.012)
+    assert line.speed_limit(6e3) == pytest.approx(75 * 0.44704)
+
+
+@given(
+    st.lists(st.integers(1, 5_000), min_size=1, max_size=30),
+    st.data(),
+)
+@quick
+def test_a_written_table_gives_the_line_again(
+    tmp_path: Path, steps: list[int], data: st.DataObject
+) -> None:
+    """Values hold until the next that is given, whatever cells are empty."""
+    at = np.concatenate(([0], 20 + np.cumsum(steps)))
+    empty = [data.draw(st.booleans()) and i > 0 for i in range(at.size)]
+    limits = [data.draw(st.integers(20, 300)) for _ in at]
+    slopes = [data.draw(st.integers(-400, 400)) / 10 for _ in at]
+    rows = [
+        f"{s / 1000:.3f}\t{'' if no else slope}\t{'' if no else limit}"
+        for s, slope, limit, no in zip(at, slopes, limits, empty, strict=True)
+    ]
+    rows[-1] = f"{at[-1] / 1000:.3f}"
+    path = table(tmp_path, "\n".join(["km\tgradient [permil]\tlimit [km/h]", *rows]) + "\n")
+    line = read_line_table(path)
+    held = slopes[0], limits[0]
+    for row in range(at.size - 1):
+        held = held if empty[row] else (slopes[row], limits[row])
+        middle = 0.5 * (at[row] + at[row + 1])
+        assert line.gradient(middle) == pytest.approx(held[0] / 1e3, abs=1e-12)
+        assert line.speed_limit(middle) == pytest.approx(held[1] / 3.6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"A-B\.csv: is empty"),
+        ("km;limit [km/h]\n0;80\n", "no column of the gradient; name one gradient or slope"),
+        ("km;limit\n0;80\n", "no column of the gradient"),
+        ("a;b\n0;80\n", r"3 problems: \(1\) line 1: no column of the position; .*\(3\) line 1: no"),
+        ("s;gradient [permil];limit [km/h]\n0;1;80\n9;1;80\n", "line 1: column 's' has no unit"),
+        ("km;gradient;limit [km/h]\n0;1;80\n9;1;80\n", "'gradient' has no unit; write 'gradient"),
+        (
+            "km;gradient [km];limit [km/h]\n0;1;80\n9;1;80\n",
+            r"line 1, column gradient \[km\]: unit 'km' can",
+        ),
+        ("km;km [m];gradient [permil];limit [km/h]\n0;0;1;80\n", "are both of the position"),
+        ("km;gradient [permil];limit [km/h]\n", "holds no row"),
+        ("km;gradient [permil];limit [km/h]\n0;1;80\n", "holds one row; add a last row"),
+        ("km;gradient [permil];limit [km/h]\n0;1;80\n;1;80\n9;;\n", "line 3: has no chainage"),
+        ("km;gradient [permil];limit [km/h]\n9;1;80\n5;1;80\n0;;\n", "chainage falls from row to"),
+        (
+            "km;gradient [permil];limit [km/h]\n0;1;80\n5;x;80\n4;y;90\n9;;\n",
+            r"3 problems: \(1\) line 4: .*\(2\) line 3, column gradient \[permil\]: 'x' is no n",
+        ),
+        (
+            "km;gradient [permil];limit [km/h]\n0;1;80\n5;;80\n4;;90\n3;;90\n9;;\n",
+            r"2 problems: \(1\) line 4: chainage 4000 m follows 5000 m; .*\(2\) line 5",
+        ),
+        ("km;gradient [permil];limit [km/h]\n0;;80\n9;1;80\n", "line 2: no gradient at the line's"),
+        ("km;gradient [%];limit [km/h]\n0;25;80\n9;;\n", "steeper than 200 per mille"),
+        ("km;gradient [permil];limit [km/h]\n0;5;800\n9;;\n", "800 km/h is not plausible"),
+        ("km;gradient [permil];limit [km/h]\n0;5;80;7\n9;;\n", "has 4 cells, the header has 3"),
+    ],
+)
+def test_tables_that_are_no_line(tmp_path: Path, text: str, message: str) -> None:
+    path = table(tmp_path, text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_line_table(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_sample_line_as_a_table(tmp_path: Path) -> None:
+    """Limits and gradients of St.Gallen-Wil, written as a person would."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    at = np.unique(np.concatenate((line.speed_limits.positions, line.gradients.positions)))
+    rows = [
+        f"{s / 1e3:.6f};{1e3 * line.gradient(s):.6f};{3.6 * line.speed_limit(s):.6f}" for s in at
+    ]
+    rows.append(f"{line.length / 1e3:.6f}")
+    found = read_line_table(
+        table(tmp_path, "\n".join(["km;gradient [permil];limit [km/h]", *rows]))
+    )
+    assert found.length == pytest.approx(line.length)
+    s = np.linspace(1.0, line.length - 1.0, 1000)
+    np.testing.assert_allclose(found.gradient(s), line.gradient(s), atol=1e-8)
+    np.testing.assert_allclose(found.speed_limit(s), line.speed_limit(s), rtol=1e-6)

@@ -1,0 +1,504 @@
+"""New files, ready to edit: commented templates, and lines from a table of their rows.
+
+Lines, trains and journeys stand in TOML as they do in JSON, with the same keys and units; only TOML
+has comments, so that templates are TOML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainlog.errors import InputError
+from trainlog.formats import line as line_format, train as train_format
+from trainlog.formats.files import write_bytes
+from trainlog.formats.headed import HeadedTable, read_headed
+from trainlog.formats.plausible import check_line
+from trainlog.formats.schema import built, gathered
+from trainlog.formats.toml import as_toml
+from trainlog.railway import Axles, Brake, Line, RunningResistance, Station, StepProfile, Train
+from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.line import CurvatureProfile, Geometry
+from trainlog.units import KMH, to_si
+
+Numbers = NDArray[np.float64]
+
+Kind = Literal["line", "train", "journey", "profile"]
+
+LINE = Line(
+    name="Example line",
+    length=12_000.0,
+    stations=(Station("Aach", 150.0), Station("Berg", 5_900.0), Station("Chur", 11_800.0)),
+    speed_limits=StepProfile(
+        np.array([0.0, 600.0, 5_400.0, 6_400.0]), np.array([60.0, 120.0, 80.0, 120.0]) / KMH
+    ),
+    gradients=StepProfile(
+        np.array([0.0, 1_500.0, 4_200.0, 9_000.0]), np.array([0.0, 0.008, -0.005, 0.0])
+    ),
+    altitude=430.0,
+    source="template: replace every value by your line's",
+)
+"""The line of the template."""
+
+TRAIN = Train(
+    name="Example unit",
+    mass=120_000.0,
+    rotating_mass_factor=0.08,
+    resistance=RunningResistance(2_300.0, 61.2, 12.0),
+    max_tractive_effort=200e3,
+    max_traction_power=2.6e6,
+    max_dynamic_braking_effort=150e3,
+    max_dynamic_braking_power=2.6e6,
+    max_pneumatic_braking_effort=200e3,
+    max_speed=160.0 / KMH,
+    efficiency_traction=0.87,
+    efficiency_regeneration=0.8,
+    max_load=20_000.0,
+    length=75.0,
+    axles=Axles(4, 68_000.0, 0.43, 1_500.0),
+    brake=Brake(0.6, 0.5),
+    source="template: replace every value by your train's",
+)
+"""The train of the template."""
+
+JOURNEY = Journey(
+    "Example journey",
+    "Example line",
+    (
+        TimingPoint(150.0, earliest=0.0, latest=0.0),
+        TimingPoint(5_900.0, latest=300.0),
+        TimingPoint(5_900.0, earliest=330.0),
+        TimingPoint(8_000.0, highest_speed=100.0 / KMH),
+        TimingPoint(11_800.0, latest=630.0),
+    ),
+    "template: replace every value by your journey's",
+)
+"""The journey of the template."""
+
+COMMENTS = {
+    "line": {
+        "": "A line. Units can be replaced by any of the same kind: km for m, % for permil.\n"
+        "docs/formats.md describes every key. Check it: trainlog simulate --line THIS -o trips",
+        "length": "Position (chainage) runs from 0 to the length, in the forward direction.",
+        "altitude": "Of the track at position 0; may be left out.",
+        "stations": "Name and position, in the order of positions.",
+        "speed_limits": "Permitted from there on, up to the next row; the first at position 0.",
+        "gradients": "Rise over run from there on, uphill positive; the first at position 0.",
+        "curvatures": "Radii at begin and end of each element, positive to the right;"
+        ' straight track: "infinity".',
+        "geometry": "Coordinates (WGS 84) by position; chainage is found from fixes with them.",
+    },
+    "train": {
+        "": "A train. Units can be replaced by any of the same kind: kg for t, m/s for km/h.\n"
+        "docs/formats.md describes every key. Check it: trainlog simulate --train THIS -o trips",
+        "assumed": "Names of the keys that your source does not give.",
+        "mass": "Empty, without the rotating part.",
+        "rotating_mass_factor": "Inertia of all rotating parts over the empty mass.",
+        "max_load": "Heaviest load of passengers or freight; may be left out.",
+        "running_resistance": "r0 + r1 v + r2 v^2 on straight, level, open track.",
+        "max_acceleration": "What the train's control allows.",
+        "max_tractive_effort": "Efforts and powers are at the wheel rims.",
+        "max_dynamic_braking_effort": "Of the motors; 0 if there is no such brake.",
+        "max_pneumatic_braking_effort": "Of the friction brake.",
+        "efficiency_traction": "Between the wheel rims and the line (or the tank).",
+        "axles": "The powered axles: the mass on all of them together, the rotating mass of one.",
+        "brake": "The friction brake follows its demand after a dead time, then with a lag.",
+    },
+    "journey": {
+        "": "A journey: when and how fast a train may be where. docs/formats.md has every key.",
+        "line": "Name of the line, as in its file.",
+        "timing_points": "Two rows at one position are a stop: arrival, then departure.\n"
+        "nan: no bound.",
+    },
+}
+"""What the templates say of each key; of the whole file under the empty one."""
+
+MORE = {
+    "line": """
+# What may be added:
+#
+# [curvatures]                        # radii, positive to the right
+# units = { position = "m", radius_at_start = "m", radius_at_end = "m" }
+# values = [[0, "infinity", "infinity"], [900, 500, 500], [1300, "infinity", "infinity"]]
+#
+# [tunnels]
+# units = { position = "m", length = "m", cross_section = "m^2" }
+# values = [[4300, 250, 45]]
+#
+# [geometry]                          # coordinates, for chainage from satellite fixes
+# quality = "how they were obtained"
+# [geometry.track]
+# units = { position = "m", latitude = "deg", longitude = "deg" }
+# values = [[0, 47.4000, 9.3000], [12000, 47.4400, 9.4300]]
+""",
+    "train": """
+# What may be added:
+#
+# [traction_curve]                    # effort over speed, in place of effort and power alone
+# units = { speed = "km/h", effort = "kN" }
+# values = [[0, 200], [46.8, 200], [100, 93.6], [160, 58.5]]
+#
+# [dynamic_braking_curve]
+# units = { speed = "km/h", effort = "kN" }
+# values = [[0, 0], [8, 150], [62.4, 150], [160, 58.5]]
+#
+# [tunnel_resistance]                 # added to r2, by the tunnel's cross-section
+# units = { cross_section = "m^2", coefficient = "kN/(km/h)^2" }
+# values = [[45, 0.0004]]
+""",
+    "journey": "",
+}
+"""Keys that the templates leave out, as comments."""
+
+PROFILE = """\
+# A recorder's profile: how its files are written and what their columns mean.
+# docs/ingest.md describes every key. Try it: trainlog ingest FILE --profile THIS -o results
+format = "trainlog/recorder-profile"
+version = 1
+name = "Example recorder"
+
+[file]
+delimiter = ";"                  # "\\t" for tabulators
+decimal = ","                    # or "."
+encoding = "utf-8"               # "cp1252" for older programs of Windows
+# header = 1                     # line of the names of the columns; 0: there is none
+# skip_after_header = 1          # lines after it without data, such as one of units
+
+[time]
+column = "Time"                  # or columns = ["Date", "Time"], joined by a blank
+format = "%d.%m.%Y %H:%M:%S.%f"  # or "iso", "epoch", "elapsed" (with start = ...), "parts"
+timezone = "Europe/Zurich"       # of times without an offset; "UTC", "+02:00"
+
+# One entry a field: column, unit, and where needed scale, offset, sign, part. Remove what your
+# recorder lacks, or say optional = true where some files lack it.
+[columns]
+"/train/state.position" = { column = "Distance", unit = "km" }
+"/train/state.speed" = { column = "Speed", unit = "km/h" }
+# One signed column of effort: traction is positive, electric braking negative.
+"/train/controls.tractive_effort" = { column = "Effort", unit = "kN", part = "positive" }
+"/train/controls.dynamic_braking_effort" = { column = "Effort", unit = "kN", part = "negative" }
+"/train/axles.wheel_speed" = { columns = ["V1", "V2"], unit = "km/h", optional = true }
+"/gnss/fix.latitude" = { column = "Latitude", unit = "deg", optional = true }
+"/gnss/fix.longitude" = { column = "Longitude", unit = "deg", optional = true }
+"/gnss/motion.speed" = { column = "GPS speed", unit = "km/h", optional = true }
+
+# What the files do not state, and what holds for the whole trip.
+[trip]
+# weather = "dry"
+# load = { value = 8.5, unit = "t" }
+# direction = "reverse"          # the train runs against the line's chainage
+
+[metadata]
+operator = "Example Railways"
+
+# [detect]                       # with it, files of this layout are recognised
+# columns = ["Time", "Distance", "Speed"]
+
+# [limits]
+# not_before = 2015-01-01        # day before which this recorder did not exist
+"""
+
+
+def template(kind: Kind, *, line: Line | None = None) -> str:
+    """The text of a new file: TOML with comments that is valid as it is.
+
+    Parameters
+    ----------
+    kind : {"line", "train", "journey", "profile"}
+    line : Line, optional
+        What a line's file holds, in place of an example.
+
+    Examples
+    --------
+    >>> print(template("journey")[:60])
+    # A journey: when and how fast a train may be where. docs/fo
+    """
+    if kind == "profile":
+        return PROFILE
+    content: dict[str, Callable[[], dict[str, Any]]] = {
+        "line": lambda: line_format.line_content(line or LINE),
+        "train": lambda: train_format.train_content(TRAIN),
+        "journey": lambda: line_format.journey_content(JOURNEY),
+    }
+    return as_toml(content[kind](), COMMENTS[kind]) + ("" if line is not None else MORE[kind])
+
+
+def write_template(kind: Kind, path: str | Path, *, table: str | Path | None = None) -> Path:
+    """Write a new file to be edited; nothing that exists is overwritten.
+
+    Parameters
+    ----------
+    kind : {"line", "train", "journey", "profile"}
+    path : str or Path
+        Ends in .toml; a line that is made from a table may be .json.
+    table : str or Path, optional
+        CSV of a line's rows; see `read_line_table`.
+
+    Raises
+    ------
+    InputError
+        If the name ends otherwise, the file exists, or the table cannot be used.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.train import read_train
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     read_train(write_template("train", Path(folder) / "mine.train.toml")).name
+    'Example unit'
+    """
+    path = Path(path)
+    if table is not None and kind != "line":
+        raise InputError(
+            f"a {kind} cannot be made from a table",
+            remedy="leave out the table; it is for a line's chainage, gradients and limits",
+        )
+    suffixes = (".toml", ".json") if table is not None else (".toml",)
+    if path.suffix not in suffixes:
+        raise InputError(
+            f"is not the name of a {' or '.join(suffixes)} file",
+            file=path,
+            remedy=f"end it in {suffixes[0]}, which has comments",
+        )
+    if path.exists():
+        raise InputError("exists", file=path, remedy="choose another name, or remove it first")
+    line = None if table is None else read_line_table(table)
+    if line is not None and path.suffix == ".json":
+        line_format.write_line(line, path)
+    else:
+        write_bytes(path, template(kind, line=line).encode())
+    return path
+
+
+# ------------------------------------------------------------------ a line from a table
+
+COLUMNS = {
+    "position": (
+        "position chainage kilometre kilometer km pk mileage distance s weg strecke station_km"
+        " kilometrierung abszisse abscisse"
+    ),
+    "gradient": "gradient slope grade neigung steigung laengsneigung längsneigung pente déclivité"
+    " declivite rampe",
+    "limit": "limit speed_limit speed vmax v_max v geschwindigkeit vitesse",
+    "station": "station stop stations halt bahnhof haltestelle betriebsstelle gare arrêt arret",
+    "radius": "radius radius_of_curve halbmesser bogenradius rayon",
+    "latitude": "latitude lat breite breitengrad",
+    "longitude": "longitude lon long länge laenge längengrad",
+}
+"""What people call the columns of a line's table, in English, German and French."""
+
+_UNITS = {
+    "position": ("m", "km"),
+    "gradient": ("1", "permil"),
+    "limit": ("m/s", "km/h"),
+    "radius": ("m", "m"),
+    "latitude": ("deg", "deg"),
+    "longitude": ("deg", "deg"),
+}
+"""The SI unit of each, and one to suggest."""
+
+_EXPECTED = "give a header such as 'chainage [km];gradient [permil];limit [km/h];station'"
+
+
+def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
+    r"""A line from a CSV table of its rows.
+
+    Each row gives a chainage and what holds from there on; an empty cell leaves what held before. A
+    row with a station names it. The last row is the line's end; what it states besides its chainage
+    and station does not matter. Chainage that begins elsewhere is counted from the first row.
+
+    Parameters
+    ----------
+    path : str or Path
+        Columns of chainage, gradient and speed limit, and, if known, station, radius of curves (0
+        or empty at the first row: straight), latitude and longitude; units in the header.
+    name : str, optional
+        Of the line; default: that of the file.
+
+    Raises
+    ------
+    InputError
+        With the line of the file and the remedy.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> header = "chainage [km];gradient [permil];limit [km/h];station\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "A-B.csv"
+    ...     _ = path.write_text(header + "0;2,5;80;A\n3,2;;100;\n9;;;B\n")
+    ...     line = read_line_table(path)
+    >>> line.length, line.gradient(5e3).item(), line.speed_limits.positions.tolist()
+    (9000.0, 0.0025, [0.0, 3200.0])
+    """
+    table = read_headed(path, _EXPECTED)
+    columns = _columns(table)
+    kinds = [kind for kind in _UNITS if kind in columns]
+    read = built(
+        lambda: gathered(*(partial(_numbers, table, columns[kind], kind) for kind in kinds)), path
+    )
+    known: dict[str, Numbers] = dict(zip(kinds, read, strict=True))
+    at = known["position"]
+    first, length = float(at[0]), float(at[-1] - at[0])
+    source = f"table {Path(path).name}" + (
+        f"; position 0 is km {first / 1e3:.3f} of the table" if first else ""
+    )
+    position = at - first
+
+    def line() -> Line:
+        return Line(
+            name=name or Path(path).stem.removesuffix(".line"),
+            length=length,
+            stations=_stations(table, columns, position),
+            speed_limits=_steps(table, position, known, "limit"),
+            gradients=_steps(table, position, known, "gradient"),
+            curvatures=_curves(position, known),
+            geometry=_geometry(table, position, known),
+            source=source,
+        )
+
+    made = built(line, path)
+    built(lambda: check_line(made), path)
+    return made
+
+
+def _columns(table: HeadedTable) -> dict[str, int]:
+    """The column of each kind."""
+    found: dict[str, int] = {}
+    for number in range(len(table.names)):
+        word = table.bare_name(number).lower().replace(" ", "_")
+        for kind, words in COLUMNS.items():
+            if word in words.split() and kind in found:
+                raise InputError(
+                    f"columns '{table.names[found[kind]]}' and '{table.names[number]}' are both of"
+                    f" the {kind}",
+                    file=table.path,
+                    place=f"line {table.line}",
+                    remedy="remove one of them",
+                )
+            if word in words.split():
+                found[kind] = number
+    missing = [kind for kind in ("position", "gradient", "limit") if kind not in found]
+    if missing:
+        raise InputError.listing(
+            [
+                InputError(
+                    f"no column of the {kind}",
+                    place=f"line {table.line}",
+                    remedy=f"name one {' or '.join(COLUMNS[kind].split()[:3])}; {_EXPECTED}",
+                )
+                for kind in missing
+            ],
+            file=table.path,
+        )
+    if not table.rows:
+        raise InputError("holds no row", file=table.path, remedy="add the line's begin and end")
+    return found
+
+
+def _numbers(table: HeadedTable, column: int, kind: str) -> Numbers:
+    """A column in SI, NaN where a cell is empty."""
+    si, suggested = _UNITS[kind]
+    bare = table.bare_name(column)
+    unit = table.units[column] or (bare if bare.lower() == "km" else None)
+    unit = unit or table.unit(column, f"write '{bare} [{suggested}]'")
+    values, problems = [], []
+    for number, cells in table.rows:
+        cell = cells[column]
+        try:
+            values.append(table.number(cell) if cell else np.nan)
+        except ValueError:
+            problems.append(
+                InputError(
+                    f"'{cell}' is no number",
+                    place=f"line {number}, column {table.names[column]}",
+                    remedy="correct it, or leave the cell empty for what held before",
+                )
+            )
+    if problems:
+        raise InputError.listing(problems)
+    try:
+        numbers: Numbers = np.asarray(to_si(np.array(values), unit, si))
+    except InputError as error:
+        place = f"line {table.line}, column {table.names[column]}"
+        raise InputError(error.problem, place=place, remedy=error.remedy) from error
+    if kind == "position":
+        _check_positions(table, numbers)
+    return numbers
+
+
+def _check_positions(table: HeadedTable, at: Numbers) -> None:
+    problems = [
+        InputError("has no chainage", place=f"line {table.rows[row][0]}", remedy="add it")
+        for row in np.flatnonzero(np.isnan(at))
+    ]
+    backwards = np.flatnonzero(np.diff(at) <= 0.0)
+    if not problems and backwards.size == at.size - 1 and at.size > 2:
+        problems.append(
+            InputError("chainage falls from row to row", remedy="reverse the order of the rows")
+        )
+    elif not problems:
+        problems += [
+            InputError(
+                f"chainage {at[row + 1]:.12g} m follows {at[row]:.12g} m",
+                place=f"line {table.rows[row + 1][0]}",
+                remedy="chainage must increase",
+            )
+            for row in backwards
+        ]
+    if at.size < 2:
+        problems.append(
+            InputError("holds one row", remedy="add a last row with the chainage of the line's end")
+        )
+    if problems:
+        raise InputError.listing(problems)
+
+
+def _steps(
+    table: HeadedTable, position: Numbers, known: Mapping[str, Numbers], kind: str
+) -> StepProfile:
+    """What holds from each row on, where it changes; the last row is the line's end."""
+    values = known[kind]
+    if np.isnan(values[0]):
+        raise InputError(
+            f"no {kind} at the line's begin",
+            place=f"line {table.rows[0][0]}",
+            remedy=f"give the {kind} that holds from the first row on",
+        )
+    given = np.flatnonzero(np.isfinite(values[:-1]))
+    changed = given[np.concatenate(([True], np.diff(values[given]) != 0.0))]
+    return StepProfile(position[changed], values[changed])
+
+
+def _stations(
+    table: HeadedTable, columns: Mapping[str, int], position: Numbers
+) -> tuple[Station, ...]:
+    if "station" not in columns:
+        return ()
+    names = [cells[columns["station"]] for _, cells in table.rows]
+    return tuple(Station(name, float(at)) for name, at in zip(names, position, strict=True) if name)
+
+
+def _curves(position: Numbers, known: Mapping[str, Numbers]) -> CurvatureProfile | None:
+    if "radius" not in known:
+        return None
+    radius = known["radius"][:-1].copy()
+    radius[0] = 0.0 if np.isnan(radius[0]) else radius[0]
+    given = np.flatnonzero(np.isfinite(radius))
+    curvature = np.divide(1.0, radius[given], out=np.zeros(given.size), where=radius[given] != 0.0)
+    return CurvatureProfile(position[given], curvature, curvature)
+
+
+def _geometry(
+    table: HeadedTable, position: Numbers, known: Mapping[str, Numbers]
+) -> Geometry | None:
+    if "latitude" not in known or "longitude" not in known:
+        return None
+    both = np.isfinite(known["latitude"]) & np.isfinite(known["longitude"])
+    quality = f"from table {Path(table.path).name}"
+    return Geometry(position[both], known["latitude"][both], known["longitude"][both], quality)
