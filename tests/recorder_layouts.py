@@ -561,7 +561,7 @@ def _time(layout: Layout, time: np.ndarray, proposal: Proposal) -> str:
     moved = layout.features.get("moved days", 0) * 86_400_000_000_000
     off = time[known] - layout.time[known] - moved
     opened = {reading.what for reading in proposal.readings if reading.alternative}
-    if known.mean() < 0.99 or float(np.ptp(off)) > 2e6:
+    if known.mean() < 0.95 or float(np.ptp(off)) > 2e6:
         return "stated" if "time" in opened else "wrong"
     shift = float(np.median(off)) / 1e9
     if abs(shift) < 0.01:

@@ -13,7 +13,13 @@ from trainlog.errors import InputError
 from trainlog.ingest.proposal import roles
 from trainlog.ingest.proposal.checks import Motion, Ratio
 from trainlog.ingest.proposal.efforts import add_efforts, effort_signs, net_effort, place_demands
-from trainlog.ingest.proposal.fields import place_lever, place_rest, place_speeds, place_wheels
+from trainlog.ingest.proposal.fields import (
+    keep_others,
+    place_lever,
+    place_rest,
+    place_speeds,
+    place_wheels,
+)
 from trainlog.ingest.proposal.fixes import FASTEST, Position, positions_of
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.motion import AMBIGUOUS, Answer, Question, Units, units_of
@@ -76,6 +82,7 @@ def columns_of(
     place_lever(work)
     place_demands(work)
     place_rest(work)
+    keep_others(work)
     if not {roles.POSITION, roles.SPEED, roles.GNSS_SPEED, roles.LATITUDE} & set(work.proposed):
         shown = "; ".join(f"{name}: {why}" for name, why in list(work.left.items())[:8])
         raise InputError(

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from trainlog.errors import InputError
 from trainlog.ingest.proposal import roles
 from trainlog.ingest.proposal.checks import Ratio, driven_mass, same_motion
 from trainlog.ingest.proposal.efforts import EFFORTS, place_torques, place_wheel_efforts
+from trainlog.ingest.proposal.vocabulary import plain, split_unit
 from trainlog.ingest.proposal.work import Proposed, Work
 from trainlog.ingest.recording import field_of
+from trainlog.topics import RECORDED
 from trainlog.units import factor
 
 USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
@@ -207,6 +211,26 @@ def place_rest(work: Work) -> None:
             _place_plain(work, target, name)
 
 
+def keep_others(work: Work) -> None:
+    """Propose what no field is for, but has a stated unit, for a topic of the recorder's own."""
+    taken: set[str] = set()
+    for name, why in list(work.left.items()):
+        meaning = work.meanings[name]
+        if name not in work.numbers or meaning.unit is None or not why.startswith(roles.NO_FIELD):
+            continue
+        slug = re.sub(r"[^a-z0-9]+", "_", plain(split_unit(name)[0])).strip("_")
+        if not re.match(r"[a-z]", slug) or slug in taken:
+            continue
+        taken.add(slug)
+        del work.left[name]
+        work.add(
+            Proposed(
+                f"{RECORDED}other.{slug}", (name,), meaning.unit, meaning=name,
+                why=f"{why}: kept in a topic of the recorder's own",
+            )
+        )  # fmt: skip
+
+
 def _place_acceleration(work: Work, name: str) -> None:
     if work.speed is None:
         work.left[name] = "an acceleration, and no speed to check it with"
@@ -246,6 +270,10 @@ USUAL = {
     "/environment.gradient": ("permil", 1.0),
     "/environment.air_temperature": ("degC", 1.0),
     "/environment.curvature": ("1/m", 1.0),
+    "/train/supply.line_voltage": ("kV", 1.0),
+    "/train/supply.line_current": ("A", 1.0),
+    "/train/brakes.brake_pipe_pressure": ("bar", 1.0),
+    "/train/brakes.brake_cylinder_pressure": ("bar", 1.0),
 }
 """Units that are taken where the file states none."""
 
@@ -260,6 +288,10 @@ BOUNDS = {
     "/environment.gradient": (-0.08, 0.08),
     "/environment.air_temperature": (228.0, 333.0),
     "/environment.curvature": (-0.02, 0.02),
+    "/train/supply.line_voltage": (-100.0, 40e3),
+    "/train/supply.line_current": (-6e3, 6e3),
+    "/train/brakes.brake_pipe_pressure": (-1e5, 1.2e6),
+    "/train/brakes.brake_cylinder_pressure": (-1e5, 1.2e6),
 }
 """SI values between which a quantity is plausible."""
 
@@ -302,6 +334,8 @@ def _place_plain(work: Work, target: str, name: str) -> None:
     except InputError:
         work.left[name] = f"'{unit}' is no unit of {target}"
         return
+    if target.endswith("line_voltage") and not stated and float(np.median(np.abs(known))) > 100.0:
+        unit, slope = "V", 1.0
     values_si = known * scale * slope + offset
     inside = float(np.mean((values_si >= low) & (values_si <= high)))
     if inside < 0.9:

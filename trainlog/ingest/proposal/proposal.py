@@ -23,7 +23,7 @@ from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
 from trainlog.ingest.tabular import read_delimited, read_parquet
 from trainlog.railway.train import Train
-from trainlog.topics import TOPICS
+from trainlog.topics import RECORDED, TOPICS
 from trainlog.units import KMH, PER_MILLE
 
 TABLES = ("csv", "parquet")
@@ -31,7 +31,7 @@ TABLES = ("csv", "parquet")
 
 SHOWN = {
     "m": ("km", 1e-3, 3), "m/s": ("km/h", KMH, 1), "N": ("kN", 1e-3, 1), "K": ("°C", 1.0, 1),
-    "deg": ("°", 1.0, 6), "m/s^2": ("m/s²", 1.0, 2),
+    "deg": ("°", 1.0, 6), "V": ("kV", 1e-3, 2), "Pa": ("bar", 1e-5, 2), "m/s^2": ("m/s²", 1.0, 2),
 }  # fmt: skip
 """Units of the preview: those of railway people, factor, decimals."""
 
@@ -116,8 +116,13 @@ class Proposal:
             found.append(f"{row['column']} -> {row['field']}{unit}: {reason}")
         found += [f"not used: {name}: {why}" for name, why in self.not_used.items()]
         found += [f"open: {question}" for question in self.open]
-        shown = self.preview.set_index("row").T.to_string().splitlines()
-        return [*found, "as it would be read, by row of the file:", *(f"  {row}" for row in shown)]
+        numbers = self.preview.set_index("row").T
+        shown = numbers.map(lambda each: f"{each:.9g}" if isinstance(each, float) else str(each))
+        return [
+            *found,
+            "as it would be read, by row of the file:",
+            *(f"  {row}" for row in shown.to_string().splitlines()),
+        ]
 
     def __repr__(self) -> str:
         return as_text(f"Proposed profile of {self.path.name}", self._summary())
@@ -204,10 +209,9 @@ def needs_profile(path: Path, format: str | None = None) -> bool:
 
 
 def _order(field: str) -> int:
-    """Place of a field in the table of topics."""
-    return [
-        f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields
-    ].index(field)
+    """Place of a field in the table of topics; those of a recorder's own come last."""
+    known = [f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields]
+    return known.index(field) if field in known else len(known)
 
 
 def _evidence(proposed: list[Proposed]) -> pd.DataFrame:
@@ -248,6 +252,9 @@ def _preview(recording: Recording) -> pd.DataFrame:
     rows = np.unique(np.concatenate([first, later]))
     columns: dict[str, object] = {"row": table.rows[rows]}
     for name, values in table.signals.items():
+        if name.startswith(RECORDED):
+            columns[name.removeprefix(RECORDED)] = np.round(values[rows], 3)
+            continue
         si = field_of(name)[2].unit
         unit, size, digits = SHOWN.get(si, (si, 1.0, 3))
         if base_name(name) == "/environment.gradient":
@@ -359,7 +366,7 @@ def _column_lines(each: Proposed) -> list[str]:
     lines = _wrapped("; ".join(filter(None, [each.why, each.check])))
     if each.alternative:
         lines += _wrapped(f"open: or {each.alternative}")
-    if field_of(_first(each.field))[2].per_axle:
+    if each.field.startswith("/train/axles."):
         keys = [f"columns = {_list(each.columns)}"]
     else:
         keys = [f"column = {_quoted(each.columns[0])}"]
@@ -369,13 +376,9 @@ def _column_lines(each: Proposed) -> list[str]:
     keys += [f"offset = {each.offset!r}"] if each.offset else []
     keys += [f'part = "{each.part}"'] if each.part != "all" else []
     keys += [f"sign = {each.sign}"] if each.sign != 1 else []
+    keys += [f"meaning = {_quoted(each.meaning)}"] if each.meaning else []
     keys += [f'notation = "{each.notation}"'] if each.notation != "number" else []
     return [*lines, f'"{each.field}" = {{ {", ".join(keys)} }}']
-
-
-def _first(field: str) -> str:
-    """A column of a field's frame, with which `field_of` finds per-axle fields, too."""
-    return f"{field}_1" if field.startswith("/train/axles.") else field
 
 
 def _quoted(text: str) -> str:

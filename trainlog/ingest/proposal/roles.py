@@ -19,6 +19,9 @@ WHEEL_SPEED, WHEEL_EFFORT = "/train/axles.wheel_speed", "/train/axles.wheel_effo
 LATITUDE, LONGITUDE = "/gnss/fix.latitude", "/gnss/fix.longitude"
 GNSS_SPEED = "/gnss/motion.speed"
 
+NO_FIELD = "no field for"
+"""Begin of the reason why a column of a known quantity is not used."""
+
 SIGNED = "effort of both signs"
 """Role of a column that holds traction and braking, or does not say which."""
 
@@ -44,8 +47,17 @@ _PLAIN = {
     "message": "/events.message",
 }
 
+_QUALIFIED = {
+    ("temperature", "outside"): "/environment.air_temperature",
+    ("voltage", "supply"): "/train/supply.line_voltage",
+    ("current", "supply"): "/train/supply.line_current",
+    ("pressure", "pipe"): "/train/brakes.brake_pipe_pressure",
+    ("pressure", "cylinder"): "/train/brakes.brake_cylinder_pressure",
+}
+"""Fields of quantities that need a qualifier."""
+
 _UNPLACED = {
-    "temperature": "a temperature, not stated to be the outside air's",
+    "temperature": f"{NO_FIELD} a temperature, not stated to be the outside air's",
     "wind": "a wind, not stated to be along the train",
     "radius": "a radius: curvature is its inverse, which no factor gives",
     "heading": "a heading: the line gives it",
@@ -65,7 +77,7 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
     >>> role_of(meaning_of("Geschwindigkeit"))[0]
     '/train/state.speed'
     >>> role_of(meaning_of("v_soll"))
-    (None, 'a speed that is asked for, not driven')
+    (None, 'no field for a speed that is asked for, not driven')
     """
     quantity = meaning.quantity
     if quantity is None:
@@ -74,13 +86,14 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
         return None, f"its name is hardly known ('{quantity}' is a part of it)"
     if quantity in ("speed", "rotation", "distance", "effort", "torque", "lever"):
         return _composed(quantity, meaning)
-    if quantity == "temperature" and "outside" in meaning:
-        return "/environment.air_temperature", ""
+    for (kind, qualifier), target in _QUALIFIED.items():
+        if quantity == kind and qualifier in meaning:
+            return target, ""
     if "deviation" in meaning or "demand" in meaning or "limit" in meaning:
         return None, f"no measured value ({quantity})"
     if quantity in _PLAIN:
         return _PLAIN[quantity], ""
-    return None, _UNPLACED.get(quantity, f"no field for it ({quantity.replace('_', ' ')})")
+    return None, _UNPLACED.get(quantity, f"{NO_FIELD} it ({quantity.replace('_', ' ')})")
 
 
 def _composed(quantity: str, meaning: Meaning) -> tuple[str | None, str]:
@@ -109,7 +122,7 @@ def _speed(meaning: Meaning, *, wheel: bool) -> tuple[str | None, str]:
     if "limit" in meaning:
         return "/environment.speed_limit", ""
     if "demand" in meaning:
-        return None, "a speed that is asked for, not driven"
+        return None, f"{NO_FIELD} a speed that is asked for, not driven"
     if wheel:
         return WHEEL_SPEED, ""
     return (GNSS_SPEED, "") if "satellite" in meaning else (SPEED, "")

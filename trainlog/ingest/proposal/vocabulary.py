@@ -255,7 +255,7 @@ def _meaning(name: str, label: str, unit: str | None) -> Meaning:
         # "n [km/h]" of a wheel is a speed; "Achse 1 [km/h]" has no word for what it measures.
         quantities = fitting or [*_by_unit(unit), *quantities]
     qualifiers = frozenset(what for kind, what in kinds if kind == "qualifier")
-    if not quantities and {"axle", "motor"} & qualifiers and not {"outside"} & qualifiers:
+    if not quantities and {"axle", "motor", "pipe", "cylinder", "supply"} & qualifiers:
         quantities = [*_by_unit(unit)] if unit else []
     if not quantities and {"braking", "traction"} & qualifiers:
         # "Frein pneumatique": of which quantity, the unit or the data say.
@@ -278,6 +278,9 @@ def _by_unit(unit: str) -> tuple[str, ...]:
         "rotation": "rotation",
         "torque": "torque",
         "acceleration": "acceleration",
+        "pressure": "pressure",
+        "voltage": "voltage",
+        "current": "current",
     }
     dimension = DIMENSION[unit]
     return (known[dimension],) if dimension in known else ()

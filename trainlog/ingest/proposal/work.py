@@ -26,6 +26,8 @@ class Proposed:
     part : {"all", "positive", "negative"}
     sign : {1, -1}
     notation : {"number", "degrees_minutes"}
+    meaning : str
+        Of a field of a topic of the recorder's own.
     why, check, alternative : str
         What the name and the unit say, what physics says in numbers, and another reading.
     """
@@ -38,6 +40,7 @@ class Proposed:
     part: Literal["all", "positive", "negative"] = "all"
     sign: Literal[1, -1] = 1
     notation: Literal["number", "degrees_minutes"] = "number"
+    meaning: str = ""
     why: str = ""
     check: str = ""
     alternative: str = ""
