@@ -166,6 +166,17 @@ def test_a_log_of_something_else_is_not_overwritten(tmp_path: Path) -> None:
     assert ingest_all(tmp_path / "run.gpx", logs).outcomes[0].log == other
 
 
+def test_a_recording_that_has_grown_takes_its_logs_place(tmp_path: Path) -> None:
+    data, logs = sample("gnss.csv").read_bytes(), tmp_path / "logs"
+    recording = tmp_path / "gnss.csv"
+    recording.write_bytes(data[: len(data) // 2])
+    ingest_all(recording, logs)
+    recording.write_bytes(data)
+    assert states(ingest_all(recording, logs)) == {"gnss.csv": "repaired"}
+    assert [log.name for log in logs.iterdir()] == ["gnss.mcap"]
+    assert len(read_log(logs / "gnss.mcap")["/gnss/fix"]) == 6847
+
+
 def test_of_a_file_with_several_recordings_each_is_listed(tmp_path: Path) -> None:
     text = gpx_text(drive(60, 1.0, 1), parts=[[np.arange(30)], [np.arange(30, 60)]])
     logs = tmp_path / "logs"

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
         read_trajectory as read_trajectory,
         write_trajectory as write_trajectory,
     )
+    from trainlog.identity import identity_of as identity_of
     from trainlog.ingest import (
         ingest as read_recording,
         read_profile as read_profile,
@@ -121,6 +122,7 @@ _NAMES = {
     "trainlog.trip": "Trip frame_of",
     "trainlog.topics": "recorded_topic TopicField=Field",
     "trainlog.resampling": "joined resampled",
+    "trainlog.identity": "identity_of",
     "trainlog.ingest": "read_recording=ingest report_of repairs_of read_profile",
     "trainlog.railway": (
         "Configuration CurvatureProfile Geometry Journey Line ParameterSet "

@@ -4,6 +4,8 @@ Of each minute of UTC one number is kept, computed from the times and values of 
 the same drive ingested again with another load, estimated, cut, converted or recovered has the same
 numbers, or some of them, and another drive has none of them. Two trips that share more than
 `SHARED` of the shorter one's minutes are one drive; parts of a drive that overlap by less are two.
+Where other rules of repair have moved the times, the recorded file decides: two trips that were
+ingested from the same one are one drive if their spans of time overlap by more than that.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import sha256
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +42,7 @@ COLUMNS = (
 MINUTE = 60 * NANOSECONDS
 """Length of a block of samples [ns]."""
 
-LEAST_VALUES = 8
+LEAST_VALUES = 3
 """Different values from which on a minute distinguishes a drive: all standing trains are alike."""
 
 SHARED = 0.05
@@ -57,18 +60,23 @@ class TripIdentity:
 
     Attributes
     ----------
-    start : Timestamp
-        Of the first sample of the column.
+    start, end : Timestamp
+        Of the first and the last sample of the column.
     samples : int
         Recorded values of the column.
     blocks : (n,) uint64 array
         One number a minute with at least `LEAST_VALUES` different values, increasing. Of a trip
         without such a minute one number of all its samples and its train.
+    source : str
+        Digest of the recorded file that it was ingested from, and of the recording's name in it;
+        empty if it was not ingested.
     """
 
     start: pd.Timestamp
+    end: pd.Timestamp
     samples: int
     blocks: UintArray
+    source: str = ""
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TripIdentity):
@@ -84,7 +92,7 @@ class TripIdentity:
         return as_text(f"Identity of the trip of {begin}", rows)
 
     def shared(self, other: TripIdentity) -> float:
-        """Share of the shorter trip's minutes that both have: 1 if one holds the other.
+        """Share of the shorter trip that both have: 1 if one holds the other.
 
         Examples
         --------
@@ -95,13 +103,21 @@ class TripIdentity:
         1.0
         """
         both = np.intersect1d(self.blocks, other.blocks, assume_unique=True).size
-        return both / max(1, min(self.blocks.size, other.blocks.size))
+        share = both / max(1, min(self.blocks.size, other.blocks.size))
+        return max(share, self.overlap(other) if self.source == other.source != "" else 0.0)
+
+    def overlap(self, other: TripIdentity) -> float:
+        """Share of the shorter one's span of time in which the other was recorded, too."""
+        common = min(self.end, other.end) - max(self.start, other.start)
+        shorter = min(self.end - self.start, other.end - other.start)
+        return max(0.0, common / max(shorter, pd.Timedelta(1, "ns")))
 
     @cached_property
     def text(self) -> str:
         """The identity as files hold it; `identity_from_text` reads it."""
         data = base64.b64encode(self.blocks.astype("<u8").tobytes()).decode("ascii")
-        return f"{self.start.isoformat()} {self.samples} {data}"
+        ends = f"{self.start.isoformat()} {self.end.isoformat()}"
+        return f"{ends} {self.samples} {self.source or '-'} {data}"
 
 
 def identity_of(trip: Trip) -> TripIdentity | None:
@@ -144,8 +160,20 @@ def identity_of(trip: Trip) -> TripIdentity | None:
         blocks = _blocks(time, rounded)
         if not blocks.size:
             blocks = _whole(time, rounded, f"{topic}.{column} {trip.metadata.get('train', '')}")
-        return TripIdentity(pd.Timestamp(time[0], tz="UTC"), int(time.size), blocks)
+        start, end = pd.Timestamp(time[0], tz="UTC"), pd.Timestamp(time[-1], tz="UTC")
+        return TripIdentity(start, end, int(time.size), blocks, _source(trip))
     return None
+
+
+def source_of(digests: Sequence[str], recording: str) -> str:
+    """What identifies a recording: the SHA-256 of its files, and its name in them."""
+    return sha256("\n".join([*sorted(digests), recording]).encode()).hexdigest()[:16]
+
+
+def _source(trip: Trip) -> str:
+    """The recording that a trip was ingested from, as the provenance states it."""
+    steps = (step for step in trip.provenance if step.get("step") == "ingest")
+    return str(next(steps, {}).get("source", ""))
 
 
 def identity_from_text(text: str) -> TripIdentity | None:
@@ -166,9 +194,10 @@ def identity_from_text(text: str) -> TripIdentity | None:
     if not text:
         return None
     try:
-        start, samples, data = text.split(" ")
-        blocks = np.frombuffer(base64.b64decode(data, validate=True), dtype="<u8")
-        return TripIdentity(pd.Timestamp(start), int(samples), blocks.astype(np.uint64))
+        start, end, samples, source, data = text.split(" ")
+        blocks = np.frombuffer(base64.b64decode(data, validate=True), dtype="<u8").astype(np.uint64)
+        ends = pd.Timestamp(start), pd.Timestamp(end)
+        return TripIdentity(*ends, int(samples), blocks, "" if source == "-" else source)
     except (ValueError, binascii.Error) as error:
         raise InputError(
             f"'{text[:40]}' is no identity of a trip", remedy="make the file again from the logs"
@@ -211,7 +240,7 @@ class SameDrive:
     trip, of : str
         Their names.
     share : float
-        Of the shorter one's minutes that are in both.
+        Of the shorter one that is in both.
     held : bool
         Whether the other was used before these trips came.
     """
@@ -226,7 +255,7 @@ class SameDrive:
     @property
     def sentence(self) -> str:
         """It in words."""
-        part = "" if self.share >= 1.0 else f" to {self.share:.0%} of the shorter one's minutes"
+        part = "" if self.share >= 1.0 else f" to {self.share:.0%} of the shorter one"
         used = "which is counted already" if self.held else "which is used"
         return f"trip '{self.trip}' is{part} the same drive as '{self.of}', {used}"
 
@@ -263,46 +292,51 @@ def same_drives(trips: Sequence[Known]) -> list[SameDrive]:
     if not involved:
         return []
     used: dict[int, int] = {}
+    by_source: dict[str, list[int]] = {}
     found = []
     for number in sorted(involved, key=lambda number: _place(trips[number])):
-        trip = trips[number]
-        blocks = [] if trip.identity is None else trip.identity.blocks.tolist()
+        trip, identity = trips[number], _known(trips[number])
+        blocks = identity.blocks.tolist()
         owners = Counter(used[block] for block in blocks if block in used)
-        share = _share(owners, len(blocks), trips)
+        shares = {owner: identity.shared(_known(trips[owner])) for owner in owners}
+        for owner in by_source.get(identity.source, []):
+            shares[owner] = identity.shared(_known(trips[owner]))
+        # Several that are used may share a part each.
+        share = max([owners.total() / max(1, len(blocks)), *shares.values()])
         if share > SHARED and not trip.held:
-            other = min(owners, key=lambda owner: (-owners[owner], _place(trips[owner])))
+            other = min(shares, key=lambda owner: (-shares[owner], _place(trips[owner])))
             of = trips[other]
             found.append(SameDrive(number, other, trip.name, of.name, share, of.held))
-        else:
-            used |= {block: number for block in blocks if block not in used}
+            continue
+        used |= {block: number for block in blocks if block not in used}
+        if identity.source:
+            by_source.setdefault(identity.source, []).append(number)
     return sorted(found, key=lambda each: each.number)
 
 
-def _share(owners: Counter[int], blocks: int, trips: Sequence[Known]) -> float:
-    """Share of the shorter one's minutes that a trip has in common with those that are used."""
-    parts = [owners.total() / max(1, blocks)]
-    for owner, count in owners.items():
-        identity = trips[owner].identity
-        parts += [] if identity is None else [count / identity.blocks.size]
-    return max(parts)
+def _known(trip: Known) -> TripIdentity:
+    assert trip.identity is not None
+    return trip.identity
 
 
 def _place(trip: Known) -> tuple[object, ...]:
-    identity = trip.identity
-    assert identity is not None
+    identity = _known(trip)
     return (not trip.held, -identity.blocks.size, -identity.samples, trip.order)
 
 
 def _involved(trips: Sequence[Known], known: Sequence[int]) -> list[int]:
-    """The trips that share a block with another; of most there is none."""
-    sizes = [trips[number].identity.blocks.size for number in known]  # type: ignore[union-attr]
-    if sum(sizes) == 0:
+    """The trips that share a block or the source with another; most do not."""
+    if not known:
         return []
-    blocks = np.concatenate([trips[number].identity.blocks for number in known])  # type: ignore[union-attr]
+    identities = [_known(trips[number]) for number in known]
+    sizes = [identity.blocks.size for identity in identities]
+    blocks = np.concatenate([identity.blocks for identity in identities])
+    sources = Counter(identity.source for identity in identities if identity.source)
+    found = {n for n, each in zip(known, identities, strict=True) if sources[each.source] > 1}
     owner = np.repeat(np.asarray(known, dtype=np.int64), sizes)
     order = np.argsort(blocks, kind="stable")
     again = blocks[order][1:] == blocks[order][:-1]
-    return sorted({*owner[order][1:][again].tolist(), *owner[order][:-1][again].tolist()})
+    return sorted({*found, *owner[order][1:][again], *owner[order][:-1][again]})
 
 
 def _blocks(time: IntArray, values: IntArray) -> UintArray:

@@ -481,6 +481,10 @@ SAME_DRIVE = "same drive"
 """Why a trip is refused of whose drive a fuller recording is there."""
 
 
+DIFFERENT_MASS = 0.01
+"""Two recordings of one drive whose masses differ by more than this were given different loads."""
+
+
 def each_drive_once(summaries: pd.DataFrame) -> pd.DataFrame:
     """Summaries in which all trips of one drive but the fullest are refused.
 
@@ -514,7 +518,14 @@ def each_drive_once(summaries: pd.DataFrame) -> pd.DataFrame:
         )
     ]
     for same in same_drives(known):
-        rows.loc[usable[same.number], ["refused", "message"]] = (SAME_DRIVE, same.sentence)
+        mass, other = (some["mass"].iloc[number] for number in (same.number, same.other))
+        words = same.sentence
+        if same.share >= 1.0 and abs(mass - other) > DIFFERENT_MASS * other:
+            words += (
+                f"; its mass was fitted as {mass / 1e3:.1f} t, that of the other as"
+                f" {other / 1e3:.1f} t: the loads that were given differ, and one is wrong"
+            )
+        rows.loc[usable[same.number], ["refused", "message"]] = (SAME_DRIVE, words)
     return rows
 
 

@@ -187,6 +187,17 @@ class _Read:
         return name if number == 1 else f"{name} ({number})"
 
 
+def _doubts(drives: pd.DataFrame) -> list[str]:
+    """Trips of one name of which not all drives are known, in words."""
+    used = drives[drives["refused"] == ""]
+    unknown = used["trip"][(used["identity"] == "") & used.duplicated("trip", keep=False)]
+    return [
+        f"trip '{name}': of one log of that name the drive is not known (summary of an older"
+        " version); if it is that of the other, fit from the logs"
+        for name in sorted(set(unknown))
+    ]
+
+
 def fit(
     trips: Given | Iterable[Given],
     speeds: tuple[float, float] | None = None,
@@ -405,6 +416,7 @@ def fit_table(fits: Fits) -> Group:
         words += [f"{fit.trip}: {doubt}" for doubt in diagnosed(fit.residuals).doubts]
     words += [f"refused, {error.reason}: {error}" for error in fits.refused.values()]
     words += [f"counted once: {sentence}" for sentence in fits.same]
+    words += _doubts(fits.drives)
     words += _observed_set(fits)
     return Group(table, *words)
 

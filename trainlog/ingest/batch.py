@@ -13,12 +13,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pandas as pd
 
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import output_folder, sha256_of
 from trainlog.formats.parquet import INDEX_FILE
+from trainlog.identity import TripIdentity, identity_of
 from trainlog.ingest.pipeline import (
     PROFILE_ATTACHMENT,
     PROFILE_OBJECT_ATTACHMENT,
@@ -32,7 +34,7 @@ from trainlog.ingest.profile import Profile
 from trainlog.ingest.registry import formats, head_of
 from trainlog.ingest.report import Report, report_of
 from trainlog.mcap import describe, write_log
-from trainlog.mcap.reader import about_log
+from trainlog.mcap.reader import about_log, identity_of_log
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
@@ -509,7 +511,7 @@ class _Batch:
     def _written(self, file: Path, name: str, digest: str, trip: Trip) -> Outcome:
         if self._finish is not None:
             trip = self._finish(trip)
-        log = self._log(file, name, digest)
+        log = self._log(file, name, digest, trip)
         write_log(trip, log)
         self._taken[log] = file
         bare = Trip({}, trip.metadata, trip.provenance)
@@ -527,9 +529,10 @@ class _Batch:
             if beside.resolve() != file.resolve():
                 self._read_with[beside.resolve()] = file
 
-    def _log(self, file: Path, name: str, digest: str) -> Path:
+    def _log(self, file: Path, name: str, digest: str, trip: Trip) -> Path:
         """The log to write: none that holds anything else, and none of the recordings."""
         plain = re.sub(r"[^\w.+-]+", "_", name) if name else self._names[file]
+        identity = identity_of(trip)
         candidates = [plain, f"{plain}-{digest[:8]}"]
         candidates += [f"{plain}-{digest[:8]}-{number}" for number in range(2, 1_000)]
         for candidate in candidates:
@@ -541,11 +544,22 @@ class _Batch:
                     remedy="name another folder",
                 )
             held = self._by_log.get(log)
-            again = held is not None and digest in held.recorded.values()
-            again = again and held is not None and held.step.get("recording", "") == name
+            again = held is not None and held.step.get("recording", "") == name
+            if again and held is not None and digest not in held.recorded.values():
+                again = file.name in held.recorded and _grown(log, identity)
             if log not in self._taken and (again or not log.exists()):
                 return log
         raise InputError(f"no name is left for {plain}", file=file, remedy="name another folder")
+
+
+def _grown(log: Path, identity: TripIdentity | None) -> bool:
+    """Whether a log holds the beginning of a drive that was recorded on."""
+    before = identity_of_log(log)
+    if before is None or identity is None or identity.samples < before.samples:
+        return False
+    # The last minute was not whole.
+    both = np.intersect1d(before.blocks, identity.blocks).size
+    return both > 0 and both >= before.blocks.size - 1
 
 
 def _made(log: Path) -> _Made | None:

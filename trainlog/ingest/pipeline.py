@@ -16,6 +16,7 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
+from trainlog.identity import source_of
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import (
     Limits,
@@ -395,7 +396,7 @@ def _finished(
         if line is not None:
             _check_on_line(trip, line)
     named = {"trip": source.path.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
-    which: dict[str, str | int] = {}
+    which: dict[str, Any] = {}
     if len(source.recordings) > 1:
         which["recording"] = named["trip"] = recording.metadata["trip"]
         which["recordings"] = len(source.recordings)
@@ -408,6 +409,7 @@ def _finished(
         code=code_version(),
         format=source.chosen.name,
         profile=source.profile.name if source.profile else None,
+        source=source_of([*files.values()], which.get("recording", "")),
         options=Given(direction=direction, metadata=metadata).options,
         inputs=files | digests,
         report=report.details(),
