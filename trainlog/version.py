@@ -8,8 +8,8 @@ from pathlib import Path
 
 __version__ = "0.1.0"
 
-_PASSIVE = ("cli", "replay", "simulation")
-"""Packages of trainlog that no recording goes through."""
+_PASSIVE = ("cli", "replay", "simulation", "studies")
+"""Folders of code that no recording goes through."""
 
 
 @cache
@@ -24,10 +24,9 @@ def code_version() -> str:
     16
     """
     package = Path(__file__).parent
-    estimators = package.with_name("estimators")
     files = [
         file
-        for folder in (package, estimators)
+        for folder in (package, package.with_name("analysis"), package.with_name("estimators"))
         for file in folder.rglob("*")
         if file.suffix in (".py", ".toml") and file.relative_to(folder).parts[0] not in _PASSIVE
     ]
