@@ -30,7 +30,15 @@ from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError, LogError
-from trainlog.railway import Brake, Configuration, StepProfile, TrackConditionMap, Train, Trajectory
+from trainlog.railway import (
+    Brake,
+    Configuration,
+    EffortCurve,
+    StepProfile,
+    TrackConditionMap,
+    Train,
+    Trajectory,
+)  # fmt: skip
 from trainlog.railway.condition import ConditionLayer
 from trainlog.simulation import (
     Locator,
@@ -531,6 +539,34 @@ def test_a_trajectory_without_a_driver_makes_no_scenario() -> None:
     )
     with pytest.raises(InputError, match="go together"):
         replace(scenario, follows=None)
+
+
+def test_a_train_with_curves_follows_within_them() -> None:
+    """In traction; its dynamic brake fades at both ends, and the friction brake takes over."""
+    pull = EffortCurve(np.array([0.0, 12.0, 20.0, 45.0]), np.array([200e3, 185e3, 105e3, 35e3]))
+    fading = EffortCurve(np.array([0.0, 3.0, 15.0, 45.0]), np.array([0.0, 60e3, 120e3, 40e3]))
+    train = flirt(traction_curve=pull, dynamic_braking_curve=fading)
+    configurations = [
+        Configuration(name, train.mass + load, train.rotating_mass, train.resistance, power)
+        for name, load, power in (("weak", 9e3, 2.3e6), ("strong", 2e3, 2.6e6))
+    ]
+    run = TrajectoryProblem(hilly_line(), train, configurations, reserve=0.12)
+    trajectory = optimise(run, OptimiserOptions(cells=200))
+    limits = train_limits(run)
+    route = route_tables(run, trajectory, limits)
+    for v in (0.0, 2.0, 11.0, 18.0, 30.0):
+        most, _ = effort_limits(3_000.0, v, route, limits)
+        assert most <= float(pull(v * 2.6 / 2.3)) * (1.0 + 1e-12)
+    for trip in follow(trajectory, hilly_line(), train, seed=4, configurations="all"):
+        power = {"weak": 2.3e6, "strong": 2.6e6}[trip.metadata["configuration"]]
+        controls, state = trip["/train/controls"], trip["/truth"]
+        speed = np.interp(controls.index.asi8, state.index.asi8, state["speed"].to_numpy())
+        # Efforts are measured with noise.
+        own = pull(np.maximum(speed - 0.3, 0.0) * 2.6e6 / power)
+        assert np.all(controls["tractive_effort"] <= own * 1.02 + 3e3)
+        braking = fading(speed) * 1.05 + 8e3
+        assert np.all(controls["dynamic_braking_effort"] <= braking)
+        assert abs(trip["/reference"]["lateness"].iloc[-1]) < 2.0
 
 
 def test_one_function_drives_the_trips_of_the_command() -> None:

@@ -37,7 +37,7 @@ from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train, train_to_bytes
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import RunningResistance, StepProfile, Tunnel
+from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Tunnel
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of
@@ -349,6 +349,25 @@ def test_power_limit_is_read_off_where_it_was_reached() -> None:
     assert fit_trip(simulate(strong)).max_power is None
     found = fit_trip(with_exact_efforts(simulate(weak))).max_power
     assert found == pytest.approx(1.7e6, rel=0.005)
+
+
+def test_power_limit_is_read_off_a_curve_of_effort() -> None:
+    """The share of the power at which the curve gives the efforts; its power is not constant."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    curve = EffortCurve(np.array([0.0, 10.0, 20.0, 45.0]), np.array([200e3, 180e3, 95e3, 25e3]))
+    train = replace(
+        read_train(sample("CH_Stadler_FLIRT_TPF.train.json")),
+        traction_curve=curve,
+        max_traction_power=curve.peak_power,
+    )
+    (scenario,) = draw_scenarios(line, train, 1, seed=2)
+    weak = replace(
+        scenario,
+        max_power=0.75 * train.max_traction_power,
+        habits=replace(scenario.habits, lever=0.9),
+    )
+    found = fit_trip(with_exact_efforts(simulate(weak))).max_power
+    assert found == pytest.approx(weak.max_power, rel=0.01)
 
 
 def test_constant_speed_is_refused() -> None:

@@ -154,6 +154,19 @@ def test_no_plan_needs_less_than_the_bound() -> None:
     assert bound <= spent * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize("train", ["linear", "stepped"])
+def test_ipopt_finds_no_better_plan(train: str) -> None:
+    """Nor where the bound is loose, as that of the stepped curve is."""
+    pytest.importorskip("casadi")
+    configurations = drawn(TRAINS[train], 2, seed=3, spread=0.05)
+    trajectory = optimised(
+        LINES["hilly"], TRAINS[train], configurations, reserve=0.1, cells=200, referee=True
+    )
+    judged = trajectory.certificate["referee"]
+    assert judged["status"] == "Solve_Succeeded"
+    assert trajectory.certificate["energy"] <= judged["energy"] * (1.0 + 1e-4)
+
+
 def test_configurations_of_less_power_have_the_stretched_curve() -> None:
     train = TRAINS["linear"]
     weak = replace(Configuration.of(train), name="weak", max_power=0.85 * train.max_traction_power)

@@ -149,14 +149,14 @@ def _equivalent_power(
     The curve of a train with a share of the power has each effort at that share of its speed. Where
     effort hardly falls with the speed it says nothing of the power, and is left out.
     """
-    speed = samples.speed
-    effort = samples.power / speed
+    pulled = samples.power > 0.0
+    power, speed = samples.power[pulled], samples.speed[pulled]
+    effort = power / speed
     reached = curve.speed_at(effort)
-    falls = -curve.slope(reached) * reached >= STEEP * effort
-    known = falls & (reached > 0.0) & np.isfinite(reached)
+    known = (reached > 0.0) & (-curve.slope(reached) * reached >= STEEP * effort)
     share = speed[known] / reached[known]
     # Whichever limits more needs the larger share: the curve or the stated power.
-    return np.maximum(share * train.max_traction_power, samples.power[known]), speed[known]
+    return np.maximum(share * train.max_traction_power, power[known]), speed[known]
 
 
 def _power(trip: Trip, index: pd.DatetimeIndex, prepared: Prepared) -> np.ndarray:

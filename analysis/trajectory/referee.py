@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import Answer
 from analysis.trajectory.convex import power_cells, separates_dynamic_brake
+from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import paced_run
 from analysis.trajectory.sqp import LEAST_Z
@@ -103,6 +104,12 @@ def solve_with_ipopt(problem: DiscreteProblem, start: Plan, running_time: float)
             if dynamic.numel():
                 at = power_cells(problem, problem.dynamic_power, problem.dynamic[a]).tolist()
                 constraints.append((dynamic[at, a] * v[at], -np.inf, problem.dynamic_power))
+            if problem.curves is not None:
+                most = _within(problem.curves, a, v) * (1.0 - problem.taper.crest)
+                constraints.append((traction + above - most, -np.inf, 0.0))
+            if dynamic.numel() and problem.dynamic_curves is not None:
+                most = _within(problem.dynamic_curves, a, v)
+                constraints.append((dynamic[:, a] - most, -np.inf, 0.0))
         spent = ca.dot(problem.step, traction)
         if dynamic.numel():
             constraints.append((brakes - dynamic[:, a], 0.0, problem.friction[a]))
@@ -117,6 +124,14 @@ def solve_with_ipopt(problem: DiscreteProblem, start: Plan, running_time: float)
         constraints.append((worst - expected, 0.0, np.inf))
     unknowns, low, high, first = _bounded(problem, start, z, traction, braking, dynamic, worst)
     return _solved(problem, worst, unknowns, constraints, low, high, first)
+
+
+def _within(curves: Curves, row: int, speed: Any) -> Any:
+    """Effort of a configuration's curve at speeds, on the lines between its points."""
+    share, own = float(curves.share[row]), curves.kept
+    v = np.append(own.speeds, own.speeds[-1] * np.linspace(1.1, 2.0, 10))
+    table = ca.interpolant("effort", "linear", [v.tolist()], own(v).tolist())
+    return table(speed.T / share).T
 
 
 def _cell() -> ca.Function:
