@@ -34,7 +34,7 @@ from trainlog.formats.parameters import read_parameters, write_parameters
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
 from trainlog.mcap import write_log
-from trainlog.railway import RunningResistance
+from trainlog.railway import Passport, Quantity, RunningResistance
 from trainlog.simulation import draw_scenarios, simulate
 
 Array = NDArray[np.float64]
@@ -340,3 +340,26 @@ def test_one_configuration_of_one_trip_is_stated_in_the_singular() -> None:
     words = fit_table(fits).renderables
     assert any("1 configuration stands for 1 trip: its worst" in str(each) for each in words)
     assert "1 configuration, whose worst case bounds" in repr(fits)
+
+
+def test_an_assumed_gain_of_the_efforts_does_not_average_out() -> None:
+    """All trips of one recorder err alike; what each weighed load shows errs anew."""
+    fits, _ = drawn(12, 0.02, (60.0, 60.0, 60.0), seed=4)
+    unknown = Quantity(np.nan, np.nan, "assumed")
+    found = {}
+    for source in ("assumed", "estimated"):
+        gain = Quantity(1.0, 0.05, source)
+        passport = Passport("made", unknown, gain, *4 * [unknown])
+        beta = [np.append(fit.beta, fit.mass) for fit in fits]
+        added = [0.05**2 * np.outer(each, each) for each in beta]
+        widened = [
+            replace(fit, passport=passport, covariance=fit.covariance + more)
+            for fit, more in zip(fits, added, strict=True)
+        ]
+        found[source] = combine(widened)
+    speed = 20.0
+    share = {source: float(one.std(speed) / one.resistance(speed)) for source, one in found.items()}
+    assert 0.05 < share["assumed"] < 0.06
+    assert share["estimated"] < 0.03
+    # Trips do not differ by what they have in common.
+    assert found["assumed"].spread(speed) < 1.5 * combine(fits).spread(speed)

@@ -13,7 +13,8 @@ A line is surveyed once (`shared_variance`). Trips over the same line in the sam
 same errors of its gradients, and their mean keeps them, however many trips there are. How alike
 they are from trip to trip depends on how each was driven; they are taken for wholly alike in one
 direction, and for independent between directions, though there they cancel in part: the band of
-the mean is rather too wide than too narrow.
+the mean is rather too wide than too narrow. The gain of a recorder's efforts, where no recorded
+load shows it, is taken for the same on all trips.
 
 References
 ----------
@@ -126,6 +127,10 @@ def _row(fit: TripFit) -> dict[str, object]:
         "speed_scale": fit.scale.factor,
         "speed_scale_std": fit.scale.std,
     }
+    if fit.passport is not None:
+        number["effort_gain"] = fit.passport.effort_gain.value
+        if fit.passport.effort_gain.source == "assumed":
+            number["assumed_gain_std"] = fit.gain_std
     if fit.max_power is not None:
         number |= {"max_power": fit.max_power, "max_power_std": fit.max_power_std}
     return {
@@ -428,12 +433,16 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     size = np.median(values, axis=0)
     nodes, values = nodes / size[:, None], values / size
     variances = nodes @ covariances_of(rows)[:, :3, :3] @ nodes.T
+    # An assumed gain is that of the recorder: all trips err alike, and do not differ by it.
+    gain_std = np.nan_to_num(rows["assumed_gain_std"].to_numpy(np.float64))
+    variances -= gain_std[:, None, None] ** 2 * values[:, :, None] * values[:, None, :]
     expected = BETWEEN_TRIPS**2 * np.eye(3)
     found = random_effects(values, variances, expected, PRIOR_TRIPS)
     weights = found.variance @ np.linalg.inv(variances + found.between)
     shared = shared_variance(weights, nodes @ surveys_of(rows) @ nodes.T, _lines(rows))
     back = np.linalg.inv(nodes)
-    covariance = back @ (found.variance + shared) @ back.T
+    gain = float(np.mean(gain_std)) * found.mean
+    covariance = back @ (found.variance + shared + np.outer(gain, gain)) @ back.T
     return CommonFit(
         train=str(rows["train"].iloc[0]),
         resistance=nearest_physical(back @ found.mean, covariance),

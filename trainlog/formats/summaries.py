@@ -104,10 +104,16 @@ COLUMNS: tuple[Column, ...] = (
     Column("masked_standstill", "s", "time masked: standstill"),
     Column("masked_braking", "s", "time masked: braking effort not known well enough"),
     Column("masked_slip", "s", "time masked: slip"),
+    Column("effort_gain", "1", "recorded over true effort, by which efforts were divided"),
+    Column(
+        "assumed_gain_std",
+        "1",
+        "its standard deviation where no recorded load shows it; in the covariance, trips share it",
+    ),
     Column("identity", "", "of the drive, by its recorded samples; empty: not known", "text"),
 )
 
-_LATER = {"gradients", *SURVEY, "identity"}
+_LATER = {"gradients", *SURVEY, "effort_gain", "assumed_gain_std", "identity"}
 """Columns that older files lack: then nothing is known of what the trip shares with others."""
 
 _ALWAYS = (*PARAMETERS, *COVARIANCE, "rotating_mass", "train_power", "asked_highest")
