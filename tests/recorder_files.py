@@ -184,6 +184,19 @@ def mtk_at_rest(seed: int, *, moving: int = 60, resting: int = 400, again: float
     return Recorded("\n".join([MTK_HEADER, *mtk_rows(truth)]) + "\n", truth)
 
 
+def mtk_frozen(seed: int, rows: int = 7318) -> Recorded:
+    """At 10 Hz, a drive of 20 minutes in which the speed stays at one value for `rows` rows."""
+    run = drive(12_000, 10.0, seed)
+    begin = int(np.random.default_rng(seed).integers(500, 12_000 - rows - 500))
+    speed = run.speed.copy()
+    speed[begin : begin + rows] = speed[begin]
+    frozen = Drive(
+        run.time, run.latitude, run.longitude, run.altitude, speed, run.hdop, run.satellites
+    )
+    text = "\n".join([MTK_HEADER + ",,,,", *mtk_rows(frozen)]) + "\n"
+    return Recorded(text, run, {"frozen": rows - 1})
+
+
 # ------------------------------------------------------------------ NMEA
 
 

@@ -25,7 +25,7 @@ from trainlog.errors import InputError
 from trainlog.ingest import RULES, ingest, report_of
 from trainlog.ingest.clock import longest_nondecreasing
 from trainlog.ingest.profile import Repair
-from trainlog.ingest.rules import spikes
+from trainlog.ingest.spikes import spikes
 from trainlog.trip import Trip, seconds
 
 FILES = settings(

@@ -18,6 +18,7 @@ from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.identity import source_of
 from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.limits import LIMITS
 from trainlog.ingest.profile import (
     Limits,
     MismatchError,
@@ -29,7 +30,7 @@ from trainlog.ingest.profile import (
 from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report
-from trainlog.ingest.rules import LIMITS, refuse_switched_off, repaired
+from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import EVENTS, TOPICS, Topic

@@ -490,7 +490,10 @@ class Repair(_Strict):
     same_time: bool = True
     no_fix: bool = True
     out_of_limits: bool = True
+    counter: bool = True
     spikes: bool = True
+    frozen: bool = True
+    position_steps: bool = True
     inconsistent: bool = True
     unit_suspected: bool = True
     quantised: bool = True

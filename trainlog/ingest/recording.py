@@ -120,7 +120,10 @@ class Table:
 
     def without(self, name: str, cells: BoolArray) -> Table:
         """The table in which the marked cells of a column are absent."""
-        values = np.where(cells, np.nan, self.signals[name])
+        return self.with_values(name, np.where(cells, np.nan, self.signals[name]))
+
+    def with_values(self, name: str, values: FloatArray) -> Table:
+        """The table with other values in a column."""
         return replace(self, signals={**self.signals, name: values})
 
     def found(self, rule: str, cells: BoolArray, column: str = "", note: str = "") -> list[Finding]:

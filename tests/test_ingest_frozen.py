@@ -1,0 +1,254 @@
+"""Values that freeze, on recorded and simulated trips whose true values are known."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from ingest_logs import SECOND, START, plain_profile, write
+from recorder_files import mtk_frozen
+
+from trainlog import draw_scenarios, read, read_line, read_train, sample, simulate
+from trainlog.formats.ttobench import read_track, read_train as read_published_train
+from trainlog.ingest import Finding, Table, ingest, repairs_of, report_of
+from trainlog.ingest.profile import Limits, Repair
+from trainlog.ingest.rules import repaired
+from trainlog.trip import Trip
+
+PUBLISHED = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
+
+RULES = ("spikes", "frozen", "counter", "position_steps")
+
+TOPICS = (
+    "/train/state", "/train/controls", "/train/axles", "/gnss/fix", "/gnss/motion", "/environment",
+)  # fmt: skip
+
+SIZES = {"speed": 1.0, "effort": 5e3, "position": 20.0, "latitude": 3e-4}
+"""How far a frozen value must be off for it to matter."""
+
+
+def frame_of_trip(trip: Trip) -> pd.DataFrame:
+    """All that a train records, in one table."""
+    frames = [trip[topic].add_prefix(f"{topic}.") for topic in TOPICS if topic in trip]
+    return pd.concat(frames, axis=1)
+
+
+@cache
+def sampled(name: str) -> pd.DataFrame:
+    return frame_of_trip(read(f"sample_logs/{name}.mcap"))
+
+
+def coarse(frame: pd.DataFrame) -> pd.DataFrame:
+    """Speeds in whole km/h, efforts in whole kN, positions in whole metres."""
+    found = frame.copy()
+    for name in found.columns:
+        if name.endswith("speed") or "wheel_speed" in name:
+            found[name] = np.round(3.6 * found[name]) / 3.6
+        elif "effort" in name:
+            found[name] = np.round(found[name], -3)
+        elif name.endswith("position"):
+            found[name] = np.round(found[name])
+    return found
+
+
+def judged(frame: pd.DataFrame) -> tuple[Table, list[Finding]]:
+    """The frame after all rules, and what those of this page found."""
+    columns = {name: frame[name].to_numpy(np.float64) for name in frame.columns}
+    rows = np.arange(2, len(frame) + 2)
+    table = Table(frame.index.as_unit("ns").asi8, rows, columns)
+    kept, found, _ = repaired(table, Limits(), Repair(inconsistent=False, unit_suspected=False))
+    return kept, [finding for finding in found if finding.rule in RULES]
+
+
+def variants(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    rough = coarse(frame)
+    satellites = [name for name in frame.columns if name.startswith("/gnss/")]
+    return {
+        "as it is": frame,
+        "coarse": rough,
+        "coarse, 1 Hz": rough.iloc[::10],
+        "1 Hz": frame.iloc[::10],
+        "coarse, no satellites": rough.drop(columns=satellites),
+        "coarse, no position": rough.drop(columns=["/train/state.position"]),
+        "coarse, the speed alone": rough[["/train/state.speed"]],
+        "the speed alone": frame[["/train/state.speed"]],
+        "satellites alone": frame[satellites].dropna(how="all"),
+    }
+
+
+# ------------------------------------------------------------------ no false alarm
+
+
+@pytest.mark.parametrize("log", ["nonstop", "stopping"])
+def test_sound_trips_hold_nothing_frozen(log: str) -> None:
+    for name, frame in variants(sampled(log)).items():
+        assert judged(frame)[1] == [], name
+
+
+def exact_trip(cruising: float, *, position: bool = True, step: float = 0.0) -> pd.DataFrame:
+    """A train without any noise: it stands, gathers speed, cruises exactly, brakes and stands."""
+    speed = np.concatenate(
+        [
+            np.zeros(600),
+            np.arange(0.0, 25.0, 0.05),
+            np.full(round(10 * cruising), 25.0),
+            np.arange(25.0, 0.0, -0.07),
+            np.zeros(900),
+        ]
+    )
+    driven = np.concatenate(([0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))))
+    if step:
+        speed = np.round(speed / step) * step
+    index = pd.DatetimeIndex(START + np.arange(speed.size) * (SECOND // 10), tz="UTC")
+    columns = {"/train/state.speed": speed}
+    if position:
+        columns["/train/state.position"] = 1e4 + driven
+    effort = 60e3 * (np.gradient(driven, 0.1, edge_order=1) > 0.0)
+    columns["/train/controls.tractive_effort"] = effort
+    columns["/environment.air_temperature"] = np.full(speed.size, 285.0)
+    columns["/train/controls.lever"] = np.where(effort > 0.0, 0.7, 0.0)
+    return pd.DataFrame(columns, index=index)
+
+
+@pytest.mark.parametrize("position", [True, False])
+@pytest.mark.parametrize("step", [0.0, 0.1, 1 / 3.6, 5 / 3.6])
+@pytest.mark.parametrize("cruising", [20.0, 600.0])
+def test_a_constant_speed_is_not_frozen(cruising: float, step: float, position: bool) -> None:
+    """Nor are a train at rest, the weather, the lever and a constant effort."""
+    assert judged(exact_trip(cruising, position=position, step=step))[1] == []
+
+
+PAIRS = (
+    (None, None),
+    ("CH_Stadelhofen_Altstetten", "CH_Stadler_KISS_SBB"),
+    ("00_reference", "NL_Intercity_VIRM6"),
+)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="TTOBench is not beside the checkout")
+@pytest.mark.parametrize(("track", "train"), PAIRS)
+def test_sound_trips_of_three_trains_on_three_lines(track: str | None, train: str | None) -> None:
+    if track is None or train is None:
+        line = read_line(sample("CH_StGallen_Wil.line.json"))
+        vehicle = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    else:
+        line = read_track(PUBLISHED / "tracks" / f"{track}.json")
+        vehicle = read_published_train(PUBLISHED / "trains" / f"{train}.json")
+    rng = np.random.default_rng(8)
+    for scenario in draw_scenarios(line, vehicle, 3, seed=7):
+        frame = frame_of_trip(simulate(scenario))
+        for name, each in variants(frame).items():
+            if not each.empty:
+                assert judged(each)[1] == [], (scenario.name, name)
+        for column in ("/train/state.speed", "/train/axles.wheel_speed_2", "/train/state.position"):
+            for length in (20.0, 120.0, 400.0):
+                assert found_frozen(frame, column, length, rng)
+
+
+# ------------------------------------------------------------------ recall
+
+
+def freeze(
+    frame: pd.DataFrame, column: str, length: float, rng: np.random.Generator
+) -> tuple[pd.DataFrame, np.ndarray]:
+    """A column, from a place where the train moves on, repeats its value for `length` [s]."""
+    seconds = (frame.index - frame.index[0]).total_seconds().to_numpy()
+    values = frame[column].to_numpy()
+    known = np.isfinite(values)
+    speed = next(name for name in ("/train/state.speed", "/gnss/motion.speed") if name in frame)
+    free = known & (frame[speed].interpolate().to_numpy() > 5.0)
+    free &= (seconds > 10.0) & (seconds < seconds[-1] - length - 5.0)
+    if "effort" in column:
+        free &= np.abs(values) > 10e3
+    begin = rng.choice(np.flatnonzero(free))
+    inside = known & (seconds > seconds[begin]) & (seconds <= seconds[begin] + length)
+    spoilt = frame.copy()
+    for name in {column, column.replace("latitude", "longitude")}:
+        spoilt.loc[inside, name] = frame[name].iloc[begin]
+    return spoilt, inside
+
+
+def found_frozen(frame: pd.DataFrame, column: str, length: float, rng: np.random.Generator) -> bool:
+    """Whether a frozen stretch is found, and no other column or stretch is touched."""
+    spoilt, inside = freeze(frame, column, length, rng)
+    kept, found = judged(spoilt)
+    absent = np.isnan(kept.signals[column]) & np.isfinite(spoilt[column].to_numpy())
+    size = next(SIZES[kind] for kind in SIZES if kind in column.partition(".")[2])
+    off = inside & (np.abs(spoilt[column] - frame[column]).to_numpy() > size)
+    # What equals the frozen value by chance just beside the stretch belongs to it.
+    beside = np.flatnonzero(absent & ~inside)
+    assert np.all(spoilt[column].iloc[beside] == spoilt[column][inside].iloc[0])
+    touched = {finding.column for finding in found}
+    assert touched <= {column, column.replace("latitude", "longitude"), column.rpartition("_")[0]}
+    return not off.any() or np.count_nonzero(absent & off) > 0.9 * np.count_nonzero(off)
+
+
+@pytest.mark.parametrize(
+    ("column", "least"),
+    [
+        ("/train/state.speed", 6),
+        ("/train/axles.wheel_speed_2", 6),
+        ("/train/state.position", 6),
+        ("/gnss/motion.speed", 6),
+        # An outage may leave less than 10 s of it.
+        ("/gnss/fix.latitude", 5),
+        # An effort of few kN is coarser than its noise and may rest.
+        ("/train/controls.tractive_effort", 4),
+    ],
+)
+@pytest.mark.parametrize("log", ["nonstop", "stopping"])
+def test_frozen_values_are_found(log: str, column: str, least: int) -> None:
+    rng = np.random.default_rng(4)
+    frame = sampled(log)
+    lengths = (20.0, 20.0, 45.0, 45.0, 120.0, 300.0)
+    assert sum(found_frozen(frame, column, each, rng) for each in lengths) >= least
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_receiver_that_repeats_its_speed_for_minutes(tmp_path: Path, seed: int) -> None:
+    """7,318 rows at one value while the positions move."""
+    made = mtk_frozen(seed)
+    path = tmp_path / "run.csv"
+    path.write_text(made.text, "ascii")
+    trip = ingest(path)
+    report = report_of(trip)
+    speed = trip["/gnss/motion"]["speed"].to_numpy()
+    assert abs(report.count("frozen", "/gnss/motion.speed") - made.defects["frozen"]) <= 3
+    assert report.counts.keys() == {"frozen", "subsecond"}
+    assert "frozen" in "".join(report.lines())
+    known = np.isfinite(speed)
+    np.testing.assert_array_equal(speed[known], made.truth.speed[known])
+    raw = repairs_of(trip)
+    raw = raw[raw["rule"] == "frozen"]
+    assert len(raw) == report.count("frozen")
+    assert len(set(raw["raw_value"])) == 1
+    assert raw["new_value"].isna().all()
+
+
+def test_the_rule_can_be_switched_off(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(mtk_frozen(1).text, "ascii")
+    trip = ingest(path, profile=plain_profile(repair={"frozen": False}), format="mtk")
+    assert trip["/gnss/motion"]["speed"].notna().all()
+    assert report_of(trip).switched_off == ("frozen",)
+
+
+def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path: Path) -> None:
+    """An odometer that stays at 0 while the counter of the distance goes on."""
+    seconds = np.arange(600)
+    speed = np.clip(0.4 * (seconds - 60.0), 0.0, 20.0)
+    position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))))
+    dead = np.where((seconds > 300) & (seconds < 420), 0.0, speed)
+    rows = [
+        f"{pd.Timestamp(START + int(i) * SECOND, tz='UTC').isoformat()},{v:.2f},{s:.1f}"
+        for i, v, s in zip(seconds, dead, position, strict=True)
+    ]
+    trip = ingest(write(tmp_path / "run.csv", rows), profile=plain_profile())
+    state = trip["/train/state"]
+    assert state["speed"].iloc[302:420].isna().all()
+    assert state["speed"].iloc[:60].notna().all()
+    assert state["position"].notna().all()

@@ -1,0 +1,141 @@
+"""Positions and values that jump: single ones, runs of several, and the sample after them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from ingest_logs import plain_profile, plain_rows, write
+from recorder_files import MTK_HEADER, Drive, drive, mtk_rows
+
+from trainlog.ingest import ingest, repairs_of, report_of
+from trainlog.ingest.spikes import spikes
+
+METRE = 1.0 / 111_195.0
+
+
+def moved(run: Drive, places: np.ndarray, metres: np.ndarray, hdop: float | None = None) -> Drive:
+    """The drive with fixes that lie beside it to the north."""
+    latitude, stated = run.latitude.copy(), run.hdop.copy()
+    latitude[places] += metres * METRE
+    if hdop is not None:
+        stated[places] = hdop
+    return Drive(run.time, latitude, run.longitude, run.altitude, run.speed, stated, run.satellites)
+
+
+def read_drive(tmp_path: Path, run: Drive, *, speed: bool = True) -> tuple[np.ndarray, object]:
+    """Which fixes are absent, and the report."""
+    rows = mtk_rows(run)
+    if not speed:
+        rows = [",".join([*row.split(",")[:10], "", row.split(",")[11]]) for row in rows]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([MTK_HEADER, *rows]) + "\n", "ascii")
+    trip = ingest(path)
+    return trip["/gnss/fix"]["latitude"].isna().to_numpy(), report_of(trip)
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0, 10.0])
+@pytest.mark.parametrize("speed", [True, False])
+@pytest.mark.parametrize("metres", [234.0, -400.0, 3_000.0])
+def test_fixes_beside_the_way_go(tmp_path: Path, rate: float, speed: bool, metres: float) -> None:
+    """234 m beside it with a stated accuracy of 713 m; single ones and runs of several."""
+    run = drive(round(600 * rate), rate, 2)
+    places = np.array([40, 90, 91, 150, 151, 152, 153, 200, 202, len(run) - 30])
+    absent, report = read_drive(tmp_path, moved(run, places, metres, 713 / 3), speed=speed)
+    assert np.flatnonzero(absent).tolist() == places.tolist()
+    assert report.count("spikes", "/gnss/fix.latitude") == places.size
+    assert report.rows_dropped == 0
+
+
+def test_jumps_without_a_stated_accuracy_are_found_by_the_speed(tmp_path: Path) -> None:
+    run = drive(900, 1.0, 3)
+    places = np.array([100, 200, 201, 202, 300, 500])
+    absent, _ = read_drive(tmp_path, moved(run, places, 234.0))
+    assert np.flatnonzero(absent).tolist() == places.tolist()
+
+
+def test_a_poor_fix_where_the_train_may_be_stays(tmp_path: Path) -> None:
+    run = drive(900, 1.0, 3)
+    absent, report = read_drive(tmp_path, moved(run, np.array([100, 300]), 15.0, 713 / 3))
+    assert not absent.any()
+    assert report.count("spikes") == 0
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0])
+def test_fixes_that_come_back_from_an_outage_elsewhere_stay(tmp_path: Path, rate: float) -> None:
+    """What was 150 m off before the tunnel, for a minute, is not judged by a jump."""
+    run = drive(round(600 * rate), rate, 4)
+    off = np.arange(round(200 * rate), round(260 * rate))
+    absent, _ = read_drive(tmp_path, moved(run, off, 150.0))
+    assert not absent.any()
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 4, 5, 7])
+@pytest.mark.parametrize("size", [30.0, 60.0, -15.0])
+def test_runs_of_wild_speeds_go_and_the_sample_after_stays(
+    tmp_path: Path, length: int, size: float
+) -> None:
+    rows = plain_rows(200)
+    wild = [50, 120]
+    for first in wild:
+        for place in range(first, first + length):
+            stamp, speed, position = rows[place].split(",")
+            rows[place] = f"{stamp},{max(0.0, float(speed) + size):.3f},{position}"
+    trip = ingest(write(tmp_path / "run.csv", rows), profile=plain_profile())
+    absent = np.flatnonzero(trip["/train/state"]["speed"].isna())
+    assert absent.tolist() == [place for first in wild for place in range(first, first + length)]
+    assert len(repairs_of(trip)) == 2 * length == report_of(trip).count("spikes")
+
+
+def test_two_wild_values_of_another_size_hide_no_third() -> None:
+    time = np.arange(60.0)
+    values = 20.0 + np.sin(time / 9.0)
+    values[[20, 21, 22, 24]] = 80.0, -40.0, 55.0, 70.0
+    assert np.flatnonzero(spikes(time, values, 1.0, 2.0)).tolist() == [20, 21, 22, 24]
+
+
+def test_a_value_that_stays_where_it_jumped_is_no_spike() -> None:
+    time = np.arange(0.0, 60.0, 0.1)
+    values = np.where(time < 30.0, 5.0, 300.0)
+    assert not spikes(time, values, 1.0, 2.0).any()
+    values[:20] = 900.0
+    assert np.flatnonzero(spikes(time, values, 1.0, 2.0)).tolist() == list(range(20))
+
+
+# ------------------------------------------------------------------ every row and cell counted
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_row_and_cell_is_accounted_for(tmp_path: Path, seed: int) -> None:
+    """A file with all of it at once: rows read are rows kept and dropped, cells are counted."""
+    rng = np.random.default_rng(seed)
+    run = drive(6_000, 10.0, seed)
+    run = moved(run, rng.choice(np.arange(100, 4_400, 40), 9, replace=False), 500.0, 60.0)
+    speed = run.speed.copy()
+    begin = int(rng.integers(1_000, 3_000))
+    speed[begin : begin + 1_200] = speed[begin]
+    rows = mtk_rows(
+        Drive(run.time, run.latitude, run.longitude, run.altitude, speed, run.hdop, run.satellites)
+    )
+    rows = [row + "," * (i % 4) for i, row in enumerate(rows)]
+    for place in rng.choice(np.arange(4_500, 5_900, 30), 12, replace=False):
+        rows[place] = rows[place][: int(rng.integers(5, 30))]
+    before = [f"2000,0,0,0,0,{i // 10 % 60},0,0,0,0,0,9999" for i in range(700)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([MTK_HEADER + ",,,", *before, *rows]) + "\n", "ascii")
+    trip = ingest(path)
+    report, raw = report_of(trip), repairs_of(trip)
+    assert report.rows_read == 6_700
+    assert report.rows_dropped == report.count("truncated_rows") + 700
+    assert report.count("truncated_rows") == 12
+    assert report.count("before_first_fix") == 700
+    assert report.count("frozen", "/gnss/motion.speed") >= 1_199
+    assert report.count("spikes", "/gnss/fix.latitude") == 9
+    for rule in ("spikes", "frozen"):
+        assert np.count_nonzero(raw["rule"] == rule) == report.count(rule)
+    motion, fix = trip["/gnss/motion"], trip["/gnss/fix"]
+    assert motion["speed"].isna().sum() == report.count("frozen", "/gnss/motion.speed")
+    assert fix["latitude"].isna().sum() == fix["longitude"].isna().sum() == 9
+    assert isinstance(fix.index, pd.DatetimeIndex)

@@ -1,0 +1,294 @@
+"""Distances of a counter that starts anew, wraps, or counts both ways become one that grows.
+
+A counter is known from the distance that it loses: all of it, when it starts anew; a power of ten
+or 2^16 of its steps, or the same distance every time, when it wraps; and whole stretches between
+two stops, when it counts down because the train has turned. Other steps stay and are reported:
+the chainage of another line, a balise, a wheel diameter that was set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from trainlog.ingest.clock import Result, gap_threshold
+from trainlog.ingest.limits import limit_of, si_rate
+from trainlog.ingest.profile import Limits
+from trainlog.ingest.recording import BoolArray, FloatArray, IntArray, Table
+from trainlog.ingest.spikes import GNSS_SPEED, SPEED
+from trainlog.units import NANOSECONDS
+
+POSITION = "/train/state.position"
+
+WRAPS = (1e3, 1e4, 1e5, 1e6)
+"""Distances [m] at which counters of whole kilometres wrap."""
+
+BITS = (8, 12, 16, 20, 24)
+"""Bits of counters that wrap at a power of two of their steps."""
+
+NEAR = 0.02
+"""Share of the distance lost by which it may differ from that of a known counter."""
+
+UNSURE, UNSTEADY = 0.3, 2.0
+"""By how much a step may differ from what was driven: as a share of it, and a second [m]."""
+
+STEADY = 5
+"""Samples that must follow a step for it to be one of the counter, or else it is a spike."""
+
+RETURNING = 10.0
+"""Time [s] within which a step back makes the samples between them a spike."""
+
+LEAST_LOST = 100.0
+"""Distance [m] from which on a loss is one of a counter and not of a balise."""
+
+STANDING = 0.3
+"""Speed [m/s] below which a train may turn."""
+
+TURNED = 50.0
+"""Distance [m] between two stops from which on a counter may be said to count down."""
+
+BACK = 0.5
+"""Share of the distance driven that it must lose there."""
+
+MOST_STEPS = 0.01
+"""Share of steps beyond which it is the unit or the speed that does not fit."""
+
+THROUGHOUT = 0.9
+"""Share of the distance beyond which it is the sign of the column that is wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Counter:
+    """The samples of a position.
+
+    Attributes
+    ----------
+    seconds, position : (n,) array [s], [m]
+    step : (n - 1,) array [m]
+        From each sample to the next.
+    driven : (n - 1,) array [m]
+        As the speed gives it; NaN where it is not known.
+    expected : (n - 1,) array [m]
+        The same or, without a speed, by the steps around; 0 over gaps.
+    late : (n - 1,) bool array
+        Steps over gaps.
+    tolerance : (n - 1,) array [m]
+        By which the two may differ.
+    """
+
+    seconds: FloatArray
+    position: FloatArray
+    step: FloatArray
+    driven: FloatArray
+    expected: FloatArray
+    late: BoolArray
+    tolerance: FloatArray
+
+    @property
+    def lost(self) -> IntArray:
+        """Steps back by more than a train can go back."""
+        return np.flatnonzero(-self.step > self.tolerance + self.expected)
+
+
+def unwrap_counters(table: Table, limits: Limits) -> Result:
+    """Let a distance grow on where its counter started anew, wrapped or counted down."""
+    position = table.signals.get(POSITION)
+    if position is None:
+        return table, []
+    known = np.isfinite(position)
+    if np.count_nonzero(known) < 2 * STEADY:
+        return table, []
+    counter = _counter(table, position, known, limits)
+    gained = np.flatnonzero((counter.step - counter.expected) > counter.tolerance)
+    back, words = _losses(counter, counter.lost, gained)
+    step = counter.step.copy()
+    step[back] = _went_on(counter, back)
+    down = _counting_down(counter, step)
+    if down.any():
+        step = np.where(down, -step, step)
+        words.append(f"{_stretches(down)} stretches counted down")
+    changed = step != counter.step
+    if not changed.any():
+        return table, []
+    # Samples before the first change stay as they were written, to the last bit.
+    first = int(np.argmax(changed)) + 1
+    grown = counter.position.copy()
+    grown[first:] = grown[first - 1] + np.cumsum(step[first - 1 :])
+    shift = np.round(grown - counter.position, 6)
+    grown = np.where(_mirrored(down), np.round(grown, 6), counter.position + shift)
+    cells = np.zeros(len(table), dtype=np.bool_)
+    cells[known] = grown != counter.position
+    values = position.copy()
+    values[known] = grown
+    found = table.found("counter", cells, POSITION, ", ".join(words))
+    return table.with_values(POSITION, values), found
+
+
+def _mirrored(down: BoolArray) -> BoolArray:
+    """The samples from the first on that was counted down: they are sums of steps."""
+    return np.concatenate(([False], np.cumsum(down) > 0))
+
+
+def _stretches(marked: BoolArray) -> int:
+    return int(np.count_nonzero(np.diff(marked.astype(np.int8), prepend=0) == 1))
+
+
+def _counter(table: Table, position: FloatArray, known: BoolArray, limits: Limits) -> _Counter:
+    seconds = (table.time[known] - table.time[0]) / NANOSECONDS
+    column = position[known]
+    step, took = np.diff(column), np.diff(seconds)
+    rate, tolerance = si_rate(limit_of(POSITION, limits), POSITION)
+    driven = expected = np.full(step.size, np.nan)
+    name = next((n for n in (SPEED, GNSS_SPEED) if _present(table, n)), None)
+    if name is not None:
+        at = np.isfinite(table.signals[name])
+        clock = (table.time - table.time[0])[at] / NANOSECONDS
+        speed = np.interp(seconds, clock, np.abs(table.signals[name][at]))
+        driven = 0.5 * (speed[1:] + speed[:-1]) * took
+        # The two may be in other units: what they usually have in common counts.
+        whole = (driven > 0.0) & (np.abs(step) > 0.0) & (np.abs(step) < tolerance + rate * took)
+        if np.any(whole):
+            driven = driven * float(np.sum(np.abs(step[whole])) / np.sum(driven[whole]))
+    else:
+        expected = median_filter(np.abs(step) / np.maximum(took, 1e-9), STEADY) * took
+    late = took > gap_threshold(table.time, limits)
+    driven[late] = np.nan
+    expected = np.where(late, 0.0, expected if name is None else np.nan_to_num(driven))
+    reach = tolerance + rate * took
+    sure = tolerance + UNSURE * driven + UNSTEADY * took
+    reach = np.where(np.isfinite(driven), np.minimum(sure, reach), reach)
+    return _Counter(seconds, column, step, driven, expected, late, reach)
+
+
+def _present(table: Table, name: str) -> bool:
+    return name in table.signals and bool(np.isfinite(table.signals[name]).any())
+
+
+def _losses(counter: _Counter, lost: IntArray, gained: IntArray) -> tuple[IntArray, list[str]]:
+    """The steps at which a counter started anew or wrapped, and how many of which there are."""
+    lost = np.array([place for place in lost if _stays(counter, int(place), gained)], np.int64)
+    if not lost.size:
+        return lost, []
+    loss = counter.expected[lost] - counter.step[lost]
+    slack = counter.tolerance[lost] + NEAR * loss
+    modulus = _modulus(counter, lost, loss)
+    begins = np.abs(counter.position[lost + 1]) <= counter.tolerance[lost]
+    anew = begins & np.isnan(modulus) & (loss > LEAST_LOST)
+    same = np.abs(loss[:, None] - loss[None, :]) <= np.minimum(slack[:, None], slack[None, :])
+    often = (same.sum(axis=1) >= 2) & (loss > LEAST_LOST) & np.isnan(modulus)
+    # Of losses of any size those that are alike, and leave a counter at its lowest, are wraps.
+    lowest = counter.position[lost + 1] <= np.min(counter.position) + 2.0 * counter.tolerance[lost]
+    often &= lowest
+    wraps = np.isfinite(modulus) | (often & ~anew)
+    words = []
+    if wraps.any():
+        size = np.where(np.isfinite(modulus), modulus, loss)[wraps]
+        words.append(f"{np.count_nonzero(wraps)} times wrapped at {np.median(size):.6g} m")
+    if anew.any():
+        words.append(f"{np.count_nonzero(anew)} times started anew")
+    return lost[wraps | anew], words
+
+
+def _stays(counter: _Counter, place: int, gained: IntArray) -> bool:
+    """Whether the samples after a loss follow it, and no step leads back at once."""
+    if counter.position.size - place - 1 < STEADY:
+        return False
+    loss = counter.expected[place] - counter.step[place]
+    soon = gained[np.abs(counter.seconds[gained] - counter.seconds[place]) <= RETURNING]
+    back = np.abs(counter.step[soon] - loss) <= np.maximum(counter.tolerance[soon], 0.1 * loss)
+    return not bool(back.any())
+
+
+def _modulus(counter: _Counter, lost: IntArray, loss: FloatArray) -> FloatArray:
+    """The distance at which a known counter wraps, where that was lost; else NaN."""
+    size = np.abs(counter.step[counter.step != 0.0])
+    unit = float(np.min(size)) if size.size else 1.0
+    # Steps of decimal digits, whatever the last bits of their differences are.
+    unit = 10.0 ** np.floor(np.log10(unit) + 1e-6) if unit > 0.0 else 1.0
+    known = np.array([*WRAPS, *(2.0**bits * unit * f for bits in BITS for f in (1.0, 10.0))])
+    known = known[known > LEAST_LOST]
+    nearest = np.argmin(np.abs(loss[:, None] - known[None, :]), axis=1)
+    # It wrapped as far on as the train went meanwhile; at a standstill nothing wraps.
+    late, went = counter.late[lost], counter.expected[lost]
+    allowed = np.where(late, counter.tolerance[lost], 2.0 * unit + UNSURE * went)
+    allowed = np.minimum(allowed, NEAR * loss)
+    # The counter was close to its end, or is at its beginning; or it counts from -half to half.
+    before, after = counter.position[lost], counter.position[lost + 1]
+    end = known[nearest]
+    near = counter.tolerance[lost]
+    plausible = (np.abs(before - end) <= near) | (np.abs(before - 0.5 * end) <= near)
+    plausible &= (np.abs(after) <= near) | (np.abs(after + 0.5 * end) <= near)
+    fits = plausible & (np.abs(loss - end) <= allowed) & (late | (went > 0.0))
+    return np.where(fits, end, np.nan)
+
+
+def _went_on(counter: _Counter, back: IntArray) -> FloatArray:
+    """How far the train went where its counter lost the distance."""
+    if not back.size:
+        return np.zeros(0)
+    loss = counter.expected[back] - counter.step[back]
+    modulus = _modulus(counter, back, loss)
+    exact = counter.step[back] + modulus
+    usable = np.isfinite(exact) & (exact >= -1e-6)
+    # Without a modulus the speed says how far; the last bits are those of the counter's steps.
+    return np.where(usable, np.maximum(exact, 0.0), counter.expected[back])
+
+
+def _counting_down(counter: _Counter, step: FloatArray) -> BoolArray:
+    """Which steps lie in stretches between two stops in which the counter counts down.
+
+    None if it does throughout: then it is the sign of the column.
+    """
+    none = np.zeros(step.size, dtype=np.bool_)
+    if not np.any(step < 0.0):
+        return none
+    pace = counter.driven / np.maximum(np.diff(counter.seconds), 1e-9)
+    if not np.isfinite(pace).any():
+        # Without a speed, the counter's own over 3 s.
+        later = np.minimum(np.searchsorted(counter.seconds, counter.seconds[:-1] + 3.0), step.size)
+        total = np.concatenate(([0.0], np.cumsum(step)))
+        took = np.maximum(counter.seconds[later] - counter.seconds[:-1], 1e-9)
+        pace = np.abs(total[later] - total[:-1]) / took
+    moving = ~(pace < STANDING)
+    edges = np.flatnonzero(np.diff(moving.astype(np.int8), prepend=0, append=0))
+    begins, ends = edges[::2], edges[1::2]
+    if not begins.size:
+        return none
+    possible = np.abs(step) <= counter.tolerance + counter.expected
+    small = np.where(possible, step, 0.0)
+    sums = np.concatenate(([0.0], np.cumsum(small)))
+    ways = np.concatenate(([0.0], np.cumsum(np.abs(small))))
+    net, covered = sums[ends] - sums[begins], ways[ends] - ways[begins]
+    driven = np.concatenate(([0.0], np.cumsum(counter.expected)))
+    far = np.maximum(covered, driven[ends] - driven[begins])
+    falls = (net < -TURNED) & (-net >= BACK * far)
+    if not falls.any() or -net[falls].sum() > THROUGHOUT * np.abs(net).sum():
+        return none
+    change = np.zeros(step.size + 1, dtype=np.int8)
+    change[begins[falls]] += 1
+    change[ends[falls]] -= 1
+    return np.asarray((np.cumsum(change[:-1]) > 0) & possible)
+
+
+def report_steps(table: Table, limits: Limits) -> Result:
+    """Report steps of the position that nothing explains; they stay."""
+    position = table.signals.get(POSITION)
+    if position is None:
+        return table, []
+    known = np.isfinite(position)
+    if np.count_nonzero(known) < 2:
+        return table, []
+    counter = _counter(table, position, known, limits)
+    off = np.abs(counter.step - counter.expected)
+    steps = off > counter.tolerance
+    if np.count_nonzero(steps) > MOST_STEPS * steps.size:
+        return table, []
+    if not steps.any():
+        return table, []
+    cells = np.zeros(len(table), dtype=np.bool_)
+    cells[np.flatnonzero(known)[1:][steps]] = True
+    largest = counter.step[steps][np.argmax(off[steps])]
+    note = f"largest {largest:+.0f} m; a counter that started anew or another line's chainage?"
+    return table, table.found("position_steps", cells, POSITION, note)
