@@ -104,6 +104,12 @@ def test_a_value_that_stays_where_it_jumped_is_no_spike() -> None:
     assert np.flatnonzero(spikes(time, values, 1.0, 2.0)).tolist() == list(range(20))
 
 
+def test_a_column_that_jumps_throughout_is_not_emptied() -> None:
+    """Metres that are called kilometres: it is the unit that is wrong."""
+    time = np.arange(600.0)
+    assert not spikes(time, 20_000.0 * time, 150.0, 20.0).any()
+
+
 # ------------------------------------------------------------------ every row and cell counted
 
 

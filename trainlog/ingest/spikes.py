@@ -36,6 +36,9 @@ LEAST_PERSISTING = 3
 REACH = 20
 """Pieces between which the way back is looked for."""
 
+MOST_SPIKES = 1 / 3
+"""Share of a column's values beyond which they are no spikes: it has another unit."""
+
 FIX_TOLERANCE = 20.0
 """By how much satellite positions of perfect accuracy may err from one to the next [m]."""
 
@@ -71,7 +74,7 @@ def blank_spikes(table: Table, limits: Limits) -> Result:
     them)``. Of its pieces those are kept that make the best sequence: the most samples, less
     `PERSISTING` for every two that follow each other and do not fit. The sample after a spike, and
     runs of several, are judged in the same way as a spike. What changes no faster than `rate` is
-    never taken for one, whatever its sampling.
+    never taken for one, whatever its sampling; nor is anything where most would be.
     """
     findings: list[Finding] = []
     seconds = (table.time - table.time[0]) / NANOSECONDS
@@ -123,7 +126,9 @@ def spikes(
     first = np.concatenate(([0], cuts + 1))
     last = np.concatenate((cuts, [present.size - 1]))
     kept = _best_sequence(first, last, at, known, fastest, tolerance)
-    marked[present] = np.repeat(~kept, last - first + 1)
+    outside = np.repeat(~kept, last - first + 1)
+    if np.count_nonzero(outside) <= MOST_SPIKES * present.size:
+        marked[present] = outside
     return marked
 
 
