@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
+from estimators.altitude import OVER, HeightProfile, Ride, height_profile
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
 from trainlog.display import as_html, counted, picture
@@ -18,9 +19,16 @@ from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
-from trainlog.railway.line import CurvatureProfile, Geometry, Line, Station, StepProfile
+from trainlog.railway.line import (
+    CurvatureProfile,
+    Geometry,
+    Line,
+    Station,
+    StepProfile,
+    Survey,
+)
 from trainlog.trip import Trip
-from trainlog.units import KMH
+from trainlog.units import KMH, PER_MILLE
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -46,6 +54,9 @@ TOLERANCE = 0.1
 
 CURVATURE_STEP = 50.0
 """Length of the elements of the curvature profile [m]."""
+
+LEAST_KNOWN = 0.9
+"""Share of a line whose gradients must be known for a line to have any."""
 
 NEAR = 60.0
 """A fix so near to the rough line adds nothing to its course [m]."""
@@ -79,6 +90,11 @@ class CentreLine:
         Fixes of the trips used, and those of them that were set aside.
     fastest : float [m/s]
         Highest smoothed speed of any trip.
+    heights : HeightProfile or None
+        Height and gradients with their standard deviations, from the receivers' altitudes; None
+        where they do not show them.
+    no_heights : str
+        Why not.
     """
 
     geometry: Geometry
@@ -96,6 +112,19 @@ class CentreLine:
     fixes: int = 0
     rejected: int = 0
     fastest: float = 0.0
+    heights: HeightProfile | None = None
+    no_heights: str = ""
+
+    @property
+    def gradients_known(self) -> bool:
+        """Whether the altitudes show the gradients of nearly the whole line."""
+        return self.heights is not None and bool(np.mean(self.heights.known) >= LEAST_KNOWN)
+
+    @property
+    def gradient_std(self) -> float:
+        """Root mean square of the standard deviations of the gradients over `OVER`."""
+        assert self.heights is not None
+        return float(np.sqrt(np.mean(self.heights.gradient_std**2)))
 
     @property
     def length(self) -> float:
@@ -121,11 +150,25 @@ class CentreLine:
             f" at most {self.std[known].max():.1f} m; {np.mean(self.support > 1):.0%} of the line"
             " rests on more than one trip",
         ]
+        found.append(self._gradients())
         found += [
             f"no fixes from km {start / 1e3:.3f} to km {end / 1e3:.3f}: bridged, not known"
             for start, end in self.unsupported
         ]
         return found + [f"{name} is not used: {reason}" for name, reason in self.refused]
+
+    def _gradients(self) -> str:
+        """What is known of the gradients, in words."""
+        if self.heights is None:
+            return f"gradients are not known: {self.no_heights}"
+        known, size = self.heights.known, PER_MILLE * self.gradient_std
+        errors = f"altitudes err by {self.heights.sigma:.1f} m for {self.heights.tau:.0f} s"
+        if not self.gradients_known:
+            return (
+                f"gradients are not known: the trips' altitudes show {np.mean(known):.0%} of them,"
+                f" to {size:.1f} per mille over {OVER:.0f} m; {errors}"
+            )
+        return f"gradients over {OVER:.0f} m to {size:.1f} per mille (standard deviation); {errors}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +181,7 @@ class _Pass:
     matched: Matched | None = None
     chainage: FloatArray = field(default_factory=lambda: np.zeros(0))
     reason: str = ""
+    altitude: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 def geometry_of(trips: Sequence[Trip]) -> CentreLine:
@@ -188,39 +232,75 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
 def line_of(centre_line: CentreLine, name: str) -> Line:
     """A line with the surveyed geometry and curvature; its source names what is not known.
 
-    A line needs speed limits and gradients: it gets the highest speed driven, rounded up to
-    5 km/h, and level track, and its `source` states so.
+    A line needs speed limits: it gets the highest speed driven, rounded up to 5 km/h. Gradients
+    come from the trips' altitudes, with how well they are known as its `survey`; where these do not
+    show them the line is level, and `assumed` has ``"gradients"``: what needs them refuses it.
 
     Examples
     --------
     >>> from trainlog.mcap import read_log
     >>> centre_line = geometry_of([read_log("sample_logs/nonstop.mcap")])
-    >>> line_of(centre_line, "from fixes").source.endswith("tunnels: not known")
-    True
+    >>> line = line_of(centre_line, "from fixes")
+    >>> line.source.endswith("gradients, stations, tunnels: not known"), line.assumed
+    (True, ('speed_limits', 'stations', 'gradients'))
     """
     limit = 5.0 / KMH * np.ceil(max(centre_line.fastest, 1.0) * KMH / 5.0)
     missing = sum(end - start for start, end in centre_line.unsupported)
     source = (
         f"{centre_line.geometry.quality}; chainage counts along the fitted curve;"
         f" {missing:.0f} m without fixes; speed limit: highest speed driven;"
-        " gradients, stations, tunnels: not known"
     )
+    gradients, survey = StepProfile(np.zeros(1), np.zeros(1)), None
+    assumed: tuple[str, ...] = ("speed_limits", "stations")
+    altitude = 0.0
+    if centre_line.gradients_known and centre_line.heights is not None:
+        gradients = _gradient_profile(centre_line.heights)
+        altitude = float(centre_line.heights.height[0])
+        survey = Survey(centre_line.gradient_std, OVER)
+        source += " gradients: from the receivers' altitudes; stations, tunnels: not known"
+    else:
+        assumed = (*assumed, "gradients")
+        source += " gradients, stations, tunnels: not known"
     return Line(
         name=name,
         length=centre_line.length,
         stations=(Station("start", 0.0), Station("end", centre_line.length)),
         speed_limits=StepProfile(np.zeros(1), np.array([limit])),
-        gradients=StepProfile(np.zeros(1), np.zeros(1)),
+        gradients=gradients,
         curvatures=centre_line.curvatures,
+        altitude=altitude,
         geometry=centre_line.geometry,
         source=source,
+        survey=survey,
+        assumed=assumed,
     )
+
+
+def _gradient_profile(heights: HeightProfile) -> StepProfile:
+    """The gradients of a line, one for every half of the stretches over which they are known."""
+    step = heights.position[1] - heights.position[0]
+    edges = np.concatenate(([0.0], heights.position[:-1] + 0.5 * step))
+    return StepProfile(edges, heights.gradient)
+
+
+def _heights(used: list[_Pass], length: float) -> tuple[HeightProfile | None, str]:
+    """Height and gradients from the altitudes of the trips, or why there are none."""
+    rides = []
+    for one in used:
+        known = np.isfinite(one.chainage) & np.isfinite(one.altitude)
+        if np.ptp(one.chainage[known]) < 2.0 * OVER if known.any() else True:
+            continue
+        rides.append(Ride(one.fixes.seconds[known], one.chainage[known], one.altitude[known]))
+    try:
+        return height_profile(rides, length), ""
+    except InputError as error:
+        return None, str(error)
 
 
 def _passes(trips: Sequence[Trip]) -> list[_Pass]:
     """Trips with fixes."""
     found = [
-        _Pass(trip.name, fixes_of(trip), np.zeros(0, dtype=np.complex128))
+        _pass_of(trip)
         for trip in trips
         if "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 10
     ]
@@ -229,6 +309,13 @@ def _passes(trips: Sequence[Trip]) -> list[_Pass]:
             "none of the trips has satellite fixes", remedy="give trips with /gnss/fix"
         )
     return found
+
+
+def _pass_of(trip: Trip) -> _Pass:
+    fixes, frame = fixes_of(trip), trip["/gnss/fix"]
+    altitude = frame["altitude"][~frame.index.duplicated()].reindex(fixes.index)
+    nowhere = np.zeros(0, dtype=np.complex128)
+    return _Pass(trip.name, fixes, nowhere, altitude=altitude.to_numpy(np.float64))
 
 
 def _origin(passes: list[_Pass]) -> tuple[float, float]:
@@ -348,6 +435,7 @@ def _centre_line(
         f"fitted to the satellite fixes of {counted(len(used), 'trip')} (standard deviation"
         f" {np.median(std[support > 0]):.1f} m across the track); not surveyed"
     )
+    heights, no_heights = _heights(used, float(position[-1]))
     kept = thinned(position, points, TOLERANCE)
     kept = kept[(support[kept] > 0) | (kept == 0) | (kept == at.size - 1)]
     bend = curve.curvature(at)
@@ -367,6 +455,8 @@ def _centre_line(
         fixes=sum(int(np.isfinite(p.points).sum()) for p in used),
         rejected=sum(int(p.matched.rejected.sum()) for p in used if p.matched is not None),
         fastest=max(float(p.matched.motion.speed.max()) for p in used if p.matched is not None),
+        heights=heights,
+        no_heights=no_heights,
     )
 
 

@@ -23,6 +23,7 @@ from analysis.plotting import (
 from trainlog.display import counted
 from trainlog.railway.geometry import to_plane
 from trainlog.trip import Trip
+from trainlog.units import PER_MILLE
 
 KILOMETRE = 1e3
 
@@ -38,12 +39,15 @@ def draw_centre_line(centre_line: CentreLine, trips: Sequence[Trip], path: str |
     path : path
         Of the PNG.
     """
-    figure = new_figure(11.0, 7.5)
-    grid = figure.add_gridspec(3, 1, height_ratios=(4, 2, 1))
+    climbs = centre_line.heights is not None
+    figure = new_figure(11.0, 9.5 if climbs else 7.5)
+    grid = figure.add_gridspec(4 if climbs else 3, 1, height_ratios=(4, 2, *[2] * climbs, 1))
     _plan(figure.add_subplot(grid[0]), centre_line, trips)
     bend = figure.add_subplot(grid[1])
     _curvature(bend, centre_line)
-    _support(figure.add_subplot(grid[2], sharex=bend), centre_line)
+    if climbs:
+        _gradient(figure.add_subplot(grid[2], sharex=bend), centre_line)
+    _support(figure.add_subplot(grid[-1], sharex=bend), centre_line)
     refused = f", {len(centre_line.refused)} refused" if centre_line.refused else ""
     used = counted(len(centre_line.used), "trip")
     headline(
@@ -82,6 +86,18 @@ def _curvature(axes: Axes, centre_line: CentreLine) -> None:
     axes.fill_between(at, bend - 1.96 * std, bend + 1.96 * std, color=SKY, alpha=0.4, lw=0)
     axes.plot(at, bend, color=BLUE, lw=0.9)
     dress(axes, x="", y="curvature [1/km]", title="Curvature, to the right positive; 95 % band")
+
+
+def _gradient(axes: Axes, centre_line: CentreLine) -> None:
+    heights = centre_line.heights
+    assert heights is not None
+    at = heights.position / KILOMETRE
+    known = np.where(heights.known, PER_MILLE, np.nan)
+    slope, std = heights.gradient * known, heights.gradient_std * known
+    axes.fill_between(at, slope - 1.96 * std, slope + 1.96 * std, color=SKY, alpha=0.4, lw=0)
+    axes.plot(at, slope, color=BLUE, lw=0.9)
+    title = "Gradient over 500 m, from the trips' altitudes; 95 % band"
+    dress(axes, x="", y="gradient [‰]", title=title)
 
 
 def _support(axes: Axes, centre_line: CentreLine) -> None:

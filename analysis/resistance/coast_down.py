@@ -23,6 +23,7 @@ from rich.table import Table
 
 from analysis.given import Given, each_given
 from analysis.resistance.coasting_detection import (
+    SPACING,
     TYPICAL,
     TYPICAL_STD,
     Detection,
@@ -432,7 +433,35 @@ def _located(trip: Trip, line: Line | None) -> tuple[Motion, Line]:
             place="topics /estimates/state and /train/state",
             remedy="ingest the recording with --line, which turns satellite fixes into chainage",
         )
-    return motion, travelled(trip, line)
+    way = travelled(trip, line)
+    check_gradients(trip.name, way)
+    return motion, way
+
+
+def check_gradients(trip: str, line: Line) -> None:
+    """Refuse a line that only assumes its gradients, or states them too roughly.
+
+    Raises
+    ------
+    NotIdentifiableError
+        Coasting and a slight effort are distinguished only where gradients are known to half of
+        the spacing of the levels of effort.
+    """
+    worst = 0.5 * SPACING / GRAVITY
+    if line.survey is not None and line.survey.gradient_std > worst:
+        raise NotIdentifiableError(
+            f"trip '{trip}': the gradients of line '{line.name}' are known to"
+            f" {PER_MILLE * line.survey.gradient_std:.1f} per mille only, and coasting cannot be"
+            f" found from motion above {PER_MILLE * worst:.1f} per mille",
+            remedy="give more rides or better altitudes when the line is built, or take what needs"
+            " no gradients ('--gradient unknown')",
+        )
+    if "gradients" in line.assumed:
+        raise NotIdentifiableError(
+            f"trip '{trip}': the gradients of line '{line.name}' are not known",
+            remedy="build the line from three or more rides whose receivers give altitudes, state"
+            " its gradients, or take what needs none ('--gradient unknown')",
+        )
 
 
 def one_train(trips: Sequence[Trip]) -> tuple[Train | None, str]:

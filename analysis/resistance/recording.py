@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from estimators.motion import smooth_motion
 from trainlog.errors import LogError, NotIdentifiableError
+from trainlog.formats.attached import line_of
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
-from trainlog.trip import Trip, seconds
+from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -339,6 +340,13 @@ def check_recorded(trip: Trip) -> None:
             f"trip '{trip.name}': no {column.replace('_', ' ')} recorded",
             place=f"topic {topic}",
             remedy="running resistance needs speed, chainage and tractive effort",
+        )
+    if LINE_ATTACHMENT in trip.attachments and "gradients" in line_of(trip).assumed:
+        raise TripRefusedError(
+            "not recorded",
+            f"trip '{trip.name}': the gradients of line '{line_of(trip).name}' are not known",
+            remedy="build the line from rides whose receivers give altitudes, or state its"
+            " gradients",
         )
 
 

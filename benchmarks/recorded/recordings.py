@@ -20,7 +20,7 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.formats.ttobench import read_track, read_train as read_published_train
-from trainlog.railway import Geometry, Line, Train
+from trainlog.railway import CurvatureProfile, Geometry, Line, Train
 from trainlog.railway.geometry import from_plane
 from trainlog.simulation import Run, Scenario, Sensors, draw_scenarios, drive, recorded
 from trainlog.trip import Trip
@@ -37,15 +37,16 @@ PAIRS = (
 """Line and train of the trips."""
 
 
-def made_up_geometry(length: float) -> Geometry:
-    """Bends of 500 m and straights: these lines are published without coordinates."""
+def made_up_course(length: float) -> tuple[Geometry, CurvatureProfile]:
+    """Bends of 1,500 m and straights: these lines are published without coordinates."""
     s = np.arange(0.0, length + 10.0, 10.0)
-    curvature = np.clip(3.0 * np.sin(s / 600.0), -1.0, 1.0) / 500.0
+    curvature = np.clip(3.0 * np.sin(s / 600.0), -1.0, 1.0) / 1500.0
     heading = 0.3 + np.concatenate(([0.0], np.cumsum(curvature * 10.0)))
     middle = 0.5 * (heading[1:] + heading[:-1])
     points = np.concatenate(([0.0], np.cumsum(10.0 * np.exp(1j * middle))))[: s.size]
     latitude, longitude = from_plane(points, (47.0, 9.0))
-    return Geometry(s, latitude, longitude, "made up")
+    bends = CurvatureProfile(s[:-2], curvature[:-2], curvature[1:-1])
+    return Geometry(s, latitude, longitude, "made up"), bends
 
 
 @cache
@@ -58,7 +59,8 @@ def line_and_train(pair: int, published: Path) -> tuple[Line, Train]:
         ("00_reference", "NL_Intercity_VIRM6"),
     )[pair - 1]
     line = read_track(published / "tracks" / f"{track}.json")
-    line = replace(line, geometry=made_up_geometry(line.length))
+    geometry, curvatures = made_up_course(line.length)
+    line = replace(line, geometry=geometry, curvatures=curvatures)
     return line, read_published_train(published / "trains" / f"{train}.json")
 
 

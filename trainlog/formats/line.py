@@ -96,6 +96,7 @@ class _LineFile(File):
     tunnels: _Tunnels | None = None
     braking_parameters: _Braking | None = None
     geometry: _Geometry | None = None
+    assumed: list[str] | None = None
 
     def content(self) -> Line:
         return self.line()
@@ -128,6 +129,7 @@ class _LineFile(File):
             source=self.source,
             braking_parameters=self.braking_parameters or {},
             survey=survey,
+            assumed=tuple(self.assumed or ()),
         )
 
     @staticmethod
@@ -143,6 +145,7 @@ class _LineFile(File):
             curvatures=None if curves is None else radii(curves),
             tunnels=tunnel_columns(line.tunnels),
             braking_parameters=line.braking_parameters or None,
+            assumed=list(line.assumed) or None,
             geometry=None
             if geometry is None
             else _Geometry.holding(

@@ -319,6 +319,9 @@ class Line:
         ETCS braking parameters of the track by their published names and in published units.
     survey : Survey or None
         How well the gradients are known, where it is.
+    assumed : tuple of str
+        Fields that the source does not give, such as ``"gradients"``: they hold assumptions, and
+        what needs them refuses the line.
 
     Examples
     --------
@@ -348,6 +351,7 @@ class Line:
     source: str = ""
     braking_parameters: dict[str, float] = field(default_factory=dict)
     survey: Survey | None = None
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         problems = list(self._problems())
@@ -570,6 +574,7 @@ class Line:
             source=self.source,
             braking_parameters=self.braking_parameters,
             survey=self.survey,
+            assumed=self.assumed,
         )
 
 

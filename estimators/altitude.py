@@ -1,0 +1,290 @@
+"""The height of a line, and its gradient, from the altitudes of several rides along it.
+
+A receiver's altitude errs by metres, for minutes: its errors last in *time*. The line's height is
+the same for all rides, and its gradient lasts along the *line*. With h(s) the height, b_i the mean
+error of ride i and e_i(t) the rest of it,
+
+    z_i(t) = h(s_i(t)) + b_i + e_i(t),    g = dh/ds,
+
+e_i an Ornstein-Uhlenbeck process in time (standard deviation sigma, lasting tau), g one along the
+line (gamma, lambda). e_k - rho_k e_{k-1}, rho_k = exp(-(t_k - t_{k-1}) / tau), are independent, so
+that the heights of knots follow from a sparse system of normal equations. The four sizes maximise
+the marginal likelihood with weak priors. Whether the rides err in this way is checked against how
+they differ from the common height: the covariance of the gradients is compared with its
+cluster-robust estimate, the rides being the clusters, and widened by it.
+
+References
+----------
+Rasmussen, C. E., Williams, C. K. I. (2006), Gaussian Processes for Machine Learning, section 5.4.1:
+marginal likelihood.
+Rue, H., Held, L. (2005), Gaussian Markov Random Fields, chapter 2: sparse precision matrices.
+Liang, K.-Y., Zeger, S. L. (1986), Longitudinal data analysis using generalized linear models,
+Biometrika 73(1), eq. (2.5): covariance that is robust to the correlation within a cluster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.sparse import csc_array, csr_array, diags_array, vstack
+from scipy.sparse.linalg import SuperLU, splu
+
+from trainlog.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+KNOTS = 50.0
+"""Distance between the knots of the height [m]."""
+
+OVER = 500.0
+"""Length over which gradients are averaged [m]: a receiver's altitudes show nothing shorter."""
+
+APART = 5.0
+"""Altitudes of a ride are averaged over so long [s]: their errors last longer."""
+
+MEAN_ERROR = 20.0
+"""Standard deviation of a ride's mean error [m]: height above the ellipsoid or the sea, antenna."""
+
+SIZES = np.log([5.0, 60.0, 8e-3, 500.0])
+"""What is expected of sigma [m], tau [s], gamma and lambda [m], as logarithms."""
+
+SIZES_STD = np.array([1.0, 1.0, 0.7, 0.7])
+"""Standard deviation of these logarithms."""
+
+FEWEST = 3
+"""Least number of rides: how they differ shows how they err."""
+
+LARGEST_STD = 4e-3
+"""A gradient with a larger standard deviation is not known: half of what gradients vary by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ride:
+    """Altitudes of one ride; (n,) arrays.
+
+    Attributes
+    ----------
+    time : array [s]
+        Increasing.
+    position : array [m]
+        Along the line, from 0.
+    altitude : array [m]
+    """
+
+    time: FloatArray
+    position: FloatArray
+    altitude: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class HeightProfile:
+    """The height of a line and its mean gradients over `OVER`; (k,) arrays.
+
+    Attributes
+    ----------
+    position : array [m]
+        Middle of each stretch of `OVER`.
+    gradient, gradient_std : array
+        Rise over run of the stretch.
+    known : bool array
+        Whether the altitudes show it, to `LARGEST_STD`; else it is what is expected of any line.
+    knots, height : (n,) array [m]
+        Where, and how high the line is.
+    sigma, tau : float [m], [s]
+        Size of the rides' altitude errors, and how long they last.
+    widened : float
+        By which the rides differ more than such errors explain; 1 where they do not.
+    """
+
+    position: FloatArray
+    gradient: FloatArray
+    gradient_std: FloatArray
+    known: NDArray[np.bool_]
+    knots: FloatArray
+    height: FloatArray
+    sigma: float
+    tau: float
+    widened: float
+
+
+def height_profile(rides: Sequence[Ride], length: float) -> HeightProfile:
+    """Height and gradients of a line from rides along it, in either direction.
+
+    Parameters
+    ----------
+    rides : sequence of Ride
+    length : float [m]
+        Of the line.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than `FEWEST` rides, or the line is shorter than two stretches.
+
+    Examples
+    --------
+    Ten rides over a line that climbs by 5 per mille; their altitudes err by 3 m for a minute:
+
+    >>> import numpy as np
+    >>> rng, time = np.random.default_rng(1), np.arange(0.0, 400.0, 5.0)
+    >>> lasting = np.exp(-np.abs(time[:, None] - time) / 60.0)
+    >>> errors = 3.0 * np.linalg.cholesky(lasting) @ rng.standard_normal((80, 10))
+    >>> rides = [Ride(time, 20.0 * time, 500.0 + 0.1 * time + error) for error in errors.T]
+    >>> profile = height_profile(rides, 8_000.0)
+    >>> print(f"{1e3 * np.mean(profile.gradient):.1f} per mille, sigma {profile.sigma:.0f} m")
+    4.6 per mille, sigma 3 m
+    """
+    if len(rides) < FEWEST:
+        raise InputError(
+            f"{len(rides)} rides with altitudes do not show how much these err",
+            remedy=f"give {FEWEST} or more along the line",
+        )
+    if length < 2.0 * OVER:
+        raise InputError(
+            f"a line of {length:.0f} m is too short for gradients from altitudes",
+            remedy=f"give a line of {2.0 * OVER:.0f} m or more",
+        )
+    system = _System.of([_averaged(ride) for ride in rides], length)
+    found = minimize(
+        lambda place: system.solved(place).deviance,
+        np.zeros(4),
+        method="Nelder-Mead",
+        options={
+            "xatol": 0.05,
+            "fatol": 0.1,
+            "maxfev": 150,
+            "initial_simplex": np.vstack([np.zeros(4), 0.5 * np.eye(4)]),
+        },
+    )
+    return _profile(system, system.solved(np.asarray(found.x)))
+
+
+def _averaged(ride: Ride) -> Ride:
+    """The ride with one altitude every `APART` seconds: the median, which no spike moves."""
+    known = np.isfinite(ride.position) & np.isfinite(ride.altitude)
+    time, position, altitude = ride.time[known], ride.position[known], ride.altitude[known]
+    _, first = np.unique(np.floor(time / APART), return_index=True)
+    parts = zip(first, np.append(first[1:], time.size), strict=True)
+    rows = [
+        (time[a:b].mean(), position[a:b].mean(), np.median(altitude[a:b]))
+        for a, b in parts
+        if b > a
+    ]
+    return Ride(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Heights and mean errors for some sizes of the noise."""
+
+    sizes: FloatArray
+    deviance: float
+    heights: FloatArray
+    factor: SuperLU
+    whitened: list[tuple[csr_array, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """The altitudes as linear functions of the heights of the knots and the rides' mean errors."""
+
+    count: int
+    origin: float
+    rides: list[tuple[FloatArray, csr_array, FloatArray]]
+
+    @staticmethod
+    def of(rides: Sequence[Ride], length: float) -> _System:
+        count = int(np.ceil(length / KNOTS)) + 1
+        origin = float(np.median(np.concatenate([ride.altitude for ride in rides])))
+        rows = []
+        for number, ride in enumerate(rides):
+            place = np.clip(ride.position / KNOTS, 0.0, count - 1.0)
+            knot = np.minimum(place.astype(np.int64), count - 2)
+            share, one = place - knot, np.arange(ride.time.size)
+            matrix = csr_array(
+                (
+                    np.concatenate((1.0 - share, share, np.ones(one.size))),
+                    (np.tile(one, 3), np.concatenate((knot, knot + 1, 0 * one + count + number))),
+                ),
+                shape=(one.size, count + len(rides)),
+            )
+            rows.append((ride.time, matrix, ride.altitude - origin))
+        return _System(count, origin, [row for row in rows if row[0].size > 1])
+
+    def solved(self, place: FloatArray) -> _Solved:
+        """The heights for the sizes at `place`, standard deviations from what is expected."""
+        sizes = np.exp(SIZES + SIZES_STD * place)
+        sigma, tau, gamma, lasting = sizes
+        whitened, logarithm = [], 0.0
+        for time, matrix, altitude in self.rides:
+            rho = np.exp(-np.diff(time) / tau)
+            std = np.concatenate(([sigma], sigma * np.sqrt(1.0 - rho**2)))
+            back = diags_array([np.ones(time.size), -rho], offsets=[0, -1])
+            whitening = (diags_array(1.0 / std) @ back).tocsr()
+            whitened.append(((whitening @ matrix).tocsr(), whitening @ altitude))
+            logarithm += 2.0 * float(np.sum(np.log(std)))
+        prior = self._prior(gamma, lasting)
+        keep = np.exp(-KNOTS / lasting)
+        logarithm += (self.count - 2) * np.log(gamma**2 * (1.0 - keep**2)) + 2.0 * np.log(gamma)
+        left = vstack([*(rows for rows, _ in whitened), prior]).tocsc()
+        right = np.concatenate([*(values for _, values in whitened), np.zeros(prior.shape[0])])
+        factor = splu(csc_array(left.T @ left))
+        heights = factor.solve(left.T @ right)
+        residual = right - left @ heights
+        determinant = float(np.sum(np.log(np.abs(factor.U.diagonal()))))
+        deviance = 0.5 * (logarithm + determinant + residual @ residual + place @ place)
+        return _Solved(sizes, float(deviance), heights, factor, whitened)
+
+    def _prior(self, gamma: float, lasting: float) -> csr_array:
+        """What is expected of gradients and mean errors, as rows of unit variance."""
+        count, size = self.count, self.rides[0][1].shape[1]
+        gradient = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, size)).tocsr() / KNOTS
+        keep = np.exp(-KNOTS / lasting)
+        change = (gradient[1:] - keep * gradient[:-1]) / (gamma * np.sqrt(1.0 - keep**2))
+        errors = np.arange(size - count)
+        mean = csr_array(
+            (np.full(errors.size, 1.0 / MEAN_ERROR), (errors, count + errors)),
+            shape=(errors.size, size),
+        )
+        # The height of the whole is only known as well as the mean errors are.
+        anchor = csr_array(([1e-3], ([0], [0])), shape=(1, size))
+        return vstack([gradient[[0]] / gamma, change, mean, anchor]).tocsr()
+
+
+def _profile(system: _System, solved: _Solved) -> HeightProfile:
+    """The gradients of stretches of `OVER`, their bands widened where the rides ask for it."""
+    across = round(OVER / KNOTS)
+    starts = np.arange(0, system.count - across, across // 2)
+    columns = np.arange(starts.size)
+    mean = np.zeros((solved.heights.size, starts.size))
+    mean[starts + across, columns], mean[starts, columns] = 1.0 / OVER, -1.0 / OVER
+    solution = solved.factor.solve(mean)
+    variance = np.sum(mean * solution, axis=0)
+    effects = [rows @ solution for rows, _ in solved.whitened]
+    model = np.sum([np.sum(effect**2, axis=0) for effect in effects], axis=0)
+    robust = np.sum(
+        [
+            ((values - rows @ solved.heights) @ effect) ** 2
+            for (rows, values), effect in zip(solved.whitened, effects, strict=True)
+        ],
+        axis=0,
+    )
+    rides = len(solved.whitened)
+    widened = max(1.0, float(np.sqrt(robust.mean() / model.mean() * rides / (rides - 1.0))))
+    gradient = mean.T @ solved.heights
+    std = np.sqrt(variance + (widened**2 - 1.0) * model)
+    return HeightProfile(
+        position=np.asarray(KNOTS * (starts + 0.5 * across), dtype=np.float64),
+        gradient=gradient,
+        gradient_std=std,
+        known=std < LARGEST_STD,
+        knots=np.asarray(KNOTS * np.arange(system.count), dtype=np.float64),
+        height=solved.heights[: system.count] + system.origin,
+        sigma=float(solved.sizes[0]),
+        tau=float(solved.sizes[1]),
+        widened=widened,
+    )
