@@ -69,6 +69,8 @@ class Matched:
         At every row.
     position_noise, speed_noise : ReceiverNoise or None
         As estimated on this trip [m], [m/s].
+    along_std : float [m]
+        Of a further noise of the positions, along the line alone: fixes that come late.
     delay : float [s]
         By which the satellite speed came late; it was put back by it.
     reasons : str
@@ -84,6 +86,7 @@ class Matched:
     motion: SmoothedMotion
     position_noise: ReceiverNoise
     speed_noise: ReceiverNoise | None
+    along_std: float
     delay: float
     reasons: str
 
@@ -161,6 +164,7 @@ def chainage_of(
         motion=motion,
         position_noise=work.position_noise,
         speed_noise=work.speed_noise,
+        along_std=work.along_std,
         delay=speeds.delay,
         reasons=speeds.words(int(np.count_nonzero(work.contradicted & ~speeds.aside))),
     )

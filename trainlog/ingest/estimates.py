@@ -186,6 +186,8 @@ def _noise_of(matched: Matched) -> dict[str, str]:
         "receiver.position_std": f"{noise.std:.1f}",
         "receiver.position_time": f"{noise.time:.0f}",
     }
+    if matched.along_std:
+        found["receiver.along_std"] = f"{matched.along_std:.0f}"
     if matched.speed_noise is not None:
         found["receiver.speed_std"] = f"{matched.speed_noise.std:.2f}"
         found["receiver.speed_time"] = f"{matched.speed_noise.time:.0f}"

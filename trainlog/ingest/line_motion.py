@@ -51,6 +51,9 @@ SLOWEST = 1.0
 SMALLEST_NOISE = 0.3, 0.02
 """Standard deviations that no receiver undercuts: of a position [m], of a speed [m/s]."""
 
+UNSEEN_SPREAD, UNSEEN_DENSITY = 0.6, 6.0
+"""The least of both where no speed was measured."""
+
 LOST_AFTER = 15.0
 """Steps between measurements further apart than this [s] are an outage."""
 
@@ -61,6 +64,16 @@ SPEED_SPREAD = 0.4, 1.2
 """Least and largest standard deviation of a train's acceleration [m/s²]: trains that rarely
 change speed, trams."""
 
+
+SPARSE = 2.5
+"""Fixes further apart than this [s] are rare."""
+
+LEAST_PREDICTED, FOLDS, PREDICTED = 8, 4, 10.0
+"""Fixes from which on they are left out and predicted, in so many parts, each in stretches of so
+long [s] or a fix."""
+
+MOST_ALONG = 500.0
+"""Largest noise along the line alone [m]."""
 
 LEAST_FREEDOM = 3.0
 """Least number of independent values that the size of errors is taken to rest on."""
@@ -83,6 +96,7 @@ class LineMotion:
         hold: float,
     ) -> None:
         self.hold = hold
+        self.along_std = 0.0
         self.track, self.points, self.fixes = track, points, fixes
         self.gated, self.slip_aware = gated, slip_aware
         self.known = np.isfinite(points)
@@ -110,6 +124,10 @@ class LineMotion:
             if turn < 3:
                 self._size(np.where(fitting, aside, np.nan), pace, smoothed=motion is not None)
             last = position
+            if turn < 3:
+                self._size_along(
+                    np.where(np.abs(aside) < GATE * self._usual(aside), chainage, np.nan)
+                )
             motion = self._smoothed()
             position, pace = motion.position, motion.speed
             ratio = 1.0 - motion.wheel_error
@@ -177,6 +195,56 @@ class LineMotion:
         freedom = max(float(apart.sum()) / (4.0 * noise.time), LEAST_FREEDOM)
         self.unsure = float(t_distribution.ppf(0.975, freedom)) / 1.96
 
+    def _size_along(self, chainage: FloatArray) -> None:
+        """Noise along the line alone, from fixes that are left out and predicted by the others.
+
+        A fix that comes late, as phones replay them, lies on the line, behind the train: what
+        departs beside the line does not show it. Only where fixes are rare or come without a speed;
+        else the integral of the speed shows it.
+        """
+        seconds = self.fixes.seconds
+        known = np.flatnonzero(np.isfinite(chainage))
+        spacing = float(np.median(np.diff(seconds[known]))) if known.size > 1 else 0.0
+        if known.size < LEAST_PREDICTED or (spacing < SPARSE and self.speed_noise is not None):
+            return
+        _, first = np.unique(np.floor(seconds / max(0.5 * spacing, 1.0)), return_index=True)
+        rows = np.unique(np.concatenate([first, known])) if spacing >= 1.0 else first
+        seen = np.isfinite(chainage[rows]) & (np.isfinite(self.chainage[rows]))
+        judged = np.isfinite(chainage[rows])
+        number = np.floor(seconds[rows] / max(PREDICTED, 1.01 * spacing)).astype(np.int64) % FOLDS
+        own = self._position_std()[rows]
+        for _ in range(4):
+            error, std = np.full(rows.size, np.nan), np.ones(rows.size)
+            for fold in range(FOLDS):
+                out = number == fold
+                given = np.where(seen & ~out, chainage[rows], np.nan)
+                if np.count_nonzero(np.isfinite(given)) < 4:
+                    continue
+                motion = self._smoothed(given, rows=rows)
+                asked = out & judged
+                error[asked] = (chainage[rows] - motion.position)[asked]
+                std[asked] = np.hypot(motion.position_std, np.hypot(own, self.along_std))[asked]
+            found = np.isfinite(error)
+            if np.count_nonzero(found) < LEAST_PREDICTED:
+                return
+            ratio = float(np.quantile(np.abs(error[found]) / std[found], 0.95)) / 1.96
+            if ratio < 1.05:
+                return
+            usual = np.median(np.hypot(own, self.along_std)[found])
+            self.along_std = float(np.hypot(self.along_std, usual * np.sqrt(ratio**2 - 1.0)))
+            self.along_std = min(self.along_std, MOST_ALONG)
+
+    def _position_std(self) -> FloatArray:
+        """Standard deviation of each fix [m]."""
+        noise = self.position_noise
+        white = np.hypot(noise.white, SMALLEST_NOISE[0]) * np.sqrt(self.position_count)
+        return np.asarray(np.hypot(white, noise.lasting) * self.relative)
+
+    def _usual(self, aside: FloatArray) -> FloatArray:
+        """Usual distance of each fix beside the line, as a standard deviation [m]."""
+        size = MEDIAN_TO_STD * float(np.median(np.abs((aside / self.relative)[self.known])))
+        return np.hypot(max(size, SMALLEST_NOISE[0]) * self.relative, GEOMETRY_STD)
+
     def _size_agility(self, pace: FloatArray) -> None:
         """Standard deviation of the acceleration, from the changes of speed over 10 s."""
         seconds = self.fixes.seconds
@@ -186,7 +254,12 @@ class LineMotion:
         share = 10.0 / ACCELERATION_TIME
         per_unit = 2.0 * ACCELERATION_TIME**2 * (share + np.expm1(-share))
         size = float(np.sqrt(np.mean(change**2) / per_unit)) if change.size else 0.0
-        self.acceleration_std = float(np.clip(size, *SPEED_SPREAD))
+        least, most = SPEED_SPREAD
+        densities = OUTAGE_DENSITY
+        if np.count_nonzero(np.isfinite(self.fixes.speed)) < 20:
+            # Smoothed positions hide how hard a train brakes: any train then.
+            least, densities = UNSEEN_SPREAD, (UNSEEN_DENSITY, OUTAGE_DENSITY[1])
+        self.acceleration_std = float(np.clip(size, least, most))
         # Over an outage a train brakes, stands and starts: what counts is how much its speed
         # changes over as long.
         measured = np.isfinite(self.chainage) | np.isfinite(self.fixes.speed)
@@ -200,7 +273,7 @@ class LineMotion:
             if np.count_nonzero(np.isfinite(square)) > lag:
                 density.append(float(np.nanmean(square)) / (10.0 * lag))
         usual = 2.0 * self.acceleration_std**2 * ACCELERATION_TIME
-        outage = float(np.clip(max(density), *OUTAGE_DENSITY))
+        outage = float(np.clip(max(density), *densities))
         self.unmeasured = np.where(apart > LOST_AFTER, max(outage / usual, 1.0), 1.0)
 
     def _calibrated(self, motion: SmoothedMotion) -> SmoothedMotion:
@@ -223,7 +296,12 @@ class LineMotion:
             speed_std=_widened(across.speed[rows], motion.speed_std, rows, 0.0),
         )
 
-    def _smoothed(self, along: FloatArray | None = None, factor: float = 1.0) -> SmoothedMotion:
+    def _smoothed(
+        self,
+        along: FloatArray | None = None,
+        factor: float = 1.0,
+        rows: NDArray[np.int64] | slice = slice(None),
+    ) -> SmoothedMotion:
         """The motion by the chainage, or by other positions and the speeds times a factor."""
         fixes, noise, speeds = self.fixes, self.position_noise, self.speed_noise
         white = np.maximum(noise.white, SMALLEST_NOISE[0]) * np.sqrt(self.position_count)
@@ -235,16 +313,17 @@ class LineMotion:
         wheels, wheel_std = fixes.wheel_speed, fixes.wheel_speed_std
         if wheels is not None and wheel_std is not None:
             step = float(np.median(np.diff(fixes.seconds[np.isfinite(wheels)])))
-            wheels = np.where(self.slipping, np.nan, wheels) * factor
+            wheels = (np.where(self.slipping, np.nan, wheels) * factor)[rows]
             # White noise of this size carries as much, taken together, as errors that last.
-            wheel_std = wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step))
+            wheel_std = (wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step)))[rows]
+        lasting = self.unsure * noise.lasting * self.relative
         return smooth_motion(
-            fixes.seconds,
-            speed * factor,
-            speed_white,
-            self.chainage if along is None else along,
-            white * self.relative,
-            lasting_std=np.hypot(self.unsure * noise.lasting * self.relative, GEOMETRY_STD),
+            fixes.seconds[rows],
+            speed[rows] * factor,
+            speed_white[rows],
+            self.chainage[rows] if along is None else along,
+            np.hypot(white * self.relative, self.along_std)[rows],
+            lasting_std=np.hypot(lasting, GEOMETRY_STD)[rows],
             lasting_speed_std=speed_lasting,
             wheel_speed=wheels,
             wheel_speed_std=wheel_std,
@@ -253,7 +332,7 @@ class LineMotion:
                 position_time=noise.time,
                 speed_time=LASTING_TIME if speeds is None else speeds.time,
                 drift=DRIFT,
-                unmeasured=self.unmeasured,
+                unmeasured=self.unmeasured[rows],
             ),
         )
 
@@ -261,10 +340,9 @@ class LineMotion:
         self, chainage: FloatArray, aside: FloatArray, motion: SmoothedMotion
     ) -> BoolArray:
         """Fixes that do not go with the motion, along the line or beside it."""
-        usual = MEDIAN_TO_STD * float(np.median(np.abs((aside / self.relative)[self.known])))
-        std = np.maximum(usual, SMALLEST_NOISE[0]) * self.relative
-        std = np.hypot(std, GEOMETRY_STD)
-        along = (chainage - motion.position) / np.hypot(std, motion.position_std)
+        std = self._usual(aside)
+        spread = np.sqrt(std**2 + motion.position_std**2 + self.along_std**2)
+        along = (chainage - motion.position) / spread
         departure = np.hypot(along, aside / std)
         departure[_ends(self.track, chainage, std)] = np.inf
         return held(departure, self.fixes.seconds, GATE, HOLD)
