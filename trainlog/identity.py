@@ -116,8 +116,7 @@ class TripIdentity:
     def text(self) -> str:
         """The identity as files hold it; `identity_from_text` reads it."""
         data = base64.b64encode(self.blocks.astype("<u8").tobytes()).decode("ascii")
-        ends = f"{self.start.isoformat()} {self.end.isoformat()}"
-        return f"{ends} {self.samples} {self.source or '-'} {data}"
+        return f"{self.start.value} {self.end.value} {self.samples} {self.source or '-'} {data}"
 
 
 def identity_of(trip: Trip) -> TripIdentity | None:
@@ -196,12 +195,39 @@ def identity_from_text(text: str) -> TripIdentity | None:
     try:
         start, end, samples, source, data = text.split(" ")
         blocks = np.frombuffer(base64.b64decode(data, validate=True), dtype="<u8").astype(np.uint64)
-        ends = pd.Timestamp(start), pd.Timestamp(end)
-        return TripIdentity(*ends, int(samples), blocks, "" if source == "-" else source)
+        first, last = (pd.Timestamp(int(each), tz="UTC") for each in (start, end))
+        return TripIdentity(first, last, int(samples), blocks, "" if source == "-" else source)
     except (ValueError, binascii.Error) as error:
         raise InputError(
             f"'{text[:40]}' is no identity of a trip", remedy="make the file again from the logs"
         ) from error
+
+
+def overlapping(texts: Sequence[str]) -> list[int]:
+    """The numbers of the identities, as files hold them, whose spans of time meet another's.
+
+    The others are of drives of their own: of many trips most are found to be so without more.
+
+    Raises
+    ------
+    InputError
+        If a text is no identity.
+
+    Examples
+    --------
+    >>> overlapping(["10 20 5 - AAAA", "30 40 5 - AAAA", "18 25 5 - AAAA"])
+    [0, 2]
+    """
+    try:
+        ends = np.array([text.split(" ", 2)[:2] for text in texts], dtype=np.int64).reshape(-1, 2)
+    except ValueError as error:
+        raise InputError(
+            "holds what is no identity of a trip", remedy="make the file again from the logs"
+        ) from error
+    order = np.argsort(ends[:, 0], kind="stable")
+    start, end = ends[order].T
+    after = np.append(start[1:] <= np.maximum.accumulate(end)[:-1], False)
+    return sorted(order[after | np.append(False, after[:-1])].tolist()) if len(texts) else []
 
 
 def text_of(identity: TripIdentity | None) -> str:

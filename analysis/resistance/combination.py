@@ -51,7 +51,7 @@ from trainlog.formats.summaries import (
     parameters_of,
     surveys_of,
 )
-from trainlog.identity import Known, identity_from_text, same_drives
+from trainlog.identity import Known, identity_from_text, overlapping, same_drives
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import KMH
 
@@ -468,7 +468,11 @@ def _lines(rows: pd.DataFrame) -> NDArray[np.int64]:
 def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:
     """Summaries of the drives that determine the curve, in order; errors as `combine`."""
     every = trips if isinstance(trips, pd.DataFrame) else summarised(trips)
-    every = each_drive_once(every)
+    return checked(each_drive_once(every))
+
+
+def checked(every: pd.DataFrame) -> pd.DataFrame:
+    """Of summaries in order those that are not refused; errors as `combine`."""
     rows = every[every["refused"] == ""].reset_index(drop=True)
     if rows.empty:
         raise NotIdentifiableError(
@@ -519,6 +523,7 @@ def each_drive_once(summaries: pd.DataFrame) -> pd.DataFrame:
     """
     rows = ordered(summaries)
     usable = np.flatnonzero((rows["refused"] == "") & (rows["identity"] != ""))
+    usable = usable[overlapping(rows["identity"].iloc[usable].tolist())]
     some = rows.iloc[usable]
     known = [
         Known(trip, identity_from_text(text), (-int(version), digest, trip, text))

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from analysis.resistance.combination import (
     CommonFit,
-    accepted,
+    checked,
     combine,
     each_drive_once,
     nearest_physical,
@@ -140,7 +140,7 @@ def parameter_set(
     check_choice(cover, most, all_trips=True)
     every = trips if isinstance(trips, pd.DataFrame) else summarised(trips)
     every = each_drive_once(every)
-    rows = accepted(every)
+    rows = checked(every)
     common = common or combine(rows)
     betas = _spread_out(common)
     masses = _masses_given(rows, betas)
