@@ -53,6 +53,10 @@ NAMES: dict[str, dict[str, list[str]]] = {
         "number": ["Train number", "Record id"],
         "pressure": ["Brake pipe pressure", "BP"],
         "current": ["Motor current 1", "Line current"],
+        "demand": ["Traction demand", "Requested effort", "F_setpoint"],
+        "remaining": ["Remaining way (distance)", "Remaining distance"],
+        "mean": ["Average speed", "Mean speed"],
+        "rate": ["Acceleration", "a"],
     },
     "de": {
         "time": ["Zeit", "Zeitstempel", "Datum/Zeit", "Datum Uhrzeit"],
@@ -81,6 +85,10 @@ NAMES: dict[str, dict[str, list[str]]] = {
         "number": ["Zugnummer", "Zähler"],
         "pressure": ["Druck HLL", "Hauptluftleitung"],
         "current": ["Strom FM1", "Oberstrom"],
+        "demand": ["Sollzugkraft", "Zugkraft Sollwert"],
+        "remaining": ["Restweg", "Restdistanz"],
+        "mean": ["Durchschnittsgeschwindigkeit", "v mittel"],
+        "rate": ["Beschleunigung", "a"],
     },
     "fr": {
         "time": ["Horodatage", "Temps", "Date et heure"],
@@ -109,6 +117,10 @@ NAMES: dict[str, dict[str, list[str]]] = {
         "number": ["Numéro de train", "Compteur"],
         "pressure": ["Pression CG", "Pression conduite"],
         "current": ["Courant moteur 1", "Courant ligne"],
+        "demand": ["Consigne d'effort", "Effort demandé"],
+        "remaining": ["Distance restante"],
+        "mean": ["Vitesse moyenne"],
+        "rate": ["Accélération", "a"],
     },
 }  # fmt: skip
 
@@ -263,6 +275,15 @@ def draw(folder: Path, seed: int) -> Layout:
         order = writer.rng.permutation(len(columns) - clocks) + clocks
         columns = columns[:clocks] + [columns[i] for i in order]
     path = _written(writer, folder, columns, units)
+    rows = np.arange(seen["time"].size)
+    if "removed" in writer.features:
+        begin, end = writer.features["removed"]
+        rows = np.delete(rows, np.arange(begin, end))
+    if "swapped rows" in writer.features:
+        at = writer.features["swapped rows"]
+        rows[at], rows[at + 1] = rows[at + 1], rows[at]
+    writer.truth = {key: values[rows] for key, values in writer.truth.items()}
+    seen["time"] = seen["time"][rows]
     return Layout(
         path, writer.features, writer.truth, seen["time"], writer.features["zone known"],
         writer.features["day known"], train,
@@ -422,6 +443,8 @@ def _add_others(writer: _Writer, seen: dict[str, np.ndarray]) -> None:
     rng, count = writer.rng, seen["time"].size
     warm = 60.0 + np.cumsum(rng.normal(0.0, 0.05, count))
     stands = seen["speed"] < 0.3
+    limit = np.repeat([22.2, 33.3, 25.0, 40.0], count // 4 + 1)[:count]
+    mean = np.cumsum(seen["speed"]) / np.arange(1, count + 1)
     others = {
         "temperature": ("°C", writer.text(warm, 1)),
         "door_state": ("", ["open" if still else "closed" for still in stands]),
@@ -429,7 +452,12 @@ def _add_others(writer: _Writer, seen: dict[str, np.ndarray]) -> None:
         "number": ("", ["4711"] * count),
         "pressure": ("bar", writer.text(5.0 - 1.2 * (seen["pneumatic"] > 1e3), 2)),
         "current": ("A", writer.text(np.abs(seen["traction"] - seen["dynamic"]) / 400.0, 1)),
-        "set": ("km/h", writer.text(np.full(count, 120.0), 0)),
+        "set": ("km/h", writer.text(0.9 * limit * KMH, 0)),
+        "limit": ("km/h", writer.text(limit * KMH, 0)),
+        "mean": ("km/h", writer.text(mean * KMH, 1)),
+        "remaining": ("m", writer.text(seen["position"].max() - seen["position"], 0)),
+        "demand": ("kN", writer.text(np.roll(seen["traction"], -1) / 1e3, 1)),
+        "rate": ("m/s²", writer.text(np.gradient(seen["speed"], seen["time"] / 1e9), 3)),
     }
     for key in others:
         if rng.random() < 0.35:
@@ -465,12 +493,29 @@ def _written(
     cells = [list(each) for _, _, each in columns]
     _spoil(writer, cells)
     lines += [mark.join(row) for row in zip(*cells, strict=True)]
+    lines = _damage(writer, lines, len(lines) - len(cells[0]))
     encoding = writer.pick("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
     path = folder / f"run-{features['seed']}.csv"
     path.write_bytes(
         ("\r\n" if writer.pick("crlf", [False, True]) else "\n").join(lines).encode(encoding)
     )
     return path
+
+
+def _damage(writer: _Writer, lines: list[str], first: int) -> list[str]:
+    """What happens to recordings: a gap, a row that was cut off, rows out of order."""
+    kind = writer.pick("damage", ["none", "none", "gap", "cut off", "out of order"])
+    middle = (first + len(lines)) // 2
+    if kind == "gap":
+        writer.features["removed"] = (middle - first, middle - first + 20)
+        return lines[:middle] + lines[middle + 20 :]
+    if kind == "cut off":
+        writer.features["removed"] = (len(lines) - first - 1, len(lines) - first)
+        return [*lines[:-1], lines[-1][: len(lines[-1]) // 2]]
+    if kind == "out of order":
+        lines[middle], lines[middle + 1] = lines[middle + 1], lines[middle]
+        writer.features["swapped rows"] = middle - first
+    return lines
 
 
 def _spoil(writer: _Writer, cells: list[list[str]]) -> None:

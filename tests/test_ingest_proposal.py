@@ -18,8 +18,10 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.ingest import Proposal, ingest, propose_profile
+from trainlog.ingest.proposal.vocabulary import DIMENSION, vocabulary
 from trainlog.railway import RunningResistance
 from trainlog.trip import Trip
+from trainlog.units import factor, si_unit
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
 RECORDER = Path("sample_logs/recorder.csv")
@@ -48,7 +50,7 @@ def drive(count: int = 600, step: float = 1.0) -> pd.DataFrame:
 
 def written(folder: Path, columns: dict[str, object], name: str = "run.csv") -> Path:
     path = folder / name
-    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.6g")
+    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9g")
     return path
 
 
@@ -71,6 +73,15 @@ def test_nine_of_ten_layouts_are_read_rightly(verdicts: list[Verdict]) -> None:
     right = sum(verdict.all_right for verdict in verdicts)
     others = [str(verdict) for verdict in verdicts if not verdict.all_right]
     assert right >= 0.9 * len(verdicts), table(verdicts) + "\n".join(others)
+
+
+@pytest.mark.long
+def test_three_hundred_layouts(tmp_path: Path) -> None:
+    verdicts = [judged(draw(tmp_path, seed)) for seed in range(3_000, 3_300)]
+    wrong = [str(verdict) for verdict in verdicts if verdict.silently_wrong]
+    print(table(verdicts))
+    assert len(wrong) <= 3, "\n".join(wrong)
+    assert sum(verdict.all_right for verdict in verdicts) >= 0.95 * len(verdicts)
 
 
 def test_every_column_is_used_or_listed(verdicts: list[Verdict]) -> None:
@@ -215,6 +226,18 @@ def test_a_timetable_is_no_trip(tmp_path: Path) -> None:
         propose_profile(path)
 
 
+def test_a_receiver_beside_the_odometer(tmp_path: Path) -> None:
+    run = drive()
+    latitude = 47.0 + run.s / 111_195.0
+    path = written(
+        tmp_path,
+        {"t [s]": run.t, "Speed": run.v * 3.6, "GPS speed": run.v, "lat": latitude, "lon": 9.0},
+    )
+    proposal = propose_profile(path)
+    assert field(proposal, "/train/state.speed")["unit"] == "km/h"
+    assert field(proposal, "/gnss/motion.speed")["unit"] == "m/s"
+
+
 def test_text_and_tables_without_motion_are_refused(tmp_path: Path) -> None:
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "Temperature [°C]": 20.0 + run.v})
@@ -224,6 +247,36 @@ def test_text_and_tables_without_motion_are_refused(tmp_path: Path) -> None:
     words.write_text("Dear all,\nthe train was late again.\nRegards\n")
     with pytest.raises(InputError, match="is no table"):
         propose_profile(words)
+
+
+def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path: Path) -> None:
+    lines = Path("sample_logs/gnss.csv").read_text().splitlines()[:4000]
+    names = "Jahr,Monat,Tag,Stunde,Minute,Sekunde,Satelliten,Laenge,Breite,Hoehe 1,Hoehe 2,"
+    names += "hAcc,vAcc,v,sAcc,PDOP,"
+    path = tmp_path / "receiver.csv"
+    path.write_text("\n".join([names, *lines[1:]]) + "\n")
+    known = tmp_path / "known.csv"
+    known.write_text("\n".join(lines) + "\n")
+    proposal = propose_profile(path)
+    # The receiver has two altitudes; which of them is meant is open.
+    assert field(proposal, "/gnss/fix.altitude")["alternative"] == "'Hoehe 2'"
+    proposed, true = ingest(path, proposal.profile), ingest(known)
+    for topic in ("/gnss/fix", "/gnss/motion"):
+        for column in set(true[topic]) & set(proposed[topic]) - {"altitude"}:
+            pd.testing.assert_series_equal(proposed[topic][column], true[topic][column])
+    assert {"latitude", "longitude", "altitude"} <= set(proposed["/gnss/fix"])
+
+
+def test_a_user_at_a_terminal_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = drive()
+    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "s [m]": run.s})
+    monkeypatch.setattr("trainlog.cli.proposing._at_terminal", lambda: True)
+    refused = CliRunner().invoke(app, ["ingest", str(path), "-o", str(tmp_path / "out")], "n\n")
+    assert refused.exit_code == 1
+    assert "with " + str(tmp_path / "out" / "run.profile.toml") in " ".join(refused.output.split())
+    agreed = CliRunner().invoke(app, ["ingest", str(path), "-o", str(tmp_path / "out")], "y\n")
+    assert agreed.exit_code == 0, agreed.output
+    assert (tmp_path / "out" / "run.mcap").is_file()
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the public data")
@@ -269,3 +322,11 @@ def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:
         "run-1.profile.toml",
         "run-2.mcap",
     ]
+
+
+def test_every_unit_of_the_vocabulary_is_one_that_a_profile_can_have() -> None:
+    for unit, dimension in DIMENSION.items():
+        if dimension not in ("rotation", "curvature"):
+            assert si_unit(unit), unit
+    assert set(vocabulary()["unit"]) == set(DIMENSION)
+    assert factor("standard_gravity", "m/s^2")[0] == pytest.approx(9.81, rel=1e-3)

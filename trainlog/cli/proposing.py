@@ -93,7 +93,7 @@ class Proposals:
 
     def _asked(self, proposal: Proposal, path: Path) -> bool:
         """Whether the user, at a terminal, agrees."""
-        if self._progress is None or not (console.is_terminal and sys.stdin.isatty()):
+        if self._progress is None or not _at_terminal():
             return False
         self._progress.stop()
         agreed = typer.confirm(f"Ingest {proposal.path.name} with {path}?", default=False)
@@ -108,3 +108,8 @@ class Proposals:
             file=file,
             remedy=f"check it, then: trainlog ingest {file} --profile {path} -o {self._output}",
         )
+
+
+def _at_terminal() -> bool:
+    """Whether a user can be asked."""
+    return console.is_terminal and sys.stdin.isatty()

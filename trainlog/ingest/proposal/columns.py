@@ -166,9 +166,9 @@ def _place_motion(work: Work) -> None:
 
 def _main_speed(work: Work) -> str | None:
     """The column of the train's speed: by name, or else by what it integrates to."""
-    names = work.names.get(roles.SPEED, []) or work.names.get(roles.GNSS_SPEED, [])
-    if names:
-        return names[0]
+    named = work.first(roles.SPEED) or work.first(roles.GNSS_SPEED)
+    if named is not None:
+        return named
     position = work.names.get(roles.POSITION, [])
     if not position:
         return None
@@ -304,7 +304,11 @@ def _add_speed(
     target, other = roles.SPEED, ""
     if roles.SPEED not in work.names:
         target = roles.GNSS_SPEED
-    elif place is not None and not vehicle & {role for role, names in work.names.items() if names}:
+    elif (
+        place is not None
+        and roles.GNSS_SPEED not in work.names
+        and not vehicle & {role for role, names in work.names.items() if names}
+    ):
         target = roles.GNSS_SPEED
         other = f"{roles.SPEED}, if it is the wheels' and not the receiver's"
     assert work.speed is not None
@@ -319,11 +323,9 @@ def _add_speed(
     if place is not None and "fixes" in answer.unexplained:
         other = "; ".join(filter(None, [other, "no unit explains how fast the fixes move"]))
     why, alternative = unit_reason(stated.speed, answer.units.speed, answer.alternatives["speed"])
-    work.names[roles.SPEED if target == roles.SPEED else roles.GNSS_SPEED] = [name]
-    if roles.SPEED in work.names and target == roles.GNSS_SPEED:
-        for second in work.names[roles.SPEED][1:]:
-            work.left[second] = f"a second speed; '{name}' is used"
-        work.names[roles.SPEED] = []
+    work.names[roles.SPEED] = []
+    if target == roles.GNSS_SPEED:
+        work.names[target] = [name]
     backwards = float(np.mean(work.speed[np.isfinite(work.speed)] < -0.5))
     sign: Literal[1, -1] = -1 if backwards > 0.5 else 1
     if sign < 0:

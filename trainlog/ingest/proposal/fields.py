@@ -14,7 +14,7 @@ from trainlog.ingest.proposal.vocabulary import plain, split_unit
 from trainlog.ingest.proposal.work import Proposed, Work
 from trainlog.ingest.recording import field_of
 from trainlog.topics import RECORDED
-from trainlog.units import factor
+from trainlog.units import factor, si_unit
 
 USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
 """Units that a further speed is tried in."""
@@ -221,6 +221,10 @@ def keep_others(work: Work) -> None:
         slug = re.sub(r"[^a-z0-9]+", "_", plain(split_unit(name)[0])).strip("_")
         if not re.match(r"[a-z]", slug) or slug in taken:
             continue
+        try:
+            si_unit(meaning.unit)
+        except InputError:
+            continue
         taken.add(slug)
         del work.left[name]
         work.add(
@@ -246,7 +250,10 @@ def _place_acceleration(work: Work, name: str) -> None:
     if abs(correlation) < 0.5:
         work.left[name] = f"an acceleration that is not the speed's (correlation {correlation:.2f})"
         return
-    off = {unit: abs(np.log(abs(slope) * factor(unit, "m/s^2")[0])) for unit in ("m/s^2", "g")}
+    off = {
+        unit: abs(np.log(abs(slope) * factor(unit, "m/s^2")[0]))
+        for unit in ("m/s^2", "standard_gravity")
+    }
     stated = work.stated(name, "acceleration")
     unit = stated or min(off, key=lambda each: off[each])
     check = f"{slope * factor(unit, 'm/s^2')[0]:.2f} times the change of speed"

@@ -33,7 +33,8 @@ DIMENSION = {
     "degC": "temperature", "K": "temperature",
     "s": "time", "ms": "time", "us": "time", "ns": "time", "min": "time", "h": "time",
     "kW": "power", "MW": "power", "kWh": "energy", "t": "mass", "kg": "mass",
-    "m/s^2": "acceleration", "g": "acceleration", "1/m": "curvature", "1/km": "curvature",
+    "m/s^2": "acceleration",
+    "standard_gravity": "acceleration", "1/m": "curvature", "1/km": "curvature",
 }  # fmt: skip
 """What each unit of the vocabulary measures."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from trainlog.ingest.proposal.checks import Motion
@@ -65,6 +65,8 @@ class Work:
         By field.
     speed : (n,) array, optional [m/s]
         The train's, that others are compared with.
+    rivals : dict of str to list of str
+        Columns of the same role as one that is used, and as well named.
     """
 
     layout: Layout
@@ -78,12 +80,15 @@ class Work:
     proposed: dict[str, Proposed] = field(default_factory=dict)
     readings: list[Reading] = field(default_factory=list)
     speed: FloatArray | None = None
+    rivals: dict[str, list[str]] = field(default_factory=dict)
 
     def first(self, role: str) -> str | None:
         """The column of a role; the others of that role are not used."""
         names = self.names.get(role, [])
         for other in names[1:]:
             self.left[other] = f"a second column for {role}; '{names[0]}' is used"
+            if self.meanings[other].coverage >= 0.9 * self.meanings[names[0]].coverage:
+                self.rivals.setdefault(names[0], []).append(other)
         del names[1:]
         return names[0] if names else None
 
@@ -93,7 +98,11 @@ class Work:
         return unit if unit is not None and DIMENSION[unit] == dimension else ""
 
     def add(self, proposed: Proposed) -> None:
-        """Propose a field."""
+        """Propose a field; another column that it may come from is an alternative."""
+        rivals = [f"'{name}'" for name in self.rivals.get(proposed.columns[0], [])]
+        if rivals and not any(rival in proposed.alternative for rival in rivals):
+            other = "; ".join(filter(None, [proposed.alternative, " or ".join(rivals)]))
+            proposed = replace(proposed, alternative=other)
         self.proposed[proposed.field] = proposed
 
 
