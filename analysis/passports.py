@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from analysis.given import Given, trip_of
 from analysis.resistance.noise import Expected, NoiseParts
@@ -58,9 +59,16 @@ FloatArray = NDArray[np.float64]
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
 """What is read of a log."""
 
-GAIN_STD = 0.05
+GAIN_STD = 0.06
 """Standard deviation of recorded over true effort before a trip is seen: a converter estimates the
 torque of its motors to some per cent, and wheels are worn by some."""
+
+EFFORT_DRIFT = 0.004
+"""Standard deviation of what the gain wanders by over a trip, as motors grow warm."""
+
+SAMPLING = 0.04
+"""Standard deviation of a delay for efforts that are straight lines between samples, over the time
+between two of them."""
 
 DELAY_STD = 0.25
 """Standard deviation of the delay [s] where the trip does not show it."""
@@ -331,6 +339,7 @@ class _Motion:
         self._mass = train.mass + 0.5 * largest_load(train)
         step = float(np.median(np.diff(seconds(trip["/train/state"]))))
         self._width = window_width(seconds(trip["/train/state"]))
+        self._sampling = SAMPLING * step
         white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan
         per_end = (white if np.isfinite(white) else 0.1) * np.sqrt(step / self._width)
         self._noise = replace(Expected.on(line).sizes, speed=max(float(per_end), 0.002))
@@ -361,12 +370,13 @@ class _Motion:
             if abs(change) < 0.02:
                 break
         gradient = np.array([-found[5] / found[0] ** 2, 0.0, 0.0, 0.0, 0.0, 1.0 / found[0]])
-        delay_std = float(np.sqrt(gradient @ covariance @ gradient))
+        delay_std = float(np.hypot(np.sqrt(gradient @ covariance @ gradient), self._sampling))
         ratio = 1.0 / (found[0] * self._train.mass)
         relative = float(np.sqrt(covariance[0, 0])) / abs(float(found[0]))
         # A wrong speed scale enters like mass; so does a wrong share of the rotating parts.
         turning = inertia * GAIN_STD
-        ratio_std = ratio * float(np.sqrt(relative**2 + self._scale.std**2 + turning**2))
+        parts = (relative, self._scale.std, turning, EFFORT_DRIFT)
+        ratio_std = ratio * float(np.linalg.norm(parts))
         if not delay_std < LARGEST_DELAY_STD or not 0.2 < ratio < 5.0:
             raise NotIdentifiableError(
                 "the efforts vary too little for their delay to be seen in the motion"
@@ -451,6 +461,8 @@ class _Motion:
             if (count := begin.size) >= FEWEST_CLUSTERS:
                 robust = inverse @ (scores.T @ scores) @ inverse * count / (count - 1)
                 larger = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+                # So few clusters know their own spread as badly as Student's t says.
+                larger *= float(stdtrit(count - 1, 0.975)) / 1.96
                 covariance = covariance * np.outer(larger, larger)
         return expected + spread * step, covariance * np.outer(spread, spread), squares
 
