@@ -11,7 +11,7 @@ few Newton steps minimise.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dptsv
 from analysis.trajectory.active_set import Answer, multipliers_for_all, shares_of
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.convex import MEAN_SPEED, SLOW, NoSolutionError, Relaxation, power_cells
-from analysis.trajectory.curves import Curves
+from analysis.trajectory.curves import Bounds, Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
@@ -51,6 +51,25 @@ def lower_bound(
 ) -> float:
     """No trajectory of the discretised problem has less worst-case energy than this [J/kg].
 
+    Parameters as `_lower_bound`; the higher of the bounds by either tangent of curves of effort.
+    """
+    curved = problem.curves is not None or problem.dynamic_curves is not None
+    return max(
+        _lower_bound(problem, multipliers, speeds, running_time, spare, squares)
+        for squares in ((False, True) if curved else (False,))
+    )
+
+
+def _lower_bound(
+    problem: DiscreteProblem,
+    multipliers: Multipliers,
+    speeds: FloatArray,
+    running_time: float,
+    spare: FloatArray,
+    squares: bool,
+) -> float:
+    """The bound with one kind of tangents, see `lower_bound`.
+
     Parameters
     ----------
     problem : DiscreteProblem
@@ -62,6 +81,8 @@ def lower_bound(
     spare : (q,) array [s]
         By how much the cells' mean speeds may make a configuration seem later than it is, and
         where it must not pass earlier than some time, earlier.
+    squares : bool
+        See `Curves.bounds`.
 
     Returns
     -------
@@ -73,7 +94,10 @@ def lower_bound(
     mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
     push = step * mean
     motion = multipliers.pull / (push * problem.gain[:, None])
-    pull, brake = _traction_bounds(problem, speeds), _dynamic_bounds(problem, speeds)
+    pull, brake = (
+        bounds(problem, speeds, multipliers, squares)
+        for bounds in (_traction_bounds, _dynamic_bounds)
+    )
     power, dynamic_power, tau = _time_left(problem, multipliers, pull, brake)
 
     price, regained = step, np.zeros(problem.shape)
@@ -97,6 +121,9 @@ def lower_bound(
     square = np.zeros(speeds.shape)
     square[:, 1:] += motion
     square[:, :-1] -= np.exp(-decay) * motion
+    by_square = power * pull.square + dynamic_power * brake.square
+    square[:, 1:] -= 0.5 * by_square
+    square[:, :-1] -= 0.5 * by_square
     linear = np.zeros(speeds.shape)
     half = 0.5 * problem.drag1[:, None] * push * motion
     half = half - 0.5 * (power * pull.slope + dynamic_power * brake.slope)
@@ -119,43 +146,42 @@ def lower_bound(
     return total
 
 
-class _Bounds(NamedTuple):
-    """``effort <= offset + power / v + slope v`` in each cell, (q, n) arrays."""
-
-    offset: FloatArray
-    power: FloatArray
-    slope: FloatArray
-
-
-def _traction_bounds(problem: DiscreteProblem, speeds: FloatArray) -> _Bounds:
-    """Of traction by power or curve, the lower at speeds, (q, n + 1)."""
+def _traction_bounds(
+    problem: DiscreteProblem, speeds: FloatArray, multipliers: Multipliers, squares: bool
+) -> Bounds:
+    """Of traction by power or curve, the lower at speeds (q, n + 1); (q, n) arrays."""
     power = np.broadcast_to(problem.power[:, None], problem.shape)
-    return _bounds_of(problem.curves, power, speeds)
+    time = multipliers.cell_prices(problem) * problem.step
+    most = time / np.maximum(multipliers.power, 1e-300)
+    return _bounds_of(problem.curves, power, speeds, most, squares)
 
 
-def _dynamic_bounds(problem: DiscreteProblem, speeds: FloatArray) -> _Bounds:
+def _dynamic_bounds(
+    problem: DiscreteProblem, speeds: FloatArray, multipliers: Multipliers, squares: bool
+) -> Bounds:
     """Of the dynamic brake."""
     power = np.full(problem.shape, problem.dynamic_power)
-    return _bounds_of(problem.dynamic_curves, power, speeds)
+    time = multipliers.cell_prices(problem) * problem.step
+    most = time / np.maximum(multipliers.dynamic_power, 1e-300)
+    return _bounds_of(problem.dynamic_curves, power, speeds, most, squares)
 
 
-def _bounds_of(curves: Curves | None, power: FloatArray, speeds: FloatArray) -> _Bounds:
+def _bounds_of(
+    curves: Curves | None, power: FloatArray, speeds: FloatArray, most: FloatArray, squares: bool
+) -> Bounds:
     none = np.zeros(power.shape)
+    by_power = Bounds(none, power, none, none)
     if curves is None:
-        return _Bounds(none, power, none)
+        return by_power
     mean = np.maximum(0.5 * (speeds[:, :-1] + speeds[:, 1:]), SLOW)
-    found = [curves.bounds(row, v) for row, v in enumerate(mean)]
-    offset, by_curve, slope = (np.array(each) for each in zip(*found, strict=True))
-    lower = offset + by_curve / mean + slope * mean < power / mean
-    return _Bounds(
-        np.where(lower, offset, none),
-        np.where(lower, by_curve, power),
-        np.where(lower, slope, none),
-    )
+    rows = [curves.bounds(row, v, most[row], squares=squares) for row, v in enumerate(mean)]
+    found = Bounds(*(np.array(each) for each in zip(*rows, strict=True)))
+    lower = (found.at(mean) < by_power.at(mean)) | (power > most)
+    return Bounds(*(np.where(lower, *pair) for pair in zip(found, by_power, strict=True)))
 
 
 def _time_left(
-    problem: DiscreteProblem, multipliers: Multipliers, pull: _Bounds, brake: _Bounds
+    problem: DiscreteProblem, multipliers: Multipliers, pull: Bounds, brake: Bounds
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Multipliers of the power limits, lowered where they would outweigh the time's.
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import cvxpy as cp
@@ -269,7 +270,7 @@ def power_cells(problem: DiscreteProblem, power: float, most: FloatArray) -> NDA
     return np.flatnonzero(power / fastest < most)
 
 
-_AROUND = (0.6, 0.8, 0.9, 1.0, 1.1)
+_AROUND = (0.7, 0.85, 0.93, 1.0, 1.07, 1.15)
 """Times the speeds, at which the relaxation bounds a curve of effort."""
 
 MEAN_SPEED = SPARE
@@ -458,13 +459,15 @@ class Relaxation:
             return
         speeds = 0.5 * self.total[row]
         inverse = 1.0 / speeds
-        for factor in _AROUND:
-            offset, power, slope = curves.bounds(row, np.maximum(factor * speeds, SLOW))
-            half = -0.5 * slope
+        for factor, squares in product(_AROUND, (False, True)):
+            bound = curves.bounds(row, np.maximum(factor * speeds, SLOW), squares=squares)
+            half = -0.5 * bound.slope
             self.below.add(
-                offset,
+                bound.offset,
                 (effort, 1.0),
-                (self.tau[row], -power * inverse),
+                (self.tau[row], -bound.power * inverse),
                 (self.w[row, :-1], half * self.scale[row, :-1]),
                 (self.w[row, 1:], half * self.scale[row, 1:]),
+                (self.unknowns.z[row, :-1], -0.25 * bound.square * self.scale[row, :-1] ** 2),
+                (self.unknowns.z[row, 1:], -0.25 * bound.square * self.scale[row, 1:] ** 2),
             )

@@ -2,15 +2,17 @@
 
 A plan keeps to the highest curve below the train's own that falls with the speed (of the dynamic
 brake: that rises to its peak and falls after it), so that the ends of a cell decide for all of it.
-A lower bound takes ``effort <= offset + power / v + slope v`` instead, tangents of the train's own
-curve from above: linear in the time that a metre takes, as the limit of power is, and in the speed.
-Since a speed and its inverse lie on a curve that bends one way, there is a tangent at every speed.
+A lower bound takes tangents of the train's own curve from above instead, linear in what the
+relaxation is linear in: the time that a metre takes, as the limit of power is, the speed, and half
+its square. A speed, its inverse and its square lie on curves that bend one way: there is a tangent
+at every speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +21,40 @@ from trainlog.railway import EffortCurve
 
 FloatArray = NDArray[np.float64]
 
-_STEEPNESS = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
-"""By which bounds bend up beside the speed of their tangent, over the effort there: the least that
-is above the curve is the best."""
+_STEEPNESS = (0.0, 0.2, 0.34, 0.5, 0.7, 0.85, 1.0, 1.25, 1.6, 2.2, 3.0, 4.0, 6.0, 9.0)
+"""Powers of bounds over that of the effort at their speed: the lowest bound there is the best."""
 
 SPARE = 0.1
 """By which a cell's mean speed may exceed the mean of its ends [m/s]."""
 
-_STANDSTILL = 1e-6
-"""Speed below which bounds are not looked at [m/s]."""
+_SPAN = 0.25
+"""Of speeds, at whose ends a curve and its bounds are compared [m/s]."""
 
 _BESIDE = 0.5
 """Change of speed [m/s] within which a piece that begins beside a speed limits it, too."""
+
+
+class Bounds(NamedTuple):
+    """``effort <= offset + power / v + slope v + square v²/2`` at every speed; arrays of one shape.
+
+    Attributes
+    ----------
+    offset, power, slope, square : array [m/s²], [W/kg], [1/s], [1/m]
+    """
+
+    offset: FloatArray
+    power: FloatArray
+    slope: FloatArray
+    square: FloatArray
+
+    def at(self, speed: FloatArray) -> FloatArray:
+        """The bound at speeds [m/s²]."""
+        found = self.offset + self.power / speed + self.slope * speed
+        return np.asarray(found + 0.5 * self.square * speed**2)
+
+    def raised(self, by: FloatArray) -> Bounds:
+        """The bound, so much higher [m/s²]."""
+        return self._replace(offset=self.offset + by)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,60 +147,65 @@ class Curves:
         curve = by_curve < by_power
         return np.where(curve, by_curve, by_power), np.where(curve, fall, by_power / speed)
 
-    def bounds(self, row: int, speed: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Upper bounds ``offset + power / v + slope v`` of a configuration's effort at any speed.
+    def bounds(
+        self, row: int, speed: FloatArray, most: FloatArray | float = np.inf, *, squares: bool
+    ) -> Bounds:
+        """Upper bounds of a configuration's effort at any speed, low at given ones.
 
         Parameters
         ----------
         row : int
         speed : (n,) array [m/s]
             Where each bound is to be low; above 0.
-
-        Returns
-        -------
-        offset, power, slope : (n,) arrays [m/s²], [W/kg], [1/s]
+        most : (n,) array [W/kg]
+            Power that a bound may have; beyond it time would be worth less than nothing.
+        squares : bool
+            Whether what falls faster than the power is bounded by the square of the speed instead
+            of the speed.
         """
         share = float(self.share[row])
-        v = speed / share
+        v, most = speed / share, most / share
         effort, fall = self.kept(v), self.kept.slope(v)
         best = self._tangent(v)
-        lowest = best[0] + best[1] / v + SPARE * np.maximum(best[2], 0.0)
+        lowest = np.where(best.power <= most, best.at(v), np.inf)
         for steepness in _STEEPNESS:
-            bend = steepness * effort
-            power, slope = bend * v, fall + bend / v
-            offset = effort - fall * v - 2.0 * bend
-            offset = offset + self._excess(offset, power, slope)
-            value = offset + power / v + slope * v + SPARE * np.maximum(slope, 0.0)
+            bend = steepness * np.maximum(effort, -fall * v)
+            power, slope, square = bend * v, fall + bend / v, np.zeros(v.size)
+            rising = slope > 0.0
+            by_square = rising | squares
+            square = np.where(by_square, slope / v, square)
+            slope = np.where(by_square, 0.0, slope)
+            found = Bounds(np.zeros(v.size), power, slope, square)
+            found = found.raised(effort - found.at(v))
+            # The mean speed of a cell may be above that of its ends.
+            found = found.raised(self._excess(found) + SPARE * np.where(rising, square * v, 0.0))
+            value = np.where(power <= most, found.at(v), np.inf)
             better = value < lowest
             lowest = np.where(better, value, lowest)
-            best = tuple(
-                np.where(better, new, old)
-                for new, old in zip((offset, power, slope), best, strict=True)
-            )
-        offset, power, slope = best
-        # The mean speed of a cell may be above that of its ends.
-        return offset + SPARE * np.maximum(slope, 0.0) / share, power * share, slope / share
+            best = Bounds(*(np.where(better, *pair) for pair in zip(found, best, strict=True)))
+        return Bounds(best.offset, best.power * share, best.slope / share, best.square / share**2)
 
-    def _excess(self, offset: FloatArray, power: FloatArray, slope: FloatArray) -> FloatArray:
-        """By how much the curve is above ``offset + power / v + slope v`` at most, (n,) [m/s²].
+    def _excess(self, bound: Bounds) -> FloatArray:
+        """By how much the curve is above bounds at most, (n,) [m/s²].
 
-        Over a straight piece the difference is concave: its peak is known.
+        At the ends of short spans, and what it can rise above them in between.
         """
-        v = np.append(self.own.speeds, max(self.fastest, self.own.speeds[-1] * (1.0 + 1e-9)))
+        offset, power, slope, square = (each[:, None] for each in bound)
+        knots = self.own.speeds[self.own.speeds < self.fastest]
+        v = np.unique(np.concatenate((knots, np.arange(0.0, self.fastest, _SPAN), [self.fastest])))
+        low, high = v[1:-1], v[2:]
         f = self.own(v)
-        low, high = np.maximum(v[:-1], _STANDSTILL), np.maximum(v[1:], _STANDSTILL)
-        change = np.diff(f) / np.diff(v)
-        # Beyond the last point the power stays: below the chord of it in between.
-        net = change - slope[:, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            peak = np.sqrt(power[:, None] / -net)
-        peak = np.clip(np.where(net < 0.0, peak, high), low, high)
-        start = f[:-1] + change * (peak - v[:-1])
-        bound = offset[:, None] + power[:, None] / peak + slope[:, None] * peak
-        return np.asarray(np.maximum((start - bound).max(axis=1), 0.0))
+        above = f[1:] - offset - power / v[1:] - slope * v[1:] - 0.5 * square * v[1:] ** 2
+        bend = 2.0 * power / low**3 + np.maximum(square, 0.0)
+        between = np.maximum(above[:, :-1], above[:, 1:]) + 0.125 * bend * (high - low) ** 2
+        first = v[1]
+        start = f[:2].max() - offset - power / first
+        start = start - np.minimum(slope, 0.0) * first - 0.5 * np.minimum(square, 0.0) * first**2
+        return np.asarray(np.maximum(np.maximum(between.max(axis=1), start[:, 0]), 0.0))
 
-    def _tangent(self, v: FloatArray) -> tuple[FloatArray, ...]:
-        """The bound without slope that is lowest at speeds of the curve."""
+    def _tangent(self, v: FloatArray) -> Bounds:
+        """The bound by power alone that is lowest at speeds of the curve."""
         at = np.searchsorted(-self.begins, -v)
         at = np.clip(at, 0, self.begins.size - 1)
-        return self.offsets[at], self.powers[at], np.zeros(v.size)
+        none = np.zeros(v.size)
+        return Bounds(self.offsets[at], self.powers[at], none, none)
