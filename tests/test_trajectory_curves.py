@@ -75,7 +75,8 @@ def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str)
     assert certificate["audit"]["passed"]
     assert certificate["audit"]["effort"] <= 1.0 + 1e-6
     assert certificate["audit"]["braking"] <= 1.0 + 1e-6
-    assert -1e-6 <= certificate["gap"] <= 0.05
+    # A plan leaves out what rises again, which the bound counts; the certificate states it.
+    assert -1e-6 <= certificate["gap"] <= (5e-3 if train == "bumped" else GAP_TOLERANCE)
     assert certificate["certified"] == (certificate["gap"] <= GAP_TOLERANCE)
     assert np.all(within(TRAINS[train], trajectory) <= 1.0 + 1e-6)
 
@@ -156,7 +157,6 @@ def test_no_plan_needs_less_than_the_bound() -> None:
 
 @pytest.mark.parametrize("train", ["linear", "stepped"])
 def test_ipopt_finds_no_better_plan(train: str) -> None:
-    """Nor where the bound is loose, as that of the stepped curve is."""
     pytest.importorskip("casadi")
     configurations = drawn(TRAINS[train], 2, seed=3, spread=0.05)
     trajectory = optimised(

@@ -19,7 +19,14 @@ from scipy.linalg.lapack import dptsv
 
 from analysis.trajectory.active_set import Answer, multipliers_for_all, shares_of
 from analysis.trajectory.audit import Audit
-from analysis.trajectory.convex import MEAN_SPEED, SLOW, NoSolutionError, Relaxation, power_cells
+from analysis.trajectory.convex import (
+    MEAN_SPEED,
+    SLOW,
+    NoSolutionError,
+    Relaxation,
+    power_cells,
+    reachable,
+)  # fmt: skip
 from analysis.trajectory.curves import Bounds, Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
@@ -48,14 +55,17 @@ def lower_bound(
     speeds: FloatArray,
     running_time: float,
     spare: FloatArray,
+    fastest: FloatArray | None = None,
 ) -> float:
     """No trajectory of the discretised problem has less worst-case energy than this [J/kg].
 
-    Parameters as `_lower_bound`; the higher of the bounds by either tangent of curves of effort.
+    Parameters as `_lower_bound`; the higher of the bounds by either tangent of curves of effort,
+    which need not hold beyond the speeds of the `fastest` run of each configuration.
     """
     curved = problem.curves is not None or problem.dynamic_curves is not None
+    reach = reachable(problem, fastest)
     return max(
-        _lower_bound(problem, multipliers, speeds, running_time, spare, squares)
+        _lower_bound(problem, multipliers, speeds, running_time, spare, reach, squares)
         for squares in ((False, True) if curved else (False,))
     )
 
@@ -66,6 +76,7 @@ def _lower_bound(
     speeds: FloatArray,
     running_time: float,
     spare: FloatArray,
+    reach: FloatArray,
     squares: bool,
 ) -> float:
     """The bound with one kind of tangents, see `lower_bound`.
@@ -81,6 +92,8 @@ def _lower_bound(
     spare : (q,) array [s]
         By how much the cells' mean speeds may make a configuration seem later than it is, and
         where it must not pass earlier than some time, earlier.
+    reach : (q, n + 1) array [m/s]
+        Speeds that no configuration exceeds.
     squares : bool
         See `Curves.bounds`.
 
@@ -95,7 +108,7 @@ def _lower_bound(
     push = step * mean
     motion = multipliers.pull / (push * problem.gain[:, None])
     pull, brake = (
-        bounds(problem, speeds, multipliers, squares)
+        bounds(problem, speeds, reach, multipliers, squares)
         for bounds in (_traction_bounds, _dynamic_bounds)
     )
     power, dynamic_power, tau = _time_left(problem, multipliers, pull, brake)
@@ -131,6 +144,7 @@ def _lower_bound(
     linear[:, :-1] += half
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     low, high = np.zeros(speeds.shape), np.tile(np.sqrt(2.0 * ceiling), (problem.shape[0], 1))
+    high = np.minimum(high, reach)
     low[:] = np.minimum(np.sqrt(2.0 * problem.floor), high)
     low[:, 0] = high[:, 0] = np.sqrt(2.0 * problem.initial)
     # A positive weight of z drives it down to the square of w, a negative one up to its limit;
@@ -147,34 +161,50 @@ def _lower_bound(
 
 
 def _traction_bounds(
-    problem: DiscreteProblem, speeds: FloatArray, multipliers: Multipliers, squares: bool
+    problem: DiscreteProblem,
+    speeds: FloatArray,
+    reach: FloatArray,
+    multipliers: Multipliers,
+    squares: bool,
 ) -> Bounds:
     """Of traction by power or curve, the lower at speeds (q, n + 1); (q, n) arrays."""
     power = np.broadcast_to(problem.power[:, None], problem.shape)
     time = multipliers.cell_prices(problem) * problem.step
     most = time / np.maximum(multipliers.power, 1e-300)
-    return _bounds_of(problem.curves, power, speeds, most, squares)
+    return _bounds_of(problem.curves, power, speeds, reach, most, squares)
 
 
 def _dynamic_bounds(
-    problem: DiscreteProblem, speeds: FloatArray, multipliers: Multipliers, squares: bool
+    problem: DiscreteProblem,
+    speeds: FloatArray,
+    reach: FloatArray,
+    multipliers: Multipliers,
+    squares: bool,
 ) -> Bounds:
     """Of the dynamic brake."""
     power = np.full(problem.shape, problem.dynamic_power)
     time = multipliers.cell_prices(problem) * problem.step
     most = time / np.maximum(multipliers.dynamic_power, 1e-300)
-    return _bounds_of(problem.dynamic_curves, power, speeds, most, squares)
+    return _bounds_of(problem.dynamic_curves, power, speeds, reach, most, squares)
 
 
 def _bounds_of(
-    curves: Curves | None, power: FloatArray, speeds: FloatArray, most: FloatArray, squares: bool
+    curves: Curves | None,
+    power: FloatArray,
+    speeds: FloatArray,
+    reach: FloatArray,
+    most: FloatArray,
+    squares: bool,
 ) -> Bounds:
     none = np.zeros(power.shape)
     by_power = Bounds(none, power, none, none)
     if curves is None:
         return by_power
     mean = np.maximum(0.5 * (speeds[:, :-1] + speeds[:, 1:]), SLOW)
-    rows = [curves.bounds(row, v, most[row], squares=squares) for row, v in enumerate(mean)]
+    reach = np.maximum(reach[:, :-1], reach[:, 1:])
+    rows = [
+        curves.bounds(row, v, reach[row], most[row], squares=squares) for row, v in enumerate(mean)
+    ]
     found = Bounds(*(np.array(each) for each in zip(*rows, strict=True)))
     lower = (found.at(mean) < by_power.at(mean)) | (power > most)
     return Bounds(*(np.where(lower, *pair) for pair in zip(found, by_power, strict=True)))
@@ -297,9 +327,9 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
         shares = shares_of(problem, answer.active, answer.alone)
         every = multipliers_for_all(problem, shares, solution.multipliers)
         spare, start = _spare(problem, answer.plan), np.sqrt(2.0 * answer.plan.z)
-        return lower_bound(problem, every, start, running_time, spare), "shared multipliers"
+        return lower_bound(problem, every, start, running_time, spare, speeds), "shared multipliers"
     close = 1.0 - _CLOSE / problem.shape[1]
-    bound = _bounded(part, solution, running_time)
+    bound = _bounded(part, solution, running_time, speeds[list(answer.active)])
     if bound >= close * solution.energy:
         return bound, "multipliers"
     short = solution.time_price > _SHORT_PRICE * solution.time_price.max()
@@ -310,11 +340,11 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
         multipliers = solution.multipliers.select(priced)
         alone = replace(solution, plan=solution.plan.select(priced), multipliers=multipliers)
         solution = with_costates(part, alone, running_time)
-        bound = max(bound, _bounded(part, solution, running_time))
+        bound = max(bound, _bounded(part, solution, running_time, speeds[rows]))
         if bound >= close * answer.solution.energy:
             return bound, "multipliers of those short of time"
     try:
-        relaxed = Relaxation(part, speeds[rows]).least_energy(running_time)
+        relaxed = Relaxation(part, speeds[rows], speeds[rows]).least_energy(running_time)
     except NoSolutionError:
         return bound, "multipliers"
     spare = _spare(part, solution.plan)
@@ -324,9 +354,11 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
     return max(bound, relaxation), f"cone relaxation: {relaxed.status}"
 
 
-def _bounded(problem: DiscreteProblem, solution: Solution, running_time: float) -> float:
+def _bounded(
+    problem: DiscreteProblem, solution: Solution, running_time: float, fastest: FloatArray
+) -> float:
     speeds, spare = np.sqrt(2.0 * solution.plan.z), _spare(problem, solution.plan)
-    return lower_bound(problem, solution.multipliers, speeds, running_time, spare)
+    return lower_bound(problem, solution.multipliers, speeds, running_time, spare, fastest)
 
 
 def _spare(problem: DiscreteProblem, plan: Plan) -> FloatArray:

@@ -298,6 +298,21 @@ class Relaxed:
     status: str
 
 
+REACH = 1e-3
+"""By which a configuration's fastest run may be slower than another run of it, relative."""
+
+
+def reachable(problem: DiscreteProblem, fastest: FloatArray | None) -> FloatArray:
+    """Speeds that no configuration exceeds at the nodes, (q, n + 1) [m/s].
+
+    Those of its fastest run, where that is of use: with curves of effort.
+    """
+    q, n = problem.shape
+    if fastest is None or (problem.curves is None and problem.dynamic_curves is None):
+        return np.full((q, n + 1), np.inf)
+    return fastest * (1.0 + REACH) + REACH
+
+
 class Relaxation:
     """The relaxed problem, scaled by speeds.
 
@@ -306,11 +321,16 @@ class Relaxation:
     problem : DiscreteProblem
     speeds : (q, n + 1) array [m/s]
         Anything plausible; it scales the variables and changes no result.
+    fastest : (q, n + 1) array, optional [m/s]
+        Of the fastest run of each configuration; bounds of curves of effort need not hold beyond.
     """
 
-    def __init__(self, problem: DiscreteProblem, speeds: FloatArray) -> None:
+    def __init__(
+        self, problem: DiscreteProblem, speeds: FloatArray, fastest: FloatArray | None = None
+    ) -> None:
         q, n = problem.shape
         self.problem = problem
+        self.fastest = reachable(problem, fastest)
         self.scale = np.maximum(speeds, SLOW)
         self.total = self.scale[:, :-1] + self.scale[:, 1:]
         self.unknowns = Unknowns(problem)  # z over scale² / 2
@@ -400,7 +420,7 @@ class Relaxation:
             (w[:, :-1], linear * self.scale[:, :-1]),
             (w[:, 1:], linear * self.scale[:, 1:]),
         )
-        unknowns.high[z[:, 1:]] = (ceiling / half)[:, 1:]
+        unknowns.high[z[:, 1:]] = (np.minimum(ceiling, 0.5 * self.fastest**2) / half)[:, 1:]
         unknowns.low[z[:, 1:]] = (problem.floor / half)[:, 1:]
         unknowns.low[w[:, 1:]] = (np.sqrt(2.0 * problem.floor) / self.scale)[:, 1:]
         unknowns.low[z[:, 0]] = unknowns.high[z[:, 0]] = problem.initial / half[:, 0]
@@ -459,8 +479,10 @@ class Relaxation:
             return
         speeds = 0.5 * self.total[row]
         inverse = 1.0 / speeds
+        reach = np.maximum(self.fastest[row, :-1], self.fastest[row, 1:])
         for factor, squares in product(_AROUND, (False, True)):
-            bound = curves.bounds(row, np.maximum(factor * speeds, SLOW), squares=squares)
+            at = np.maximum(np.minimum(factor * speeds, reach), SLOW)
+            bound = curves.bounds(row, at, reach, squares=squares)
             half = -0.5 * bound.slope
             self.below.add(
                 bound.offset,

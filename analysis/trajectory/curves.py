@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -148,15 +149,23 @@ class Curves:
         return np.where(curve, by_curve, by_power), np.where(curve, fall, by_power / speed)
 
     def bounds(
-        self, row: int, speed: FloatArray, most: FloatArray | float = np.inf, *, squares: bool
+        self,
+        row: int,
+        speed: FloatArray,
+        fastest: FloatArray | float = np.inf,
+        most: FloatArray | float = np.inf,
+        *,
+        squares: bool,
     ) -> Bounds:
-        """Upper bounds of a configuration's effort at any speed, low at given ones.
+        """Upper bounds of a configuration's effort at speeds up to the fastest, low at given ones.
 
         Parameters
         ----------
         row : int
         speed : (n,) array [m/s]
             Where each bound is to be low; above 0.
+        fastest : (n,) array [m/s]
+            Speeds that the configuration cannot exceed.
         most : (n,) array [W/kg]
             Power that a bound may have; beyond it time would be worth less than nothing.
         squares : bool
@@ -165,28 +174,32 @@ class Curves:
         """
         share = float(self.share[row])
         v, most = speed / share, most / share
+        reach = np.minimum(np.broadcast_to(fastest, v.shape) / share, self.fastest)
         effort, fall = self.kept(v), self.kept.slope(v)
         best = self._tangent(v)
         lowest = np.where(best.power <= most, best.at(v), np.inf)
-        for steepness in _STEEPNESS:
+        none = np.zeros(v.size)
+        for steepness, alone in product(_STEEPNESS, (False, True)):
             bend = steepness * np.maximum(effort, -fall * v)
-            power, slope, square = bend * v, fall + bend / v, np.zeros(v.size)
+            power, slope = bend * v, none if alone else fall + bend / v
             rising = slope > 0.0
             by_square = rising | squares
-            square = np.where(by_square, slope / v, square)
-            slope = np.where(by_square, 0.0, slope)
-            found = Bounds(np.zeros(v.size), power, slope, square)
+            found = Bounds(
+                none, power, np.where(by_square, 0.0, slope), np.where(by_square, slope / v, 0.0)
+            )
             found = found.raised(effort - found.at(v))
             # The mean speed of a cell may be above that of its ends.
-            found = found.raised(self._excess(found) + SPARE * np.where(rising, square * v, 0.0))
+            found = found.raised(
+                self._excess(found, reach) + SPARE * np.where(rising, found.square * v, 0.0)
+            )
             value = np.where(power <= most, found.at(v), np.inf)
             better = value < lowest
             lowest = np.where(better, value, lowest)
             best = Bounds(*(np.where(better, *pair) for pair in zip(found, best, strict=True)))
         return Bounds(best.offset, best.power * share, best.slope / share, best.square / share**2)
 
-    def _excess(self, bound: Bounds) -> FloatArray:
-        """By how much the curve is above bounds at most, (n,) [m/s²].
+    def _excess(self, bound: Bounds, reach: FloatArray) -> FloatArray:
+        """By how much the curve is above bounds at most, up to the speeds `reach`, (n,) [m/s²].
 
         At the ends of short spans, and what it can rise above them in between.
         """
@@ -198,6 +211,7 @@ class Curves:
         above = f[1:] - offset - power / v[1:] - slope * v[1:] - 0.5 * square * v[1:] ** 2
         bend = 2.0 * power / low**3 + np.maximum(square, 0.0)
         between = np.maximum(above[:, :-1], above[:, 1:]) + 0.125 * bend * (high - low) ** 2
+        between = np.where(low < reach[:, None], between, -np.inf)
         first = v[1]
         start = f[:2].max() - offset - power / first
         start = start - np.minimum(slope, 0.0) * first - 0.5 * np.minimum(square, 0.0) * first**2
