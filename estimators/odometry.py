@@ -48,6 +48,15 @@ STILL = 1e-3
 LARGEST_SPEED_STD = 2.0
 """Standard deviation of the speed [m/s] beyond which it is not valid."""
 
+ROLLING = 0.5
+"""A wheel that shows 0 slides, where the train is faster than this [m/s] and than its deviation."""
+
+LOCKED_OUT = 5.0
+"""Where satellites and all else were left out for so long [s], the filter is wrong, not they."""
+
+SLIDING = 30.0
+"""The same where there is only the wheel [s], which may slip or slide for long."""
+
 RECEIVER_STDS = 2.0
 """A receiver shows the size of the speed, so its noise never averages to 0: its speed is used where
 the wheel shows more than this many of its standard deviations."""
@@ -143,7 +152,7 @@ class OdometryFilter(Estimator):
         "position", "position_std", "speed", "speed_std",
         "acceleration_noise", "wheel_noise", "satellite_noise", "balise_noise",
     )  # fmt: skip
-    memory = ("mean", "covariance", "time", "zeros")
+    memory = ("mean", "covariance", "time", "zeros", "refusing")
 
     def __init__(
         self,
@@ -192,6 +201,7 @@ class OdometryFilter(Estimator):
         self._mean = np.array([self._position, self._speed, 0.0, 0.0])
         self._covariance = np.diag(self._prior)
         self._time, self._zeros = np.array(np.nan), np.array(0)
+        self._refusing = np.array(0.0)
         self._samples = 0
         self._resets += 1
 
@@ -229,20 +239,48 @@ class OdometryFilter(Estimator):
             if not time > self._time:
                 raise InputError(f"odometry: time must increase, got {time} s after {self._time} s")
             self._predict(time - float(self._time), acceleration)
+        step = 0.0 if math.isnan(self._time) else time - float(self._time)
         self._time, self._samples = np.array(time), self._samples + 1
-        self._zeros = np.array(self._zeros + 1 if wheel_speed == 0.0 else 0)
+        expected = ROLLING + GATE * math.sqrt(max(self._filter.P[1, 1], 0.0))
+        stands = wheel_speed == 0.0 and self._filter.x[1] < expected
+        self._zeros = np.array(self._zeros + 1 if stands else 0)
+        refused = []
         if self._zeros >= STANDING:
             self._correct(0.0, _SPEED, STILL, math.inf)
+            self._refusing = np.array(0.0)
         else:
             # The wheel shows w = v (1 + e), linear about the state: w + v e = (1 + e) v + v e.
             _, speed, _, error = self._filter.x.tolist()
-            self._correct(
-                wheel_speed + speed * error, (0.0, 1.0 + error, 0.0, speed), self._wheel_noise
-            )
-        if self._filter.x[1] > RECEIVER_STDS * self._satellite_noise:
-            self._correct(satellite_speed, _SPEED, self._satellite_noise)
+            row = (0.0, 1.0 + error, 0.0, speed)
+            refused.append(self._correct(wheel_speed + speed * error, row, self._wheel_noise))
+        clear = RECEIVER_STDS * self._satellite_noise
+        alone = math.isnan(wheel_speed) and satellite_speed > expected + clear
+        if self._filter.x[1] > clear or any(refused) or alone:
+            refused.append(self._correct(satellite_speed, _SPEED, self._satellite_noise))
+        self._follow(refused, step, wheel_speed, satellite_speed)
         self._correct(balise, (1.0, 0.0, 0.0, 0.0), self._balise_noise, math.inf)
         return self.result()
+
+    def _follow(
+        self, refused: list[bool | None], step: float, wheel_speed: float, satellite_speed: float
+    ) -> None:
+        """Trust the measurements again that were all left out for long: the filter lost the train.
+
+        Its deviations grow by what they depart, and by the way that the train went meanwhile.
+        """
+        if False in refused:
+            self._refusing = np.array(0.0)
+        if False in refused or True not in refused:
+            return
+        self._refusing = self._refusing + step
+        by_satellites = refused[-1] is True and len(refused) > 1
+        if self._refusing < (LOCKED_OUT if by_satellites else SLIDING):
+            return
+        shown = satellite_speed if by_satellites else wheel_speed
+        apart = shown - float(self._filter.x[1])
+        self._filter.P[1, 1] += apart**2
+        self._filter.P[0, 0] += (apart * float(self._refusing)) ** 2
+        self._refusing = np.array(0.0)
 
     def _predict(self, step: float, acceleration: float) -> None:
         """The motion over a step under the acceleration felt, less the accelerometer's bias."""
@@ -271,16 +309,20 @@ class OdometryFilter(Estimator):
 
     def _correct(
         self, value: float, shown: tuple[float, ...], std: float, gate: float = GATE
-    ) -> None:
-        """Take in one measurement, unless it is missing or too far from the expected one."""
+    ) -> bool | None:
+        """Take in one measurement; whether it was left out as too far from the expected one.
+
+        None where it is missing.
+        """
         if math.isnan(value):
-            return
+            return None
         row = np.array([shown])
         if gate < math.inf:
             spread = (row @ self._filter.P @ row[0]).item() + std**2
             if abs(value - (row @ self._filter.x).item()) > gate * math.sqrt(spread):
-                return
+                return True
         self._filter.update(value, std**2, row)
+        return False
 
     def result(self) -> OdometryResult:
         """Position, speed and the instruments' errors now."""

@@ -106,6 +106,51 @@ def test_without_a_speed_it_is_not_valid() -> None:
     assert not found.valid
 
 
+def test_an_axle_that_locks_does_not_make_the_train_stand() -> None:
+    """For 20 s all of the wheel's samples are 0 while the train runs at speed."""
+    for missing in (None, "satellite_speed"):
+        trip = run(1)
+        locked = (trip.time > 100.0) & (trip.time < 120.0)
+        changes = {"wheel_speed": np.where(locked, 0.0, trip.measured["wheel_speed"])}
+        if missing:
+            changes[missing] = np.full(trip.time.size, np.nan)
+        found = trip.located(OdometryFilter(position_std=1.0), **changes)
+        off = np.array([each.speed for each in found]) - trip.speed
+        std = np.array([each.speed_std for each in found])
+        assert not any(each.standing for each, slid in zip(found, locked, strict=True) if slid)
+        assert np.abs(off[locked]).max() < 1.5
+        assert np.mean(np.abs(off) < 3.0 * std + 0.05) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("wrong", "missing", "within"),
+    [(5.0, (), 10.0), (-8.0, (), 10.0), (5.0, ("satellite_speed",), 35.0)],
+)
+def test_a_filter_that_lost_the_train_follows_it_again(
+    wrong: float, missing: tuple[str, ...], within: float
+) -> None:
+    """It begins with a wrong speed of which it is sure; all that is measured contradicts it."""
+    trip = run(2)
+    late = trip.time > 150.0
+    begin = int(np.argmax(late))
+    estimator = OdometryFilter(
+        float(trip.position[begin]), 1.0, float(trip.speed[begin]) + wrong, 0.01
+    )
+    columns = [
+        np.where(late, values, np.nan) if name not in missing else np.full(trip.time.size, np.nan)
+        for name, values in trip.measured.items()
+    ]
+    rows = list(zip(trip.time, *columns, strict=True))[begin:]
+    found = [estimator.update(*row) for row in rows]
+    off = np.array([each.speed for each in found]) - trip.speed[begin:]
+    again = trip.time[begin:] - trip.time[begin] > within
+    assert np.abs(off[again]).max() < 1.0
+    moving = again & (trip.speed[begin:] > 1.0)
+    astray = np.array([each.position for each in found]) - trip.position[begin:]
+    std = np.array([each.position_std for each in found])
+    assert np.mean(np.abs(astray[moving]) <= 1.96 * std[moving]) > 0.9
+
+
 def test_bad_input_is_refused() -> None:
     with pytest.raises(InputError, match="wheel_noise must be positive"):
         OdometryFilter(wheel_noise=0.0)
