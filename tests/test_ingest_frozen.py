@@ -145,7 +145,7 @@ def test_sound_trips_of_three_trains_on_three_lines(track: str | None, train: st
             if not each.empty:
                 assert judged(each)[1] == [], (scenario.name, name)
         for column in ("/train/state.speed", "/train/axles.wheel_speed_2", "/train/state.position"):
-            for length in (20.0, 120.0, 400.0):
+            for length in (20.0, 60.0, 120.0):
                 assert found_frozen(frame, column, length, rng)
 
 
