@@ -79,13 +79,17 @@ def drive(line: str, rate: float, count: int, begin: float = BEGIN) -> Drive:
     )
 
 
+Writer = Callable[[Path, Drive, np.ndarray, np.ndarray], None]
+"""Writes a drive with the recorder's clock [ns] and the distance that its wheels count [m]."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """How a recorder writes: file name, rows a second, and the text of a drive."""
 
     name: str
     rate: float
-    write: Callable[[Path, Drive, np.ndarray], None]
+    write: Writer
     profile: dict[str, Any] | None = None
 
 
@@ -97,7 +101,7 @@ def stamps(time: np.ndarray) -> pd.DatetimeIndex:
     return pd.DatetimeIndex(time)
 
 
-def _mtk(path: Path, run: Drive, clock: np.ndarray) -> None:
+def _mtk(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
     rows = [
         f"{when},{run.satellites[i]},{run.longitude[i]:.7f},{run.latitude[i]:.7f},"
         f"{run.altitude[i]:.3f},{run.speed[i]:.2f},{round(100 * run.hdop[i])}"
@@ -106,7 +110,7 @@ def _mtk(path: Path, run: Drive, clock: np.ndarray) -> None:
     path.write_text("\n".join([MTK_HEADER, *rows]) + "\n")
 
 
-def _ublox(path: Path, run: Drive, clock: np.ndarray) -> None:
+def _ublox(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
     head = "Year,Month,Day,Hour,Minute,Second,nSAT,Lon,Lat,Alt1,Alt2,hAcc,vAcc,speed,speedAcc,PDOP,"
     rows = [
         f"{when},{run.satellites[i]},{round(1e7 * run.longitude[i])},"
@@ -118,46 +122,44 @@ def _ublox(path: Path, run: Drive, clock: np.ndarray) -> None:
     path.write_text("\n".join([head, *rows]) + "\n")
 
 
-def _gpx(path: Path, run: Drive, clock: np.ndarray) -> None:
+def _gpx(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
     path.write_text(gpx_text(Drive(clock, *(getattr(run, n) for n in list(vars(run))[1:]))))
 
 
-def _nmea(path: Path, run: Drive, clock: np.ndarray) -> None:
+def _nmea(path: Path, run: Drive, clock: np.ndarray, _: np.ndarray) -> None:
     at = Drive(clock, *(getattr(run, n) for n in list(vars(run))[1:]))
     path.write_text("\r\n".join(nmea_lines(at, ("RMC", "GGA"))) + "\r\n")
 
 
-def _state(pattern: str, *, fractions: bool) -> Callable[[Path, Drive, np.ndarray], None]:
-    def write(path: Path, run: Drive, clock: np.ndarray) -> None:
+def _state(pattern: str, *, fractions: bool) -> Writer:
+    def write(path: Path, run: Drive, clock: np.ndarray, distance: np.ndarray) -> None:
         text = stamps(clock).strftime(pattern)
         if fractions:
             text = [t[:-3] for t in text]
-        position = along(run)
-        rows = [f"{t},{v:.2f},{s:.1f}" for t, v, s in zip(text, run.speed, position, strict=True)]
+        rows = [f"{t},{v:.2f},{s:.1f}" for t, v, s in zip(text, run.speed, distance, strict=True)]
         path.write_text("\n".join(["t,v,s", *rows]) + "\n")
 
     return write
 
 
-def along(run: Drive) -> np.ndarray:
+def distance(line: str, run: Drive) -> np.ndarray:
     """Distance [m] that wheels count whose diameter is known to four per mille."""
-    seconds = (run.time - run.time[0]) / SECOND
-    means = 0.5 * (run.speed[1:] + run.speed[:-1]) * np.diff(seconds)
-    return 1.004 * np.concatenate(([0.0], np.cumsum(means)))
+    at, _, position = motion(line)
+    return 1.004 * np.interp((run.time - START) / SECOND, at, position)
 
 
-def _elapsed(path: Path, run: Drive, clock: np.ndarray) -> None:
+def _elapsed(path: Path, run: Drive, clock: np.ndarray, distance: np.ndarray) -> None:
     rows = [
         f"{round((t - START) / 1e6)},{3.6 * v:.2f},{s:.1f}"
-        for t, v, s in zip(clock, run.speed, along(run), strict=True)
+        for t, v, s in zip(clock, run.speed, distance, strict=True)
     ]
     path.write_text("\n".join(["t,v,s", *rows]) + "\n")
 
 
-def _parquet(path: Path, run: Drive, clock: np.ndarray) -> None:
-    pd.DataFrame(
-        {"t": stamps(clock).tz_localize("UTC"), "v": run.speed, "s": along(run)}
-    ).to_parquet(path)
+def _parquet(path: Path, run: Drive, clock: np.ndarray, distance: np.ndarray) -> None:
+    pd.DataFrame({"t": stamps(clock).tz_localize("UTC"), "v": run.speed, "s": distance}).to_parquet(
+        path
+    )
 
 
 def table_profile(time: dict[str, Any], speed: str = "m/s", **file: Any) -> dict[str, Any]:
@@ -234,7 +236,7 @@ def recorded(
         # The clock after the step is right.
         clock[~new] -= STEPS[step] * SECOND
     path = folder / layout.name
-    layout.write(path, run, clock)
+    layout.write(path, run, clock, distance(line, run))
     profile = None if layout.profile is None else profile_of(layout.profile)
     return Case(path, profile, run.time, 1.0 / layout.rate)
 

@@ -16,13 +16,14 @@ from clock_steps import (
     STEPS,
     Case,
     Layout,
+    distance,
     drive,
     error_of,
     recorded,
     table_profile,
 )
 from hypothesis import given, strategies as st
-from recorder_files import nmea_lines
+from recorder_files import Drive, nmea_lines
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, report_of
@@ -338,3 +339,62 @@ def test_sentences_that_learn_the_time_one_after_the_other(tmp_path: Path, step:
         expected = np.interp(at, run.time, values)
         assert at.size == 900
         np.testing.assert_allclose(frame[column].to_numpy()[known], expected, atol=2e-3)
+
+
+DEFECTS = ("lost rows", "gaps", "swaps", "late block", "repeated block", "frozen fix")
+
+
+def disturbed(run: Drive, rate: float, seed: int) -> Drive:
+    """A drive as a bad logger keeps it: each defect with a chance of one half."""
+    rng = np.random.default_rng(seed)
+    rows = len(run)
+    on = dict(zip(DEFECTS, rng.random(len(DEFECTS)) < 0.5, strict=True))
+    keep = np.ones(rows, dtype=bool)
+    keep[rng.integers(10, rows - 10, 20 * on["lost rows"])] = False
+    for begin in rng.integers(10, rows - 10, 2 * on["gaps"]):
+        keep[begin : begin + int(rng.integers(1, 19) * rate)] = False
+    order = np.flatnonzero(keep)
+    for place in rng.integers(1, order.size - 2, 8 * on["swaps"]):
+        order[[place, place + 1]] = order[[place + 1, place]]
+    half, block = order.size // 2, int(rng.integers(2, 15) * rate) + 1
+    if on["late block"]:
+        a, b, c = (half + n * block for n in range(3))
+        order = np.concatenate((order[:a], order[b:c], order[a:b], order[c:]))
+    if on["repeated block"]:
+        order = np.concatenate((order[: half // 2 + block], order[half // 2 :]))
+    if on["frozen fix"]:
+        held = np.arange(rows)
+        held[rows // 3 : rows // 3 + int(15 * rate)] = rows // 3
+        run = replace(run, latitude=run.latitude[held], longitude=run.longitude[held])
+    return run.take(order)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS[3:7], ids=lambda layout: layout.name)
+@pytest.mark.parametrize("seed", range(5))
+def test_other_defects_are_no_steps_of_the_clock(tmp_path: Path, layout: Layout, seed: int) -> None:
+    run = disturbed(drive("hilly", layout.rate, int(200 * layout.rate)), layout.rate, seed)
+    path = tmp_path / layout.name
+    layout.write(path, run, run.time, distance("hilly", run))
+    profile = None if layout.profile is None else profile_of(layout.profile)
+    assert "clock_step" not in report_of(ingest(path, profile=profile)).counts
+
+
+@pytest.mark.parametrize("step", [-2, -13, 5])
+def test_a_step_among_lost_rows_and_swaps_is_found(tmp_path: Path, step: int) -> None:
+    """Defects stand within a few seconds of the step: it is found by itself."""
+    layout = LAYOUTS[5]
+    run = drive("Chemnitz-Cranzahl", 10.0, 2000)
+    rng = np.random.default_rng(2)
+    keep = np.ones(2000, dtype=bool)
+    keep[rng.integers(600, 900, 12)] = False
+    keep[700:760] = True
+    clock = run.time - np.where(np.arange(2000) < 730, step, 0) * 1_000_000_000
+    order = np.flatnonzero(keep)
+    order[[660, 661]] = order[[661, 660]]
+    path = tmp_path / layout.name
+    kept = run.take(order)
+    layout.write(path, kept, clock[order], distance("Chemnitz-Cranzahl", kept))
+    trip = ingest(path, profile=profile_of(table_profile({})))
+    assert report_of(trip).counts["clock_step"] == np.count_nonzero(order < 730)
+    found = trip["/train/state"].index.as_unit("ns").asi8
+    assert np.array_equal(found, np.sort(run.time[order]))

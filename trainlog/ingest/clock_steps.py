@@ -63,6 +63,9 @@ MAJORITY = 2.0 / 3.0
 MOST_EDGES = 50
 """Steps beyond which it is not the clock that was set."""
 
+MOST_LEVELS = 3
+"""Times that a clock may show in a recording, up to what is undone before."""
+
 MOST_SUSPECTED = 3
 """Steps that may be gaps, beyond which they are gaps."""
 
@@ -80,6 +83,9 @@ MOST_MISFITS = 0.05
 
 LEAST_CHANGES = 5
 """Changes between two clocks that it takes to see them without distance or speed."""
+
+HARDEST = 0.4
+"""Speed [m/s] for each second of a gap up to which a train may have stopped in it unseen."""
 
 SLOWEST = 2.0
 """Speed [m/s] from which on distance shows how much time passed."""
@@ -294,6 +300,18 @@ class _Rows:
         steps = (np.abs(late) > slack) | (np.diff(seconds) < 0.0)
         return cls(table, time, period, usual > 1, np.flatnonzero(steps))
 
+    @property
+    def candidates(self) -> IntArray:
+        """Those steps that are of whole seconds, or go back."""
+        late = np.diff(self.time)[self.steps] - self.period
+        fit = np.array([self.fits(each, mixed=False) for each in late], dtype=np.bool_)
+        return self.steps[fit | (late < -self.period)]
+
+    def uneven(self, begin: int, end: int, level: IntArray) -> int:
+        """How many rows of a range do not follow the one before as usual once `level` is undone."""
+        time = (self.time - level)[max(0, begin - 1) : end + 2]
+        return int(np.count_nonzero(np.abs(np.diff(time) - self.period) > 0.5 * self.period))
+
     def size(self, before: int, after: int) -> float:
         """How far [s] the clock goes ahead between two rows beyond what their number takes."""
         return float(self.time[after] - self.time[before] - (after - before) * self.period)
@@ -301,8 +319,9 @@ class _Rows:
     def fits(self, size: float, *, mixed: bool) -> bool:
         """Whether a step is of whole seconds that a receiver learns."""
         slack = 1.2 * self.period if self.whole else min(0.5 * self.period, 0.2) + 0.1
-        if mixed and self.whole:
-            slack = 0.45
+        if mixed:
+            # Some rows may have been lost in between.
+            slack = 0.45 if self.whole else max(slack, 0.35)
         whole = round(size)
         return 1 <= abs(whole) <= MOST_LEAPS and abs(size - whole) <= min(slack, 0.45)
 
@@ -347,23 +366,55 @@ def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, int]]]:
     rows = _Rows.of(table)
     if rows is None or not rows.steps.size:
         return none, []
-    clusters = np.split(rows.steps, np.flatnonzero(np.diff(rows.steps) * rows.period > CHAIN) + 1)
+    steps = rows.candidates
+    clusters = np.split(steps, np.flatnonzero(np.diff(steps) * rows.period > CHAIN) + 1)
+    if not steps.size or len(clusters) > MOST_EDGES:
+        return none, []
     motion = _Motion.of(rows)
     level = np.zeros(len(table), dtype=np.int64)
     undecided: list[tuple[int, int]] = []
-    accepted = 0
-    for cluster in clusters if len(clusters) <= MOST_EDGES else ():
+    for cluster in clusters:
         found = _setting(rows, motion, cluster)
         if found is None:
+            if cluster.size > 1:
+                level += _one_by_one(rows, motion, cluster)
             continue
         size, ahead = found
         if ahead is None:
             undecided.append((int(cluster[0]), size))
-            continue
-        accepted += 1
-        level[cluster[0] + 1 : cluster[-1] + 1] += size * ahead
-        level[cluster[-1] + 1 :] += size
-    return level * NANOSECONDS if accepted else none, undecided
+        else:
+            level += _levels_of(len(table), cluster, size, ahead)
+    if np.unique(level).size > MOST_LEVELS or np.ptp(level) > MOST_LEAPS:
+        # No receiver learns the time so often: what was found contradicts itself.
+        places = np.flatnonzero(np.diff(level))
+        return none, [(int(place), int(level[place + 1] - level[place])) for place in places]
+    return level * NANOSECONDS, undecided
+
+
+def _levels_of(count: int, steps: IntArray, size: int, ahead: IntArray) -> IntArray:
+    """How far [s] the clock is off after it was set by `size` at `steps`."""
+    level = np.zeros(count, dtype=np.int64)
+    level[steps[0] + 1 : steps[-1] + 1] = size * ahead
+    level[steps[-1] + 1 :] = size
+    return level
+
+
+def _one_by_one(rows: _Rows, motion: _Motion | None, steps: IntArray) -> IntArray:
+    """How far [s] the clock is off after those of `steps` at which it was set, each by itself.
+
+    Other defects stand among them. Nothing where that gives more than two levels or does not make
+    the rows more even.
+    """
+    count = rows.time.size
+    level = np.zeros(count, dtype=np.int64)
+    for place in steps:
+        size, ahead = _setting(rows, motion, place[None]) or (0, None)
+        if ahead is not None:
+            level += _levels_of(count, place[None], size, ahead)
+    first, last = int(steps[0]), int(steps[-1])
+    before = rows.uneven(first, last, np.zeros(count, dtype=np.int64))
+    two = np.unique(level).size <= 2
+    return level if two and rows.uneven(first, last, level) < before else np.zeros_like(level)
 
 
 def _by_kind(table: Table) -> IntArray:
@@ -410,7 +461,7 @@ def _setting(
         else:
             late = rows.time[inner] - by_count
         ahead = (late / whole > 0.5).astype(np.int64)
-        slack = 0.5 + 2.0 * rows.period if rows.whole else 0.5 * rows.period
+        slack = 0.5 + 2.0 * rows.period if rows.whole else max(0.5 * rows.period, 0.25)
         misfits = np.abs(late - whole * ahead) > slack
         if np.count_nonzero(misfits) > MOST_MISFITS * inner.size:
             return None
@@ -458,15 +509,19 @@ def _repeated_differently(rows: _Rows, place: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Passed:
-    """How much time [s] beyond a usual step passed between two rows, and its noise."""
+    """How much time [s] beyond a usual step passed between two rows at a speed, and its noise."""
 
     time: float
     std: float
     spread: float
+    speed: float
 
     def decide(self, size: int) -> bool | None:
         """Whether the clock was set by `size` [s], and no such time passed; None: not decided."""
         noise = 3.0 * self.std
+        if self.speed < HARDEST * size:
+            # In the gap a train this slow can have stopped, and gone on.
+            return None
         if noise > 0.35 * abs(size) or self.spread > 0.4 * abs(size):
             return None
         as_step, as_gap = abs(self.time), abs(self.time - size)
@@ -547,7 +602,12 @@ class _Motion:
         left, right = place - reach, place + 1 + reach
         known = (left >= 0) & (right < self.speed.size)
         left, right = left[known], right[known]
-        moved = np.hypot(*(self.places[:, right] - self.places[:, left]))
+        across = self.places[:, right] - self.places[:, left]
+        # Along the way from the rows before to those after: rows out of order go back.
+        heading = (
+            np.nanmean(across, axis=1) if np.isfinite(across).all(axis=0).any() else across[:, 0]
+        )
+        moved = heading @ across / max(float(np.hypot(*heading)), 1e-9)
         mean = self._mean_speed(place)
         excess = moved - mean * (right - left) * self.period
         excess = excess[np.isfinite(excess)]
@@ -575,4 +635,6 @@ class _Motion:
             return None
         speed = self._mean_speed(place)
         spread = float(np.ptp(excess)) / speed
-        return _Passed((float(np.median(excess)) - self.bias) / speed, self.std / speed, spread)
+        return _Passed(
+            (float(np.median(excess)) - self.bias) / speed, self.std / speed, spread, speed
+        )
