@@ -161,6 +161,53 @@ def test_a_column_of_an_unknown_name_is_found_by_what_it_does(tmp_path: Path) ->
     assert any("the name is not known" in reading.why for reading in proposal.readings)
 
 
+def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) -> None:
+    run = drive()
+    stamps = pd.Timestamp("2024-05-01T06:00:00") + pd.to_timedelta(run.t, unit="s")
+    frame = pd.DataFrame({"t": stamps, "x": run.v * 3.6, "y": run.s})
+    path = tmp_path / "bare.csv"
+    frame.to_csv(path, index=False, header=False, float_format="%.6g")
+    trip = ingest(path, propose_profile(path).profile)
+    np.testing.assert_allclose(trip["/train/state"]["speed"], run.v, atol=1e-3)
+    np.testing.assert_allclose(trip["/train/state"]["position"], run.s, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("columns", "remedy"),
+    [
+        ({"t": "1,0", "v": "2,5"}, "write it with semicolons"),
+        ({"t [min]": "1.0", "v [km/h]": "2.5"}, "which a profile cannot read"),
+    ],
+)
+def test_what_no_profile_can_read_is_refused(
+    tmp_path: Path, columns: dict[str, str], remedy: str
+) -> None:
+    rows = [",".join(f'"{number}{cell[1:]}"' for cell in columns.values()) for number in range(50)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([",".join(columns), *rows]) + "\n")
+    with pytest.raises(InputError, match=remedy):
+        propose_profile(path)
+
+
+def test_south_west_in_degrees_and_minutes(tmp_path: Path) -> None:
+    run = drive()
+    stamps = pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(run.t, unit="s")
+    path = written(
+        tmp_path,
+        {
+            "time": stamps,
+            "lat": 3330.0 + run.s / 1853.25,
+            "NS": "S",
+            "lon": 7040.0,
+            "EW": "W",
+            "speed [kn]": run.v * 1.943844,
+        },
+    )
+    fix = ingest(path, propose_profile(path).profile)["/gnss/fix"]
+    assert fix["latitude"].iloc[0] == pytest.approx(-33.5)
+    assert fix["longitude"].iloc[0] == pytest.approx(-70.0 - 40.0 / 60.0)
+
+
 def test_a_distance_that_contradicts_the_speed_is_not_used(tmp_path: Path) -> None:
     run = drive()
     noise = np.random.default_rng(1).uniform(0.0, 9_000.0, len(run))

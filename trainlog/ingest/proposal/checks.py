@@ -133,7 +133,9 @@ def distance_ratio(motion: Motion, position: FloatArray, speed: FloatArray) -> R
 
     Windows in which the distance starts anew, or the speed stands still, do not count.
     """
-    return _window_ratio(position, motion.integral(speed))
+    # A recorder may count the speed against its own direction.
+    forward = speed if np.nanmean(speed) >= 0.0 else -speed
+    return _window_ratio(position, motion.integral(forward))
 
 
 def _window_ratio(position: FloatArray, driven: FloatArray) -> Ratio:

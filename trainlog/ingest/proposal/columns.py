@@ -41,6 +41,9 @@ SLOWEST_STEP = 30.0
 LEAST_ROWS = 10
 
 
+MOST_UNNAMED = 12
+"""Columns of unknown names that are compared two by two."""
+
 OTHER_FIXES = 5.0
 """Cost up to which another reading of the fixes is tried with the units of the speed."""
 
@@ -126,7 +129,7 @@ def _content(layout: Layout, name: str) -> tuple[FloatArray | None, str]:
     if share >= NUMERIC:
         return layout.number(name), ""
     texts = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
-    if texts and share > 0.0 and pc.any(pc.match_substring_regex(column, r"\d[ '.]\d{3}")).as_py():
+    if texts and pc.any(pc.match_substring_regex(column, r"^-?\d{1,3}[ ',.]\d{3}\b")).as_py():
         return None, f"{1.0 - share:.0%} of its cells are no numbers: marks between thousands?"
     return None, "words" if texts else "holds no numbers"
 
@@ -171,7 +174,7 @@ def _main_speed(work: Work) -> str | None:
         return named
     position = work.names.get(roles.POSITION, [])
     if not position:
-        return None
+        return _unnamed_pair(work)
     for name in _unknown(work):
         values = work.numbers[name]
         if np.nanmin(values) < -0.1 * np.nanmax(values) or not np.nanmax(values) > 0.0:
@@ -180,6 +183,25 @@ def _main_speed(work: Work) -> str | None:
         exact = answer.distance.agreement > 0.9 and answer.distance.scatter < 0.02
         if exact and not answer.unexplained:
             return _found(work, name, roles.SPEED, f"its integral follows '{position[0]}'")
+    return None
+
+
+def _unnamed_pair(work: Work) -> str | None:
+    """A speed and a distance without names that one knows, where one is the other's integral."""
+    unknown = _unknown(work)[:MOST_UNNAMED]
+    for far in unknown:
+        steps = np.diff(work.numbers[far][np.isfinite(work.numbers[far])])
+        if not np.any(steps) or max(np.mean(steps >= 0.0), np.mean(steps <= 0.0)) < 0.95:
+            continue
+        for name in unknown:
+            values = work.numbers[name]
+            if name == far or np.nanmin(values) < -0.1 * np.nanmax(values):
+                continue
+            answer = units_of(Question(work.motion, values, work.numbers[far]))
+            exact = answer.distance.agreement > 0.95 and answer.distance.scatter < 0.02
+            if exact and not answer.unexplained:
+                _found(work, far, roles.POSITION, f"it is the integral of '{name}'")
+                return _found(work, name, roles.SPEED, f"its integral is '{far}'")
     return None
 
 

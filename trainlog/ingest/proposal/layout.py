@@ -25,7 +25,7 @@ from trainlog.ingest.proposal.vocabulary import unit_of
 from trainlog.ingest.recording import FloatArray, IntArray
 from trainlog.ingest.tabular import is_parquet, open_text
 
-DELIMITERS = (";", ",", "\t", "|")
+DELIMITERS = (";", ",", "\t", "|", " ")
 
 SAMPLE = 200
 """Lines that the layout is judged by: of the file's begin, middle and end."""
@@ -156,6 +156,12 @@ def _text_layout(path: Path, data: bytes) -> Layout:
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     sample = _sample(lines)
     delimiter, decimal, width, judged = _separators(path, sample)
+    if delimiter == decimal:
+        raise InputError(
+            "has commas between its cells and in its numbers, which a profile cannot part",
+            file=path,
+            remedy="write it with semicolons between the cells",
+        )
     header, units, first = _header(lines, delimiter, decimal, width, sample)
     readings = [
         Reading("encoding", encoding, why),

@@ -14,7 +14,13 @@ from trainlog.errors import InputError
 from trainlog.ingest.mapping import numbers, read_time
 from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.proposal.layout import Layout, Reading
-from trainlog.ingest.proposal.vocabulary import Meaning, language_of, vocabulary, words_of, zone_of
+from trainlog.ingest.proposal.vocabulary import (
+    Meaning,
+    language_of,
+    vocabulary,
+    words_of,
+    zone_of,
+)
 from trainlog.ingest.recording import NO_TIME, IntArray
 from trainlog.units import NANOSECONDS
 
@@ -365,6 +371,8 @@ def _day_first(
     # Within a trip midnight changes the day, not the month.
     if len(set(first)) != len(set(second)):
         return len(set(first)) > len(set(second)), "the number that changes at midnight", ""
+    if _american(layout):
+        return False, "times with AM and PM are American", "day, month, year"
     language = language_of(layout.names)
     if language in ("de", "fr"):
         return (
@@ -373,6 +381,12 @@ def _day_first(
             ("month, day, year"),
         )
     return True, "both numbers could be a month", "month, day, year"
+
+
+def _american(layout: Layout) -> bool:
+    """Whether the table has times with AM and PM."""
+    first = (str(layout.table[name][0].as_py()) for name in layout.names)
+    return any(re.search(r"\d\s*[AP]M$", cell, re.I) for cell in first)
 
 
 def _clock_pattern(cells: list[str]) -> str | None:
