@@ -17,6 +17,7 @@ from hypothesis import given, settings, strategies as st
 
 from analysis.adhesion.condition_map import adhesion_map, empty_map, merge, update
 from analysis.estimates import estimate_log
+from analysis.geometry.centre_line import geometry_of
 from analysis.resistance import combine
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE, each_drive_once
@@ -24,6 +25,7 @@ from analysis.resistance.fit import fit_trip
 from analysis.resistance.logs import fit, fit_table
 from trainlog.errors import InputError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
+from trainlog.formats.files import sha256_of
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import read_summaries, write_summaries
 from trainlog.identity import (
@@ -321,6 +323,13 @@ class TestFit:
         assert together.common.resistance == one.common.resistance
         np.testing.assert_array_equal(together.common.covariance, one.common.covariance)
 
+    def test_logs_of_one_name_are_listed_with_their_digests(
+        self, versions: dict[str, Path]
+    ) -> None:
+        (words,) = fit([LOG, versions["converted"]]).same
+        digests = {sha256_of(path)[:8] for path in (LOG, versions["converted"])}
+        assert all(f"'{WHOLE.name} ({digest})'" in words for digest in digests)
+
     def test_the_table_lists_what_was_counted_once(self, versions: dict[str, Path]) -> None:
         from io import StringIO
 
@@ -412,6 +421,17 @@ def _line() -> object:
     from trainlog.formats.attached import line_of
 
     return line_of(WHOLE)
+
+
+def test_a_line_rests_on_each_drive_once(versions: dict[str, Path]) -> None:
+    """Read twice, a ride would halve the variance of the centre line and of its gradients."""
+    alone = geometry_of([WHOLE])
+    again = replace(WHOLE, metadata={**WHOLE.metadata, "trip": "again"})
+    found = geometry_of([again, WHOLE, read_log(versions["first_half"])])
+    assert found.used == ("again",)
+    assert {name for name, _ in found.refused} == {WHOLE.name}
+    assert all("the same drive as 'again'" in reason for _, reason in found.refused)
+    np.testing.assert_array_equal(found.std, alone.std)
 
 
 def test_coast_down_uses_a_drive_once(versions: dict[str, Path]) -> None:

@@ -247,12 +247,15 @@ class Known(NamedTuple):
         Decides between recordings that are equally full: the least is used.
     held : bool
         Whether it is used whatever comes; such trips are not compared with each other.
+    digest : str
+        SHA-256 of the log, by which trips of one name are distinguished in words.
     """
 
     name: str
     identity: TripIdentity | None
     order: tuple[Hashable, ...] = ()
     held: bool = False
+    digest: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,7 +335,10 @@ def same_drives(trips: Sequence[Known]) -> list[SameDrive]:
         if share > SHARED and not trip.held:
             other = min(shares, key=lambda owner: (-shares[owner], _place(trips[owner])))
             of = trips[other]
-            found.append(SameDrive(number, other, trip.name, of.name, share, of.held))
+            names = trip.name, of.name
+            if trip.name == of.name and trip.digest and of.digest:
+                names = f"{trip.name} ({trip.digest[:8]})", f"{of.name} ({of.digest[:8]})"
+            found.append(SameDrive(number, other, *names, share, of.held))
             continue
         used |= {block: number for block in blocks if block not in used}
         if identity.source:

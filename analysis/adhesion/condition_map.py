@@ -209,12 +209,13 @@ def _left_out(track: TrackConditionMap, logs: Sequence[_Log]) -> dict[int, str]:
         if log.key in counted or (not log.sha256 and (log.trip, "") in counted):
             found[number] = f"trip '{log.trip}': in the map already, not counted again"
         counted.add(log.key)
-    known = [Known(log.trip, log.identity, held=True) for log in held]
+    known = [Known(log.trip, log.identity, held=True, digest=log.sha256) for log in held]
     known += [
         Known(
             log.trip,
             None if number in found else log.identity,
             (log.steps, log.sha256, log.trip),
+            digest=log.sha256,
         )
         for number, log in enumerate(logs)
     ]

@@ -15,6 +15,7 @@ from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
 from trainlog.display import as_html, counted, picture
 from trainlog.errors import InputError
+from trainlog.identity import Known, identity_of, same_drives
 from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
@@ -195,7 +196,8 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     Parameters
     ----------
     trips : sequence of Trip
-        With fixes, of the same line.
+        With fixes, of the same line. Each drive is used once (`trainlog.identity`); trips of one
+        that a fuller recording stands for are listed among the refused.
 
     Raises
     ------
@@ -209,7 +211,9 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
     >>> bool(abs(centre_line.length - 29_556.0) < 100.0)
     True
     """
-    passes = _passes(trips)
+    same = same_drives([Known(trip.name, identity_of(trip), (trip.name,)) for trip in trips])
+    again = {each.number for each in same}
+    passes = _passes([trip for number, trip in enumerate(trips) if number not in again])
     origin = _origin(passes)
     passes = [replace(p, points=_plane(p.fixes, origin)) for p in passes]
     rough = rough_line([_thinned(p) for p in passes])
@@ -226,7 +230,8 @@ def geometry_of(trips: Sequence[Trip]) -> CentreLine:
                 remedy="give trips along one line, each in one direction",
             )
         curve = _refitted(used)
-    return _centre_line(curve, used, [p for p in passes if p.matched is None], origin)
+    found = _centre_line(curve, used, [p for p in passes if p.matched is None], origin)
+    return replace(found, refused=found.refused + tuple((s.trip, s.sentence) for s in same))
 
 
 def line_of(centre_line: CentreLine, name: str) -> Line:

@@ -526,7 +526,7 @@ def each_drive_once(summaries: pd.DataFrame) -> pd.DataFrame:
     usable = usable[overlapping(rows["identity"].iloc[usable].tolist())]
     some = rows.iloc[usable]
     known = [
-        Known(trip, identity_from_text(text), (-int(version), digest, trip, text))
+        Known(trip, identity_from_text(text), (-int(version), digest, trip, text), digest=digest)
         for trip, text, version, digest in zip(
             some["trip"], some["identity"], age(rows).iloc[usable], some["sha256"], strict=True
         )
