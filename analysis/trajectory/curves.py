@@ -138,16 +138,6 @@ class Curves:
             effort = f[point] + slopes[beyond] * (speed - v[point])
             yield np.where(there, effort, np.inf), slopes[beyond]
 
-    def limit_and_fall(
-        self, row: int, speed: FloatArray, power: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """The least of curve and power at speeds of a configuration, and how fast it falls."""
-        share = float(self.share[row])
-        by_curve, by_power = self.kept(speed / share), power / speed
-        fall = -self.kept.slope(speed / share) / share
-        curve = by_curve < by_power
-        return np.where(curve, by_curve, by_power), np.where(curve, fall, by_power / speed)
-
     def bounds(
         self,
         row: int,

@@ -404,10 +404,13 @@ class QPSubproblem:
     def _single_power_limit(self) -> NDArray[np.bool_]:
         """Cells in which each configuration is the only one to be short of power, (q, n).
 
-        Others, and those that brake not to need more, must keep the limit at both ends.
+        Others, and those that brake not to need more, must keep the limit at both ends; so must all
+        that have a curve of effort, which bends at its points.
         """
         problem = self.problem
-        limit = problem.traction_at(np.maximum(self.speed, SLOW))
+        if problem.curves is not None:
+            return np.zeros(problem.shape, dtype=np.bool_)
+        limit = problem.power[:, None] / np.maximum(self.speed, SLOW)
         near = limit < _NEAR_LEAST * limit.min(axis=0)
         near = near[:, :-1] | near[:, 1:]
         driving = self.plan.braking < _BRAKE_APPLIED * problem.traction
@@ -465,11 +468,6 @@ class QPSubproblem:
         total = v.sum(axis=1)
         most = power[at] * total / (2.0 * v.prod(axis=1))
         slope = (most / total)[:, None] * self.scale[a, ends] / v
-        if self.problem.curves is not None:
-            part = (1.0 - self.problem.taper.crest)[at, None]
-            limit, fall = self.problem.curves.limit_and_fall(a, v, float(self.problem.power[a]))
-            most = (part * limit).mean(axis=1)
-            slope = 0.5 * part * fall.mean(axis=1, keepdims=True) * self.scale[a, ends] / v
         change = self.unknowns.z[a, ends]
         return a, at, self.below.add(most, (effort[at], 1.0), (change, slope))
 
