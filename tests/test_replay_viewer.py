@@ -19,7 +19,7 @@ from trainlog.replay import viewer, write_replay
 from trainlog.replay.layout import DRAWN, scalars, write_layout
 from trainlog.replay.viewer import has_display, open_viewer, take_picture
 from trainlog.topics import TOPICS
-from trainlog.trip import Trip
+from trainlog.trip import Trip, frame_of
 
 SETTLE = 2.5
 NO_GRAPHICS = "No graphics adapter", "Failed to get render context"
@@ -27,7 +27,14 @@ NO_GRAPHICS = "No graphics adapter", "Failed to get render context"
 
 @pytest.fixture(scope="module")
 def trip() -> Trip:
-    return made_trip()
+    """A trip with every topic whose fields are drawn."""
+    found = made_trip()
+    time = found["/train/state"].index
+    for topic in DRAWN:
+        if topic.name not in found:
+            values = {field.name: np.arange(len(time)) + 0.5 for field in topic.fields}
+            found = found.with_topic(frame_of(topic, time, values))
+    return found
 
 
 @pytest.fixture(scope="module")
