@@ -55,6 +55,11 @@ SLOW = 0.25
 """Time between samples [s] from which on short slips are missed."""
 
 
+SLOW_STD = 0.1
+"""Relative standard deviation of the levels of a trip for each second between two samples: the
+force between them is a mean."""
+
+
 @dataclass(frozen=True, slots=True)
 class PoweredAxles:
     """The powered axles whose speed is recorded.
@@ -155,9 +160,12 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
     if sampling >= SLOW:
         more.append(
             f"the axles are sampled every {sampling:.2g} s: slips shorter than {2 * sampling:.2g} s"
-            " may be missed"
+            f" may be missed, levels are read within ± {1.96 * SLOW_STD * sampling:.0%}"
         )
     load = known.load.value if known.load.known else 0.0
+    calibration = common_std = _common_std(train, known)
+    if sampling >= SLOW:
+        common_std = float(np.hypot(calibration, SLOW_STD * sampling))
     return PoweredAxles(
         clock=clock,
         time=time,
@@ -171,10 +179,10 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         levelled=levelled,
         mass=train.mass + load,
         axle_load=_axle_load(train, known, load, gain),
-        common_std=_common_std(train, known),
+        common_std=common_std,
         sampling=sampling,
         load=known.load.source,
-        notes=(*notes, *_load_notes(known), *said, *more),
+        notes=(*notes, *(_load_notes(known, calibration) if levelled.any() else ()), *said, *more),
         complete=numbers.size == train.axles.count and level == "axle" and sampling < SLOW,
     )
 
@@ -301,16 +309,19 @@ def _corrections(known: Passport) -> tuple[float, float, list[str]]:
     return gain, delay, notes
 
 
-def _load_notes(known: Passport) -> list[str]:
-    """What is to be stated of the load."""
-    load, spread = known.load, known.effort_over_mass
-    if load.source == "recorded" or not spread.known:
+def _load_notes(known: Passport, spread: float) -> list[str]:
+    """What is to be stated of load and gain: where the level of all adhesion is from."""
+    shown = known.effort_over_mass.known
+    if known.load.source == "recorded" and shown:
         return []
-    band = 1.96 * spread.std / spread.value
-    return [
-        f"the load is not recorded: {load.source} as {load.text('t', 1e-3, 1).partition(',')[0]},"
-        f" all adhesion within ± {band:.0%} by that"
-    ]
+    band = f"± {1.96 * spread:.0%}"
+    how = f"adhesion from what the efforts do to the motion, {band}"
+    if not shown:
+        how = f"adhesion within {band} by the gain of the efforts, which is not known either"
+    if known.load.source == "recorded":
+        return [f"the motion does not show the gain of the efforts: adhesion within {band}"]
+    size = known.load.text("t", 1e-3, 1).partition(",")[0]
+    return [f"the load is not recorded ({known.load.source} {size}): {how}"]
 
 
 def _demand(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray | None:

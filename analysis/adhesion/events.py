@@ -242,7 +242,8 @@ def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) ->
     at = first + int(top[top.size // 2])
     after = int(np.searchsorted(axles.time, axles.time[peak] + CUT_TIME))
     cut = bool(effort[peak : after + 1].min() < CUT * effort[peak])
-    adhesion, known, spread = float(used[top].mean()), bool(axles.levelled[axle]), 0.0
+    adhesion, known = float(used[top].mean()), bool(axles.levelled[axle])
+    spread = 0.0
     if motion.share is not None:
         # When whose effort is cut is not known: the level is what the axle used just before.
         before = int(np.searchsorted(axles.time, axles.time[start] - SHARED_TIME))

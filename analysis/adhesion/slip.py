@@ -253,7 +253,7 @@ class SlipAnalysis:
         )
         messages = [
             f"axle {axle} slips in {kind} at km {km:.3f}, {kmh:.0f} km/h: {peak:.1f} m/s,"
-            f" adhesion {adhesion:.3f}"
+            + (f" adhesion {adhesion:.3f}" if np.isfinite(adhesion) else " adhesion not known")
             + (f", maximum {top:.3f} ± {reach:.3f}" if np.isfinite(top) else "")
             for axle, kind, km, kmh, peak, adhesion, top, reach in columns
         ]
