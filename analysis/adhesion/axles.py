@@ -48,8 +48,9 @@ STATED_GAIN = 0.03
 NO_EFFORT = 0.02
 """Axle efforts that sum up to less than this share of the total were not recorded."""
 
-TURNING_SHARE = 0.2
-"""Share of an axle's effort that turns its wheels faster at the onset of slip."""
+TURNING_SHARE = 0.45
+"""By how much the level of an onset errs for an error of the gain alone: what turns the wheels
+faster is known without the gain, and it is most where slip sets in."""
 
 SLOW = 0.25
 """Time between samples [s] from which on short slips are missed."""
@@ -203,7 +204,6 @@ def _common_std(train: Train, known: Passport) -> float:
     """Relative standard deviation of effort over axle load that lasts for the whole trip."""
     both = known.effort_over_mass
     if both.known:
-        # What turns the wheels faster is known without the gain, what the motor gives is not.
         turning = TURNING_SHARE * np.nan_to_num(known.effort_gain.std)
         return float(np.hypot(both.std / both.value, turning))
     apart = known.effort_gain.std, known.load.std / (train.mass + known.load.value)
