@@ -94,6 +94,12 @@ LEAST_WINDOWS = 60
 FEWEST_CLUSTERS = 8
 """Fewer clusters of windows than this do not show how windows err together."""
 
+SHORT_TRIP = 2.0
+"""Standard deviations are taken so many times larger where there are fewer."""
+
+ANY_UNIT = 1e4
+"""Recorded efforts may be in any unit: one over their gain has this standard deviation."""
+
 LARGEST_DELAY_STD = 0.15
 """A delay known worse than this [s] is not taken from the trip."""
 
@@ -377,7 +383,7 @@ class _Motion:
         turning = inertia * GAIN_STD
         parts = (relative, self._scale.std, turning, EFFORT_DRIFT)
         ratio_std = ratio * float(np.linalg.norm(parts))
-        if not delay_std < LARGEST_DELAY_STD or not 0.2 < ratio < 5.0:
+        if not delay_std < LARGEST_DELAY_STD or not ratio > 0.0:
             raise NotIdentifiableError(
                 "the efforts vary too little for their delay to be seen in the motion"
             )
@@ -444,7 +450,7 @@ class _Motion:
         expected = np.zeros(rows.shape[1] - 1)
         expected[0], expected[1:4] = 1.0 / mass, coefficients
         spread = np.full(expected.size, MOST_DELAY / mass)
-        spread[0] = 1.0 / mass
+        spread[0] = ANY_UNIT / mass
         spread[1:4] = np.abs(coefficients) * RESISTANCE_SHARE + 0.01 * np.array(DRAG_STD)
         spread[4] = BRAKE_SCALE_STD / mass
         # In units of what is expected, so that the products are of one size.
@@ -458,7 +464,9 @@ class _Motion:
         if start is not None:
             begin = np.flatnonzero(np.diff(start // CLUSTER, prepend=-1.0))
             scores = np.add.reduceat(x * residual[:, None], begin, axis=0)
-            if (count := begin.size) >= FEWEST_CLUSTERS:
+            if (count := begin.size) < FEWEST_CLUSTERS:
+                covariance = covariance * SHORT_TRIP**2
+            else:
                 robust = inverse @ (scores.T @ scores) @ inverse * count / (count - 1)
                 larger = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
                 # So few clusters know their own spread as badly as Student's t says.

@@ -516,3 +516,21 @@ def test_a_log_is_fitted_as_the_trip_that_it_holds(tmp_path: Path) -> None:
     for one in (3, [3]):
         with pytest.raises(InputError, match=r"3 \(int\) was given"):
             analysis.fit(one)  # type: ignore[arg-type]
+
+
+def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line() -> None:
+    made = trip(noise=0.03)
+    effort = made["/train/controls"]["tractive_effort"]
+    cases = {
+        "tractive effort is 0 throughout": 0.0 * effort,
+        "recorded efforts are 0.001 times what the motion needs": 1e-3 * effort,
+        "recorded efforts are 0.2[0-9] times what the motion needs": 0.25 * effort,
+    }
+    for message, wrong in cases.items():
+        braking = made["/train/controls"]["dynamic_braking_effort"] * (wrong.max() / effort.max())
+        bad = changed(
+            made, "/train/controls", tractive_effort=wrong, dynamic_braking_effort=braking
+        )
+        with pytest.raises(TripRefusedError, match=message) as caught:
+            fit_trip(bad)
+        assert caught.value.reason in ("not recorded", "contradiction")

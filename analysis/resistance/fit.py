@@ -334,7 +334,7 @@ def effort_passport(trip: Trip) -> Passport:
     if known.effort_over_mass.known and abs(gain - 1.0) > LARGEST_GAIN_ERROR:
         raise TripRefusedError(
             "contradiction",
-            f"trip '{trip.name}': the recorded efforts are {gain:.2f} times what the motion needs",
+            f"trip '{trip.name}': the recorded efforts are {gain:.2g} times what the motion needs",
             place="topic /train/controls",
             remedy="check their unit and whether they are those of the whole train, and the mass"
             " in the train's file",
@@ -389,7 +389,16 @@ def fit_evidence(
     mass, mass_std = mass_prior(train)
     estimated = known.effort_delay.source == "estimated"
     delay_std = DELAY_STD if estimated else known.effort_delay.std
-    regression = regress(windows, mass, mass_std, Expected.on(line), delay_std)
+    try:
+        regression = regress(windows, mass, mass_std, Expected.on(line), delay_std)
+    except np.linalg.LinAlgError as error:
+        raise TripRefusedError(
+            "condition",
+            f"trip '{name}': no mass and no resistance explain the recorded speed and efforts",
+            place="topic /train/controls",
+            remedy="check that the efforts are those of this train on this trip",
+            timeline=timeline,
+        ) from error
     gain_std = known.effort_gain.std / known.effort_gain.value
     covariance = _with_scale(regression, scale)
     _check_curve(name, regression, covariance, asked, timeline)

@@ -326,7 +326,8 @@ def check_recorded(trip: Trip) -> None:
     Raises
     ------
     TripRefusedError
-        If no speed, no position or no tractive effort is recorded.
+        If no speed, no position or no tractive effort but 0 is recorded, or the line's gradients
+        are not known.
     """
     for topic, column in (
         ("/train/state", "speed"),
@@ -340,6 +341,13 @@ def check_recorded(trip: Trip) -> None:
             f"trip '{trip.name}': no {column.replace('_', ' ')} recorded",
             place=f"topic {topic}",
             remedy="running resistance needs speed, chainage and tractive effort",
+        )
+    if not (trip["/train/controls"]["tractive_effort"].fillna(0.0) != 0.0).any():
+        raise TripRefusedError(
+            "not recorded",
+            f"trip '{trip.name}': the recorded tractive effort is 0 throughout",
+            place="topic /train/controls",
+            remedy="map the column that holds it; running resistance needs it",
         )
     if LINE_ATTACHMENT in trip.attachments and "gradients" in line_of(trip).assumed:
         raise TripRefusedError(
