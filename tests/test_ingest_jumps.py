@@ -72,6 +72,20 @@ def test_fixes_that_come_back_from_an_outage_elsewhere_stay(tmp_path: Path, rate
     assert not absent.any()
 
 
+def test_a_frozen_speed_makes_no_fix_a_jump(tmp_path: Path) -> None:
+    """Between two outages there are a few sound fixes; the speed says that the train creeps."""
+    run = drive(600, 1.0, 5)
+    speed = run.speed.copy()
+    speed[100:500] = 0.8
+    frozen = Drive(
+        run.time, run.latitude, run.longitude, run.altitude, speed, run.hdop, run.satellites
+    )
+    seen = np.r_[0:200, 240:243, 280:600]
+    absent, report = read_drive(tmp_path, frozen.take(seen))
+    assert not absent.any()
+    assert report.count("frozen", "/gnss/motion.speed") > 250
+
+
 @pytest.mark.parametrize("length", [1, 2, 3, 4, 5, 7])
 @pytest.mark.parametrize("size", [30.0, 60.0, -15.0])
 def test_runs_of_wild_speeds_go_and_the_sample_after_stays(

@@ -54,6 +54,9 @@ USUAL_ACCURACY = 5.0
 SPEED_MARGIN, FASTER = 1.2, 10.0
 """How much faster than the recorded speed positions may move, as a factor and beyond it [m/s]."""
 
+RESTING = 10.0
+"""Time [s] from which on a repeated speed is not taken for how fast positions move."""
+
 MOST_JUMPS = 0.02
 """Share of steps between positions beyond which it is the recorded speed that is doubted."""
 
@@ -207,8 +210,13 @@ def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
         speed = table.signals.get(name)
         if speed is not None and np.isfinite(speed).any():
             known = np.isfinite(speed)
-            found = np.interp(seconds, seconds[known], speed[known])
-            return np.minimum(SPEED_MARGIN * np.abs(found) + FASTER, most)
+            at, column = seconds[known], speed[known]
+            # A speed that repeats itself may be frozen: it bounds nothing.
+            first = np.concatenate(([0], np.flatnonzero(np.diff(column)) + 1))
+            last = np.append(first[1:], at.size) - 1
+            rests = np.repeat(at[last] - at[first] >= RESTING, last - first + 1)
+            bound = np.where(rests, most, SPEED_MARGIN * np.abs(column) + FASTER)
+            return np.minimum(np.interp(seconds, at, bound), most)
     return np.full(len(table), most)
 
 
