@@ -80,7 +80,8 @@ def test_a_frozen_speed_makes_no_fix_a_jump(tmp_path: Path) -> None:
     frozen = Drive(
         run.time, run.latitude, run.longitude, run.altitude, speed, run.hdop, run.satellites
     )
-    seen = np.r_[0:200, 240:243, 280:600]
+    fast = 250 + int(np.argmax(run.speed[250:450]))
+    seen = np.r_[0 : fast - 25, fast : fast + 3, fast + 28 : 600]
     absent, report = read_drive(tmp_path, frozen.take(seen))
     assert not absent.any()
     assert report.count("frozen", "/gnss/motion.speed") > 250
