@@ -136,6 +136,14 @@ def test_the_file_keeps_the_curve_and_names_what_is_wrong_in_it() -> None:
         train_from_bytes(json.dumps(content).encode())
 
 
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_a_curve_in_another_unit_than_it_states_is_refused(factor: float, tmp_path: Path) -> None:
+    curve = EffortCurve(CURVE.speeds, factor * CURVE.efforts)
+    write_train(replace(FLIRT, traction_curve=curve), tmp_path / "odd.train.json")
+    with pytest.raises(InputError, match=r"traction_curve: its largest effort.*contradicts"):
+        read_train(tmp_path / "odd.train.json")
+
+
 def test_a_file_without_curves_is_as_it_was() -> None:
     assert b"curve" not in train_to_bytes(replace(FLIRT, braking_curves=None))
     assert FLIRT.traction_curve is None

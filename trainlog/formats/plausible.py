@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainlog.errors import InputError
+from trainlog.railway.effort import EffortCurve
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
@@ -123,6 +124,9 @@ MOST_ADHESION, MOST_BRAKING = 1.0, 2.0
 Published friction brakes of 10 m/s² stand for "whatever the rail transmits".
 """
 
+MOST_BESIDE = 10.0
+"""Times the stated largest effort, that a curve of effort reaches at most, and its inverse."""
+
 DELAY = 120.0
 """Dead time and lag of a friction brake [s]."""
 
@@ -156,9 +160,35 @@ def implausible_train(values: Mapping[str, Any]) -> Iterator[InputError]:
                     place=f"brake.{name}",
                     remedy="check the value and its unit",
                 )
+    yield from _implausible_curves(values)
     mass = values.get("mass") or 0.0
     if mass > 0.0 and "mass" not in wrong:
         yield from _against_mass({k: v for k, v in values.items() if k not in wrong}, mass)
+
+
+def _implausible_curves(values: Mapping[str, Any]) -> Iterator[InputError]:
+    """Curves of effort that contradict the largest effort beside them, or reach odd speeds."""
+    for name, stated in (
+        ("traction_curve", "max_tractive_effort"),
+        ("dynamic_braking_curve", "max_dynamic_braking_effort"),
+    ):
+        curve, effort = values.get(name), values.get(stated) or 0.0
+        if curve is None:
+            continue
+        speeds, efforts = (curve.speeds, curve.efforts) if isinstance(curve, EffortCurve) else curve
+        if np.size(speeds) == 0:
+            continue
+        top = float(np.max(efforts))
+        if effort > 0.0 and not effort / MOST_BESIDE <= top <= effort * MOST_BESIDE:
+            yield InputError(
+                f"its largest effort, {top / 1e3:.6g} kN, contradicts {stated},"
+                f" {effort / 1e3:.6g} kN",
+                place=name,
+                remedy="check the units of both (N or kN)",
+            )
+        problem = TRAIN["max_speed"].problem(float(np.max(speeds)), name)
+        if problem is not None:
+            yield problem
 
 
 def _against_mass(values: Mapping[str, Any], mass: float) -> Iterator[InputError]:
