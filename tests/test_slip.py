@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from simulated_line import flirt, hilly_line, level_line
-from slip_truth import Score, Seen, onset_errors, seen
+from slip_truth import Score, Seen, onset_errors, seen, spans
 
 from analysis.adhesion.events import adhesion_noise
 from analysis.adhesion.slip import SlipAnalysis, slip, wheel_noise
@@ -19,7 +19,8 @@ from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Axles, RunningResistance
 from trainlog.resampling import interpolated
-from trainlog.simulation import draw_scenarios
+from trainlog.simulation import Scenario, draw_scenarios
+from trainlog.simulation.plant import Plant
 from trainlog.simulation.sensors import Sensors
 from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, column_field, frame_of
@@ -326,6 +327,59 @@ def heavy() -> Seen:
     return replace(found, trip=trip, found=slip(trip))
 
 
+@dataclass(frozen=True, eq=False)
+class QuickProtection(Scenario):
+    """A rail whose adhesion is most at small slips, and a protection that acts at 0.6 m/s."""
+
+    def plant(self) -> Plant:
+        found = super().plant()
+        rail = found.rail.copy()
+        rail[:, 2:4] *= 7.0
+        quick = found.parameters._replace(
+            slip_threshold=0.6, slip_delay=0.0, slip_release=0.2, motor_lag=0.03
+        )
+        return replace(found, parameters=quick, rail=rail)
+
+
+@pytest.fixture(scope="module")
+def quick() -> Seen:
+    scenario = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]
+    known = {name: getattr(scenario, name) for name in Scenario.__dataclass_fields__}
+    return seen(QuickProtection(**known))
+
+
+class TestSmallSlips:
+    def peaks(self, each: Seen) -> list[tuple[int, int, int]]:
+        """Axle, first and last sample of each true slip beyond the maximum of the creep curve."""
+        row = each.scenario.plant().rail
+        place = interpolated(each.trip["/truth"], "position", each.found.time)
+        a, b = row[np.searchsorted(row[:, 0], place, side="right") - 1, 2:4].T
+        beyond = np.abs(each.slip) > 1.2 * (np.log(b / a) / (b - a))[:, None]
+        return [(axle, *span) for axle in range(beyond.shape[1]) for span in spans(beyond[:, axle])]
+
+    def test_they_are_found_and_measure_the_maximum(self, quick: Seen) -> None:
+        true = self.peaks(quick)
+        assert len(true) > 50
+        assert np.max(np.abs(quick.slip)) < 1.5
+        hits = [quick.found.slipping[max(a - 3, 0) : b + 3, axle].any() for axle, a, b in true]
+        assert np.mean(hits) > 0.95
+        errors = off(quick, quick.found)
+        assert errors.size > 50
+        assert abs(np.median(errors)) < 0.05
+
+    def test_nothing_else_is_found(self, quick: Seen) -> None:
+        """Each one reported is a slip that the protection ended."""
+        for axle in range(quick.found.slipping.shape[1]):
+            for a, b in spans(quick.found.slipping[:, axle]):
+                assert np.abs(quick.slip[max(a - 3, 0) : b + 3, axle]).max() > 0.35
+
+    def test_without_the_demand_the_other_axles_show_it(self, quick: Seen) -> None:
+        controls = quick.trip["/train/controls"].copy()
+        controls[["lever", "tractive_effort_demand", "braking_effort_demand"]] = np.nan
+        found = slip(quick.trip.with_topic(controls))
+        assert len(found.events) > 0.3 * len(quick.found.events)
+
+
 class TestWhatTheRecorderLacks:
     def test_the_load(self, heavy: Seen) -> None:
         """The motion shows it: the adhesion is right, within a band that is stated."""
@@ -411,6 +465,18 @@ class TestWhatTheRecorderLacks:
         found = slip(of_efforts(heavy.trip, lambda efforts: 1.25 * efforts, "/train/axles"))
         assert abs(np.median(off(heavy, found))) < 0.03
         assert any("1.25 times the total" in note for note in found.notes)
+
+    def test_noise_of_the_wheel_speeds(self, heavy: Seen) -> None:
+        generator = np.random.default_rng(4)
+        axles = heavy.trip["/train/axles"].copy()
+        names = [name for name in axles if name.startswith("wheel_speed_")]
+        axles[names] += 0.3 * generator.standard_normal((len(axles), len(names)))
+        found, total = slip(heavy.trip.with_topic(axles)), Score()
+        total.count(replace(heavy, found=found), margin=0.4)
+        assert total.precision > 0.97
+        assert total.recall > 0.97
+        assert any("slips below" in note for note in found.notes)
+        assert not found.complete
 
     def test_samples(self, heavy: Seen) -> None:
         """At one a second short slips are missed: stated."""
