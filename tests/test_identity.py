@@ -40,6 +40,7 @@ from trainlog.ingest import ingest, ingest_each, profile_of
 from trainlog.mcap import read_log, recover, write_log
 from trainlog.mcap.convert import convert
 from trainlog.mcap.reader import identity_of_log
+from trainlog.railway import TrackConditionMap
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
@@ -110,6 +111,11 @@ def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def alone() -> object:
     return fit([LOG])
+
+
+@pytest.fixture(scope="module")
+def mapped() -> TrackConditionMap:
+    return adhesion_map([LOG]).track
 
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
@@ -365,8 +371,10 @@ class TestFit:
 
 @pytest.mark.filterwarnings("ignore::trainlog.mcap.DamageWarning")
 class TestMap:
-    def test_each_form_of_a_drive_gives_the_same_map(self, versions: dict[str, Path]) -> None:
-        alone = adhesion_map([LOG]).track
+    def test_each_form_of_a_drive_gives_the_same_map(
+        self, versions: dict[str, Path], mapped: TrackConditionMap
+    ) -> None:
+        alone = mapped
         paths = [LOG, *(versions[name] for name in ("estimated", "converted", "recovered"))]
         every = adhesion_map(paths)
         assert len(every.track.trips) == 1
@@ -377,14 +385,18 @@ class TestMap:
                 np.testing.assert_array_equal(getattr(found, field), getattr(layer, field))
         assert map_to_bytes(adhesion_map(paths[::-1]).track) == map_to_bytes(every.track)
 
-    def test_a_map_knows_the_drives_that_it_holds(self, versions: dict[str, Path]) -> None:
-        held = map_from_bytes(map_to_bytes(adhesion_map([LOG]).track))
+    def test_a_map_knows_the_drives_that_it_holds(
+        self, versions: dict[str, Path], mapped: TrackConditionMap
+    ) -> None:
+        held = map_from_bytes(map_to_bytes(mapped))
         again = adhesion_map([*versions.values(), WHOLE], held)
         assert map_to_bytes(again.track) == map_to_bytes(held)
         assert len(again.reasons) == len(versions) + 1
         assert all("counted already" in reason for reason in again.reasons)
 
-    def test_the_halves_of_a_drive_are_two(self, versions: dict[str, Path]) -> None:
+    def test_the_halves_of_a_drive_are_two(
+        self, versions: dict[str, Path], mapped: TrackConditionMap
+    ) -> None:
         halves = [versions["first_half"], versions["second_half"]]
         found = adhesion_map(halves)
         assert len(found.track.trips) == 2
@@ -394,7 +406,7 @@ class TestMap:
         apart = [adhesion_map([half]).track for half in halves]
         assert map_to_bytes(merge(*apart)) == map_to_bytes(found.track)
         with pytest.raises(InputError, match="both track-condition maps count trip"):
-            merge(apart[0], adhesion_map([LOG]).track)
+            merge(apart[0], mapped)
 
     def test_two_drives_of_one_name_are_two(self) -> None:
         stopping = read_log(sample("stopping.mcap"))
@@ -404,9 +416,9 @@ class TestMap:
         assert map_to_bytes(one.track) == map_to_bytes(other.track)
 
     def test_a_map_of_an_older_version_states_what_it_cannot_know(
-        self, versions: dict[str, Path]
+        self, versions: dict[str, Path], mapped: TrackConditionMap
     ) -> None:
-        data = json.loads(map_to_bytes(adhesion_map([LOG]).track))
+        data = json.loads(map_to_bytes(mapped))
         for trip in data["trips"]:
             del trip["identity"]
         old = map_from_bytes(json.dumps(data).encode())
