@@ -104,7 +104,8 @@ def test_the_observed_set_holds_the_truth(results: Path) -> None:
         truth = truths[configuration.name]
         assert truth is not None
         assert curve_error(configuration.resistance, [truth]) <= 0.08
-        assert configuration.mass == pytest.approx(truth.mass, rel=0.01)
+        # The load is not recorded: the mass is known as well as the gain of the efforts is.
+        assert configuration.mass == pytest.approx(truth.mass, rel=0.02)
     assert found.common is not None
     assert curve_error(found.common, known) <= 0.02
 
