@@ -143,6 +143,14 @@ def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> Non
     assert effort["alternative"] == "kN, as the file states"
 
 
+def test_what_is_scaled_by_an_open_speed_is_open(tmp_path: Path) -> None:
+    run = drive()
+    path = written(tmp_path, {"t [s]": run.t, "v": run.v * 1.943844, "n1 [rpm]": run.v * 20.0})
+    proposal = propose_profile(path)
+    assert field(proposal, "/train/state.speed")["alternative"]
+    assert "the speed may be in" in field(proposal, "/train/axles.wheel_speed")["alternative"]
+
+
 def test_the_train_decides_between_units(tmp_path: Path) -> None:
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F": run.F})

@@ -345,6 +345,8 @@ def _add_speed(
     if place is not None and "fixes" in answer.unexplained:
         other = "; ".join(filter(None, [other, "no unit explains how fast the fixes move"]))
     why, alternative = unit_reason(stated.speed, answer.units.speed, answer.alternatives["speed"])
+    if alternative:
+        work.speed_open = f"another size: the speed may be in {alternative}"
     work.names[roles.SPEED] = []
     if target == roles.GNSS_SPEED:
         work.names[target] = [name]

@@ -78,7 +78,7 @@ def _speed_unit(work: Work, name: str, ratio: Ratio) -> tuple[str, str, str]:
     if off[best] < 0.08:
         if stated:
             return best, f"the file states {stated}, which contradicts the speed", f"{stated}"
-        return best, "no unit is stated; so it is the train's speed", ""
+        return best, "no unit is stated; so it is the train's speed", work.speed_open
     if stated:
         return stated, "the file states it", f"{ratio.value:.3g} times the train's speed"
     return "", f"{ratio.value:.3g} times the train's speed: no unit does that", ""
@@ -151,6 +151,7 @@ def _wheel_speeds(work: Work, names: tuple[str, ...]) -> None:
     work.add(
         Proposed(
             roles.WHEEL_SPEED, kept, "m/s", scale, why="turns, scaled by the train's speed",
+            alternative=work.speed_open,
             check=check,
         )
     )  # fmt: skip

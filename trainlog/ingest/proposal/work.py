@@ -65,6 +65,8 @@ class Work:
         By field.
     speed : (n,) array, optional [m/s]
         The train's, that others are compared with.
+    speed_open : str
+        Why what is scaled by it is open, if its own unit is.
     rivals : dict of str to list of str
         Columns of the same role as one that is used, and as well named.
     """
@@ -80,6 +82,7 @@ class Work:
     proposed: dict[str, Proposed] = field(default_factory=dict)
     readings: list[Reading] = field(default_factory=list)
     speed: FloatArray | None = None
+    speed_open: str = ""
     rivals: dict[str, list[str]] = field(default_factory=dict)
 
     def first(self, role: str) -> str | None:
