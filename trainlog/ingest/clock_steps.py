@@ -82,7 +82,7 @@ MOST_MISFITS = 0.05
 """Share of rows between the first and the last step that may fit neither clock."""
 
 LEAST_CHANGES = 5
-"""Changes between two clocks that it takes to see them without distance or speed."""
+"""Changes from one clock to the other that it takes to call them mixed."""
 
 HARDEST = 0.4
 """Speed [m/s] for each second of a gap up to which a train may have stopped in it unseen."""
@@ -467,15 +467,18 @@ def _setting(
             return None
     changes = np.flatnonzero(np.diff(np.concatenate(([0], ahead, [1]))))
     if changes.size > 1:
+        if changes.size < LEAST_CHANGES:
+            return None
         beyond = None if motion is None else motion.beyond(before, after)
-        counted = changes.size >= LEAST_CHANGES if beyond is None else abs(beyond / whole) < 0.4
-        return (whole, ahead) if counted else None
+        return (whole, ahead) if beyond is None or abs(beyond / whole) < 0.4 else None
     place = before + int(changes[0])
     passed = None if motion is None else motion.passed(place)
     if passed is not None:
         decided = passed.decide(whole)
         if decided is not None:
             return (whole, ahead) if decided else None
+        if whole < 0 and passed.time < 0.3 * whole - 3.0 * passed.std:
+            return None
     if whole < 0:
         return (whole, ahead) if _repeated_differently(rows, place) else None
     return whole, None
