@@ -40,6 +40,9 @@ STEEP = 0.5
 """Relative fall of a curve of effort over the relative rise of speed, from which its efforts show
 the power; where power alone limits it is 1."""
 
+UNEVEN = 0.08
+"""Relative scatter of the power that efforts on a curve show, beyond which several limits acted."""
+
 WEAKEST = 0.5
 """Share of the train's stated power below which another limit (adhesion, a fault) is at work."""
 
@@ -130,6 +133,13 @@ def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> Powe
     if power.size * step < SHORTEST:
         return None
     plateau = power > (1.0 - PLATEAU) * float(np.quantile(power, 0.98))
+    if train.traction_curve is not None and power.size:
+        # All of it shows the same share, and more scattered: the highest would be the noise's.
+        middle = float(np.median(power))
+        spread = 1.4826 * float(np.median(np.abs(power - middle)))
+        if spread > UNEVEN * middle:
+            return None
+        plateau = np.abs(power - middle) < max(PLATEAU * middle, 3.0 * spread)
     found, speeds = float(np.median(power[plateau])), speed[plateau]
     time = float(np.count_nonzero(plateau) * step)
     lasts = time >= SHORTEST and np.ptp(speeds) >= SPEED_RANGE
