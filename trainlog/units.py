@@ -94,7 +94,7 @@ def factor(unit: str, si: str) -> tuple[float, float]:
 
 _NAMED = (
     "1", "m", "s", "kg", "m/s", "m/s^2", "N", "Pa", "W", "J", "V", "A", "K", "Hz", "rad", "rad/s",
-    "m^2", "m^3", "m^3/s", "kg/s", "N*m", "Ohm", "C", "F", "T", "lx", "1/m",
+    "m^2", "m^3", "m^3/s", "kg/s", "N*m", "ohm", "C", "F", "T", "lx", "1/m",
 )  # fmt: skip
 """SI units by the names under which they are kept."""
 
@@ -112,6 +112,8 @@ def si_unit(unit: str) -> str:
     --------
     >>> si_unit("kV"), si_unit("bar"), si_unit("degC"), si_unit("%"), si_unit("l/h")
     ('V', 'Pa', 'K', '1', 'm^3/s')
+    >>> si_unit("1/km"), si_unit("kohm"), si_unit("mm^2/s")
+    ('1/m', 'ohm', 'm^2/s')
     """
     registry = _registry()
     try:
