@@ -302,3 +302,26 @@ def test_a_trip_most_of_whose_fixes_are_elsewhere_is_refused() -> None:
     fix.loc[away, "latitude"] += generator.uniform(-2e-3, 2e-3, int(away.sum()))
     with pytest.raises(InputError, match=r"were set aside|near the line follow"):
         estimated(Trip({**trip.topics, "/gnss/fix": fix}, trip.metadata), winding())
+
+
+def test_fixes_that_come_late_widen_the_band_along_the_line(field_rides: list[tuple]) -> None:
+    """Phones below ground repeat places that they have left: on the line, behind the train."""
+    track, run = field_rides[2]
+    quiet = Field(interval=11.0, outages=0.0, reflections=0.0, speed="none")
+    trip, truth = receive(track, run, quiet, 5)
+    fix = trip["/gnss/fix"].copy()
+    late = np.random.default_rng(5).uniform(size=len(fix)) < 0.2
+    late[:4] = False
+    earlier = np.maximum(np.arange(len(fix)) - 3, 0)
+    for name in ("latitude", "longitude"):
+        values = fix[name].to_numpy(copy=True)
+        values[late] = values[earlier[late]]
+        fix[name] = values
+    found = estimated(Trip({"/gnss/fix": fix}, trip.metadata), track)
+    good = estimated(trip, track)
+    assert found.frame is not None
+    assert float(found.metadata["receiver.along_std"]) > 50.0
+    assert float(good.metadata.get("receiver.along_std", 0.0)) < 20.0
+    for quantity in ("position", "speed"):
+        error, std = errors(found.frame, truth, quantity)
+        assert np.mean(np.abs(error) <= 1.96 * std) >= 0.9, quantity

@@ -72,6 +72,9 @@ LEAST_PREDICTED, FOLDS, PREDICTED = 8, 4, 10.0
 """Fixes from which on they are left out and predicted, in so many parts, each in stretches of so
 long [s] or a fix."""
 
+LATE_SHARE = 0.5
+"""Part of that noise that no averaging removes: fixes that come late err to one side."""
+
 MOST_ALONG = 500.0
 """Largest noise along the line alone [m]."""
 
@@ -137,7 +140,13 @@ class LineMotion:
             settled = turn > 1 and np.abs(position - last).max() < 0.1
             if settled and np.array_equal(np.isfinite(before), fitting):
                 break
-        return self._smoothed() if motion is None else self._calibrated(motion)
+        found = self._smoothed() if motion is None else self._calibrated(motion)
+        late = LATE_SHARE * self.along_std
+        return replace(
+            found,
+            position_std=np.hypot(found.position_std, late),
+            speed_std=np.hypot(found.speed_std, late / LASTING_TIME),
+        )
 
     def _size(self, aside: FloatArray, pace: FloatArray, *, smoothed: bool) -> None:
         """Estimate the noise of positions and speeds, and the train's agility, on this trip."""
