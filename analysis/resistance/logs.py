@@ -341,7 +341,7 @@ def _calibration(path: Path) -> tuple[SpeedScale, pd.Timestamp]:
     refusal: TripRefusedError | None = None
     for part in stretches(path, TOPICS):
         try:
-            check_recorded(part.trip)
+            check_recorded(part.trip, part=part.count > 1)
         except TripRefusedError as error:
             refusal = error
             continue

@@ -320,8 +320,14 @@ def prepare(
     return Prepared(recording, index, scale, smooth, position, masks)
 
 
-def check_recorded(trip: Trip) -> None:
+def check_recorded(trip: Trip, *, part: bool = False) -> None:
     """Refuse a trip that lacks what no fit can do without.
+
+    Parameters
+    ----------
+    trip : Trip
+    part : bool
+        Whether it is a part of a longer one: a train may coast throughout a part.
 
     Raises
     ------
@@ -342,7 +348,7 @@ def check_recorded(trip: Trip) -> None:
             place=f"topic {topic}",
             remedy="running resistance needs speed, chainage and tractive effort",
         )
-    if not (trip["/train/controls"]["tractive_effort"].fillna(0.0) != 0.0).any():
+    if not part and not (trip["/train/controls"]["tractive_effort"].fillna(0.0) != 0.0).any():
         raise TripRefusedError(
             "not recorded",
             f"trip '{trip.name}': the recorded tractive effort is 0 throughout",
