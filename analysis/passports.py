@@ -518,6 +518,7 @@ def with_calibrated_efforts(trip: Trip, known: Passport) -> Trip:
         delay = 0.0
     gain = known.effort_gain.value if known.effort_gain.known else 1.0
     ratio = known.axle_effort_ratio.value if known.axle_effort_ratio.known else 1.0
+    ratio = ratio or 1.0  # axle efforts of 0 throughout
     if "/train/controls" in trip:
         trip = _scaled(with_effort_delay(trip, delay), "/train/controls", "effort", 1.0 / gain)
     if "/train/axles" not in trip or not (known.effort_delay.known or known.effort_gain.known):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text
@@ -205,3 +206,25 @@ def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:
     trip = read(tmp_path, rows, "t,v,s,,")
     assert report_of(trip).findings == ()
     np.testing.assert_array_equal(trip["/train/state"]["position"], run.position)
+
+
+def test_rows_that_end_at_their_last_value_are_whole(tmp_path: Path) -> None:
+    """A writer that leaves out the empty cells at the end of a row, as every other row has some."""
+    rows = [
+        f"{row},{60 + 0.1 * (row.second % 7)},{300 + row.second}" if n % 2 else f"{row},{60.5}"
+        for n, row in enumerate(pd.date_range("2024-05-01T06:00:00Z", periods=200, freq="s"))
+    ]
+    path = tmp_path / "run.csv"
+    path.write_text("t,v,s\n" + "\n".join(rows) + "\n", "utf-8")
+    profile = plain_profile(
+        columns={
+            "/train/state.speed": {"column": "v", "unit": "km/h"},
+            "/imu.specific_force_x": {"column": "s", "unit": "m/s^2", "scale": 1e-3},
+        }
+    )
+    trip = ingest(path, profile)
+    report = report_of(trip)
+    assert (report.rows_read, report.rows_kept) == (200, 200)
+    assert report.count("truncated_rows") == 0
+    assert report.count("empty") == 100
+    assert trip["/imu"]["specific_force_x"].count() == 100

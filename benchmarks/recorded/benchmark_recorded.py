@@ -133,7 +133,8 @@ def judged(pair: int, words: str, published: Path) -> Outcome:
         report = report_of(trip)
         found.repaired.update(report.counts)
         found.rows_wrong += report.rows_read != len(made.table)
-        judge_state(found, trip, original)
+        ahead = clock_ahead(trip, original, made.clocks)
+        judge_state(found, trip, original, ahead)
         fit = found.tried("fit", lambda trip=trip: fit_trip(trip))
         truth = truth_of(original)
         if fit is not None:
@@ -143,7 +144,7 @@ def judged(pair: int, words: str, published: Path) -> Outcome:
             found.add("fit", error, np.mean((low <= true) & (true <= high)))
         slips = found.tried("slip", lambda trip=trip: slip(trip))
         if slips is not None:
-            judge_slip(found, slips, scenario, run)
+            judge_slip(found, slips, scenario, run, ahead)
             piece = found.tried("map", lambda trip=trip: evidence(trip, track))
             if piece is not None:
                 pieces.append(piece)
@@ -153,10 +154,16 @@ def judged(pair: int, words: str, published: Path) -> Outcome:
     return found
 
 
-def judge_state(found: Outcome, trip: Trip, original: Trip) -> None:
+def clock_ahead(trip: Trip, original: Trip, clocks: tuple[float, ...]) -> int:
+    """By how much the trip's clock is ahead [ns]: the nearest of those it may be."""
+    off = trip.start.as_unit("ns").value - original.start.as_unit("ns").value
+    return min((round(1e9 * each) for each in clocks), key=lambda each: abs(off - each))
+
+
+def judge_state(found: Outcome, trip: Trip, original: Trip, ahead: int) -> None:
     """Errors of chainage and speed against the truth, once a second."""
     truth = original["/truth"]
-    clock = truth.index.as_unit("ns").asi8
+    clock = truth.index.as_unit("ns").asi8 + ahead
     for topic, names in (
         ("/estimates/state", {"chainage": "position", "speed": "speed"}),
         ("/train/state", {"recorded": "position"}),
@@ -187,21 +194,20 @@ def spans(flags: np.ndarray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def judge_slip(found: Outcome, slips, scenario, run) -> None:
+def judge_slip(found: Outcome, slips, scenario, run, ahead: int) -> None:
     """True slips found and missed, reported slips that are true and false, by time and axle."""
     names = scenario.plant().columns
     speed = run.samples[:, names.index("speed")]
     wheels = run.samples[:, [i for i, n in enumerate(names) if n.startswith("wheel_speed_")]]
     true = np.abs(wheels - speed[:, None])
-    clock = scenario.start + np.round(run.seconds * 1e9).astype(np.int64)
+    clock = scenario.start + ahead + np.round(run.seconds * 1e9).astype(np.int64)
     at = slips.time.as_unit("ns").asi8
     flags = SlipDetector(true.shape[1], 0.0).update(wheels - speed[:, None])
-    axles = getattr(slips, "axles", None)
-    if axles is None:
-        axles = range(1, slips.slipping.shape[1] + 1)
-    for column, axle in enumerate(axles):
-        size, reported = true[:, axle - 1], slips.slipping[:, column]
-        for a, b in spans(flags[:, axle - 1]):
+    for axle in range(slips.slipping.shape[1]):
+        if np.isnan(slips.slip_speed[:, axle]).all():
+            continue
+        size, reported = true[:, axle], slips.slipping[:, axle]
+        for a, b in spans(flags[:, axle]):
             if size[a:b].max() > SLIPS + MARGIN:
                 seen = (at >= clock[a] - 10**9) & (at <= clock[b - 1] + 10**9)
                 found.slips[0] += 1

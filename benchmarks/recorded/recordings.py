@@ -92,6 +92,8 @@ class Recording:
     lines: list[Callable[[list[str]], list[str]]] = field(default_factory=list)
     """What happens to the lines of text at last, the header first."""
     rate: float = 10.0
+    clocks: tuple[float, ...] = (0.0,)
+    """What the recorder's clock may be ahead by [s]: of two clocks either may be taken."""
 
     @property
     def axles(self) -> int:
@@ -263,6 +265,7 @@ def frozen_effort(made: Recording) -> Recording:
 def stepped(made: Recording, seconds: float, *, whole: bool) -> Recording:
     time = made.table["time"].to_numpy(copy=True)
     begin, _ = made.moving(60.0)
+    made.clocks = (0.0, seconds)
     time[begin:] += round(seconds * SECOND)
     if whole:
         time = time // SECOND * SECOND
@@ -307,6 +310,7 @@ def no_date(made: Recording) -> Recording:
 @defect("dates 1024 weeks early")
 def rollover(made: Recording) -> Recording:
     made.table["time"] -= 1024 * 7 * 86_400 * SECOND
+    made.clocks = (0.0, -1024.0 * 7.0 * 86_400.0)
     return made
 
 
@@ -324,13 +328,13 @@ def restarted(made: Recording) -> Recording:
 
 @defect("distance wraps at 6,553.6 m")
 def wrapped_short(made: Recording) -> Recording:
-    made.table["distance"] %= 6553.6
+    made.table["distance"] = made.table["distance"].clip(lower=0.0) % 6553.6
     return made
 
 
 @defect("distance wraps at 10 km")
 def wrapped(made: Recording) -> Recording:
-    made.table["distance"] %= 10_000.0
+    made.table["distance"] = made.table["distance"].clip(lower=0.0) % 10_000.0
     return made
 
 
@@ -524,26 +528,32 @@ def one_a_bogie(made: Recording) -> Recording:
     columns = made.profile["columns"]
     for name in ("wheel_speed", "wheel_effort"):
         column = columns[f"/train/axles.{name}"]
-        column["columns"] = column["columns"][::2]
+        column["columns"] = [
+            each if number % 2 == 0 else "" for number, each in enumerate(column["columns"])
+        ]
     return made
 
 
 def slower(made: Recording, every: int) -> Recording:
-    satellites = [n for n in made.table if n.startswith(("gnss", "latitude", "longitude", "accu"))]
-    filled = made.table[satellites].ffill(limit=every - 1)
-    made.table[satellites] = filled
-    made.table = made.table.iloc[every - 1 :: every].reset_index(drop=True)
+    made.table = made.table.iloc[::every].reset_index(drop=True)
     made.rate /= every
     return made
 
 
-@defect("2 Hz")
+@defect("1.7 Hz")
 def two_hertz(made: Recording) -> Recording:
-    return slower(made, 5)
+    return slower(made, 6)
 
 
 @defect("1 Hz")
 def one_hertz(made: Recording) -> Recording:
+    return slower(made, 10)
+
+
+@defect("1 Hz, satellites' values held for 0.5 s")
+def held_hertz(made: Recording) -> Recording:
+    satellites = [n for n in made.table if n.startswith(("gnss", "latitude", "longitude", "accu"))]
+    made.table[satellites] = made.table[satellites].shift(5).ffill(limit=4)
     return slower(made, 10)
 
 

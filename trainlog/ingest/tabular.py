@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -116,7 +117,7 @@ class TextFile:
         names = list(dict.fromkeys(wanted))
         for name in names:
             self._check(name)
-        parsed = self._parsed(self.body, names)
+        parsed, body = self._parsed(self.body, names), self.body
         cut = np.zeros(0, dtype=np.int64)
         needed = max(self.named, *(self.names.index(name) + 1 for name in names))
         if parsed is None or parsed.fitting_but_for_empty_cells(needed, self.options.delimiter):
@@ -129,6 +130,11 @@ class TextFile:
                 remedy=self._delimiter_remedy(),
             )
         ragged = np.union1d(np.array(parsed.ragged, dtype=np.int64), cut)
+        if ragged.size > SELDOM * self.rows.size:
+            padded = self._parsed(with_empty_cells(body, self.options.delimiter, needed), names)
+            if padded is not None and len(padded.ragged) < len(parsed.ragged):
+                parsed, cut = padded, np.zeros(0, dtype=np.int64)
+                ragged = np.array(parsed.ragged, dtype=np.int64)
         if ragged.size > MAX_RAGGED * self.rows.size:
             raise self._misfit(parsed, ragged.size)
         table = parsed.table
@@ -328,18 +334,7 @@ def without_empty_cells(body: bytes, delimiter: str, named: int) -> tuple[bytes,
         Rows that have all named cells, but fewer empty ones than usual, as no more than `SELDOM` of
         the rows have: they were cut off, perhaps within their last cell.
     """
-    buffer = np.frombuffer(body if body.endswith(b"\n") else body + b"\n", dtype=np.uint8)
-    ends = np.flatnonzero(buffer == LINE_FEED)
-    starts = np.append(0, ends[:-1] + 1)
-    marks = np.flatnonzero(buffer == ord(delimiter))
-    quotes = np.flatnonzero(buffer == QUOTE)
-    if quotes.size:
-        # Delimiters between quotation marks of a row part no cells.
-        row = np.searchsorted(ends, marks)
-        opened = np.searchsorted(quotes, marks) - np.searchsorted(quotes, starts[row])
-        marks = marks[opened % 2 == 0]
-    before = np.searchsorted(marks, starts)
-    cells = np.searchsorted(marks, ends) - before + 1
+    buffer, ends, marks, before, cells = _counted(body, delimiter)
     last = ends.copy()
     more = np.flatnonzero(cells > named)
     last[more] = marks[before[more] + named - 1]
@@ -360,6 +355,46 @@ def without_empty_cells(body: bytes, delimiter: str, named: int) -> tuple[bytes,
     change[ends[whole]] -= 1
     kept = np.cumsum(change[:-1], dtype=np.int8) == 0
     return buffer[kept].tobytes(), np.flatnonzero(short)
+
+
+def with_empty_cells(body: bytes, delimiter: str, named: int) -> bytes:
+    """The rows of a text with the empty cells at their ends that a recorder leaves out.
+
+    Rows that have fewer cells than others, as more than `SELDOM` of all rows have, end at their
+    last value: what is missing is empty.
+
+    Parameters
+    ----------
+    body : bytes
+        Rows that end with a line feed.
+    delimiter : str
+    named : int
+        Cells of a whole row.
+    """
+    buffer, ends, _, _, cells = _counted(body, delimiter)
+    counts = np.bincount(cells, minlength=named + 1)
+    if counts[named] <= SELDOM * ends.size:
+        return body
+    habit = np.flatnonzero(counts > SELDOM * ends.size)
+    short = (cells < named) & np.isin(cells, habit)
+    places = np.repeat(ends[short], named - cells[short])
+    return np.insert(buffer, places, ord(delimiter)).tobytes()
+
+
+def _counted(body: bytes, delimiter: str) -> tuple[Any, IntArray, IntArray, IntArray, IntArray]:
+    """Bytes, ends of rows, places of delimiters; by row, delimiters before it, and its cells."""
+    buffer = np.frombuffer(body if body.endswith(b"\n") else body + b"\n", dtype=np.uint8)
+    ends = np.flatnonzero(buffer == LINE_FEED)
+    starts = np.append(0, ends[:-1] + 1)
+    marks = np.flatnonzero(buffer == ord(delimiter))
+    quotes = np.flatnonzero(buffer == QUOTE)
+    if quotes.size:
+        # Delimiters between quotation marks of a row part no cells.
+        row = np.searchsorted(ends, marks)
+        opened = np.searchsorted(quotes, marks) - np.searchsorted(quotes, starts[row])
+        marks = marks[opened % 2 == 0]
+    before = np.searchsorted(marks, starts)
+    return buffer, ends, marks, before, np.searchsorted(marks, ends) - before + 1
 
 
 def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
