@@ -47,6 +47,33 @@ independent pairs beyond which more of them do not make a lag count more."""
 LEAST_PAIRS = 20
 """Pairs of values from which on a lag is used."""
 
+SLOPE_TIME = 1.0
+"""Half the time [s] over which the wheels' acceleration is taken."""
+
+DELAY_SPEED = 3.0
+"""Speed [m/s] from which on delays are sought: slower, receivers state a standstill."""
+
+CREEP_STD = 0.005
+"""Standard deviation of the wheels' creep over their acceleration [s²/m], beforehand."""
+
+DELAY_BLOCK = 20.0
+"""Time [s] over which errors of speeds may last where their delay is sought."""
+
+OUTLIER = 4.685
+"""Residuals beyond this many standard deviations have no weight (Tukey's biweight)."""
+
+LARGEST_GAP = 2.5
+"""Between wheel speeds further apart [s] none is interpolated."""
+
+DELAY_TURNS, REWEIGHTED = 12, 5
+"""Times the delay is sought around the one found, and the residuals are weighted anew each time."""
+
+LEAST_DELAYED, LEAST_BLOCKS = 60, 8
+"""Values, and blocks of time that hold them, from which on a delay is sought."""
+
+LATEST_DELAY = 3.0
+"""Largest delay [s] that is sought."""
+
 
 @dataclass(frozen=True)
 class ReceiverNoise:
@@ -70,6 +97,14 @@ class ReceiverNoise:
     def std(self) -> float:
         """Standard deviation of both parts together."""
         return float(np.hypot(self.white, self.lasting))
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A delay and its standard deviation [s]."""
+
+    value: float
+    std: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,3 +328,133 @@ def white_noise(values: FloatArray) -> float:
     # Most are small where values repeat, some large where a train begins to brake.
     size = np.minimum(np.abs(second), np.quantile(np.abs(second), 0.99))
     return float(np.sqrt(np.mean(size**2) / 6.0))
+
+
+@dataclass(frozen=True, eq=False)
+class WheelSpeeds:
+    """Speeds of the wheels, all of them finite; (n,) arrays.
+
+    Attributes
+    ----------
+    seconds : array [s]
+        Growing.
+    speed : array [m/s]
+    """
+
+    seconds: FloatArray
+    speed: FloatArray
+
+    def at(self, seconds: FloatArray) -> FloatArray:
+        """Speed [m/s] at any times [s], NaN in gaps longer than 2.5 s and outside."""
+        after = np.searchsorted(self.seconds, seconds)
+        after = np.clip(after, 1, self.seconds.size - 1)
+        whole = self.seconds[after] - self.seconds[after - 1] <= LARGEST_GAP
+        values = np.interp(seconds, self.seconds, self.speed, left=np.nan, right=np.nan)
+        return np.where(whole, values, np.nan)
+
+    def delay_of(self, seconds: FloatArray, speed: FloatArray) -> Delay | None:
+        """By how much a satellite speed comes later than the wheels'; None if that is not known.
+
+        Least squares of s(t) = (c + k a) w(t - d) for the delay d, the scale c of the wheels w and
+        their creep k with the acceleration a, with Tukey's biweight against slip, iterated around
+        the delay found. The standard deviation is that of errors which last over 20 s (the sandwich
+        estimator with blocks), whatever their distribution.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> time = np.arange(0.0, 600.0, 0.2)
+        >>> wheels = WheelSpeeds(time, 12.0 + 8.0 * np.sin(time / 20.0))
+        >>> noise = 0.05 * np.random.default_rng(1).standard_normal(time.size)
+        >>> late = 12.0 + 8.0 * np.sin((time - 0.4) / 20.0)
+        >>> found = wheels.delay_of(time, 1.01 * late + noise)
+        >>> round(found.value, 1), found.std < 0.03
+        (0.4, True)
+        """
+        if self.seconds.size < 2:
+            return None
+        delay, found = 0.0, None
+        for _ in range(DELAY_TURNS):
+            at = seconds - delay
+            terms = self._terms(at)
+            kept = np.isfinite(terms).all(axis=1) & (speed > DELAY_SPEED)
+            kept &= terms[:, 0] > DELAY_SPEED
+            if np.count_nonzero(kept) < LEAST_DELAYED:
+                return None
+            found = _delay_in(terms[kept], speed[kept], at[kept])
+            if found is None or abs(delay + found.value) > LATEST_DELAY:
+                return None
+            delay += found.value
+            if abs(found.value) < max(1e-3, 0.1 * found.std):
+                return Delay(delay, found.std)
+        return None
+
+    def delay_left(self, seconds: FloatArray, along: FloatArray, delay: float) -> Delay | None:
+        """By how much positions come later still than a delay [s]; None if that is not known.
+
+        From the distances between positions [m] 20 s apart and the integral of the wheels' speed.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> time = np.arange(0.0, 600.0)
+        >>> wheels = WheelSpeeds(time, 12.0 + 8.0 * np.sin(time / 20.0))
+        >>> along = 12.0 * (time - 0.4) - 160.0 * np.cos((time - 0.4) / 20.0)
+        >>> round(wheels.delay_left(time, along, 0.1).value, 1)
+        0.3
+        """
+        fixes = series_of(seconds, along)
+        if self.seconds.size < 2 or fixes.values.size < LEAST_DELAYED:
+            return None
+        at = fixes.seconds - delay
+        steps = np.diff(self.seconds)
+        mean = 0.5 * (self.speed[1:] + self.speed[:-1])
+        driven = np.concatenate(([0.0], np.cumsum(mean * steps)))
+        missing = np.concatenate(([0.0], np.cumsum(np.where(steps > LARGEST_GAP, steps, 0.0))))
+        speed = self.at(at)
+        sums = np.column_stack(
+            [np.interp(at, self.seconds, driven), -speed, 0.5 * speed**2, fixes.values]
+        )
+        absent = np.interp(at, self.seconds, missing)
+        first, second = pairs_at(fixes.seconds, DELAY_BLOCK)
+        change = sums[second] - sums[first]
+        kept = np.isfinite(change).all(axis=1) & (absent[second] == absent[first])
+        kept &= change[:, 0] > DELAY_SPEED * DELAY_BLOCK
+        if np.count_nonzero(kept) < LEAST_DELAYED:
+            return None
+        return _delay_in(change[kept, :3], change[kept, 3], at[first[kept]], 2.0 * DELAY_BLOCK)
+
+    def _terms(self, seconds: FloatArray) -> FloatArray:
+        """What a scale, a delay and a creep of 1 add to the speed at given times, (n, 3)."""
+        speed = self.at(seconds)
+        after, before = self.at(seconds + SLOPE_TIME), self.at(seconds - SLOPE_TIME)
+        slope = (after - before) / (2.0 * SLOPE_TIME)
+        return np.column_stack([speed, -slope, slope * speed])
+
+
+def _delay_in(
+    terms: FloatArray, values: FloatArray, seconds: FloatArray, block: float = DELAY_BLOCK
+) -> Delay | None:
+    """The factor of the second of three terms, of scale, delay and creep, in some values."""
+    factors = np.array([float(np.median(values / terms[:, 0])), 0.0, 0.0])
+    prior = np.zeros((3, 3))
+    inverse = np.eye(3)
+    for _ in range(REWEIGHTED):
+        residual = values - terms @ factors
+        std = max(MEDIAN_TO_STD * float(np.median(np.abs(residual))), 1e-6)
+        weight = np.maximum(1.0 - (residual / (OUTLIER * std)) ** 2, 0.0) ** 2
+        prior[2, 2] = (std / CREEP_STD) ** 2
+        weighted = terms * weight[:, None]
+        normal = weighted.T @ terms + prior
+        if np.linalg.matrix_rank(normal) < 3:
+            return None
+        inverse = np.linalg.inv(normal)
+        factors = inverse @ (weighted.T @ values)
+    residual = values - terms @ factors
+    number = np.unique(np.floor(seconds / block), return_inverse=True)[1]
+    if number.max() < LEAST_BLOCKS:
+        return None
+    scores = weighted * residual[:, None]
+    sums = np.column_stack([np.bincount(number, scores[:, i]) for i in range(3)])
+    spread = sums.T @ sums * len(sums) / (len(sums) - 3.0) + std**2 * prior
+    return Delay(float(factors[1]), float(np.sqrt((inverse @ spread @ inverse)[1, 1])))

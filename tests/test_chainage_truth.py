@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from satellite_trips import (
     PACES,
@@ -265,6 +266,51 @@ def test_late_and_frozen_speeds_are_reported(field_rides: list[tuple]) -> None:
         profile_of({**PLAIN, "repair": {"contradicted": False}}),
     )
     assert "receiver.speed_delay" not in kept.metadata
+
+
+def late(trip: Trip, delay: float, *topics: str) -> Trip:
+    """The trip with topics whose values arrive late on its clock."""
+    shifted = {name: trip[name].copy() for name in topics}
+    for frame in shifted.values():
+        frame.index = pd.DatetimeIndex(frame.index) + pd.Timedelta(delay, "s")
+    return Trip({**trip.topics, **shifted}, trip.metadata)
+
+
+@pytest.mark.parametrize(("delay", "rate"), [(0.2, 5.0), (0.5, 1.0), (1.0, 5.0), (1.0, 1.0)])
+def test_fixes_and_speeds_that_are_late_together_are_put_back(delay: float, rate: float) -> None:
+    trip, truth = drive(winding(), Receiver(rate=rate, wheels=True), seed=3)
+    estimate = estimated(late(trip, delay, "/gnss/fix", "/gnss/motion"), winding())
+    assert estimate.frame is not None
+    found, std = (float(estimate.metadata[f"receiver.{n}"]) for n in ("delay", "delay_std"))
+    assert abs(found - delay) < max(3.0 * std, 0.02)
+    error, std_of_position = errors(estimate.frame, truth, "position")
+    assert np.median(np.abs(error)) < 2.0
+    assert np.mean(np.abs(error) < 1.96 * std_of_position) >= 0.9
+    (finding,) = (f for f in estimate.findings if f.rule == "contradicted")
+    assert "with the fixes" in finding.note
+    uncertain = estimate.frame["position_std"] >= 0.99 * (std - 0.005) * estimate.frame["speed"]
+    assert uncertain.all()
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_satellites_on_time_are_not_shifted(rate: float, seed: int) -> None:
+    trip, _ = drive(winding(), Receiver(rate=rate, wheels=True), seed=seed)
+    assert "receiver.delay" not in estimated(trip, winding()).metadata
+    # Speeds that are late alone do not make the fixes late, nor do late wheels.
+    alone = estimated(late(trip, 1.0, "/gnss/motion"), winding())
+    assert "receiver.delay" not in alone.metadata
+    wheels = estimated(late(trip, 0.5, "/train/state"), winding())
+    assert "receiver.delay" not in wheels.metadata
+
+
+def test_a_delay_that_the_trip_does_not_show_is_not_known() -> None:
+    trip, _ = drive(winding(), Receiver(rate=5.0, wheels=True), seed=3)
+    begin = trip.start + pd.Timedelta(80, "s")
+    cruise = {n: f.loc[begin : begin + pd.Timedelta(90, "s")] for n, f in trip.topics.items()}
+    assert (
+        estimated(Trip(cruise, trip.metadata), winding()).metadata["receiver.delay"] == "not known"
+    )
 
 
 def test_the_noise_of_a_receiver_is_estimated_and_not_believed(field_rides: list[tuple]) -> None:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from estimators.matching import Nodes, best_chain
 from estimators.motion import SmoothedMotion
-from estimators.receiver import MEDIAN_TO_STD, ReceiverNoise
+from estimators.receiver import MEDIAN_TO_STD, Delay, ReceiverNoise
 from trainlog.errors import InputError
 from trainlog.ingest.fixes import GATE, Fixes, slipping_wheels, wheel_ratio
 from trainlog.ingest.line_motion import GEOMETRY_STD, SMALLEST_NOISE, LineMotion
-from trainlog.ingest.receiver import Speeds, extrapolated
+from trainlog.ingest.receiver import Speeds, common_delay, extrapolated, with_late_wheels
 from trainlog.ingest.recording import BoolArray, FloatArray
 from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
 from trainlog.railway.line import Geometry
@@ -72,7 +72,10 @@ class Matched:
     along_std : float [m]
         Of a further noise of the positions, along the line alone: fixes that come late.
     delay : float [s]
-        By which the satellite speed came late; it was put back by it.
+        By which the satellite speed came later than the fixes; it was put back by it.
+    common_delay : Delay
+        By which fixes and satellite speed came later than the wheels' speed, NaN if that is not
+        known; `motion` is that of the satellites' clock.
     reasons : str
         Why speeds are not used, in words.
     """
@@ -88,6 +91,7 @@ class Matched:
     speed_noise: ReceiverNoise | None
     along_std: float
     delay: float
+    common_delay: Delay
     reasons: str
 
 
@@ -141,8 +145,14 @@ def chainage_of(
     if gated:
         fitting &= np.hypot(aside, chainage - course) < GATE * np.hypot(spread, std)
     if speed_aware:
-        speeds.compare(np.where(fitting, chainage, np.nan), max(spread, SMALLEST_NOISE[0]))
-    fixes = replace(fixes, speed=speeds.used)
+        fit = np.where(fitting, chainage, np.nan)
+        speeds.compare(fit, max(spread, SMALLEST_NOISE[0]))
+        fixes = replace(fixes, speed=speeds.used)
+        speeds.common = common_delay(fixes, fit)
+        if speeds.common.value > 0.0:
+            fixes = with_late_wheels(fixes, speeds.common.value)
+            slipping = slipping_wheels(fixes, fixes.speed, fixes.speed_std, wheel_ratio(fixes))
+            slipping &= slip_aware
     work = LineMotion(track, points, fixes, gated=gated, slip_aware=slip_aware, hold=speeds.hold)
     motion = work.run(course, fitting, slipping)
     rejected = np.isfinite(points) & ~np.isfinite(work.chainage)
@@ -166,6 +176,7 @@ def chainage_of(
         speed_noise=work.speed_noise,
         along_std=work.along_std,
         delay=speeds.delay,
+        common_delay=speeds.common,
         reasons=speeds.words(int(np.count_nonzero(work.contradicted & ~speeds.aside))),
     )
 

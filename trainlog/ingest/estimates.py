@@ -79,7 +79,7 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
         metadata = _noise_of(matched)
         usable = np.isfinite(matched.chainage).sum() > 1
         frame = _smoothed_fixes(fixes, matched) if usable else None
-        return Estimate(frame, _findings(matched), metadata)
+        return Estimate(frame, _findings(fixes, matched), metadata)
     start = profile.trip.start_position
     if start is None or "/train/state" not in trip:
         return Estimate()
@@ -162,12 +162,14 @@ def _bridged(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
     return pd.DatetimeIndex(np.union1d(time, extra), tz="UTC", name=index.name)
 
 
-def _findings(matched: Matched) -> tuple[Finding, ...]:
+def _findings(fixes: Fixes, matched: Matched) -> tuple[Finding, ...]:
     """What was set aside, by rule."""
     count = int(np.count_nonzero(matched.extrapolated))
     computed = f"{count} extrapolated by the receiver" if count else ""
+    # A delay of fixes and speeds together concerns every speed.
+    late = np.isfinite(fixes.speed) & (matched.common_delay.value > 0.0)
     counts = (
-        ("contradicted", matched.contradicted, "/gnss/motion.speed", matched.reasons),
+        ("contradicted", matched.contradicted | late, "/gnss/motion.speed", matched.reasons),
         ("off_line", matched.rejected | matched.extrapolated, "/gnss/fix", computed),
         ("slip", matched.slipping, "/train/state.speed", ""),
     )
@@ -193,6 +195,11 @@ def _noise_of(matched: Matched) -> dict[str, str]:
         found["receiver.speed_time"] = f"{matched.speed_noise.time:.0f}"
     if matched.delay:
         found["receiver.speed_delay"] = f"{matched.delay:g}"
+    if matched.common_delay.value > 0.0:
+        found["receiver.delay"] = f"{matched.common_delay.value:.2f}"
+        found["receiver.delay_std"] = f"{matched.common_delay.std:.2f}"
+    elif np.isnan(matched.common_delay.value):
+        found["receiver.delay"] = "not known"
     return found
 
 
@@ -201,8 +208,32 @@ def _smoothed_fixes(fixes: Fixes, matched: Matched) -> pd.DataFrame:
     known = np.flatnonzero(np.isfinite(matched.chainage))
     span = slice(int(known[0]), int(known[-1]) + 1)
     # Where the line itself is misplaced no number of fixes helps.
-    std = np.hypot(matched.motion.position_std, matched.misfit)
-    return _frame(fixes.index, replace(matched.motion, position_std=std), 0.0).iloc[span]
+    motion = _on_time(fixes.seconds, matched)
+    std = np.hypot(motion.position_std, matched.misfit)
+    return _frame(fixes.index, replace(motion, position_std=std), 0.0).iloc[span]
+
+
+def _on_time(seconds: FloatArray, matched: Matched) -> SmoothedMotion:
+    """The motion on the table's clock, its band wider by what is not known of the delay."""
+    motion, late = matched.motion, matched.common_delay
+    if not late.value > 0.0:
+        return motion
+    at = seconds + late.value
+
+    def earlier(values: FloatArray) -> FloatArray:
+        return np.asarray(np.interp(at, seconds, values))
+
+    beyond = np.maximum(at - seconds[-1], 0.0)
+    speed, acceleration = earlier(motion.speed), earlier(motion.acceleration)
+    return replace(
+        motion,
+        position=earlier(motion.position) + speed * beyond,
+        position_std=np.hypot(earlier(motion.position_std), late.std * speed),
+        speed=speed,
+        speed_std=np.hypot(earlier(motion.speed_std), late.std * acceleration),
+        acceleration=acceleration,
+        acceleration_std=earlier(motion.acceleration_std),
+    )
 
 
 def _frame(index: pd.DatetimeIndex, motion: SmoothedMotion, start: float) -> pd.DataFrame:

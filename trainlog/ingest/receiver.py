@@ -8,6 +8,7 @@ that is set aside; a step of the positions alone, with speeds that go on, is the
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,8 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from estimators.receiver import MEDIAN_TO_STD, mean_square, pairs_at, series_of
-from trainlog.ingest.fixes import GATE, Fixes
+from estimators.receiver import (
+    MEDIAN_TO_STD,
+    Delay,
+    WheelSpeeds,
+    mean_square,
+    pairs_at,
+    series_of,
+)
+from trainlog.ingest.fixes import GATE, Fixes, slipping_wheels, wheel_ratio
 from trainlog.ingest.recording import BoolArray, FloatArray
 
 ComplexArray = NDArray[np.complex128]
@@ -64,6 +72,17 @@ DELAYS = np.arange(-2.0, 12.1, 0.5)
 
 LEAST_DELAY = 0.4
 """A smaller delay [s] is not corrected."""
+
+LEAST_COMMON, LEAST_OF_STEP = 0.05, 0.1
+"""A smaller delay of fixes and speeds together [s], or part of the time between speeds, is not
+corrected."""
+
+UNKNOWN = Delay(np.nan, np.nan)
+"""What a trip does not show."""
+
+SIGNIFICANT, SIGNIFICANT_ALONE = 3.0, 2.0
+"""A delay of fewer standard deviations is not corrected; fixes that are earlier than the speeds by
+more, and by half the delay, do not share it."""
 
 
 def frozen(seconds: FloatArray, speed: FloatArray) -> BoolArray:
@@ -235,6 +254,59 @@ def delay_of(seconds: FloatArray, along: FloatArray, speed: FloatArray) -> float
     return float(DELAYS[least])
 
 
+def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
+    """By how much fixes and satellite speeds together come later than the wheels' speed.
+
+    The speeds give the delay, which the fixes must not contradict; 0 s where there is no wheel
+    speed, where the fixes are not late, or where the delay is no larger than its standard deviation
+    explains; NaN where the train changes its speed too little to show one.
+
+    Parameters
+    ----------
+    fixes : Fixes
+        Their speeds without those that are set aside.
+    chainage : (n,) array [m]
+        Of the fixes that fit, NaN for others.
+    """
+    none = Delay(0.0, 0.0)
+    known = np.isfinite(fixes.speed)
+    if fixes.wheel_speed is None or np.count_nonzero(known) < 2:
+        return none
+    wheels = wheel_speeds(fixes)
+    late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
+    if late is not None and late.value > LEAST_COMMON:
+        # Late wheels are no slipping ones, so that slip is only seen now.
+        on_time = with_late_wheels(fixes, late.value)
+        slips = slipping_wheels(on_time, fixes.speed, fixes.speed_std, wheel_ratio(on_time))
+        turning = np.isfinite(fixes.wheel_speed)
+        known &= np.interp(fixes.seconds, fixes.seconds[turning], slips[turning]) == 0.0
+        late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
+    if late is None:
+        return UNKNOWN
+    step = float(np.median(np.diff(fixes.seconds[known])))
+    least = max(LEAST_COMMON, LEAST_OF_STEP * min(step, 1.0), SIGNIFICANT * late.std)
+    if late.value < least:
+        return none
+    left = wheels.delay_left(fixes.seconds, chainage, late.value)
+    alone = left is not None and left.value < -max(0.5 * late.value, SIGNIFICANT_ALONE * left.std)
+    return none if alone else late
+
+
+def wheel_speeds(fixes: Fixes) -> WheelSpeeds:
+    """The wheels' speeds where they are known."""
+    speed = np.full(fixes.seconds.size, np.nan) if fixes.wheel_speed is None else fixes.wheel_speed
+    known = np.isfinite(speed)
+    return WheelSpeeds(fixes.seconds[known], speed[known])
+
+
+def with_late_wheels(fixes: Fixes, delay: float) -> Fixes:
+    """Fixes whose wheel speeds are as late as the satellites' [s]: all on the satellites' clock."""
+    if fixes.wheel_speed is None:
+        return fixes
+    late = wheel_speeds(fixes).at(fixes.seconds - delay)
+    return replace(fixes, wheel_speed=np.where(np.isfinite(fixes.wheel_speed), late, np.nan))
+
+
 def scale_of(seconds: FloatArray, points: ComplexArray, speed: FloatArray) -> float:
     """Distance by the speeds over the distance between fixes, the median over 20 s; NaN if unknown.
 
@@ -354,6 +426,7 @@ class Speeds:
         self.seconds, self.used = fixes.seconds, fixes.speed.copy()
         self.aside = np.zeros(fixes.speed.size, dtype=np.bool_)
         self.delay = 0.0
+        self.common = Delay(0.0, 0.0)
         self.hold = hold_of(fixes.seconds, fixes.speed)
         self._counts: dict[str, int] = {}
         if points is None or computed is None or np.count_nonzero(np.isfinite(self.used)) < 2:
@@ -388,7 +461,12 @@ class Speeds:
         if further:
             counts["contradicted"] = counts.get("contradicted", 0) + further
         found = [f"{count} {reason}" for reason, count in counts.items()]
-        return ", ".join([*found, *([f"all {self.delay:g} s late"] if self.delay else [])])
+        if self.delay:
+            found.append(f"all {self.delay:g} s late")
+        if self.common.value > 0.0:
+            late, std = self.common.value, self.common.std
+            found.append(f"with the fixes {late:.2f} s (standard deviation {std:.2f} s) late")
+        return ", ".join(found)
 
     def _without(self, reason: str, flags: BoolArray) -> None:
         flags = flags & np.isfinite(self.used)
