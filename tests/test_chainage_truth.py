@@ -304,6 +304,23 @@ def test_satellites_on_time_are_not_shifted(rate: float, seed: int) -> None:
     assert "receiver.delay" not in wheels.metadata
 
 
+@pytest.mark.parametrize("wheels", [True, False])
+@pytest.mark.parametrize("rate", [1.0, 2.0])
+def test_fixes_that_a_faster_table_repeats_are_used_once(rate: float, wheels: bool) -> None:
+    trip, truth = drive(winding(), Receiver(rate=rate, wheels=True), seed=2)
+    rows = trip["/train/state"].index
+    topics = {n: trip[n].reindex(rows, method="ffill") for n in ("/gnss/fix", "/gnss/motion")}
+    if wheels:
+        topics["/train/state"] = trip["/train/state"]
+    estimate = estimated(Trip(topics, trip.metadata), winding())
+    assert estimate.frame is not None
+    assert estimate.metadata["receiver.held_rows"] == "0.1"
+    assert "receiver.held_rows" not in estimated(trip, winding()).metadata
+    error, std = errors(estimate.frame, truth, "position")
+    assert np.median(np.abs(error)) < 2.5
+    assert np.mean(np.abs(error) < 1.96 * std) >= 0.9
+
+
 def test_a_delay_that_the_trip_does_not_show_is_not_known() -> None:
     trip, _ = drive(winding(), Receiver(rate=5.0, wheels=True), seed=3)
     begin = trip.start + pd.Timedelta(80, "s")

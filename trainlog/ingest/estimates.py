@@ -13,7 +13,7 @@ import pandas as pd
 
 from estimators.motion import SmoothedMotion, smooth_motion
 from trainlog.ingest.chainage import Matched, chainage_of
-from trainlog.ingest.fixes import Fixes
+from trainlog.ingest.fixes import Fixes, held_fixes
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.recording import Finding, FloatArray
 from trainlog.railway.line import Line
@@ -77,6 +77,8 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
             speed_aware=profile.repair.contradicted,
         )
         metadata = _noise_of(matched)
+        if fixes.row_time:
+            metadata["receiver.held_rows"] = f"{fixes.row_time:g}"
         usable = np.isfinite(matched.chainage).sum() > 1
         frame = _smoothed_fixes(fixes, matched) if usable else None
         return Estimate(frame, _findings(fixes, matched), metadata)
@@ -113,6 +115,7 @@ def fixes_of(trip: Trip) -> Fixes:
     frame = trip["/gnss/fix"]
     if "/gnss/motion" in trip:
         frame = frame.join(trip["/gnss/motion"], how="outer")
+    frame, row_time = _first_of_held(frame)
     index = pd.DatetimeIndex(frame.index)
     wheels = _wheels(trip, index)
     if wheels is not None:
@@ -138,7 +141,22 @@ def fixes_of(trip: Trip) -> Fixes:
         speed_std=speed_std,
         wheel_speed=turning,
         wheel_speed_std=None if turning is None else np.full(turning.size, ODOMETER_STD),
+        row_time=row_time,
     )
+
+
+def _first_of_held(frame: pd.DataFrame) -> tuple[pd.DataFrame, float]:
+    """Fixes and speeds without those that only repeat the fix before; the time between rows [s]."""
+    coordinates = [frame[name].to_numpy(np.float64) for name in ("latitude", "longitude")]
+    repeated, row_time = held_fixes(_seconds(pd.DatetimeIndex(frame.index)), *coordinates)
+    if not repeated.any():
+        return frame, 0.0
+    frame = frame.copy()
+    if "speed" in frame:
+        again = frame["speed"].to_numpy() == frame["speed"].shift().to_numpy()
+        frame.loc[repeated & again, "speed"] = np.nan
+    frame.loc[repeated, ["latitude", "longitude"]] = np.nan
+    return frame, row_time
 
 
 def _wheels(trip: Trip, index: pd.DatetimeIndex) -> pd.Series[float] | None:

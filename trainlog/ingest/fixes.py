@@ -18,6 +18,10 @@ neighbours, one after the other, down to `HOLD`."""
 WHEEL_GATE = 0.4
 """Least difference between wheels and satellites that counts as slip [m/s]."""
 
+EVIDENT = 0.8
+"""Part of the fixes that must be held equally long, both coordinates changing at once: coordinates
+that are only rounded change one by one, and after times that vary."""
+
 SLIP_TIME = 5.0
 """Wheels that changed speed too fast twice within this time [s] are not trusted between."""
 
@@ -39,6 +43,9 @@ class Fixes:
         Of each horizontal axis.
     speed, speed_std : array [m/s]
     wheel_speed, wheel_speed_std : array [m/s] or None
+    row_time : float [s]
+        Between the rows of a table that held each fix for several rows, of which the first is
+        kept: it may be late by as much. 0 where fixes were not held.
     """
 
     index: pd.DatetimeIndex
@@ -50,6 +57,7 @@ class Fixes:
     speed_std: FloatArray
     wheel_speed: FloatArray | None = None
     wheel_speed_std: FloatArray | None = None
+    row_time: float = 0.0
 
 
 def held(departure: FloatArray, seconds: FloatArray, gate: float, hold: float) -> BoolArray:
@@ -74,6 +82,45 @@ def held(departure: FloatArray, seconds: FloatArray, gate: float, hold: float) -
     off = np.zeros(departure.size, dtype=np.bool_)
     off[known] = beyond[runs]
     return off
+
+
+def held_fixes(
+    seconds: FloatArray, latitude: FloatArray, longitude: FloatArray
+) -> tuple[BoolArray, float]:
+    """Fixes that a table with more rows than the receiver had fixes repeats, and its row time [s].
+
+    None, and 0 s, unless most fixes are held equally long. What is held longer, as at a standstill,
+    is left.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> fix = np.repeat(np.arange(40.0), 5)
+    >>> repeated, row = held_fixes(np.arange(200) / 5.0, fix, fix)
+    >>> np.flatnonzero(repeated)[:5], row
+    (array([ 6,  7,  8,  9, 11]), 0.2)
+    """
+    flags = np.zeros(seconds.size, dtype=np.bool_)
+    known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
+    moved = [np.diff(values[known]) != 0.0 for values in (latitude, longitude)]
+    changed = np.flatnonzero(moved[0] | moved[1]) + 1
+    if changed.size < 20:
+        return flags, 0.0
+    time = seconds[known]
+    row, lasted = float(np.median(np.diff(time))), np.diff(time[changed])
+    usual = float(np.median(lasted))
+    even = np.mean(np.abs(lasted - usual) < 1.1 * row)
+    both = np.mean((moved[0] & moved[1])[changed - 1])
+    if usual < 1.9 * row or min(even, both) < EVIDENT:
+        return flags, 0.0
+    since = np.full(known.size, np.inf)
+    run = np.cumsum(np.isin(np.arange(known.size), changed))
+    begin = time[changed]
+    since[changed[0] :] = time[changed[0] :] - begin[run[changed[0] :] - 1]
+    length = np.append(lasted, np.inf)
+    short = np.concatenate(([False], length < usual + 1.1 * row))[run]
+    flags[known] = (since > 0.0) & short
+    return flags, round(row, 6)
 
 
 def wheel_ratio(fixes: Fixes) -> float:

@@ -259,7 +259,8 @@ def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
 
     The speeds give the delay, which the fixes must not contradict; 0 s where there is no wheel
     speed, where the fixes are not late, or where the delay is no larger than its standard deviation
-    explains; NaN where the train changes its speed too little to show one.
+    explains; NaN where the train changes its speed too little to show one. Of fixes held over
+    rows, half the time between rows in place of what is not known.
 
     Parameters
     ----------
@@ -269,9 +270,12 @@ def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
         Of the fixes that fit, NaN for others.
     """
     none = Delay(0.0, 0.0)
+    # A table whose rows hold fixes asks for them at any time after they came.
+    row = fixes.row_time
+    unknown = Delay(0.5 * row, row / np.sqrt(12.0)) if row else UNKNOWN
     known = np.isfinite(fixes.speed)
     if fixes.wheel_speed is None or np.count_nonzero(known) < 2:
-        return none
+        return unknown if row else none
     wheels = wheel_speeds(fixes)
     late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
     if late is not None and late.value > LEAST_COMMON:
@@ -282,7 +286,7 @@ def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
         known &= np.interp(fixes.seconds, fixes.seconds[turning], slips[turning]) == 0.0
         late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
     if late is None:
-        return UNKNOWN
+        return unknown
     step = float(np.median(np.diff(fixes.seconds[known])))
     least = max(LEAST_COMMON, LEAST_OF_STEP * min(step, 1.0), SIGNIFICANT * late.std)
     if late.value < least:
