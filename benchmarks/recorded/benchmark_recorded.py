@@ -118,11 +118,10 @@ def judged(pair: int, words: str, published: Path) -> Outcome:
             path = Path(folder) / f"{scenario.name}.csv"
             made.written(path)
             begin = perf_counter()
-            profile = profile_of(made.profile)
             trips = found.tried(
                 "ingest",
-                lambda path=path, profile=profile: list(
-                    ingest_each(path, profile, line=line, train=train)
+                lambda path=path, made=made: list(
+                    ingest_each(path, profile_of(made.profile), line=line, train=train)
                 ),
             )
             found.seconds += perf_counter() - begin
