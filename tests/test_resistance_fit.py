@@ -81,7 +81,7 @@ def test_truth_of_simulated_trips_is_found(simulated: list[Trip], fitted: list[T
         assert curve_error(fit, true) < 0.05
         assert abs(fit.mass - mass) < 4.0 * fit.mass_std
         # The load is weighed to 625 kg; the motion alone shows more.
-        assert fit.mass_std < 0.008 * mass
+        assert fit.mass_std < 0.01 * mass
     assert fit_trip(with_exact_efforts(simulated[0])).mass_std < 0.005 * truth(simulated[0])[1]
 
 

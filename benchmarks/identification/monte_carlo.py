@@ -16,9 +16,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from trainlog.formats.attached import with_passport
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
-from trainlog.railway import Line, RunningResistance, Station, StepProfile, Train
+from trainlog.railway import (
+    Line,
+    Passport,
+    Quantity,
+    RunningResistance,
+    Station,
+    StepProfile,
+    Train,
+)
 from trainlog.topics import GNSS_MOTION, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 from trainlog.units import GRAVITY, NANOSECONDS
@@ -166,7 +175,11 @@ def draw(study: Study, seed: int) -> Drawn:
 
 
 def trip_of(drawn: Drawn, study: Study, seed: int) -> Trip:
-    """The trip as a log holds it: nothing in it is true that a train does not know."""
+    """The trip as a log holds it: nothing in it is true that a train does not know.
+
+    But for its efforts: the study is of the curve, and the bound knows that they are in time and of
+    their true size. A passport states it.
+    """
     since = np.round(drawn.time * NANOSECONDS).astype(np.int64)
     stamps = np.int64(1_700_000_000_000_000_000) + since
     nothing = np.zeros(drawn.time.size)
@@ -201,7 +214,7 @@ def trip_of(drawn: Drawn, study: Study, seed: int) -> Trip:
             {"speed": drawn.true_speed[::5] + study.speed_noise * noise},
         ),
     ]
-    return Trip(
+    trip = Trip(
         topics={str(frame.attrs["topic"]): frame for frame in frames},
         metadata={"trip": f"drawn-{seed:04d}", "train": train.name, "direction": "forward"},
         attachments={
@@ -209,6 +222,14 @@ def trip_of(drawn: Drawn, study: Study, seed: int) -> Trip:
             TRAIN_ATTACHMENT: train_to_bytes(train),
         },
     )
+    return with_exact_efforts(trip)
+
+
+def with_exact_efforts(trip: Trip) -> Trip:
+    """The trip with a passport that states its efforts to be in time and of their true size."""
+    unknown = Quantity(np.nan, np.nan, "assumed")
+    exact = Quantity(0.0, 1e-4, "estimated"), Quantity(1.0, 1e-6, "estimated")
+    return with_passport(trip, Passport(trip.name, *exact, unknown, unknown, unknown, unknown))
 
 
 def _edges(
