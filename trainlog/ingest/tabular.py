@@ -31,6 +31,9 @@ MAX_RAGGED = 0.5
 SELDOM = 0.05
 """Share of rows up to which those that end before the usual number of cells were cut off."""
 
+FEWEST_SHORT = 2
+"""So many rows that end early at the same cell may have been cut off, in a file of any length."""
+
 MOST_RAGGED = 1000
 """Rows with the wrong number of cells from which on all rows are looked at."""
 
@@ -360,8 +363,8 @@ def without_empty_cells(body: bytes, delimiter: str, named: int) -> tuple[bytes,
 def with_empty_cells(body: bytes, delimiter: str, named: int) -> bytes:
     """The rows of a text with the empty cells at their ends that a recorder leaves out.
 
-    Rows that have fewer cells than others, as more than `SELDOM` of all rows have, end at their
-    last value: what is missing is empty.
+    Rows that have fewer cells than others, as more than `SELDOM` and `FEWEST_SHORT` of all rows
+    have, end at their last value: what is missing is empty.
 
     Parameters
     ----------
@@ -375,7 +378,7 @@ def with_empty_cells(body: bytes, delimiter: str, named: int) -> bytes:
     counts = np.bincount(cells, minlength=named + 1)
     if counts[named] <= SELDOM * ends.size:
         return body
-    habit = np.flatnonzero(counts > SELDOM * ends.size)
+    habit = np.flatnonzero(counts > max(SELDOM * ends.size, FEWEST_SHORT))
     short = (cells < named) & np.isin(cells, habit)
     places = np.repeat(ends[short], named - cells[short])
     return np.insert(buffer, places, ord(delimiter)).tobytes()
