@@ -13,7 +13,7 @@ from analysis.adhesion.condition_map import summary
 from analysis.comparison.cost import compare, punctuality, running_times
 from analysis.tables import as_page, excess, kwh, new_table
 from analysis.truth import Truth, curve_error, map_error, truth_of
-from trainlog.display import as_text
+from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
 from trainlog.formats.parameters import read_parameters
@@ -110,14 +110,14 @@ def _recorded(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None
         return None
     spans = [span for span in map(span_of, logs) if span is not None]
     hours = sum((end - start).total_seconds() for start, end in spans) / 3600.0
-    return "recorded", f"{len(logs)} trips, {hours:.1f} h", str(folder / "trips")
+    return "recorded", f"{counted(len(logs), 'trip')}, {hours:.1f} h", str(folder / "trips")
 
 
 def _fitted(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
     if not path.exists():
         return None
     found = read_parameters(path)
-    words = f"{len(found.configurations)} configurations"
+    words = counted(len(found.configurations), "configuration")
     if truths and found.common is not None:
         by_name = {truth.trip: truth for truth in truths}
         pairs = [(c, by_name[c.name]) for c in found.configurations if c.name in by_name]
@@ -170,7 +170,7 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
     pairs, (driver, saved) = found.pairs, found.total_saved
     words = (
         f"{kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"
-        f" ({len(pairs)} trips, {running_times(found)})"
+        f" ({counted(len(pairs), 'trip')}, {running_times(found)})"
     )
     return "energy saved", words, str(folder)
 
@@ -185,6 +185,6 @@ def _followed(folder: Path) -> tuple[str, str, str] | None:
             words.append(
                 f"{how} at most {abs(found.late):.1f} s from the trajectory on arrival, slip"
                 f" protection acts {'?' if found.slips is None else found.slips} times on"
-                f" {found.trips} trips"
+                f" {counted(found.trips, 'trip')}"
             )
     return ("following", "; ".join(words), str(folder / "driven")) if words else None

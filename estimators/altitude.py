@@ -140,7 +140,11 @@ def height_profile(rides: Sequence[Ride], length: float) -> HeightProfile:
     """
     if len(rides) < FEWEST:
         raise InputError(
-            f"{len(rides)} rides with altitudes do not show how much these err",
+            "one ride with altitudes does not show how much these err"
+            if len(rides) == 1
+            else f"{len(rides)} rides with altitudes do not show how much these err"
+            if rides
+            else "no ride has altitudes",
             remedy=f"give {FEWEST} or more along the line",
         )
     if length < 2.0 * OVER:

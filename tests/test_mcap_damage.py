@@ -362,6 +362,7 @@ def test_bytes_after_the_end_are_noticed(trip: Trip, data: bytes, tmp_path: Path
         (b"time,speed\n1,2\n", "is not an MCAP file"),
         (b"time,speed\n1,2\n", "but text; 'trainlog ingest' makes logs of recordings"),
         ("Züge\n".encode()[:-4] + b"\xc3", "but text"),
+        ("Züge;Größe km/h\n1;2\n".encode("cp1252") * 20, "but text; 'trainlog ingest' makes"),
         (b"PAR1\x15\x04", "but a Parquet file; 'trainlog convert FOLDER.parquet -o"),
         (b' {"format": "trainlog/line"', "but a trainlog/line file; give the logs"),
         (b"[1, 2]", "but a JSON file; 'trainlog ingest'"),

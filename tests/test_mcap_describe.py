@@ -123,6 +123,14 @@ def test_what_a_person_reads(tmp_path: Path) -> None:
     assert METADATA["train"] in text
 
 
+def test_fields_of_no_axle_are_not_listed(tmp_path: Path) -> None:
+    axles = frame_of(TRAIN_AXLES, START + np.arange(5), {"wheel_speed": np.ones((5, 2))})
+    text = printed(described(Trip({TRAIN_AXLES.name: axles}), tmp_path))
+    assert "wheel_speed [m/s] of 2 axles" in text
+    assert "wheel_effort" not in text
+    assert "of 0 axles" not in text
+
+
 def test_texts_of_a_file_are_neither_markup_nor_commands(tmp_path: Path) -> None:
     trip = Trip({}, {"trip": "[red]night[/red]", "note": "a\x1b[2Jb\nc", "long": "x" * 500})
     text = printed(described(trip, tmp_path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -11,10 +12,12 @@ import pytest
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
+from trainlog.formats.parameters import read_parameters
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.railway import Trajectory
+from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH
 
 MAP = ("--map", sample("CH_StGallen_Wil.map.json"))
@@ -44,6 +47,23 @@ def test_a_run_begins_and_ends_where_and_as_fast_as_given(observed: Path, tmp_pa
     assert found.speeds[:, 0] == pytest.approx(72 / KMH, abs=1e-9)
     assert np.all(found.speeds[:, -1] <= 36 / KMH + 1e-5)
     assert found.speeds[:, -1] == pytest.approx(36 / KMH, rel=1e-3)
+
+
+def test_a_power_that_no_trip_showed_is_repeated(
+    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked(observed, tmp_path, "--km", ":4")
+    assumed = read_parameters(observed).assumed_power
+    assert ("no trip shows its power" in capsys.readouterr().out) == bool(assumed)
+    noted = json.loads(observed.read_text("utf-8"))
+    for detail in noted["details"]:
+        detail["max_power"] = POWER_OF_FILE
+    folder = tmp_path / "unseen"
+    folder.mkdir()
+    changed = tmp_path / "unseen.json"
+    changed.write_text(json.dumps(noted), "utf-8")
+    asked(changed, folder, "--km", ":4")
+    assert "no trip shows its power: the train file's" in capsys.readouterr().out
 
 
 def test_an_open_end_is_the_end_of_the_line_in_the_direction_of_travel(

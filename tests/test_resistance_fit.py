@@ -37,7 +37,7 @@ from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train, train_to_bytes
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Tunnel
+from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of
@@ -349,6 +349,56 @@ def test_power_limit_is_read_off_where_it_was_reached() -> None:
     assert fit_trip(simulate(strong)).max_power is None
     found = fit_trip(with_exact_efforts(simulate(weak))).max_power
     assert found == pytest.approx(1.7e6, rel=0.005)
+
+
+def unit(name: str, mass: float, effort: float, power: float, drag: RunningResistance) -> Train:
+    """A train like the sample's, of another size."""
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    return replace(
+        train,
+        name=name,
+        mass=mass,
+        resistance=drag,
+        max_tractive_effort=effort,
+        max_traction_power=power,
+        axles=replace(train.axles, count=2, adhesive_mass=0.5 * mass),
+    )
+
+
+@pytest.mark.parametrize(
+    ("train", "share"),
+    [
+        (read_train(sample("CH_Stadler_FLIRT_TPF.train.json")), 0.93),
+        (unit("hauled", 300e3, 260e3, 4.2e6, RunningResistance(4500.0, 90.0, 14.0)), 0.95),
+        (unit("railcar", 62e3, 90e3, 0.75e6, RunningResistance(1100.0, 30.0, 6.0)), 0.9),
+    ],
+    ids=lambda given: getattr(given, "name", None),
+)
+def test_power_limit_is_read_off_a_full_lever_where_no_demand_is_recorded(
+    train: Train, share: float
+) -> None:
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    (scenario,) = draw_scenarios(line, train, 1, seed=2)
+    power = share * train.max_traction_power
+    for lever in (1.0, 0.8):
+        habits = replace(scenario.habits, lever=lever)
+        made = simulate(replace(scenario, max_power=power, habits=habits))
+        absent = np.full(len(made["/train/controls"]), np.nan)
+        fit = fit_trip(
+            changed(
+                made,
+                "/train/controls",
+                tractive_effort_demand=absent,
+                braking_effort_demand=absent,
+            )
+        )
+        if lever < 1.0:
+            assert fit.max_power is None, "a lever that asks for less shows no limit"
+            continue
+        assert fit.max_power is not None
+        assert fit.max_power_std is not None
+        assert abs(fit.max_power - power) < 1.96 * fit.max_power_std
+        assert fit.max_power_std < 0.015 * power
 
 
 def test_power_limit_is_read_off_a_curve_of_effort() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
-from resistance_trips import RESISTANCE, TRAIN, constant_speed, trip
+from resistance_trips import RESISTANCE, TRAIN, changed, constant_speed, trip
+from rich.console import Console
 
 from analysis.resistance import (
     TripFit,
@@ -286,6 +288,31 @@ def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
         NotIdentifiableError, match=r"^no log was given; give logs, folders of logs, or"
     ):
         fit([])
+
+
+def test_a_remedy_is_named_only_where_it_helps(tmp_path: Path) -> None:
+    made = trip(name="blind")
+    absent = np.full(len(made["/train/state"]), np.nan)
+    write_log(changed(made, "/train/state", speed=absent), tmp_path / "blind.mcap")
+    with pytest.raises(AllRefusedError, match="no speed recorded") as stated:
+        fit([tmp_path / "blind.mcap"])
+    assert "longer or more varied" not in str(stated.value)
+    write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
+    with pytest.raises(AllRefusedError, match="give longer or more varied trips"):
+        fit([tmp_path / "blind.mcap", tmp_path / "dull.mcap"])
+
+
+def test_a_power_that_no_trip_shows_is_said_to_be_the_files(tmp_path: Path) -> None:
+    write_log(trip(), tmp_path / "trip.mcap")
+    fits = fit([tmp_path / "trip.mcap"])
+    power = f"the train file's {TRAIN.max_traction_power / 1e3:.0f} kW is taken"
+    shown = StringIO()
+    Console(file=shown, width=200).print(fit_table(fits))
+    assert f"no trip shows its power: {power}." in shown.getvalue()
+    write_parameters(fits.parameters, tmp_path / "set.json")
+    assert power in read_parameters(tmp_path / "set.json").assumed_power
+    seen = replace(fit_trip(trip()), max_power=1.9e6, max_power_std=2e4)
+    assert parameter_set([seen]).assumed_power == ""
 
 
 @pytest.mark.long

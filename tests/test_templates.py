@@ -112,6 +112,8 @@ def test_nothing_is_overwritten(
 def test_a_train_is_not_made_from_a_table(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a train cannot be made from a table"):
         write_template("train", tmp_path / "a.toml", table=tmp_path / "b.csv")
+    with pytest.raises(InputError, match=r"'trainlog ingest .*b\.csv -o FOLDER' proposes one"):
+        write_template("profile", tmp_path / "a.toml", table=tmp_path / "b.csv")
 
 
 # ------------------------------------------------------------------ TOML equals JSON

@@ -1,9 +1,11 @@
 """Units are converted once, exactly, and wrong ones are refused."""
 
+import re
+
 import pytest
 
 from trainlog.errors import InputError
-from trainlog.units import to_si
+from trainlog.units import factor, si_unit, to_si
 
 
 @pytest.mark.parametrize(
@@ -33,3 +35,16 @@ def test_wrong_units_are_refused_with_the_unit_named(unit: str) -> None:
         to_si(1.0, unit, "m/s")
     assert f"'{unit}'" in str(caught.value)
     assert "declare a unit" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "meant"), [("kmh", "km/h"), ("m/s2", "m/s^2"), ("U/min", "1/min")]
+)
+def test_a_misspelt_unit_is_answered_with_the_common_spelling(unit: str, meant: str) -> None:
+    with pytest.raises(InputError, match=f"did you mean '{re.escape(meant)}'"):
+        si_unit(unit)
+    kind = si_unit(meant)
+    with pytest.raises(InputError, match=f"did you mean '{re.escape(meant)}'"):
+        factor(unit, kind)
+    with pytest.raises(InputError, match=f"declare a unit of that kind, for example '{kind}'"):
+        factor("kg", kind)

@@ -7,6 +7,7 @@ for showing results in the units railway people use.
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +74,9 @@ def factor(unit: str, si: str) -> tuple[float, float]:
     --------
     >>> factor("kN", "N")
     (1000.0, 0.0)
+    >>> factor("kmh", "m/s")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: unit 'kmh' cannot be read as m/s; declare a unit...'km/h'?
     >>> factor("kg", "m/s")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     trainlog.errors.InputError: unit 'kg' cannot be read as m/s; declare a unit...
@@ -87,7 +91,8 @@ def factor(unit: str, si: str) -> tuple[float, float]:
     except Exception as error:  # pint's parser raises whatever its tokens lead it to
         raise InputError(
             f"unit '{unit}' cannot be read as {'a pure number' if si == '1' else si}",
-            remedy=f"declare a unit of that kind, for example '{si}'",
+            remedy="declare a unit of that kind"
+            + (_meant(unit, si, ": ") or f", for example '{si}'"),
         ) from error
     return slope, offset
 
@@ -124,8 +129,33 @@ def si_unit(unit: str) -> str:
         return f"{given.to_base_units().units:~C}".replace("**", "^")
     except Exception as error:  # pint's parser raises whatever its tokens lead it to
         raise InputError(
-            f"unit '{unit}' is not known", remedy="write it as 'kV', 'bar', 'degC' or '%'"
+            f"unit '{unit}' is not known",
+            remedy=_meant(unit) or "write it as 'kV', 'bar', 'degC' or '%'",
         ) from error
+
+
+_COMMON = (
+    "km/h", "m/s", "m/s^2", "m", "km", "mm", "s", "ms", "kg", "t", "N", "kN", "W", "kW", "MW", "J",
+    "kWh", "V", "kV", "A", "Pa", "kPa", "bar", "degC", "K", "%", "permil", "Hz", "rad", "rad/s",
+    "rpm",
+)  # fmt: skip
+"""Spellings that recorders' units mostly have."""
+
+
+def _meant(unit: str, si: str | None = None, before: str = "") -> str:
+    """The question whether a common spelling was meant, of the kind of `si`; empty if none is."""
+    registry = _registry()
+    of_kind = [
+        each
+        for each in _COMMON
+        if si is None
+        or registry.parse_units(_spelled(each)).is_compatible_with(
+            registry.parse_units(_spelled(si))
+        )
+    ]
+    lowered = {each.casefold(): each for each in reversed(of_kind)}
+    close = get_close_matches(unit.strip().casefold(), list(lowered), n=1, cutoff=0.7)
+    return f"{before}did you mean '{lowered[close[0]]}'?" if close else ""
 
 
 def to_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:

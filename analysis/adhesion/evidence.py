@@ -279,7 +279,7 @@ def condition_of(trip: Trip, track: TrackConditionMap, layer: str | None = None)
     if not condition:
         raise LogError(
             f"trip '{trip.name}' does not say whether the rail was dry or wet",
-            remedy="give the layer, or metadata 'weather' when the log is made",
+            remedy="give the layer (--layer wet), or ingest the recording with --set weather=wet",
         )
     line = line_of(trip)
     check_line(track, trip.name, line.name, line.length)

@@ -616,7 +616,7 @@ def coast_down_table(found: CoastDown) -> Group:
         "coasted",
         "km/h",
         "windows",
-        "off by",
+        "half band",
     )
     for fit in found.trips:
         low, high = fit.curve.covered
@@ -633,7 +633,7 @@ def coast_down_table(found: CoastDown) -> Group:
             f"{196.0 * share:.1f} %" if np.isfinite(share) else "-",
         )
     words = [
-        "'Off by' is half the 95 % interval of the trip's own curve where it is known best.",
+        "'Half band' is half the 95 % interval of the trip's own curve where it is known best.",
         _ratio(found),
     ]
     words += [f"refused: {reason}" for reason in found.refused.values()]

@@ -56,6 +56,9 @@ from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip, seconds
 from trainlog.units import KMH
 
+UNVARIED = frozenset({"not recorded", "contradiction", "gap"})
+"""Reasons for which trips are refused however long and varied they are."""
+
 
 class AllRefusedError(NotIdentifiableError):
     """No trip determines the curve.
@@ -259,11 +262,14 @@ def fit(
     if not (summaries["refused"] == "").any():
         first = summaries["message"].iloc[0]
         others = len(summaries) - 1
+        varied = not set(summaries["refused"]) <= UNVARIED
         raise AllRefusedError(
             f"no trip determines the running resistance; {first}"
             + (f"; nor do{'es' * (others == 1)} {counted(others, 'other')}" if others else ""),
             remedy="give longer or more varied trips; 'trainlog fit --per-trip FOLDER' draws why"
-            " each was refused",
+            " each was refused"
+            if varied
+            else None,
             refused=read.refused,
         )
     drives = each_drive_once(summaries)
@@ -418,6 +424,7 @@ def fit_table(fits: Fits) -> Group:
     words += [f"counted once: {sentence}" for sentence in fits.same]
     words += _doubts(fits.drives)
     words += _observed_set(fits)
+    words += [f"{fits.parameters.assumed_power}."] * bool(fits.parameters.assumed_power)
     return Group(table, *words)
 
 

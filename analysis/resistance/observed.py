@@ -49,7 +49,7 @@ from analysis.resistance.regression import powers
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import PARAMETERS, covariances_of, parameters_of
-from trainlog.railway.train import Configuration, ParameterSet
+from trainlog.railway.train import POWER_OF_FILE, Configuration, ParameterSet
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -174,7 +174,7 @@ def parameter_set(
             | _detail(
                 summary,
                 common.covariances[row],
-                source if seen.any() else "train file",
+                source if seen.any() else POWER_OF_FILE,
                 float(np.std(limits[seen])) if seen.any() else None,
             )
         )

@@ -43,6 +43,9 @@ the power; where power alone limits it is 1."""
 UNEVEN = 0.08
 """Relative scatter of the power that efforts on a curve show, beyond which several limits acted."""
 
+FULL_LEVER = 0.99
+"""From this lever position on all the traction there is is asked for."""
+
 WEAKEST = 0.5
 """Share of the train's stated power below which another limit (adhesion, a fault) is at work."""
 
@@ -86,7 +89,9 @@ def limited_samples(trip: Trip, prepared: Prepared, inside: NDArray[np.bool_]) -
     """Where more effort was asked for than was given.
 
     Efforts are averaged; wheels that slip and transients are left out. The wheels' own speed
-    counts where it is recorded: it is the motors that are limited.
+    counts where it is recorded: it is the motors that are limited. Where no effort demand is
+    recorded, a full lever asks for more than is given; what the effort of adhesion or of the motors
+    limits then is left out by `power_limit`, as its power is not the same at all speeds.
 
     Parameters
     ----------
@@ -99,13 +104,16 @@ def limited_samples(trip: Trip, prepared: Prepared, inside: NDArray[np.bool_]) -
     index, recording = prepared.index, prepared.recording
     step = float(np.median(np.diff(recording.time)))
     width = max(1, round(AVERAGED / step))
-    demand, effort = (
-        _moving_average(interpolated(controls, name, index), width)
-        for name in ("tractive_effort_demand", "tractive_effort")
-    )
     power = _moving_average(_power(trip, index, prepared), width)
     limited = recording.usable & (recording.speed > LOWEST_SPEED) & np.isfinite(power)
-    limited &= demand > 1.01 * effort
+    if controls["tractive_effort_demand"].notna().any():
+        demand, effort = (
+            _moving_average(interpolated(controls, name, index), width)
+            for name in ("tractive_effort_demand", "tractive_effort")
+        )
+        limited &= demand > 1.01 * effort
+    else:
+        limited &= interpolated(controls, "lever", index) >= FULL_LEVER
     # A limit that lasts: true for the whole averaging time around the sample.
     limited &= _moving_average(limited.astype(np.float64), width) > 0.999
     limited &= inside

@@ -150,6 +150,8 @@ def optimise(
             file=parameters,
             remedy="'trainlog fit' makes a set from trips",
         )
+    if observed.assumed_power:
+        console.print(f"  {parameters.name}: {observed.assumed_power}", highlight=False)
     if as_fast_as is not None:
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     if reverse:

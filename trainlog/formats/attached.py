@@ -175,7 +175,7 @@ def _attachment(trip: Trip, name: str) -> bytes:
         raise LogError(
             f"trip '{trip.name}' carries no {name}",
             remedy=f"attachments present: {', '.join(trip.attachments) or 'none'};"
-            " name the line and the train when the log is made",
+            " 'trainlog ingest --line FILE --train FILE' attaches them when it makes the log",
         ) from None
 
 

@@ -616,11 +616,18 @@ def mistaken_json(start: bytes) -> str | None:
 
 
 def _is_text(start: bytes) -> bool:
-    """Whether it is text in UTF-8; a character may be cut at the end."""
+    """Whether it is text in UTF-8, its last character cut, or in a code page of Windows."""
     try:
         words = start[: max(1, len(start) - 3)].decode()
     except UnicodeDecodeError as error:
         if error.start < len(start) - 8:
-            return False
+            return _is_text_of_windows(start)
         words = start[: error.start].decode()
     return bool(words) and all(sign.isprintable() or sign in "\t\r\n" for sign in words)
+
+
+def _is_text_of_windows(start: bytes) -> bool:
+    """Whether most bytes are printed ASCII and the others can be letters of cp1252."""
+    if any(byte < 0x20 and byte not in b"\t\r\n" for byte in start) or 0x7F in start:
+        return False
+    return sum(byte >= 0x80 for byte in start) < 0.3 * len(start)

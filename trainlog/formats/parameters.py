@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, JsonValue
 
-from trainlog.display import as_html, as_text, span
+from trainlog.display import as_html, as_text, counted, span
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, plain, read_bytes, shortest, write_bytes
 from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
@@ -305,7 +305,7 @@ class CoastDownResult:
     @property
     def _title(self) -> str:
         train = f" of '{self.train}'" if self.train else ""
-        return f"Coast-down{train}, {len(self.trips)} trips, gradient: {self.gradient}"
+        return f"Coast-down{train}, {counted(len(self.trips), 'trip')}, gradient: {self.gradient}"
 
     def _summary(self) -> dict[str, str]:
         """Each quantity with its standard deviation, or why it is not identified."""

@@ -256,7 +256,9 @@ def write_template(kind: Kind, path: str | Path, *, table: str | Path | None = N
     if table is not None and kind != "line":
         raise InputError(
             f"a {kind} cannot be made from a table",
-            remedy="leave out the table; it is for a line's chainage, gradients and limits",
+            remedy=f"'trainlog ingest {table} -o FOLDER' proposes one from the recording"
+            if kind == "profile"
+            else "leave out the table; it is for a line's chainage, gradients and limits",
         )
     suffixes = (".toml", ".json") if table is not None else (".toml",)
     if path.suffix not in suffixes:

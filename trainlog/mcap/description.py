@@ -507,7 +507,9 @@ def _fields(description: LogDescription) -> Table:
     table = _table("Topic", "Fields and units")
     for topic in description.topics:
         if topic.units:
-            fields = ", ".join(_field(topic, name) for name in topic.units)
+            # Fields of no axle hold nothing.
+            held = [name for name in topic.units if topic.axles.get(name) != 0]
+            fields = ", ".join(_field(topic, name) for name in held)
             table.add_row(_plain(topic.name), _plain(fields))
     return table
 

@@ -140,6 +140,7 @@ class Passport:
     def rows(self) -> dict[str, str]:
         """Each quantity in words, by its name."""
         rows = {
+            "±": "half the 95 % band, 1.96 standard deviations",
             "effort delay": self.effort_delay.text("s"),
             "effort gain": self.effort_gain.text(digits=3),
             "mass": self.mass.text("t", 1e-3, 1),

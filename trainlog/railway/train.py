@@ -16,6 +16,9 @@ from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import GRAVITY, KMH
 
+POWER_OF_FILE = "train file"
+"""Where the power of a configuration is from that no trip showed (`ParameterSet.details`)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Axles:
@@ -429,6 +432,24 @@ class ParameterSet:
         if not all(isinstance(count, (int, float)) for count in found):
             return ()
         return tuple(float(count) for count in found if count is not None)
+
+    @property
+    def assumed_power(self) -> str:
+        """The sentence that no trip shows the power; empty where one does, or nothing is noted.
+
+        Examples
+        --------
+        >>> import trainlog
+        >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+        >>> noted = [{"accepted": True, "max_power": POWER_OF_FILE}]
+        >>> ParameterSet(train.name, (Configuration.of(train),), details=noted).assumed_power
+        "no trip shows its power: the train file's 2157 kW is taken"
+        """
+        sources = {each.get("max_power") for each in self.details if each.get("accepted")}
+        if sources != {POWER_OF_FILE}:
+            return ""
+        powers = span([each.max_power for each in self.configurations], 1e-3)
+        return f"no trip shows its power: the train file's {powers} kW is taken"
 
     def check_train(self, train: str) -> None:
         """Refuse to be used for another train.
