@@ -361,7 +361,9 @@ def unit(name: str, mass: float, effort: float, power: float, drag: RunningResis
         resistance=drag,
         max_tractive_effort=effort,
         max_traction_power=power,
-        axles=replace(train.axles, count=2, adhesive_mass=0.5 * mass),
+        axles=train.axles
+        if mass > 1e5
+        else replace(train.axles, count=2, adhesive_mass=0.5 * mass),
     )
 
 

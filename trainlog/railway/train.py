@@ -443,7 +443,7 @@ class ParameterSet:
         >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> noted = [{"accepted": True, "max_power": POWER_OF_FILE}]
         >>> ParameterSet(train.name, (Configuration.of(train),), details=noted).assumed_power
-        "no trip shows its power: the train file's 2157 kW is taken"
+        "no trip shows its power: the train file's 2600 kW is taken"
         """
         sources = {each.get("max_power") for each in self.details if each.get("accepted")}
         if sources != {POWER_OF_FILE}:
