@@ -53,6 +53,7 @@ from trainlog.railway.passport import Passport, Quantity, Source
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
+from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
@@ -120,6 +121,9 @@ SLOWEST = 3.0
 
 COASTING = 0.15
 """Wheels creep little while the effort is below this share of the largest."""
+
+RATIO_STRETCH = 200
+"""Samples over which a wheel's speed may err together, as it creeps."""
 
 DOUBTFUL_RATIO = 0.05
 """Axle efforts that differ from the total by more than this are stated."""
@@ -635,18 +639,63 @@ def _wheel_factors(trip: Trip, train: Train | None, scale: SpeedScale) -> tuple[
     for name in names:
         wheel = axles[name].to_numpy(np.float64)
         used = calm & np.isfinite(wheel)
-        ratio = wheel[used] / own[used]
-        if ratio.size < 50:
+        if np.count_nonzero(used) < 50:
             found.append(Quantity(np.nan, np.nan, "assumed", "too few samples in motion"))
             continue
-        middle = float(np.median(ratio))
-        spread = 1.4826 * float(np.median(np.abs(ratio - middle))) * np.sqrt(8.0 / ratio.size)
-        std = float(np.hypot(scale.std, spread)) * middle
+        middle, spread = ratio_of_speeds(wheel[used], own[used])
+        std = float(np.hypot(scale.std * middle, spread))
         measured = scale.source != "nothing"
         reason = "" if measured else "neither satellites nor balises show the train's true speed"
         source: Source = "estimated" if measured else "assumed"
         found.append(Quantity(middle * scale.factor, std, source, reason))
     return tuple(found)
+
+
+def ratio_of_speeds(speed: FloatArray, reference: FloatArray) -> tuple[float, float]:
+    """Ratio of two recorded speeds and its standard deviation, also of speeds that are rounded.
+
+    Of rounded speeds the median ratio is that of two numbers on the display; the ratio of the sums
+    is not drawn to them. Samples beyond `OUTLIER` standard deviations of the difference are left
+    out. Neighbouring samples err together, by stretches of `RATIO_STRETCH` samples; all samples
+    that show the same number err by the same part of the resolution.
+
+    Parameters
+    ----------
+    speed, reference : (n,) array [m/s]
+        Finite and positive, in order of time; at least two stretches.
+
+    Examples
+    --------
+    A wheel of 0.2 % more, displayed in steps of 0.1 km/h:
+
+    >>> import numpy as np
+    >>> true = np.linspace(5.0, 25.0, 2000)
+    >>> shown = [np.round(36.0 * each) / 36.0 for each in (1.002 * true, true)]
+    >>> print("{:.4f} ± {:.4f}".format(*ratio_of_speeds(*shown)))
+    1.0020 ± 0.0000
+    """
+    ratio = float(np.median(speed / reference))
+    coarse = _resolution(speed), _resolution(reference)
+    for _ in range(3):
+        apart = speed - ratio * reference
+        middle = float(np.median(apart))
+        size = 1.4826 * float(np.median(np.abs(apart - middle)))
+        near = np.abs(apart - middle) <= OUTLIER * np.hypot(size, np.hypot(coarse[0], coarse[1]))
+        ratio = float(np.sum(speed[near]) / np.sum(reference[near]))
+    v, u = speed[near], reference[near]
+    apart = v - ratio * u
+    sums = np.add.reduceat(apart, np.arange(0, apart.size, RATIO_STRETCH))
+    variance = float(sums @ sums) * sums.size / max(sums.size - 1, 1)
+    for values, step in zip((v, u), coarse, strict=True):
+        alike = np.unique(np.round(values / step), return_counts=True)[1].astype(np.float64)
+        variance += step**2 / 12.0 * float(alike @ alike)
+    return ratio, float(np.sqrt(variance) / np.sum(u))
+
+
+def _resolution(speed: FloatArray) -> float:
+    """Step [m/s] between the numbers that a speed was recorded as."""
+    steps = np.diff(np.unique(np.round(speed, 6)))
+    return float(np.median(steps)) if steps.size else 1.0 / KMH
 
 
 def _total_effort(trip: Trip, index: pd.DatetimeIndex) -> FloatArray:

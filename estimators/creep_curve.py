@@ -81,14 +81,15 @@ def estimate_creep_curve(
     slip_speed : (n,) array [m/s]
         Signed like the adhesion of this slip: positive.
     adhesion : (n,) array
-        In use, positive; from `estimators.adhesion.smoothed_force`.
+        In use, positive; from `estimators.adhesion.smoothed_force`. Samples without (NaN) are left
+        out.
     adhesion_std : float
     slip_std : float [m/s]
 
     Returns
     -------
     CreepCurves
-        NaN throughout where fewer than `FEWEST` samples show the curve.
+        NaN throughout where fewer than `FEWEST` samples show the curve, or the filter diverges.
 
     Examples
     --------
@@ -106,10 +107,13 @@ def estimate_creep_curve(
     use = np.flatnonzero((slip_speed > LEAST_SLIP) & (adhesion > LEAST_ADHESION))
     if use.size < FEWEST:
         return found
-    states, covariances = _smoothed(
-        np.diff(time[use], prepend=time[use[0]]), slip_speed[use], adhesion[use],
-        adhesion_std, slip_std,
-    )  # fmt: skip
+    try:
+        states, covariances = _smoothed(
+            np.diff(time[use], prepend=time[use[0]]), slip_speed[use], adhesion[use],
+            adhesion_std, slip_std,
+        )  # fmt: skip
+    except np.linalg.LinAlgError:  # a covariance that is not positive definite: it diverged
+        return found
     found.maximum[use] = np.exp(states[:, 0])
     found.maximum_std[use] = found.maximum[use] * np.sqrt(covariances[:, 0, 0])
     found.slope[use] = _slope(states, slip_speed[use])

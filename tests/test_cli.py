@@ -607,3 +607,16 @@ def test_a_line_begins_with_a_template_or_a_table(
     status, out, _ = run(monkeypatch, capsys, "new", "line", "--from", table, "-o", made)
     assert (status, out) == (0, f"wrote {made}\n")
     assert json.loads(made.read_text("utf-8"))["length"] == {"value": 9000, "unit": "m"}
+
+
+def test_a_log_that_cannot_be_estimated_does_not_stop_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.mcap").write_bytes(b"no log")
+    (tmp_path / "logs" / "b.mcap").write_bytes(sample("nonstop.mcap").read_bytes())
+    words = ("estimate", tmp_path / "logs", "-o", tmp_path / "out")
+    status, _, complaint = run(monkeypatch, capsys, *words)
+    assert status == 2
+    assert "a.mcap" in complaint
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["b.mcap"]

@@ -11,7 +11,7 @@ import pytest
 
 import trainlog
 from analysis import passport
-from analysis.passports import estimated_passport, with_effort_delay
+from analysis.passports import estimated_passport, ratio_of_speeds, with_effort_delay
 from trainlog.cli import main as cli
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import passport_of, recorded_load, with_passport
@@ -191,3 +191,42 @@ def test_ingest_stores_the_passport_and_info_shows_it(
     assert "effort delay" in shown
     assert run("estimate", log, "-o", estimated)[0] == 0
     assert passport_of(trainlog.read(estimated / log.name)) == found
+
+
+@pytest.mark.parametrize("step", [1e-6, 0.1 / 3.6, 1.0 / 3.6])
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_wheel_factors_of_rounded_speeds_are_within_their_bands(
+    stopping: Trip, step: float, noise: float
+) -> None:
+    """Other wheels on the true motion of a trip, displayed in steps of up to 1 km/h."""
+    speed = stopping["/truth"]["speed"].to_numpy()
+    speed = speed[speed > 3.0]
+    generator = np.random.default_rng(3)
+    inside, errors = [], []
+    for _ in range(60):
+        begin = generator.integers(0, speed.size // 2)
+        true = speed[begin : begin + speed.size // 2]
+        of_wheel, of_train = 1.0 + 0.003 * generator.standard_normal(2)
+        wheel, train = (
+            np.round((factor * true + noise * generator.standard_normal(true.size)) / step) * step
+            for factor in (of_wheel, of_train)
+        )
+        ratio, std = ratio_of_speeds(wheel, train)
+        errors.append(ratio - of_wheel / of_train)
+        inside.append(abs(errors[-1]) < 1.96 * std + 1e-7)
+    assert np.mean(inside) > 0.9
+    assert np.sqrt(np.mean(np.square(errors))) < 1e-4 + 0.005 * step
+
+
+def test_the_passport_of_a_rounded_log_has_the_wheel_factors_of_the_log(stopping: Trip) -> None:
+    rounded = stopping
+    for topic in ("/train/axles", "/train/state"):
+        frame = rounded[topic]
+        names = [n for n in frame if n == "speed" or n.startswith("wheel_speed_")]
+        changed = frame.assign(**{n: np.round(frame[n] * 36.0) / 36.0 for n in names})
+        changed.attrs = frame.attrs
+        rounded = rounded.with_topic(changed)
+    fine, coarse = (estimated_passport(each).wheel_factor for each in (stopping, rounded))
+    for one, other in zip(fine, coarse, strict=True):
+        assert abs(one.value - other.value) < 1e-4
+        assert other.std >= 0.9 * one.std

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,12 +13,18 @@ from numpy.typing import NDArray
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Score, Seen, onset_errors, seen, spans
 
+from analysis import passport
+from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.events import adhesion_noise
+from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import SlipAnalysis, slip, wheel_noise
+from analysis.estimates import estimate_log
 from trainlog.errors import LogError
+from trainlog.formats.attached import line_of
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
-from trainlog.railway import Axles, RunningResistance
+from trainlog.mcap import read_log, write_log
+from trainlog.railway import Axles, Quantity, RunningResistance
 from trainlog.resampling import interpolated
 from trainlog.simulation import Scenario, draw_scenarios
 from trainlog.simulation.plant import Plant
@@ -526,3 +533,84 @@ class TestRefusals:
         trip = trips[0].trip
         with pytest.raises(LogError, match="load 'heavy'"):
             slip(replace(trip, metadata={**trip.metadata, "load": "heavy"}))
+
+
+class TestEffortsOfUnknownDelay:
+    """The passport knows the delay to half a second only; the efforts are 0.3 s late."""
+
+    def analysed(self, each: Seen, delay: float, std: float) -> SlipAnalysis:
+        known = replace(passport(each.trip), effort_delay=Quantity(0.0, std, "assumed"))
+        return slip(of_efforts(each.trip, lambda values: late(values, delay)), known)
+
+    @pytest.mark.parametrize("kind", ["heavy", "quick"])
+    def test_the_band_of_the_levels_holds(self, kind: str, request: pytest.FixtureRequest) -> None:
+        each: Seen = request.getfixturevalue(kind)
+        found = self.analysed(each, 0.3, 0.25)
+        rows = found.events[found.events["measured"]]
+        errors = np.abs(off(each, found))
+        without, with_delay = (
+            np.mean(errors > 1.96 * std / rows["adhesion"])
+            for std in (rows["adhesion_std"], np.hypot(rows["adhesion_std"], rows["delay_std"]))
+        )
+        assert with_delay < 0.07
+        assert with_delay < 0.6 * without
+        assert any("± 0.49 s: levels within ± " in note for note in found.notes)
+
+    def test_less_counts_as_used_without_slip(self, heavy: Seen) -> None:
+        known, unknown = (self.analysed(heavy, 0.0, std) for std in (0.01, 0.25))
+        np.testing.assert_array_equal(unknown.adhesion, known.adhesion)
+        assert np.all(unknown.adhesion_std >= known.adhesion_std)
+        changing = np.abs(np.gradient(known.adhesion[:, 0])) > 0.005
+        wider = unknown.adhesion_std - known.adhesion_std
+        assert np.median(wider[changing, 0]) > 5.0 * np.median(wider[~changing, 0])
+
+    def test_a_delay_that_is_known_changes_nothing(self, heavy: Seen) -> None:
+        found = self.analysed(heavy, 0.0, 0.02)
+        assert (found.events["delay_std"] == 0.0).all()
+        assert not any("delay" in note for note in found.notes)
+
+    def test_more_slips_of_a_trip_do_not_narrow_the_band_by_the_delay(self, heavy: Seen) -> None:
+        found = self.analysed(heavy, 0.3, 0.25)
+        track = empty_map(line_of(heavy.trip))
+        common = evidence_of(found, track, "wet").common
+        repeated = replace(found, events=pd.concat([found.events] * 9))
+        several = evidence_of(repeated, track, "wet")
+        assert common is not None
+        assert several.common is not None
+        seen_here = several.weight > 0.0
+        share = np.sqrt(several.common[seen_here]) / several.weight[seen_here]
+        once = evidence_of(found, track, "wet").weight[seen_here]
+        assert share == pytest.approx(np.sqrt(common[seen_here]) / once, rel=1e-3)
+        assert np.median(share) > 0.02
+
+
+@pytest.mark.parametrize("recorded", ["total only", "gaps"])
+def test_logs_without_the_efforts_of_axles_are_estimated(
+    recorded: str, heavy: Seen, tmp_path: Path
+) -> None:
+    """Samples without adhesion show nothing of a creep curve, and stop nothing."""
+    axles = heavy.trip["/train/axles"].copy()
+    names = [name for name in axles if name.startswith("wheel_effort_")]
+    if recorded == "total only":
+        axles[names] = np.nan
+        axles = axles.drop(columns=names)
+    else:
+        axles.loc[axles.index[: len(axles) // 3], names] = np.nan
+        axles[names[0]] = np.nan
+    axles.attrs = heavy.trip["/train/axles"].attrs
+    write_log(heavy.trip.with_topic(axles), tmp_path / "trip.mcap")
+    assert estimate_log(tmp_path / "trip.mcap", tmp_path / "estimated.mcap") == ()
+    written = read_log(tmp_path / "estimated.mcap")
+    topics = {name for name in written.topics if name.startswith("/estimates/")}
+    expected = {"/estimates/state", "/estimates/running_resistance", "/estimates/adhesion"}
+    assert topics == expected
+    assert written["/events"]["message"].str.contains("slips in").any()
+
+
+def test_events_without_any_adhesion_have_no_creep_curve(heavy: Seen) -> None:
+    found = replace(heavy.found, adhesion=np.full_like(heavy.found.adhesion, np.nan))
+    assert found.creep_curves().isna().all(axis=None)
+    some = heavy.found.adhesion.copy()
+    some[::7] = np.nan
+    curves = replace(heavy.found, adhesion=some).creep_curves()
+    assert curves["maximum"].notna().mean() > 0.5

@@ -7,13 +7,14 @@ heavy the train is, too, and with what uncertainty.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.passports import DELAY_STD
 from trainlog.display import counted
 from trainlog.errors import LogError
 from trainlog.railway.passport import Passport
@@ -41,6 +42,9 @@ STATED_RATIO = 0.05
 
 STATED_DELAY = 0.05
 """A delay of the efforts from which on it is stated [s]."""
+
+KNOWN_DELAY = 0.05
+"""Standard deviation of the delay of the efforts [s] up to which it is in the levels' own noise."""
 
 STATED_GAIN = 0.03
 """A gain of the efforts that differs from 1 by more than this is stated."""
@@ -93,6 +97,8 @@ class PoweredAxles:
         Weight on one powered axle.
     common_std : float
         Relative standard deviation of effort over axle load that lasts for the whole trip.
+    delay_std : float [s]
+        Standard deviation of the delay that the efforts still have; 0 where it does not matter.
     sampling : float [s]
         Median time between samples.
     load : str
@@ -116,10 +122,25 @@ class PoweredAxles:
     mass: float
     axle_load: float
     common_std: float
+    delay_std: float
     sampling: float
     load: str
     notes: tuple[str, ...]
     complete: bool
+
+    def at_other_delays(self) -> tuple[PoweredAxles, ...]:
+        """The same with efforts at delays one standard deviation more and less; none if known."""
+        return tuple(
+            replace(
+                self,
+                wheel_effort=np.column_stack(
+                    [_earlier(self.time, each, delay) for each in self.wheel_effort.T]
+                ),
+                total_effort=_earlier(self.time, self.total_effort, delay),
+            )
+            for delay in (-self.delay_std, self.delay_std)
+            if delay
+        )
 
     def of_all(self, values: NDArray[Value], absent: float | bool = np.nan) -> NDArray[Value]:
         """Values of the recorded axles, (n, k), as values of all powered axles, (n, count)."""
@@ -181,6 +202,7 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         mass=train.mass + load,
         axle_load=_axle_load(train, known, load, gain),
         common_std=common_std,
+        delay_std=_delay_std(known, delay) if levelled.any() else 0.0,
         sampling=sampling,
         load=known.load.source,
         notes=(*notes, *(_load_notes(known, calibration) if levelled.any() else ()), *said, *more),
@@ -307,6 +329,13 @@ def _corrections(known: Passport) -> tuple[float, float, list[str]]:
     if abs(gain - 1.0) > STATED_GAIN:
         notes.append(f"the efforts are {gain:.3f} times what moves the train: divided by that")
     return gain, delay, notes
+
+
+def _delay_std(known: Passport, corrected: float) -> float:
+    """Standard deviation [s] of the delay that remains; 0 where levels do not depend on it."""
+    each = known.effort_delay
+    std = float(np.hypot(each.value - corrected, each.std)) if each.known else DELAY_STD
+    return std if std > KNOWN_DELAY else 0.0
 
 
 def _load_notes(known: Passport, spread: float) -> list[str]:

@@ -66,7 +66,8 @@ class Motion:
     """What the onset of an event is read from; arrays (n,) and (n, k) of the recorded axles.
 
     Where only the total effort is known, `share` is the adhesion of each axle by its share of it,
-    (n, k): up to the sample, without what comes after.
+    (n, k): up to the sample, without what comes after. `later` is what adhesion and share would
+    be with the efforts at other delays that may be.
     """
 
     axles: PoweredAxles
@@ -76,6 +77,7 @@ class Motion:
     slip_std: float
     adhesion: FloatArray
     share: FloatArray | None = None
+    later: tuple[tuple[FloatArray, FloatArray | None], ...] = ()
 
 
 def slipping_axles(motion: Motion) -> BoolArray:
@@ -181,11 +183,12 @@ def adhesion_noise(time: FloatArray, adhesion: FloatArray) -> float:
     """Standard deviation of what noise remains in the observed adhesion, from its differences.
 
     Over `NOISE_SPAN` the true adhesion hardly changes for most of a trip: the median absolute
-    difference of samples that far apart, where the axles pull or brake, is noise.
+    difference of samples that far apart, where the axles pull or brake, is noise. Samples without
+    adhesion (NaN) are left out.
     """
     lag = max(1, round(NOISE_SPAN / float(np.median(np.diff(time)))))
     apart = np.abs(adhesion[lag:] - adhesion[:-lag])
-    loaded = apart[np.abs(adhesion[lag:]) > COASTING_ADHESION]
+    loaded = apart[np.isfinite(apart) & (np.abs(adhesion[lag:]) > COASTING_ADHESION)]
     if loaded.size == 0:
         return ADHESION_NOISE_FLOOR
     return max(float(np.median(loaded) / 0.6745 / np.sqrt(2.0)), ADHESION_NOISE_FLOOR)
@@ -211,11 +214,13 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
     columns = {
         "axle": "int64", "start": axles.clock.dtype, "end": axles.clock.dtype, "kind": "str",
         "position": "float64", "speed": "float64", "peak_slip": "float64",
-        "adhesion": "float64", "adhesion_std": "float64", "measured": "bool",
+        "adhesion": "float64", "adhesion_std": "float64", "delay_std": "float64",
+        "measured": "bool",
     }  # fmt: skip
     frame = pd.DataFrame(rows, columns=list(columns)).astype(columns)
     frame.attrs["units"] = {
         "position": "m", "speed": "m/s", "peak_slip": "m/s", "adhesion": "1", "adhesion_std": "1",
+        "delay_std": "1",
     }  # fmt: skip
     if axles.level == "shared" and len(frame):
         frame["measured"] &= ~_after_others(frame)
@@ -239,6 +244,7 @@ def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) ->
     used = direction * motion.adhesion[first : max(peak, first + 1), axle]
     effort = direction * axles.wheel_effort[:, axle]
     top, fell = onset(used, noise)
+    others = [_level(motion, axle, start, peak, noise, each) for each in motion.later]
     at = first + int(top[top.size // 2])
     after = int(np.searchsorted(axles.time, axles.time[peak] + CUT_TIME))
     cut = bool(effort[peak : after + 1].min() < CUT * effort[peak])
@@ -250,14 +256,36 @@ def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) ->
         shared = direction * motion.share[before : start + 1, axle]
         at, adhesion = start, float(shared.max())
         spread = SHARED_STD * abs(adhesion)
+    delayed = np.sqrt(np.mean((np.array(others) - adhesion) ** 2)) if others else 0.0
     return {
         "kind": "traction" if direction > 0.0 else "braking",
         "position": motion.position[at],
         "speed": motion.speed[at],
         "adhesion": adhesion if known else np.nan,
         "adhesion_std": np.hypot(noise, spread) if known else np.nan,
+        "delay_std": float(delayed) if known else np.nan,
         "measured": known and adhesion > 0.0 and (fell or cut),
     }
+
+
+def _level(
+    motion: Motion,
+    axle: int,
+    start: int,
+    peak: int,
+    noise: float,
+    other: tuple[FloatArray, FloatArray | None],
+) -> float:
+    """Level of one event with other efforts: their adhesion, and share, at the axles' samples."""
+    time = motion.axles.time
+    direction = np.sign(motion.slip_speed[peak, axle])
+    adhesion, share = other
+    if share is not None:
+        before = int(np.searchsorted(time, time[start] - SHARED_TIME))
+        return float((direction * share[before : start + 1, axle]).max())
+    first = int(np.searchsorted(time, time[start] - LOOK_BACK))
+    used = direction * adhesion[first : max(peak, first + 1), axle]
+    return float(used[onset(used, noise)[0]].mean())
 
 
 def onset(adhesion: FloatArray, noise: float) -> tuple[NDArray[np.int64], bool]:

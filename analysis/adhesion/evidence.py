@@ -323,6 +323,9 @@ def evidence_of_parts(
     safe = np.where(seen, total, 1.0)
     spread = np.hypot(setting(track, "trip_std"), np.sqrt(1.0 / safe))
     weight = np.where(seen, _fixed(spread**-2), 0.0)
+    # What all onsets of the trip err by alike does not become less with their number.
+    late = summed(precision * (onsets["delay_std"] / onsets["adhesion"]).to_numpy()) / safe
+    common = weight**2 * (common_std**2 + late**2)
     return Evidence(
         line=track.line,
         length=track.length,
@@ -334,7 +337,7 @@ def evidence_of_parts(
         weight=weight,
         weighted_log=_fixed(weight * summed(precision * log_adhesion) / safe),
         censored=_censored(highest, track, seen),
-        common=_fixed(weight**2 * common_std**2) if common_std > 0.0 else None,
+        common=_fixed(common) if common_std > 0.0 or late.any() else None,
         details=details,
     )
 

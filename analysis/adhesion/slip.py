@@ -101,8 +101,10 @@ class SlipAnalysis:
     events : DataFrame
         One row a slip event: ``axle`` (from 1), ``start``, ``end`` (time), ``kind``
         (``"traction"``, ``"braking"``), ``position`` [m] of the onset, ``speed`` [m/s],
-        ``peak_slip`` [m/s], ``adhesion`` and ``adhesion_std`` at the onset, and ``measured``:
-        whether the maximum was passed, so that the onset measures it.
+        ``peak_slip`` [m/s], ``adhesion`` and ``adhesion_std`` at the onset, ``delay_std``: the
+        standard deviation by a delay of the efforts that is not known, which all onsets of the
+        trip have in common and which is not in ``adhesion_std``, and ``measured``: whether the
+        maximum was passed, so that the onset measures it.
     common_std : float
         Relative standard deviation of what all adhesion of the trip errs by alike, from a load and
         a gain of the efforts that are not known; not in `adhesion_std`.
@@ -216,12 +218,16 @@ class SlipAnalysis:
         axles = self.events["axle"].to_numpy() - 1
         signs = np.sign(self.events["peak_slip"].to_numpy())
         places = self.events["position"].to_numpy()
+        delayed = np.nan_to_num(self.events["delay_std"] / self.events["adhesion"].abs())
         starts, stops = (self.time.searchsorted(self.events[name]) for name in ("start", "end"))
         for number, (axle, sign, start, stop) in enumerate(
             zip(axles, signs, starts, stops, strict=True)
         ):
             slip = sign * self.slip_speed[:, axle]
-            peak = int(start) + int(np.nanargmax(slip[start : max(stop, start + 1)]))
+            within = slip[start : max(stop, start + 1)]
+            if not np.isfinite(within).any():
+                continue
+            peak = int(start) + int(np.nanargmax(within))
             first = int(np.searchsorted(time, time[start] - CURVE_BEFORE))
             part = slice(first, min(stop, int(np.searchsorted(time, time[peak] + CURVE_AFTER))))
             used = sign * self.adhesion[part, axle]
@@ -231,7 +237,8 @@ class SlipAnalysis:
                 continue
             onset_at = known[np.argmin(np.abs(self.position[part][known] - places[number]))]
             peak_at = known[np.argmax(slip[part][known])]
-            found[number, :2] = curve.maximum[onset_at], curve.maximum_std[onset_at]
+            late = curve.maximum[onset_at] * delayed[number]
+            found[number, :2] = curve.maximum[onset_at], np.hypot(curve.maximum_std[onset_at], late)
             found[number, 2:] = curve.slope[peak_at], curve.slope_std[peak_at]
         frame = pd.DataFrame(found, self.events.index, columns)
         frame.attrs["units"] = dict(zip(columns, ("1", "1", "s/m", "s/m"), strict=True))
@@ -313,15 +320,7 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     train, line = train_of(trip), line_of(trip)
     axles = powered_axles(trip, train, passport(trip) if known is None else known)
     noise = wheel_noise(axles.wheel_speed)
-    force = smoothed_force(
-        axles.time,
-        axles.wheel_speed,
-        axles.wheel_effort,
-        train.axles.rotating_mass,
-        noise,
-        ADHESION_RATE * axles.axle_load,
-    )
-    adhesion, adhesion_std = force.force / axles.axle_load, force.std / axles.axle_load
+    adhesion, adhesion_std = _adhesion(axles, train, noise)
     speed, factor = _train_speed(trip, train, axles, adhesion, noise)
     slip_speed = axles.wheel_speed / factor - speed.speed[:, None]
     travelled = _position(trip, axles.clock)
@@ -329,18 +328,25 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     position = line.length - travelled if backwards else travelled
     std = float(np.hypot(noise, np.median(speed.std)))
     share = _share(axles, train.axles.rotating_mass)
-    motion = Motion(axles, position, speed.speed, slip_speed, std, adhesion, share)
+    later = tuple(
+        (_adhesion(each, train, noise)[0], _share(each, train.axles.rotating_mass))
+        for each in axles.at_other_delays()
+    )
+    motion = Motion(axles, position, speed.speed, slip_speed, std, adhesion, share, later)
     slipping = slipping_axles(motion)
     slipping |= small_slips(motion, slipping)
     least = least_slip(motion)
     events = event_rows(motion, slipping)
     adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
     if share is not None:
-        mean = (axles.total_effort / axles.count)[:, None] / axles.axle_load
-        adhesion = np.repeat(mean, axles.numbers.size, axis=1)
+        adhesion = _mean_adhesion(axles)
         # The effort of wheels that slip turns them, not the train.
         adhesion[slipping.any(axis=1)] = np.nan
         adhesion_std = SHARED_STD * np.abs(adhesion)
+        later = tuple((_mean_adhesion(each), None) for each in axles.at_other_delays())
+    if later:
+        squares = [(each - adhesion) ** 2 for each, _ in later]
+        adhesion_std = np.sqrt(adhesion_std**2 + np.mean(squares, axis=0))
     return SlipAnalysis(
         trip=trip.name,
         time=axles.clock,
@@ -355,9 +361,40 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
         events=events,
         common_std=axles.common_std,
         load=axles.load,
-        notes=(*axles.notes, *_noise_notes(noise, least)),
+        notes=(*axles.notes, *_delay_notes(axles, events), *_noise_notes(noise, least)),
         complete=axles.complete and least < SLIP_THRESHOLD,
     )
+
+
+def _adhesion(axles: PoweredAxles, train: Train, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Adhesion in use of the recorded axles and its standard deviation, (n, k)."""
+    force = smoothed_force(
+        axles.time,
+        axles.wheel_speed,
+        axles.wheel_effort,
+        train.axles.rotating_mass,
+        noise,
+        ADHESION_RATE * axles.axle_load,
+    )
+    return force.force / axles.axle_load, force.std / axles.axle_load
+
+
+def _mean_adhesion(axles: PoweredAxles) -> FloatArray:
+    """Adhesion in use if the axles share the total effort evenly, (n, k)."""
+    mean = (axles.total_effort / axles.count)[:, None] / axles.axle_load
+    return np.repeat(mean, axles.numbers.size, axis=1)
+
+
+def _delay_notes(axles: PoweredAxles, events: pd.DataFrame) -> list[str]:
+    """What is to be stated where the delay of the efforts is not known."""
+    if not axles.delay_std or not axles.levelled.any():
+        return []
+    note = f"the delay of the efforts is not known better than ± {1.96 * axles.delay_std:.2f} s"
+    shown = events[events["measured"]]
+    if shown.empty:
+        return [note]
+    share = float(np.median(shown["delay_std"] / shown["adhesion"]))
+    return [f"{note}: levels within ± {1.96 * share:.0%} by the delay"]
 
 
 def _noise_notes(noise: float, least: float) -> list[str]:

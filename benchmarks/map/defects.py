@@ -24,12 +24,15 @@ import pandas as pd
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import SlipAnalysis, slip
+from analysis.passports import estimated_passport
 from analysis.truth import true_adhesion, truth_of
 from estimators.slip import SlipDetector
 from trainlog.errors import TrainlogError
+from trainlog.formats.attached import with_passport
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.ttobench import read_track, read_train as read_foreign_train
+from trainlog.railway.passport import Quantity
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.plant import Plant
 from trainlog.trip import Trip
@@ -186,6 +189,12 @@ def unseen_axles(trip: Trip, every: int) -> Trip:
     return with_frame(trip, AXLES, changed)
 
 
+def unknown_delay(trip: Trip, delay: float = 0.3) -> Trip:
+    """Efforts that are late, and a passport that knows it to half a second only."""
+    known = replace(estimated_passport(trip), effort_delay=Quantity(0.0, 0.25, "assumed"))
+    return with_passport(of_efforts(partial(late, delay=delay))(trip), known)
+
+
 def slower(trip: Trip, every: int) -> Trip:
     topics = (AXLES, CONTROLS, STATE, "/environment")
     for topic in topics:
@@ -211,6 +220,7 @@ DEFECTS: dict[str, Callable[[Trip], Trip]] = {
     "axle efforts zero": of_efforts(lambda values: values * 0.0, AXLES),
     "efforts 0.2 s late": of_efforts(partial(late, delay=0.2)),
     "efforts 0.5 s late": of_efforts(partial(late, delay=0.5)),
+    "efforts 0.3 s late, unknown": unknown_delay,
     "efforts + 10 %": of_efforts(lambda values: values * 1.1),
     "only total effort": only_total,
     "one speed a bogie": partial(unseen_axles, every=2),

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 
 from trainlog.cli.options import Logs, destination, logs_in
-from trainlog.cli.terminal import console, progress_bar, wrote
-from trainlog.errors import InputError
+from trainlog.cli.terminal import console, print_error, progress_bar, wrote
+from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
 
 app = typer.Typer()
@@ -97,14 +97,26 @@ def estimate(
     """
     from analysis.estimates import estimate_log
 
+    found, refused = logs_in(logs), 0
     with output_folder(output), progress_bar() as progress:
-        for log in progress.track(logs_in(logs), description="estimating"):
+        for log in progress.track(found, description="estimating"):
             if (output / log.name).resolve() == log.resolve():
                 raise InputError("would be overwritten", file=log, remedy="name another folder")
-            for refusal in estimate_log(log, output / log.name):
+            try:
+                refusals = estimate_log(log, output / log.name)
+            except LogError as error:
+                # One log of which nothing can be estimated does not keep the others from it.
+                if len(found) == 1:
+                    raise
+                refused += 1
+                print_error(str(error))
+                continue
+            for refusal in refusals:
                 words = f"  not estimated: {refusal}"
                 progress.console.print(words, highlight=False, markup=False, soft_wrap=True)
             wrote(output / log.name)
+    if refused:
+        raise typer.Exit(2)
 
 
 @map_app.command("update")
