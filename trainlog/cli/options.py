@@ -197,17 +197,25 @@ def pairs(given: list[str]) -> dict[str, str]:
             raise InputError(f"'{key}' is no known fact", remedy=f"known: {', '.join(FACTS)}")
         if key == "weather" and value not in ("dry", "wet"):
             raise InputError(f"weather '{value}' is unknown", remedy="it is dry or wet")
-        if key == "load" and not _is_load(value):
-            raise InputError(f"load '{value}' is no load", remedy="give it in kg, 0 or more")
-        found[key] = value
+        found[key] = _load(value) if key == "load" else value
     return found
 
 
-def _is_load(word: str) -> bool:
+def _load(word: str) -> str:
+    """A load in kg, from a number in kg or one with its unit, ``11.7t``."""
+    from trainlog.formats.plausible import check_load
+
+    number, unit = word.removesuffix("kg"), 1.0
+    if number.endswith("t"):
+        number, unit = number.removesuffix("t"), 1e3
     try:
-        return 0.0 <= float(word) < math.inf
+        load = float(number) * unit
     except ValueError:
-        return False
+        load = math.nan
+    if not 0.0 <= load < math.inf:
+        raise InputError(f"load '{word}' is no load", remedy="give it in kg, 0 or more, or as 12t")
+    check_load(load)
+    return word if number == word else f"{load:.0f}"
 
 
 def destination(path: Path, suffix: str) -> Path:

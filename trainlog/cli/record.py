@@ -163,7 +163,9 @@ def ingest(
     ] = False,
     facts: Annotated[
         list[str] | None,
-        typer.Option("--set", help="What the file does not state: weather=wet, load=12000 (kg)."),
+        typer.Option(
+            "--set", help="What the file does not state: weather=wet, load=12000 (kg) or 12t."
+        ),
     ] = None,
     accept: Annotated[
         bool,

@@ -100,6 +100,12 @@ TRAIN = {
 }  # fmt: skip
 """By the field of a train file."""
 
+LOAD = Plausible(50.0, 2e7, "kg", 1.0, "trains carry", _TONNES)
+"""Load of a trip; 0 is an empty train."""
+
+MOST_LOAD = 1.5
+"""Times the mass of the empty train, that a load reaches at most where the train states no more."""
+
 AXLES = {
     "wheel_radius": Plausible(0.15, 1.3, "m", 1.0, "wheels have a radius of", _MILLIMETRES),
     "rotating_mass": Plausible(5.0, 2e4, "t", 1e3, "a powered axle has", _TONNES),
@@ -254,6 +260,33 @@ def check_train(train: Train) -> None:
     ]
     if problems:
         raise InputError.listing(problems)
+
+
+def check_load(load: float, train: Train | None = None) -> None:
+    """Refuse a load [kg] that cannot be meant: of any train, or of the one that is known.
+
+    Raises
+    ------
+    InputError
+        That names the load, what is plausible, and the likely cause.
+
+    Examples
+    --------
+    >>> check_load(11_700.0)
+    >>> check_load(11.7)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: load: 11.7 kg is not plausible: trains carry 50 to 2e+07 kg; were...
+    """
+    problem = LOAD.problem(load, "load")
+    if problem is not None:
+        raise problem
+    most = np.inf if train is None else max(MOST_LOAD * train.mass, train.max_load or 0.0)
+    if not 0.0 <= load <= most:
+        against = f" for a train of {train.mass:.0f} kg" if train is not None else ""
+        raise InputError(
+            f"load {load:.0f} kg is not plausible{against}",
+            remedy="is it the mass of the loaded train, or is its unit another than kg?",
+        )
 
 
 LINE = {

@@ -31,6 +31,7 @@ from trainlog.ingest.pipeline import (
     ingested,
 )
 from trainlog.ingest.profile import Profile
+from trainlog.ingest.proposal.times import NoRecordingError
 from trainlog.ingest.registry import formats, head_of
 from trainlog.ingest.report import Report, report_of
 from trainlog.mcap import describe, write_log
@@ -290,7 +291,8 @@ def ingest_all(
     found: list[Outcome] = []
     with output_folder(target):
         recordings = [file for file, reason in files if not reason]
-        batch = _Batch(target, given, recordings, choose, finish)
+        named = frozenset(Path(path).resolve() for path in every)
+        batch = _Batch(target, given, recordings, named, choose, finish)
         for number, (file, reason) in enumerate(files, start=1):
             outcomes = [Outcome(file, "passed_over", reason=reason)] if reason else batch.make(file)
             for outcome in outcomes:
@@ -439,6 +441,7 @@ class _Batch:
         output: Path,
         given: Given,
         files: list[Path],
+        named: frozenset[Path],
         choose: Callable[[Path], str | Path | Profile | None] | None = None,
         finish: Callable[[Trip], Trip] | None = None,
     ) -> None:
@@ -446,6 +449,7 @@ class _Batch:
         self._choose = choose
         self._finish = finish
         self._given = given
+        self._named = named
         self._names = distinct_names(files)
         self._files = files
         self._taken: dict[Path, Path] = {}
@@ -470,6 +474,9 @@ class _Batch:
             return
         try:
             yield from self._made_of(file)
+        except NoRecordingError as error:
+            in_folder = file.resolve() not in self._named
+            yield Outcome(file, "passed_over" if in_folder else "refused", reason=str(error))
         except TrainlogError as error:
             yield Outcome(file, "refused", reason=str(error))
         except Exception as error:  # noqa: BLE001  (a defect of a reader must not stop the others)

@@ -46,6 +46,10 @@ MOST_ASIDE = 0.5
 """Part of the fixes that may be set aside; a trip with more is refused."""
 
 
+class AgainstLineError(InputError):
+    """The fixes run against the direction of travel."""
+
+
 @dataclass(frozen=True, eq=False)
 class Matched:
     """Fixes on the line.
@@ -121,8 +125,9 @@ def chainage_of(
     Raises
     ------
     InputError
-        If the fixes lie elsewhere, follow another line, or chainage falls while the train drives;
-        if most of them are set aside.
+        If the fixes lie elsewhere or follow another line; if most of them are set aside.
+    AgainstLineError
+        If chainage falls while the train drives.
     """
     track = track_of(geometry)
     points = track.plane(fixes.latitude, fixes.longitude)
@@ -278,10 +283,11 @@ def _chain(
     back, backwards = best_chain(nodes, -1.0)
     if back > worth and np.ptp(places.chainage[backwards[backwards >= 0]]) > BACKWARDS:
         ends = known[np.isfinite(near[known])][[0, -1]]
-        raise InputError(
+        raise AgainstLineError(
             f"the fixes run from km {near[ends[0]] / 1e3:.3f} to km {near[ends[1]] / 1e3:.3f},"
             " against the direction of travel",
-            remedy="give the other direction: 'reverse' instead of 'forward', or vice versa",
+            remedy="correct the direction: 'reverse' instead of 'forward', or vice versa; it is"
+            " given by --reverse, direction= in Python, or direction under [trip] of the profile",
         )
     inside = np.count_nonzero(chain >= 0)
     against = backwards[(chain < 0) & (backwards >= 0)]

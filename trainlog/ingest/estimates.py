@@ -13,9 +13,11 @@ import pandas as pd
 
 from estimators.motion import SmoothedMotion, smooth_motion
 from trainlog.ingest.chainage import Matched, chainage_of
+from trainlog.ingest.clock import Result
 from trainlog.ingest.fixes import Fixes, held_fixes
 from trainlog.ingest.profile import Profile
-from trainlog.ingest.recording import Finding, FloatArray
+from trainlog.ingest.recording import BoolArray, Finding, FloatArray, IntArray, Table
+from trainlog.ingest.rules import LONGEST_GAP_IN_CHORD, POSITION, quantum
 from trainlog.railway.line import Line
 from trainlog.topics import ESTIMATED_STATE
 from trainlog.trip import Trip, frame_of
@@ -39,6 +41,25 @@ FIX_STD = 5.0
 
 LONGEST_OUTAGE = 600.0
 """Through longer gaps [s] nothing is estimated: the train may have been anywhere."""
+
+OFFSET, OFFSET_STDS = 30.0, 5.0
+"""A recorded position further than this [m], and than so many standard deviations, from the
+chainage of the fixes contradicts it."""
+
+DRIFT = 0.005
+"""Share of the distance by which an odometer drifts."""
+
+CLOCKS = 1.0
+"""Time [s] by which odometer and receiver may be apart."""
+
+CONSTANT = 0.95
+"""Share of the samples that have an offset which is called constant."""
+
+MOST_CONTRADICTING = 0.5
+"""Share of the positions that may contradict the fixes; of more none is used."""
+
+LEAST_COMPARED = 10
+"""Samples that it takes to compare position and fixes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +85,7 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
     Raises
     ------
     InputError
-        If the fixes lie elsewhere, or run against the line.
+        If the fixes lie elsewhere, or, as `AgainstLineError`, run against the line.
     """
     geometry = line.geometry if line is not None else None
     if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
@@ -91,6 +112,73 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
     index = pd.DatetimeIndex(state.index)
     motion = smooth_motion(_seconds(index), state["speed"].to_numpy(), ODOMETER_STD)
     return Estimate(_frame(index, motion, start.si("m")))
+
+
+def position_offset(table: Table, estimate: pd.DataFrame) -> Result:
+    """Shift recorded positions by a constant offset from the fixes; take away what contradicts.
+
+    An odometer that drifts by up to `DRIFT` of the distance does not contradict the fixes.
+
+    Parameters
+    ----------
+    table : Table
+        In order of time.
+    estimate : DataFrame
+        ``/estimates/state`` from the fixes.
+    """
+    position = table.signals.get(POSITION)
+    if position is None:
+        return table, []
+    known = pd.DatetimeIndex(estimate.index).as_unit("ns").asi8
+    rows = np.flatnonzero(np.isfinite(position) & _near(table.time, known))
+    if rows.size < LEAST_COMPARED:
+        return table, []
+    chainage, std, speed = (
+        np.interp(table.time[rows], known, estimate[name].to_numpy())
+        for name in ("position", "position_std", "speed")
+    )
+    off = position[rows] - chainage
+    least = np.maximum(OFFSET, OFFSET_STDS * std) + (quantum(position) or 0.0)
+    drifted = least + DRIFT * np.ptp(chainage) + CLOCKS * speed
+    shift = _constant(off, least, drifted)
+    wrong = np.abs(off - shift) > drifted
+    if not (shift or wrong.any()):
+        return table, []
+    away = np.interp(table.time, table.time[rows], wrong) >= 0.5
+    if shift:
+        size = "too large" if shift > 0.0 else "too small"
+        note = f"the distance was {abs(shift) / 1e3:.3f} km off the fixes, {size}; put back"
+    else:
+        note = (
+            f"the distance is {np.min(off) / 1e3:+.3f} to {np.max(off) / 1e3:+.3f} km off the"
+            " fixes, by no constant offset"
+        )
+    if np.mean(wrong) > MOST_CONTRADICTING:
+        away[:] = True
+        note += "; none of it is used"
+    elif away.any():
+        note += "; it is absent where it contradicts them"
+    moved = np.where(away, np.nan, position - shift)
+    changed = np.isfinite(position) & (moved != position)
+    return table.with_values(POSITION, moved), table.found(
+        "position_offset", changed, POSITION, note
+    )
+
+
+def _near(time: IntArray, known: IntArray) -> BoolArray:
+    """Which times lie in no gap of the estimate, and neither before nor after it."""
+    after = np.searchsorted(known, time)
+    inside = (after > 0) & (after < known.size)
+    after = np.clip(after, 1, known.size - 1)
+    return inside & (known[after] - known[after - 1] <= LONGEST_GAP_IN_CHORD * NANOSECONDS)
+
+
+def _constant(off: FloatArray, least: FloatArray, drifted: FloatArray) -> float:
+    """The offset [m] that nearly all differences have, up to drift; 0 if there is none."""
+    offset = float(np.median(off))
+    beyond = float(np.mean(np.sign(offset) * off > least))
+    agreeing = float(np.mean(np.abs(off - offset) <= drifted))
+    return offset if min(beyond, agreeing) >= CONSTANT else 0.0
 
 
 def _seconds(index: pd.DatetimeIndex) -> FloatArray:

@@ -15,9 +15,11 @@ from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.line import line_to_bytes
+from trainlog.formats.plausible import check_load
 from trainlog.formats.train import train_to_bytes
 from trainlog.identity import source_of
-from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.chainage import AgainstLineError
+from trainlog.ingest.estimates import Estimate, estimated_state, position_offset
 from trainlog.ingest.limits import LIMITS
 from trainlog.ingest.profile import (
     Limits,
@@ -29,7 +31,7 @@ from trainlog.ingest.profile import (
 )
 from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
-from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report
+from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
@@ -138,7 +140,8 @@ def ingest(
         Where and with what it was driven; they are attached to the trip. With the line's geometry
         satellite fixes become chainage in ``/estimates/state``.
     direction : {"forward", "reverse"}, optional
-        Along the line as given; default: what the profile says, else forward.
+        Along the line as given; default: what the profile says, else as the fixes run, else
+        forward.
     metadata : mapping of str to str, optional
         Further metadata, stronger than the profile's.
 
@@ -396,6 +399,9 @@ def _finished(
         trip, report, raw = _trip(recording, profile, line, train, direction)
         if line is not None:
             _check_on_line(trip, line)
+        stated = {**profile.metadata, **(metadata or {})}.get("load")
+        if stated is not None:
+            _check_stated_load(stated, train)
     named = {"trip": source.path.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
     which: dict[str, Any] = {}
     if len(source.recordings) > 1:
@@ -428,8 +434,21 @@ def _check_on_line(trip: Trip, line: Line) -> None:
             raise InputError(
                 f"positions reach km {furthest / 1e3:.3f}, line '{line.name}' ends at km"
                 f" {line.length / 1e3:.3f}",
-                remedy="give the line it was driven on, or check the unit of the position",
+                remedy="give the line it was driven on, or check the unit of the position; if the"
+                " counter starts elsewhere than the line, give start_position under [trip] of the"
+                " profile",
             )
+
+
+def _check_stated_load(stated: str, train: Train | None) -> None:
+    """Refuse a load [kg] among the metadata that cannot be meant."""
+    try:
+        load = float(stated)
+    except ValueError:
+        load = np.nan
+    if not np.isfinite(load):
+        raise InputError(f"load '{stated}' is no load", remedy="give it in kg, 0 or more")
+    check_load(load, train)
 
 
 def _profile(profile: str | Path | Profile | None) -> tuple[Profile | None, dict[str, bytes]]:
@@ -467,21 +486,20 @@ def _trip(
         repairs.add(number, changed)
         tables.append(_from_start(kept, profile.trip))
         findings += found
-    heading = direction or profile.trip.direction or "forward"
-    travelled = line.reversed() if line is not None and heading == "reverse" else line
-    topics = frames(
-        [table for table in tables if len(table)], recording.constants, own_topics(profile.columns)
-    )
-    if not topics:
-        raise InputError(
-            f"nothing is left of {recording.rows_read} rows after repair",
-            remedy="look at [limits] and at the units of the columns in the profile",
-        )
-    trip = Trip(topics, _metadata(recording, profile, line, train, heading))
-    estimate = estimated_state(trip, travelled, profile)
+    trip = Trip(_topics(recording, profile, tables), {})
+    heading, estimate = _estimated(trip, line, profile, direction or profile.trip.direction)
     findings += estimate.findings
+    if estimate.frame is not None and profile.repair.position_offset:
+        before = list(tables)
+        for number, table in enumerate(before):
+            tables[number], found = position_offset(table, estimate.frame)
+            repairs.add(number, changes("position_offset", table, tables[number]))
+            findings += found
+        if any(new is not old for new, old in zip(tables, before, strict=True)):
+            trip = Trip(_topics(recording, profile, tables), {})
     if estimate.frame is not None:
         trip = trip.with_topic(estimate.frame)
+    trip.metadata.update(_metadata(recording, profile, line, train, heading))
     trip.metadata.update(estimate.metadata)
     trip.metadata["start"] = trip.start.isoformat()
     if line is not None:
@@ -500,6 +518,48 @@ def _trip(
     )
     raw = {REPAIRS_ATTACHMENT: repairs.to_bytes()} if len(repairs) else {}
     return trip, report, raw
+
+
+def _topics(recording: Recording, profile: Profile, tables: list[Table]) -> dict[str, pd.DataFrame]:
+    """The frames of the repaired tables.
+
+    Raises
+    ------
+    InputError
+        If nothing is left.
+    """
+    topics = frames(
+        [table for table in tables if len(table)], recording.constants, own_topics(profile.columns)
+    )
+    if not topics:
+        raise InputError(
+            f"nothing is left of {recording.rows_read} rows after repair",
+            remedy="look at [limits] and at the units of the columns in the profile",
+        )
+    return topics
+
+
+def _estimated(
+    trip: Trip, line: Line | None, profile: Profile, stated: Direction | None
+) -> tuple[Direction, Estimate]:
+    """The direction of a trip and its estimated state; fixes give a direction that none states."""
+    travelled = line.reversed() if line is not None and stated == "reverse" else line
+    try:
+        return stated or "forward", estimated_state(trip, travelled, profile)
+    except AgainstLineError:
+        if line is None or stated is not None or not profile.repair.direction:
+            raise
+    try:
+        estimate = estimated_state(trip, line.reversed(), profile)
+    except AgainstLineError as error:
+        raise InputError(
+            "the fixes run along the line in both directions",
+            remedy="a log that runs in both directions is two trips",
+        ) from error
+    found = Finding(
+        "direction", 1, (), "", "'reverse': the fixes run so, and no direction is given"
+    )
+    return "reverse", replace(estimate, findings=(found, *estimate.findings))
 
 
 def _joined(findings: list[Finding]) -> tuple[Finding, ...]:
@@ -587,10 +647,5 @@ def _load(options: TripOptions, train: Train | None) -> str | None:
         )
     else:
         load = options.mass.si("kg") - train.mass
-    empty = train.mass if train is not None else np.inf
-    if load < 0.0 or load > empty:
-        raise InputError(
-            f"load {load:.0f} kg is not plausible for a train of {empty:.0f} kg",
-            remedy="check value and unit of load or mass under [trip]",
-        )
+    check_load(load, train)
     return f"{load:.0f}"

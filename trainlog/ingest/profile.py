@@ -498,9 +498,11 @@ class Repair(_Strict):
     unit_suspected: bool = True
     quantised: bool = True
     gaps: bool = True
+    direction: bool = True
     contradicted: bool = True
     off_line: bool = True
     slip: bool = True
+    position_offset: bool = True
 
     @property
     def switched_off(self) -> tuple[str, ...]:

@@ -394,9 +394,11 @@ RULES = (
     Rule("unit_suspected", "keep", suspect_units),
     Rule("quantised", "keep", find_quantised),
     Rule("gaps", "keep", clock.count_gaps),
+    Rule("direction", "refuse"),
     Rule("contradicted", "keep"),
     Rule("off_line", "keep"),
     Rule("slip", "keep"),
+    Rule("position_offset", "keep"),
 )
 """Every rule by the order of its application; the last three where chainage is estimated."""
 

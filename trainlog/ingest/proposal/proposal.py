@@ -315,6 +315,9 @@ def _toml(
         '# weather = "dry"',
         '# direction = "forward"',
     ]
+    zone = found.get("time zone")
+    if zone is not None and zone.alternative:
+        lines.append(f"clock = {_quoted(f'{zone.taken} assumed: {zone.why}')}")
     return "\n".join(lines) + "\n"
 
 

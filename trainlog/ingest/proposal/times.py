@@ -52,6 +52,10 @@ _DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)"
 _DAY_FIRST = re.compile(r"(?<!\d)([0-3]?\d)\.([01]?\d)\.(20\d\d)(?!\d)")
 
 
+class NoRecordingError(InputError):
+    """A table that holds no time at all: it lies beside recordings."""
+
+
 @dataclass(frozen=True, eq=False)
 class Clock:
     """The time of a table.
@@ -78,7 +82,7 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
     Raises
     ------
     InputError
-        If no column counts time.
+        If no column counts time forward; as `NoRecordingError`, if none is called a time either.
     """
     tried: list[str] = []
     for find in (_typed, _parts, _date_and_clock, _epoch, _elapsed):
@@ -87,7 +91,9 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
             return found
     shown = ", ".join(layout.names[:12]) + (", ..." if len(layout.names) > 12 else "")
     noted = f" ({'; '.join(tried)})" if tried else ""
-    raise InputError(
+    named = any({"clock", "date"} & set(meaning.quantities) for meaning in meanings.values())
+    kind = InputError if tried or named else NoRecordingError
+    raise kind(
         f"is no recording of a trip: no column is a time that goes forward{noted}",
         file=layout.path,
         remedy=f"columns: {shown}; if one of them is the time, write a profile, see docs/ingest.md",

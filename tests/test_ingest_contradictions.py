@@ -1,0 +1,225 @@
+"""What is given beside a recording, or counted in it, and contradicts its satellite fixes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from simulated_line import flirt, hilly_line
+from test_ingest_chainage import winding
+
+from trainlog.cli.options import pairs
+from trainlog.errors import InputError
+from trainlog.formats.plausible import check_load
+from trainlog.ingest import (
+    Profile,
+    ingest,
+    ingest_all,
+    profile_of,
+    propose_profile,
+    repairs_of,
+    report_of,
+)
+from trainlog.simulation import draw_scenarios, simulate
+from trainlog.trip import Trip
+
+LINE, TRAIN = replace(hilly_line(), geometry=winding()), flirt()
+POSITION = "/train/state.position"
+COLUMNS = {
+    POSITION: {"column": "s", "unit": "m"},
+    "/train/state.speed": {"column": "v", "unit": "m/s"},
+    "/gnss/fix.latitude": {"column": "lat", "unit": "deg"},
+    "/gnss/fix.longitude": {"column": "lon", "unit": "deg"},
+    "/gnss/fix.horizontal_accuracy": {"column": "acc", "unit": "m"},
+}
+
+
+def profile(**sections: object) -> Profile:
+    head = {"format": "trainlog/recorder-profile", "version": 1, "name": "odometer and receiver"}
+    return profile_of({**head, "time": {"column": "t"}, "columns": COLUMNS, **sections})
+
+
+@pytest.fixture(scope="module", params=["forward", "reverse"])
+def driven(request: pytest.FixtureRequest) -> Trip:
+    return simulate(replace(draw_scenarios(LINE, TRAIN, 1, 4)[0], direction=request.param))
+
+
+def unchanged(position: np.ndarray) -> np.ndarray:
+    return position
+
+
+def recorded(
+    trip: Trip, folder: Path, counted: Callable[[np.ndarray], np.ndarray] = unchanged
+) -> Path:
+    """What a recorder with odometer and receiver writes, two rows a second."""
+    state = trip["/train/state"].iloc[::5]
+    near = {"method": "nearest", "tolerance": pd.Timedelta("60ms")}
+    fix = trip["/gnss/fix"].reindex(state.index, **near)
+    table = {
+        "t": state.index.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+        "v": state["speed"],
+        "s": counted(state["position"].to_numpy()),
+        "lat": fix["latitude"],
+        "lon": fix["longitude"],
+        "acc": fix["horizontal_accuracy"],
+    }
+    path = folder / "run.csv"
+    pd.DataFrame(table).to_csv(path, index=False)
+    return path
+
+
+def error_of(trip: Trip, truth: Trip) -> pd.Series:
+    position = trip["/train/state"]["position"]
+    return position - truth["/truth"]["position"].reindex(position.index)
+
+
+# ------------------------------------------------------------------ an odometer against the fixes
+
+
+@pytest.mark.parametrize("offset", [7_000.0, -7_000.0, 150.0])
+def test_a_constant_offset_of_the_odometer_is_put_back(
+    driven: Trip, tmp_path: Path, offset: float
+) -> None:
+    """At +7 km the positions would run beyond the line's end; at -7 km they would be negative."""
+    path = recorded(driven, tmp_path, lambda position: position + offset)
+    trip = ingest(path, profile(), line=LINE, train=TRAIN)
+    assert error_of(trip, driven).abs().max() < 20.0
+    (found,) = (each for each in report_of(trip).findings if each.rule == "position_offset")
+    assert found.count == len(trip["/train/state"])
+    assert found.column == POSITION
+    kilometres = float(found.note.split("was ")[1].split(" km")[0])
+    assert kilometres == pytest.approx(abs(offset) / 1e3, abs=0.02)
+    raw = repairs_of(trip).query("rule == 'position_offset'")
+    assert len(raw) == found.count
+    assert np.allclose(raw["raw_value"] - raw["new_value"], offset, atol=20.0)
+
+
+def test_an_offset_can_be_kept(driven: Trip, tmp_path: Path) -> None:
+    path = recorded(driven, tmp_path, lambda position: position + 300.0)
+    off = profile(repair={"position_offset": False})
+    trip = ingest(path, off, line=LINE)
+    assert error_of(trip, driven).median() == pytest.approx(300.0, abs=15.0)
+    far = recorded(driven, tmp_path, lambda position: position + 7_000.0)
+    with pytest.raises(InputError, match=r"line 'hilly' ends at km 11.*start_position under \[tri"):
+        ingest(far, off, line=LINE)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.004, 0.996])
+def test_drift_of_an_odometer_is_left(driven: Trip, tmp_path: Path, scale: float) -> None:
+    path = recorded(driven, tmp_path, lambda position: scale * position)
+    trip = ingest(path, profile(), line=LINE)
+    assert report_of(trip).count("position_offset") == 0
+
+
+def test_positions_that_contradict_by_no_constant_offset_are_absent(
+    driven: Trip, tmp_path: Path
+) -> None:
+    def leaping(share: float) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda s: s + np.where(np.arange(s.size) >= share * s.size, 3_000.0, 0.0)
+
+    trip = ingest(recorded(driven, tmp_path, leaping(0.7)), profile(), line=LINE)
+    left = error_of(trip, driven)
+    assert 0.25 < left.isna().mean() < 0.35
+    assert left.abs().max() < 20.0
+    (found,) = (each for each in report_of(trip).findings if each.rule == "position_offset")
+    assert "by no constant offset; it is absent where it contradicts them" in found.note
+    most = ingest(recorded(driven, tmp_path, leaping(0.2)), profile(), line=LINE)
+    assert most["/train/state"]["position"].isna().all()
+    assert most["/train/state"]["speed"].notna().all()
+    assert "none of it is used" in " ".join(report_of(most).lines())
+
+
+# ------------------------------------------------------------------ the direction
+
+
+def test_fixes_give_the_direction_that_nothing_states(driven: Trip, tmp_path: Path) -> None:
+    path, truth = recorded(driven, tmp_path), driven.metadata["direction"]
+    trip = ingest(path, profile(), line=LINE)
+    assert trip.metadata["direction"] == truth
+    assert report_of(trip).count("direction") == (truth == "reverse")
+    if truth == "reverse":
+        assert trip.metadata["repair.direction.note"].startswith("'reverse': the fixes run so")
+
+
+def test_a_stated_direction_that_the_fixes_contradict_is_refused(
+    driven: Trip, tmp_path: Path
+) -> None:
+    path = recorded(driven, tmp_path)
+    other = "forward" if driven.metadata["direction"] == "reverse" else "reverse"
+    for options, given in (({}, other), ({"trip": {"direction": other}}, None)):
+        with pytest.raises(InputError, match=r"--reverse.*direction under \[trip\]"):
+            ingest(path, profile(**options), line=LINE, direction=given)
+    if other == "forward":
+        with pytest.raises(InputError, match="against the direction of travel"):
+            ingest(path, profile(repair={"direction": False}), line=LINE)
+
+
+# ------------------------------------------------------------------ the load
+
+
+@pytest.mark.parametrize(("load", "likely"), [("11.7", "were t meant"), ("900000", "900000 kg")])
+def test_a_load_that_cannot_be_meant_is_refused(
+    driven: Trip, tmp_path: Path, load: str, likely: str
+) -> None:
+    path = recorded(driven, tmp_path)
+    with pytest.raises(InputError, match=rf"{load} kg is not plausible") as refused:
+        ingest(path, profile(), train=TRAIN, metadata={"load": load})
+    assert likely in str(refused.value)
+    with pytest.raises(InputError, match="is not plausible"):
+        ingest(path, profile(metadata={"load": load}), train=TRAIN)
+
+
+def test_a_load_may_be_given_in_tonnes() -> None:
+    stated = pairs(["load=11.7t"])
+    assert stated == pairs(["load=11700kg"]) == {"load": "11700"}
+    assert pairs(["load=0"]) == {"load": "0"}
+    assert ingest("sample_logs/gnss.csv", metadata=stated).metadata["load"] == "11700"
+    with pytest.raises(InputError, match=r"11\.7 kg is not plausible.*were t meant"):
+        pairs(["load=11.7"])
+    with pytest.raises(InputError, match="load '3lb' is no load"):
+        pairs(["load=3lb"])
+
+
+def test_an_empty_train_and_the_load_its_file_states_are_plausible() -> None:
+    check_load(0.0, TRAIN)
+    check_load(3.0 * TRAIN.mass, replace(TRAIN, max_load=3.0 * TRAIN.mass))
+    with pytest.raises(InputError, match="load -5 kg is not plausible"):
+        check_load(-5.0, TRAIN)
+
+
+# ------------------------------------------------------------------ proposals
+
+
+def test_an_assumed_time_zone_stays_with_the_trip(driven: Trip, tmp_path: Path) -> None:
+    proposal = propose_profile("sample_logs/recorder.csv")
+    trip = ingest("sample_logs/recorder.csv", proposal.profile)
+    assert trip.metadata["clock"] == "UTC assumed: the file does not state a zone"
+    zoned = propose_profile(recorded(driven, tmp_path))
+    assert zoned.profile.trip.clock is None
+
+
+def test_a_table_without_time_is_passed_over_in_a_folder_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "recorded"
+    folder.mkdir()
+    table = folder / "devices.csv"
+    table.write_text("device_id,model\n1,Nexus 5X\n2,Nexus 5X\n3,Pixel\n4,Pixel\n", "utf-8")
+
+    def choose(path: Path) -> Profile:
+        return propose_profile(path).profile
+
+    result = ingest_all(folder, tmp_path / "logs", choose=choose)
+    assert [each.state for each in result.outcomes] == ["passed_over"]
+    assert "no column is a time" in result.outcomes[0].reason
+    assert not result.failed
+    assert ingest_all([folder, table], tmp_path / "logs", choose=choose).failed
+    broken = folder / "broken.csv"
+    broken.write_text("time,speed\nx,1\ny,2\nz,3\nq,4\n", "utf-8")
+    states = {
+        each.file.name: each.state
+        for each in ingest_all(folder, tmp_path / "logs", choose=choose).outcomes
+    }
+    assert states == {"devices.csv": "passed_over", "broken.csv": "refused"}
