@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +12,18 @@ from rich.table import Table
 
 from analysis.adhesion.condition_map import summary
 from analysis.comparison.cost import compare, punctuality, running_times
-from analysis.tables import as_page, excess, kwh, new_table
+from analysis.tables import as_page, excess, kwh, new_table, with_band
 from analysis.truth import Truth, curve_error, map_error, truth_of
-from trainlog.display import as_text, counted
+from trainlog.display import as_text, counted, span
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
-from trainlog.formats.parameters import read_parameters
+from trainlog.formats.files import LOOKED_AT
+from trainlog.formats.line import read_line
+from trainlog.formats.parameters import read_coast_down, read_parameters
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import read_log
 from trainlog.mcap.convert import span_of
+from trainlog.railway.train import ParameterSet
 from trainlog.units import KMH
 
 
@@ -53,7 +57,8 @@ def report(folder: str | Path) -> Report:
     ----------
     folder : path
         As ``trainlog demo`` leaves it: logs in ``trips`` and ``driven``, ``parameters.json``,
-        ``map.json``, ``trajectory.json``; whatever there is of them.
+        ``map.json``, ``trajectory.json``; whatever there is of them. Parameter sets, maps,
+        trajectories, results of coast-down and lines may have any names: their format names them.
 
     Raises
     ------
@@ -80,9 +85,15 @@ def report(folder: str | Path) -> Report:
     truths = [truth for truth in found_truths if truth is not None]
     rows = [
         _recorded(folder, logs),
-        _fitted(folder / "parameters.json", truths),
-        _mapped(folder / "map.json", truths),
-        *_planned(folder / "trajectory.json"),
+        *(_fitted(path, truths) for path in _of_format(folder, "parameters", "parameters.json")),
+        *(_coasted(path) for path in _of_format(folder, "coast-down")),
+        *(_mapped(path, truths) for path in _of_format(folder, "condition", "map.json")),
+        *(_drawn(path) for path in _of_format(folder, "line")),
+        *(
+            row
+            for path in _of_format(folder, "trajectory", "trajectory.json")
+            for row in _planned(path)
+        ),
         _saved(folder / "driven", logs),
         _followed(folder),
     ]
@@ -92,7 +103,7 @@ def report(folder: str | Path) -> Report:
             "holds no results",
             file=folder,
             remedy="they are looked for as 'trainlog demo' leaves them: logs in trips/ and driven/,"
-            " parameters.json, map.json, trajectory.json",
+            " parameters.json, map.json, trajectory.json; or by any other name",
         )
     return Report(folder, tuple(found))
 
@@ -113,11 +124,63 @@ def _recorded(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None
     return "recorded", f"{counted(len(logs), 'trip')}, {hours:.1f} h", str(folder / "trips")
 
 
+def _of_format(folder: Path, kind: str, usual: str = "") -> list[Path]:
+    """The files of a format in a folder, that of the usual name first, whatever is in it."""
+    named = re.compile(rf'"format"\s*:\s*"trainlog/{kind}"'.encode())
+    others = [path for path in sorted(folder.glob("*.json")) if path.name != usual]
+    found = [path for path in others if path.is_file() and named.search(_beginning(path))]
+    return [folder / usual, *found] if usual and (folder / usual).exists() else found
+
+
+def _beginning(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(LOOKED_AT)
+
+
+def _coasted(path: Path) -> tuple[str, str, str]:
+    found = read_coast_down(path)
+    words = f"{counted(len(found.trips), 'trip')}, gradient: {found.gradient}"
+    if found.curve is not None:
+        curve = found.curve
+        at = int(np.argmin(np.abs(curve.speeds - np.median(curve.speeds))))
+        middle, low, high = (1e3 * each[at] for each in (curve.deceleration, curve.low, curve.high))
+        words += (
+            f"; {middle:.1f} mm/s² ({low:.1f} to {high:.1f}) of resistance over inertia"
+            f" at {KMH * curve.speeds[at]:.0f} km/h"
+        )
+    return "coast-down", words, str(path)
+
+
+def _drawn(path: Path) -> tuple[str, str, str]:
+    line = read_line(path)
+    known = f"; assumed: {', '.join(line.assumed)}" if line.assumed else ""
+    return "line", f"{line.name}, {line.length / 1e3:.2f} km{known}", str(path)
+
+
+def _measured(found: ParameterSet) -> str:
+    """Mass, power and resistance of a set, as far as it has them."""
+    every = found.configurations
+    if not every:
+        return ""
+    mass, power = (
+        span([getattr(each, name) for each in every], 1e-3, digits)
+        for name, digits in (("mass", 1), ("max_power", 0))
+    )
+    words = f"; mass {mass} t, power {power} kW" + " (the train file's)" * bool(found.assumed_power)
+    if found.common is None or found.common_covariance is None or found.speed_range[1] <= 0.0:
+        return words
+    at = float(np.mean(found.speed_range))
+    basis = np.array([1.0, at, at**2])
+    std = float(np.sqrt(basis @ found.common_covariance @ basis))
+    drag = with_band(float(found.common(at)) / 1e3, std / 1e3, " kN")
+    return f"{words}, resistance {drag} at {KMH * at:.0f} km/h"
+
+
 def _fitted(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
     if not path.exists():
         return None
     found = read_parameters(path)
-    words = counted(len(found.configurations), "configuration")
+    words = counted(len(found.configurations), "configuration") + _measured(found)
     if truths and found.common is not None:
         by_name = {truth.trip: truth for truth in truths}
         pairs = [(c, by_name[c.name]) for c in found.configurations if c.name in by_name]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +18,8 @@ from analysis.reporting import report
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.logs import fit
 from analysis.tables import new_table
-from trainlog.formats.parameters import write_parameters
-from trainlog.formats.samples import sample
+from trainlog.formats.parameters import write_coast_down, write_parameters
+from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log
 
 HEADINGS = ("section", "timetable s", "least of a reference s", "iterations of IPOPT", "least s")
@@ -83,3 +85,22 @@ def test_results_print_a_few_lines_and_are_tables_in_a_notebook(tmp_path: Path) 
         html = result._repr_html_()  # type: ignore[attr-defined]
         assert html.startswith("<")
         assert 200 < len(html) < 20_000
+
+
+def test_results_of_any_name_are_summed_up_by_their_format(tmp_path: Path) -> None:
+    log = sample("nonstop.mcap")
+    found = fit(log)
+    write_parameters(found.parameters, tmp_path / "campaign.json")
+    write_coast_down(coast_down([log]).result, tmp_path / "coasted.json")
+    shutil.copy(sample(DEFAULT_LINE), tmp_path / "ours.json")
+    (tmp_path / "other.json").write_text('{"format": "another/parameters"}')
+    rows = {Path(place).name: (subject, words) for subject, words, place in report(tmp_path).rows}
+    assert set(rows) == {"campaign.json", "coasted.json", "ours.json"}
+    subject, words = rows["campaign.json"]
+    assert subject == "running resistance"
+    (one,) = found.parameters.configurations
+    assert f"mass {one.mass / 1e3:.1f} t" in words
+    assert f"power {one.max_power / 1e3:.0f} kW (the train file's)" in words
+    assert re.search(r"resistance [\d.]+ ± [\d.]+ kN at \d+ km/h", words)
+    assert "resistance over inertia" in rows["coasted.json"][1]
+    assert rows["ours.json"] == ("line", "CH_StGallen_Wil, 29.56 km")

@@ -318,8 +318,8 @@ class CoastDownResult:
 def _in_words(quantity: Identified) -> str:
     if quantity.value is None:
         return f"not identified: {quantity.reason}"
-    std = "" if quantity.std is None else f" ± {quantity.std:.2g}"
-    return f"{quantity.value:.5g}{std} {quantity.unit}"
+    std = "" if quantity.std is None else f", standard deviation {quantity.std:.2g}"
+    return f"{quantity.value:.5g} {quantity.unit}{std}"
 
 
 class _QuantityPart(Part):
