@@ -75,7 +75,7 @@ def test_results_print_a_few_lines_and_are_tables_in_a_notebook(tmp_path: Path) 
         "bins observed": adhesion_map(trip),
         "mass over inertia": coast_down(trip),
         "kWh": compare([trip], followed),
-        "configurations": report(tmp_path),
+        "1 configuration": report(tmp_path),
     }
     for words, result in results.items():
         lines = repr(result).splitlines()
