@@ -174,7 +174,9 @@ class TestBounds:
         clock = pd.date_range("2024-01-01", periods=count, freq="100ms", tz="UTC")
         nothing = np.zeros(count)
         names = ("axle", "start", "end", "kind", "position", "speed", "peak_slip", "adhesion")
-        events = pd.DataFrame({name: [] for name in (*names, "adhesion_std", "measured")})
+        events = pd.DataFrame(
+            {name: [] for name in (*names, "adhesion_std", "delay_std", "measured")}
+        )
         return SlipAnalysis(
             trip="made", time=clock, position=position, speed=nothing, speed_std=nothing,
             slip_speed=nothing[:, None], adhesion=adhesion[:, None],
