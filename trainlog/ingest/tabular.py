@@ -31,8 +31,9 @@ MAX_RAGGED = 0.5
 SELDOM = 0.05
 """Share of rows up to which those that end before the usual number of cells were cut off."""
 
-FEWEST_SHORT = 2
-"""So many rows that end early at the same cell may have been cut off, in a file of any length."""
+HABIT, FEWEST_WHOLE = 0.2, 2
+"""Share of rows from which on those that end early at one cell are how the recorder writes, where
+more rows than so many have all cells."""
 
 MOST_RAGGED = 1000
 """Rows with the wrong number of cells from which on all rows are looked at."""
@@ -363,8 +364,8 @@ def without_empty_cells(body: bytes, delimiter: str, named: int) -> tuple[bytes,
 def with_empty_cells(body: bytes, delimiter: str, named: int) -> bytes:
     """The rows of a text with the empty cells at their ends that a recorder leaves out.
 
-    Rows that have fewer cells than others, as more than `SELDOM` and `FEWEST_SHORT` of all rows
-    have, end at their last value: what is missing is empty.
+    Rows that have fewer cells than others, as more than a share `HABIT` of all rows have, end at
+    their last value: what is missing is empty.
 
     Parameters
     ----------
@@ -376,9 +377,9 @@ def with_empty_cells(body: bytes, delimiter: str, named: int) -> bytes:
     """
     buffer, ends, _, _, cells = _counted(body, delimiter)
     counts = np.bincount(cells, minlength=named + 1)
-    if counts[named] <= SELDOM * ends.size:
+    if counts[named] <= FEWEST_WHOLE:
         return body
-    habit = np.flatnonzero(counts > max(SELDOM * ends.size, FEWEST_SHORT))
+    habit = np.flatnonzero(counts > HABIT * ends.size)
     short = (cells < named) & np.isin(cells, habit)
     places = np.repeat(ends[short], named - cells[short])
     return np.insert(buffer, places, ord(delimiter)).tobytes()
