@@ -32,6 +32,7 @@ from trainlog.cli.proposing import Proposals
 from trainlog.cli.terminal import (
     about,
     console,
+    interruption,
     print_account,
     print_error,
     progress_bar,
@@ -200,7 +201,7 @@ def ingest(
     alone = len(recordings) == 1 and not recordings[0].is_dir()
     found: list[Outcome] = []
     the_train = None if train is None else read_train(train)
-    with progress_bar() as progress:
+    with progress_bar() as progress, interruption() as check_interruption:
         proposals = Proposals(output, the_train, format, None if as_json else progress, accept)
         task = progress.add_task("ingesting", total=None)
 
@@ -208,6 +209,7 @@ def ingest(
 
         def note(outcome: Outcome, done: int, total: int) -> None:
             found.append(outcome)
+            check_interruption()
             rate = done / max(monotonic() - began, 1e-3)
             words = f"ingesting, {rate:.1f} files a second"
             progress.update(task, completed=done, total=total, description=words)
