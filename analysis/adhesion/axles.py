@@ -60,7 +60,7 @@ SLOW = 0.25
 """Time between samples [s] from which on short slips are missed."""
 
 
-SLOW_STD = 0.12
+SLOW_STD = 0.13
 """Relative standard deviation of the levels of a trip for each second between two samples: the
 force between them is a mean."""
 

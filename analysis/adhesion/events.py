@@ -51,7 +51,7 @@ LEAST_SPEED = 3.0
 """Train speed [m/s] below which small slips are not looked for in braking: electric brakes fade
 out there."""
 
-SHARED_STD = 0.1
+SHARED_STD = 0.13
 """Relative standard deviation of an axle's effort that is known as a share of the total."""
 
 SHARED_TIME = 0.5
