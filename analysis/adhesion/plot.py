@@ -22,6 +22,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 
@@ -131,7 +132,8 @@ def _title(track: TrackConditionMap, name: str, layer: ConditionLayer) -> str:
     onsets = int(layer.events.sum())
     lacking = sum(trip["layer"] == name and bool(trip.get("notes")) for trip in track.trips)
     words = f", {lacking} with recorders that lack something" if lacking else ""
-    return f"{name}: {trips} trips, {onsets} onsets of slip, {share:.1%} observed{words}"
+    of = f"{counted(trips, 'trip')}, {counted(onsets, 'onset')} of slip"
+    return f"{name}: {of}, {share:.1%} observed{words}"
 
 
 def _top(track: TrackConditionMap) -> float:
