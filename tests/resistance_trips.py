@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.resistance.recording import Recording
-from trainlog.formats.attached import with_passport
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import (
     Axles,
     Line,
-    Passport,
-    Quantity,
     RunningResistance,
     Station,
     StepProfile,
@@ -24,6 +23,10 @@ from trainlog.railway import (
 )
 from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "identification"))
+
+from monte_carlo import with_exact_efforts as with_exact_efforts
 
 Array = NDArray[np.float64]
 
@@ -50,13 +53,6 @@ LINE = Line(
     speed_limits=StepProfile(np.zeros(1), np.array([35.0])),
     gradients=StepProfile(np.zeros(1), np.zeros(1)),
 )
-
-
-def with_exact_efforts(trip: Trip) -> Trip:
-    """The trip with a passport that states its efforts to be in time and of their true size."""
-    unknown = Quantity(np.nan, np.nan, "assumed")
-    exact = Quantity(0.0, 1e-4, "estimated"), Quantity(1.0, 1e-6, "estimated")
-    return with_passport(trip, Passport(trip.name, *exact, unknown, unknown, unknown, unknown))
 
 
 def varied_speed(time: Array) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from analysis.adhesion.slip import SlipAnalysis, slip
 from estimators.slip import SlipDetector
 from trainlog.simulation import Scenario, drive, recorded
+from trainlog.spans import runs_of
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]
@@ -35,12 +36,6 @@ def seen(scenario: Scenario) -> Seen:
     return Seen(scenario, trip, slip(trip), speed, wheels - speed[:, None])
 
 
-def spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and one-past-last index of each run of True."""
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
 @dataclass
 class Score:
     """Slips reported and true; those within 0.15 m/s of the threshold may be either."""
@@ -54,11 +49,11 @@ class Score:
         truly = SlipDetector(each.slip.shape[1], 0.0).update(each.slip)
         for axle in range(each.slip.shape[1]):
             size, reported = np.abs(each.slip[:, axle]), each.found.slipping[:, axle]
-            for a, b in spans(truly[:, axle]):
+            for a, b in runs_of(truly[:, axle]):
                 if size[a:b].max() > 1.5 + margin:
                     self.true += 1
                     self.missed += not reported[a:b].any()
-            for a, b in spans(reported):
+            for a, b in runs_of(reported):
                 self.reported += 1
                 self.false += bool(size[max(a - 1, 0) : b + 1].max() < 1.5 - margin)
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from simulated_line import flirt, hilly_line, level_line
-from slip_truth import Score, Seen, onset_errors, seen, spans
+from slip_truth import Score, Seen, onset_errors, seen
 
 from analysis import passport
 from analysis.adhesion.condition_map import empty_map
@@ -29,6 +29,7 @@ from trainlog.resampling import interpolated
 from trainlog.simulation import Scenario, draw_scenarios
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.sensors import Sensors
+from trainlog.spans import runs_of
 from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, column_field, frame_of
 
@@ -362,7 +363,9 @@ class TestSmallSlips:
         place = interpolated(each.trip["/truth"], "position", each.found.time)
         a, b = row[np.searchsorted(row[:, 0], place, side="right") - 1, 2:4].T
         beyond = np.abs(each.slip) > 1.2 * (np.log(b / a) / (b - a))[:, None]
-        return [(axle, *span) for axle in range(beyond.shape[1]) for span in spans(beyond[:, axle])]
+        return [
+            (axle, *span) for axle in range(beyond.shape[1]) for span in runs_of(beyond[:, axle])
+        ]
 
     def test_they_are_found_and_measure_the_maximum(self, quick: Seen) -> None:
         true = self.peaks(quick)
@@ -377,7 +380,7 @@ class TestSmallSlips:
     def test_nothing_else_is_found(self, quick: Seen) -> None:
         """Each one reported is a slip that the protection ended."""
         for axle in range(quick.found.slipping.shape[1]):
-            for a, b in spans(quick.found.slipping[:, axle]):
+            for a, b in runs_of(quick.found.slipping[:, axle]):
                 assert np.abs(quick.slip[max(a - 3, 0) : b + 3, axle]).max() > 0.35
 
     def test_without_the_demand_the_other_axles_show_it(self, quick: Seen) -> None:

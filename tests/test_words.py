@@ -11,7 +11,7 @@ CHECKOUT = Path(__file__).parents[1]
 
 AVOIDED = {
     r"told|tells|tell": "a program states, reports or lists",
-    r"rooms?|house": "a package is a package, an entry point an entry point",
+    r"rooms?|doors?|house": "a package is a package, an entry point an entry point",
     r"makes? no sense": "a value must be positive, finite, ...",
     r"papers? 00\d": "a paper is cited by author and year",
 }
@@ -22,6 +22,12 @@ MEANT = {
     "doors, left": "doors of a train",
     "door {i}": "doors of a train",
     "door 0": "doors of a train",
+    "/train/doors": "doors of a train",
+    "The doors.": "doors of a train",
+    "doors are released": "doors of a train",
+    "doors released": "doors of a train",
+    'Panel("doors"': "doors of a train",
+    "brake pressures, doors": "doors of a train",
 }
 """Where such a word is the right one."""
 

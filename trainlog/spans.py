@@ -19,6 +19,18 @@ ALWAYS = (int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max))
 """The limits of a time that is open at both ends."""
 
 
+def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and one-past-last index of each run of True.
+
+    Examples
+    --------
+    >>> runs_of(np.array([False, True, True, False, True]))
+    [(1, 3), (4, 5)]
+    """
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def utc(time: Any) -> pd.Timestamp:
     """A time in UTC, to the nanosecond; one without a time zone is UTC already.
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.adhesion.axles import SLOW, PoweredAxles
 from estimators.slip import NOISE_MULTIPLE, SlipDetector
+from trainlog.spans import runs_of
 from trainlog.topics import EVENTS, SLIP_PROTECTION, TRAIN_SLIP_PROTECTION
 from trainlog.trip import SCENARIO_ATTACHMENT, Trip
 from trainlog.units import NANOSECONDS
@@ -116,7 +117,7 @@ def small_slips(motion: Motion, slipping: BoolArray) -> BoolArray:
             continue
         size = np.abs(motion.slip_speed[:, axle])
         braking = motion.slip_speed[:, axle] < 0.0
-        for start, stop in _runs((size > least) & ~(braking & (motion.speed < LEAST_SPEED))):
+        for start, stop in runs_of((size > least) & ~(braking & (motion.speed < LEAST_SPEED))):
             if slipping[max(start - 1, 0) : stop + 1, axle].any():
                 continue
             peak = start + int(np.argmax(size[start:stop]))
@@ -173,12 +174,6 @@ def protection_onsets(trip: Trip) -> pd.DatetimeIndex | None:
     return pd.DatetimeIndex(events.index[named]) if covered or named.any() else None
 
 
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """First and one-past-last index of each run of True."""
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
 def adhesion_noise(time: FloatArray, adhesion: FloatArray) -> float:
     """Standard deviation of what noise remains in the observed adhesion, from its differences.
 
@@ -200,7 +195,7 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
     noise = adhesion_noise(axles.time, motion.adhesion)
     rows = []
     for axle in range(slipping.shape[1]):
-        for start, stop in _runs(slipping[:, axle]):
+        for start, stop in runs_of(slipping[:, axle]):
             peak = start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
             rows.append(
                 {

@@ -24,11 +24,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.sensors import Sensors
-
-
-def spans(flags):
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return list(zip(edges[::2], edges[1::2], strict=True))
+from trainlog.spans import runs_of
 
 
 def counted(found: SlipAnalysis, slip_speed, margin: float):
@@ -37,10 +33,10 @@ def counted(found: SlipAnalysis, slip_speed, margin: float):
     counts = np.zeros(4, dtype=int)
     for axle in range(slip_speed.shape[1]):
         size, reported = np.abs(slip_speed[:, axle]), found.slipping[:, axle]
-        for a, b in spans(truly[:, axle]):
+        for a, b in runs_of(truly[:, axle]):
             if size[a:b].max() > 1.5 + margin:
                 counts[:2] += (1, not reported[a:b].any())
-        for a, b in spans(reported):
+        for a, b in runs_of(reported):
             counts[2:] += (1, size[max(a - 1, 0) : b + 1].max() < 1.5 - margin)
     return counts
 

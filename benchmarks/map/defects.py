@@ -35,6 +35,7 @@ from trainlog.formats.ttobench import read_track, read_train as read_foreign_tra
 from trainlog.railway.passport import Quantity
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.plant import Plant
+from trainlog.spans import runs_of
 from trainlog.trip import Trip
 
 LIBRARY = Path(__file__).resolve().parent / "../../../shared/data/ttobench"
@@ -280,11 +281,6 @@ HEADER = (
 )
 
 
-def spans(flags: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
 def slips_of(
     each: Driven, found: SlipAnalysis, seen: np.ndarray, *, low: bool, margin: float = 0.3
 ) -> Counts:
@@ -304,7 +300,7 @@ def slips_of(
         starts, ends = (pd.DatetimeIndex(own[n]).asi8 for n in ("start", "end"))
         clock = each.time.asi8
         reach = int(1e9)
-        for a, b in spans(truly[:, axle]):
+        for a, b in runs_of(truly[:, axle]):
             if size[a:b, axle].max() > high:
                 counts.true += 1
                 met = (starts <= clock[b - 1] + reach // 2) & (ends >= clock[a] - reach // 2)

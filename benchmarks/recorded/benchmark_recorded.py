@@ -46,6 +46,7 @@ from estimators.slip import SlipDetector
 from trainlog.errors import TrainlogError
 from trainlog.ingest import ingest_each, report_of
 from trainlog.ingest.profile import profile_of
+from trainlog.spans import runs_of
 from trainlog.trip import Trip
 
 SLIPS = 1.5
@@ -188,11 +189,6 @@ def judge_state(found: Outcome, trip: Trip, original: Trip, ahead: int) -> None:
             found.add(what, error, inside)
 
 
-def spans(flags: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def judge_slip(found: Outcome, slips, scenario, run, ahead: int) -> None:
     """True slips found and missed, reported slips that are true and false, by time and axle."""
     names = scenario.plant().columns
@@ -206,12 +202,12 @@ def judge_slip(found: Outcome, slips, scenario, run, ahead: int) -> None:
         if np.isnan(slips.slip_speed[:, axle]).all():
             continue
         size, reported = true[:, axle], slips.slipping[:, axle]
-        for a, b in spans(flags[:, axle]):
+        for a, b in runs_of(flags[:, axle]):
             if size[a:b].max() > SLIPS + MARGIN:
                 seen = (at >= clock[a] - 10**9) & (at <= clock[b - 1] + 10**9)
                 found.slips[0] += 1
                 found.slips[1] += not reported[seen].any()
-        for a, b in spans(reported):
+        for a, b in runs_of(reported):
             during = (clock >= at[a] - 10**9) & (clock <= at[b - 1] + 10**9)
             found.slips[2] += 1
             found.slips[3] += not (during.any() and size[during].max() > 0.3)

@@ -18,6 +18,7 @@ from trainlog.ingest.limits import limit_of, si_rate
 from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import BoolArray, FloatArray, IntArray, Table
 from trainlog.ingest.spikes import GNSS_SPEED, SPEED
+from trainlog.spans import runs_of
 from trainlog.units import NANOSECONDS
 
 POSITION = "/train/state.position"
@@ -252,8 +253,7 @@ def _counting_down(counter: _Counter, step: FloatArray) -> BoolArray:
         took = np.maximum(counter.seconds[later] - counter.seconds[:-1], 1e-9)
         pace = np.abs(total[later] - total[:-1]) / took
     moving = ~(pace < STANDING)
-    edges = np.flatnonzero(np.diff(moving.astype(np.int8), prepend=0, append=0))
-    begins, ends = edges[::2], edges[1::2]
+    begins, ends = np.array(runs_of(moving), dtype=np.int64).reshape(-1, 2).T
     if not begins.size:
         return none
     possible = np.abs(step) <= counter.tolerance + counter.expected
