@@ -30,6 +30,7 @@ from trainlog.railway import (
 )
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.consist import Consist, Coupler, Vehicle
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.journey import Journey, TimingPoint
 
 NAMES = st.text(min_size=1, max_size=12)
@@ -215,10 +216,13 @@ def maps(draw: Callable[..., Any]) -> TrackConditionMap:
             log_mean=mean,
             log_std=draw(arrays(bins, 0.0, 2.0)),
             observed=observed,
-            events=draw(arrays(bins, 0.0, 9.0)),
-            weight=draw(arrays(bins, 0.0, 1e6)),
-            weighted_log=draw(numbers),
-            censored=draw(arrays(bins * levels, 0.0, 1e4)).reshape(bins, levels),
+            evidence=DailyEvidence.of_bins(
+                draw(st.integers(0, 30_000)),
+                draw(arrays(bins, 0.0, 9.0)),
+                draw(arrays(bins, 0.0, 1e6)),
+                draw(numbers),
+                draw(arrays(bins * levels, 0.0, 1e4)).reshape(bins, levels),
+            ),
         )
 
     return TrackConditionMap(

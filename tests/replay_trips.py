@@ -22,6 +22,7 @@ from trainlog.railway import (
     Trajectory,
 )
 from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
 START = 1_728_280_800_000_000_000
@@ -128,11 +129,9 @@ def condition_of() -> TrackConditionMap:
     observed = np.isin(np.arange(bins), (10, 11, 60))
 
     def layer(seen: np.ndarray) -> ConditionLayer:
-        nothing = np.zeros(bins)
         log_mean = np.log(np.linspace(0.1, 0.3, bins))
-        return ConditionLayer(
-            log_mean, np.full(bins, 0.05), seen, nothing, nothing, nothing, np.zeros((bins, 1))
-        )
+        known = DailyEvidence.none(bins, 1)
+        return ConditionLayer(log_mean, np.full(bins, 0.05), seen, evidence=known)
 
     return TrackConditionMap(
         line="hill",

@@ -40,6 +40,7 @@ from trainlog.railway import (
     Trajectory,
 )  # fmt: skip
 from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import (
     Locator,
     Scenario,
@@ -93,7 +94,7 @@ def map_of(rail: StepProfile, spread: float = 0.03) -> TrackConditionMap:
     n = track.bins
     none = np.zeros(n)
     layer = ConditionLayer(
-        np.log(rail(track.centres)), none + spread, none == 0.0, none, none, none, np.zeros((n, 1))
+        np.log(rail(track.centres)), none + spread, none == 0.0, evidence=DailyEvidence.none(n, 1)
     )
     return replace(track, layers={"wet": layer})
 

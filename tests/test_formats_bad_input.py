@@ -34,14 +34,16 @@ from trainlog.railway import (
     Trajectory,
 )
 from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.journey import Journey, TimingPoint
 
 CONFIGURATION = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
 LAYER = ConditionLayer(
     *(np.zeros(2) for _ in range(2)),
     np.array([True, False]),
-    *(np.zeros(2) for _ in range(3)),
-    np.zeros((2, 3)),
+    evidence=DailyEvidence.of_bins(
+        0, np.ones(2), np.ones(2), np.zeros(2), np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    ),
 )
 GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
     "line": (line_to_bytes(simple_line()), line_from_bytes),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from trainlog.formats.condition import _Layer, _MapFile
+from trainlog.formats.condition import _Evidence, _Layer, _MapFile
 from trainlog.formats.line import _Geometry, _JourneyFile, _LineFile
 from trainlog.formats.parameters import (
     ConfigurationPart,
@@ -43,7 +43,7 @@ SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
     ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
     ("## Trajectory", (_TrajectoryFile,)),
     ("## Coast-down", (_CoastDownFile, _QuantityPart, _CurvePart)),
-    ("## Track-condition map", (_MapFile, _Layer)),
+    ("## Track-condition map", (_MapFile, _Layer, _Evidence)),
 ]
 
 

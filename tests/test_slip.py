@@ -575,15 +575,12 @@ class TestEffortsOfUnknownDelay:
     def test_more_slips_of_a_trip_do_not_narrow_the_band_by_the_delay(self, heavy: Seen) -> None:
         found = self.analysed(heavy, 0.3, 0.25)
         track = empty_map(line_of(heavy.trip))
-        common = evidence_of(found, track, "wet").common
+        once = evidence_of(found, track, "wet").daily
         repeated = replace(found, events=pd.concat([found.events] * 9))
-        several = evidence_of(repeated, track, "wet")
-        assert common is not None
-        assert several.common is not None
-        seen_here = several.weight > 0.0
-        share = np.sqrt(several.common[seen_here]) / several.weight[seen_here]
-        once = evidence_of(found, track, "wet").weight[seen_here]
-        assert share == pytest.approx(np.sqrt(common[seen_here]) / once, rel=1e-3)
+        several = evidence_of(repeated, track, "wet").daily
+        share = np.sqrt(several.common) / several.weight
+        np.testing.assert_array_equal(several.bin, once.bin)
+        assert share == pytest.approx(np.sqrt(once.common) / once.weight, rel=1e-3)
         assert np.median(share) > 0.02
 
 

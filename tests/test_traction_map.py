@@ -34,6 +34,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.mcap import write_log
 from trainlog.railway import TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
@@ -43,6 +44,7 @@ LINE = level_line(2_000.0)
 BINS, BIN = 80, 25.0
 PRIOR = Prior(float(np.log(0.28)), 0.3, 120.0)
 NOTHING = np.zeros(BINS)
+DAY = 20_000
 NO_LEVELS = np.zeros((BINS, LEVELS.size))
 
 
@@ -56,8 +58,11 @@ def piece(seed: int, layer: str = "dry", name: str | None = None) -> Evidence:
     censored[np.arange(BINS), rng.integers(0, 12, BINS)] = events == 0
     return Evidence(
         LINE.name, LINE.length, BIN, layer, name or f"trip-{seed}", f"{seed:064x}",
-        events.astype(np.float64), weight, logs, censored,
-        np.round(weight**2 * 0.01 * 2**20) / 2**20 if seed % 3 else None,
+        DailyEvidence.of_bins(
+            DAY + seed // 2, events, weight, logs, censored,
+            weighted_square=np.round(weight * 2**20) / 2**20,
+            common=np.round(weight**2 * 0.01 * 2**20) / 2**20 if seed % 3 else None,
+        ),
     )  # fmt: skip
 
 
@@ -143,12 +148,13 @@ class TestField:
     def test_a_bound_from_below_never_lowers_the_estimate(
         self, seed: int, place: int, level: int
     ) -> None:
-        known = piece(seed)
-        args = (np.log(LEVELS), 0.12)
-        before = solve_field(PRIOR, BIN, known.weight, known.weighted_log, known.censored, *args)
+        known = piece(seed).daily
+        weights, args = known.by_bin("weight"), (np.log(LEVELS), 0.12)
+        logs = known.by_bin("weighted_log")
+        before = solve_field(PRIOR, BIN, weights, logs, known.censored, *args)
         more = known.censored.copy()
         more[place, level] += 1.0
-        after = solve_field(PRIOR, BIN, known.weight, known.weighted_log, more, *args)
+        after = solve_field(PRIOR, BIN, weights, logs, more, *args)
         assert np.all(after.mean >= before.mean - 1e-9)
 
     def test_bounds_far_out_of_reach_do_not_upset_it(self) -> None:
@@ -185,7 +191,7 @@ class TestBounds:
         )  # fmt: skip
 
     def level(self, found: Evidence, place: int) -> float | None:
-        levels = np.flatnonzero(found.censored[place])
+        levels = np.flatnonzero(found.daily.censored[place])
         return float(LEVELS[levels[0]]) if levels.size else None
 
     @given(st.floats(0.05, 0.4), st.floats(0.001, 0.03), st.sampled_from([1.0, -1.0]))
@@ -196,7 +202,7 @@ class TestBounds:
         found = evidence_of(
             self.made(place, sign * np.array([used, 0.6 * used]), std), empty_map(LINE), "dry"
         )
-        assert found.censored.sum() == np.sum(np.array([used, 0.6 * used]) - std >= LEVELS[0])
+        assert found.daily.censored.sum() == np.sum(np.array([used, 0.6 * used]) - std >= LEVELS[0])
         for number, adhesion in ((4, used), (7, 0.6 * used)):
             known = self.level(found, number)
             if known is not None:
@@ -211,7 +217,7 @@ class TestBounds:
             self.made(np.append(near, inside), np.append(high, low), 0.002), empty_map(LINE), "dry"
         )
         assert [self.level(found, place) for place in (2, 3)] == [0.15, 0.15]
-        assert found.censored.sum() == 2.0
+        assert found.daily.censored.sum() == 2.0
 
 
 class TestMerging:
@@ -287,16 +293,10 @@ class TestObserved:
         weight[20] = 70.0
         censored = NO_LEVELS.copy()
         censored[:, 10] = weight == 0.0
-        sole = replace(
-            piece(1),
-            events=(weight > 0).astype(np.float64),
-            weight=weight,
-            weighted_log=weight * np.log(0.1),
-            censored=censored,
-        )
-        return update(empty_map(LINE), [sole] + [
-            replace(sole, sha256=f"{i:064x}", weight=NOTHING, weighted_log=NOTHING, events=NOTHING)
-            for i in range(2, 8)
+        once = DailyEvidence.of_bins(DAY, weight > 0, weight, weight * np.log(0.1), censored)
+        later = DailyEvidence.of_bins(DAY, NOTHING, NOTHING, NOTHING, censored)
+        return update(empty_map(LINE), [replace(piece(1), daily=once)] + [
+            replace(piece(1), sha256=f"{i:064x}", daily=later) for i in range(2, 8)
         ])[0]  # fmt: skip
 
     def test_what_was_used_without_slip_is_not_observed(self) -> None:
@@ -387,18 +387,20 @@ class TestTrips:
 
     def test_evidence_of_a_trip_is_one_entry_a_bin(self, trip: Trip) -> None:
         found = evidence(trip, empty_map(hilly_line()))
-        entries = (found.events > 0) + found.censored.sum(axis=1)
+        events = found.daily.by_bin("events")
+        entries = (events > 0) + found.daily.censored.sum(axis=1)
         assert entries.max() == 1
-        assert found.weight.max() <= SETTINGS["trip_std"] ** -2
-        assert (found.weight > 0).sum() == (found.events > 0).sum()
+        assert found.daily.weight.max() <= SETTINGS["trip_std"] ** -2
+        assert (found.daily.weight > 0).sum() == (events > 0).sum()
+        assert (found.daily.trips == 1).all()
 
     def test_what_lies_beside_the_line_does_not_count(self, trip: Trip) -> None:
         found = slip(trip)
         track = empty_map(hilly_line())
         lost = np.where(np.arange(found.position.size) % 2 == 0, np.nan, -50.0)
         away = replace(found, position=lost, events=found.events.assign(position=12_000.0))
-        nothing = evidence_of(away, track, "dry")
-        assert nothing.events.sum() == nothing.weight.sum() == nothing.censored.sum() == 0.0
+        nothing = evidence_of(away, track, "dry").daily
+        assert nothing.day.size == nothing.used_day.size == 0
 
     def test_a_reverse_trip_counts_on_the_same_line(self) -> None:
         both = draw_scenarios(hilly_line(), flirt(), 2, seed=1)

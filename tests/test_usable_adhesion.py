@@ -15,6 +15,7 @@ from analysis.adhesion.demonstrated import demonstrated_adhesion, typical_adhesi
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 
 LEVELS = np.array([0.04, 0.06, 0.08, 0.10])
 BINS = 40
@@ -30,9 +31,8 @@ def made(
     for place, trips in (demonstrated or {}).items():
         censored[place] = trips
     nothing = np.zeros(BINS)
-    layer = ConditionLayer(
-        mean, np.full(BINS, 0.1), observed, nothing, nothing, nothing, censored
-    )  # fmt: skip
+    known = DailyEvidence.of_bins(0, nothing, nothing, nothing, censored)
+    layer = ConditionLayer(mean, np.full(BINS, 0.1), observed, evidence=known)
     return TrackConditionMap(
         "line", 25.0 * BINS, 25.0, LEVELS, {"wet": layer}, settings=dict(SETTINGS)
     )

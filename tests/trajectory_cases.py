@@ -29,6 +29,7 @@ from trainlog.railway import (
     Tunnel,
 )
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer
+from trainlog.railway.evidence import DailyEvidence
 
 KMH = 3.6
 
@@ -165,15 +166,11 @@ def slippery(line: Line, *spots: tuple[float, float, float]) -> TrackConditionMa
     adhesion = np.full(bins, 0.30)
     for start, end, value in spots:
         adhesion[(centres > start) & (centres < end)] = value
-    nothing = np.zeros(bins)
     layer = ConditionLayer(
         log_mean=np.log(adhesion),
         log_std=np.full(bins, 0.05),
         observed=np.ones(bins, dtype=bool),
-        events=nothing,
-        weight=nothing,
-        weighted_log=nothing,
-        censored=np.zeros((bins, 3)),
+        evidence=DailyEvidence.none(bins, 3),
     )
     levels = np.array([0.1, 0.2, 0.3])
     return TrackConditionMap(line.name, line.length, BIN_LENGTH, levels, {"wet": layer})

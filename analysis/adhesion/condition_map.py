@@ -46,6 +46,7 @@ from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log, stretches
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
 from trainlog.trip import Trip
 
@@ -79,9 +80,6 @@ observed_share
     A bin is observed where an onset was measured in it, or where onsets nearby bring the standard
     deviation, by themselves, to this share of prior_std.
 """
-
-Sums = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Events, weight, weighted logarithm, censored levels and common variance of every bin."""
 
 SPOT_SEPARATION = 250.0
 """Two low spots count as two when they are at least this far from each other [m]."""
@@ -152,7 +150,7 @@ def update(
     for piece in given:
         _check_fits(track, piece)
     left_out = _left_out(track, _of_pieces(given))
-    sums = {name: _sums(layer) for name, layer in track.layers.items()}
+    sums = {name: [layer.evidence] for name, layer in track.layers.items()}
     trips = list(track.trips)
     for number, piece in enumerate(given):
         if number in left_out:
@@ -167,7 +165,7 @@ def update(
                 **piece.details,
             }
         )
-        sums[piece.layer] = _added(sums.get(piece.layer), _sums(piece))
+        sums.setdefault(piece.layer, []).append(piece.daily)
     return _solved(track, sums, trips), tuple(given[number].trip for number in left_out)
 
 
@@ -374,9 +372,9 @@ def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackCondition
             f"both track-condition maps count trip '{names[0]}' ({len(both)} in common)",
             remedy="build one map from the logs instead",
         )
-    sums = {name: _sums(layer) for name, layer in first.layers.items()}
+    sums = {name: [layer.evidence] for name, layer in first.layers.items()}
     for name, layer in second.layers.items():
-        sums[name] = _added(sums.get(name), _sums(layer))
+        sums.setdefault(name, []).append(layer.evidence)
     return _solved(first, sums, [*first.trips, *second.trips])
 
 
@@ -391,55 +389,37 @@ def prior_of(track: TrackConditionMap, layer: str) -> Prior:
 
 
 def _solved(
-    track: TrackConditionMap, sums: dict[str, Sums], trips: list[dict[str, Any]]
+    track: TrackConditionMap, sums: dict[str, list[DailyEvidence]], trips: list[dict[str, Any]]
 ) -> TrackConditionMap:
     layers = {}
     for name in sorted(sums):
-        events, weight, weighted_log, censored, common = sums[name]
+        known = DailyEvidence.total(sums[name])
         prior = prior_of(track, name)
         field = solve_field(
             prior,
             track.bin_length,
-            weight,
-            weighted_log,
-            censored,
+            known.by_bin("weight"),
+            known.by_bin("weighted_log"),
+            known.censored,
             np.log(track.levels),
             setting(track, "trip_std"),
-            common,
+            known.by_bin("common"),
         )
         layers[name] = ConditionLayer(
             log_mean=field.mean,
             log_std=np.hypot(field.std, setting(track, "model_std")),
-            observed=(events > 0)
+            observed=(known.by_bin("events") > 0)
             | (field.events_std <= setting(track, "observed_share") * prior.std),
-            events=events,
-            weight=weight,
-            weighted_log=weighted_log,
-            censored=censored,
-            common=common if common.any() else None,
+            evidence=known,
         )
     keys = ("layer", "trip", "sha256", "identity")
     ordered = tuple(sorted(trips, key=lambda trip: [trip.get(key, "") for key in keys]))
     return replace(track, layers=layers, trips=ordered)
 
 
-def _sums(source: ConditionLayer | Evidence) -> Sums:
-    common = np.zeros_like(source.weight) if source.common is None else source.common
-    return source.events, source.weight, source.weighted_log, source.censored, common
-
-
-def _added(held: Sums | None, more: Sums) -> Sums:
-    if held is None:
-        return more
-    events, weight, weighted_log, censored, common = (
-        one + other for one, other in zip(held, more, strict=True)
-    )
-    return events, weight, weighted_log, censored, common
-
-
 def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:
     check_line(track, piece.trip, piece.line, piece.length)
-    if piece.bin_length != track.bin_length or piece.censored.shape[1] != track.levels.size:
+    if piece.bin_length != track.bin_length or piece.daily.levels != track.levels.size:
         raise InputError(
             f"trip '{piece.trip}': evidence in bins of {piece.bin_length:g} m does not fit the"
             f" map's {track.bin_length:g} m",

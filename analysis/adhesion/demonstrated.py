@@ -124,7 +124,7 @@ def demonstrated_adhesion(track: TrackConditionMap, layer: str, sigmas: float = 
     InputError
         If the map has no such layer.
     """
-    trips = np.cumsum(track.layer(layer).censored[:, ::-1], axis=1)[:, ::-1]
+    trips = np.cumsum(track.layer(layer).evidence.censored[:, ::-1], axis=1)[:, ::-1]
     spread = np.hypot(
         setting(track, "trip_std") / np.sqrt(np.maximum(trips, 1.0)), setting(track, "model_std")
     )

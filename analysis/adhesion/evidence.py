@@ -30,7 +30,9 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.trip import Trip
+from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
@@ -201,6 +203,9 @@ def _inverse_diagonal(diagonal: FloatArray, off: float) -> FloatArray:
 FIXED_POINT = 2.0**-20
 """Weights and weighted logarithms are whole multiples of this, so that their sums are exact."""
 
+DAY = 24 * 3600 * NANOSECONDS
+"""Nanoseconds of a day."""
+
 POSITION_MARGIN = 5.0
 """Samples this close to the edge of a bin [m] bound no maximum: they may belong to the next."""
 
@@ -218,10 +223,8 @@ class Evidence:
     trip : str
     sha256 : str
         Of the log; empty where there is no file.
-    events, weight, weighted_log : (n,) array
-    censored : (n, k) array
-    common : (n,) array, optional
-        See `trainlog.railway.condition.ConditionLayer`.
+    daily : DailyEvidence
+        By the day on which each bin was passed.
     details : dict
         What the map keeps of the trip beside its name: see `SlipAnalysis.details`.
     recorded : TripIdentity, optional
@@ -237,11 +240,7 @@ class Evidence:
     layer: str
     trip: str
     sha256: str
-    events: FloatArray
-    weight: FloatArray
-    weighted_log: FloatArray
-    censored: FloatArray
-    common: FloatArray | None = None
+    daily: DailyEvidence
     details: dict[str, Any] = field(default_factory=dict)
     recorded: TripIdentity | None = None
     steps: int = 0
@@ -304,10 +303,12 @@ def evidence_of_parts(
     """
     highest, found, trip = np.zeros(track.bins), [], ""
     common_std, details = 0.0, dict[str, Any]()
+    day = np.full(track.bins, -1, dtype=np.int64)
     for part in parts:
         known = part.events["measured"] & part.events["position"].between(0.0, track.length)
         found.append(part.events[known])
         highest = np.maximum(highest, _highest(part, track))
+        day = np.maximum(day, _last_day(part, track))
         trip, common_std = part.trip, max(common_std, part.common_std)
         details = joined_details(details, part.details)
     onsets = pd.concat(found)
@@ -326,6 +327,7 @@ def evidence_of_parts(
     # What all onsets of the trip err by alike does not become less with their number.
     late = summed(precision * (onsets["delay_std"] / onsets["adhesion"]).to_numpy()) / safe
     common = weight**2 * (common_std**2 + late**2)
+    mean = summed(precision * log_adhesion) / safe
     return Evidence(
         line=track.line,
         length=track.length,
@@ -333,13 +335,29 @@ def evidence_of_parts(
         layer=layer,
         trip=trip,
         sha256=sha256,
-        events=events,
-        weight=weight,
-        weighted_log=_fixed(weight * summed(precision * log_adhesion) / safe),
-        censored=_censored(highest, track, seen),
-        common=_fixed(common) if common_std > 0.0 or late.any() else None,
+        daily=DailyEvidence.of_bins(
+            day,
+            events,
+            weight,
+            _fixed(weight * mean),
+            _censored(highest, track, seen),
+            weighted_square=_fixed(weight * mean**2),
+            common=_fixed(common),
+        ),
         details=details,
     )
+
+
+def _last_day(analysis: SlipAnalysis, track: TrackConditionMap) -> NDArray[np.int64]:
+    """Day on which each bin was passed, counted from 1970-01-01 in UTC; -1: not passed; (bins,)."""
+    day = np.full(track.bins, -1, dtype=np.int64)
+    known = (analysis.position >= 0.0) & (analysis.position <= track.length)
+    passed = analysis.time[known].as_unit("ns").asi8 // DAY
+    np.maximum.at(day, track.bin_of(analysis.position[known]), passed)
+    onsets = analysis.events[analysis.events["position"].between(0.0, track.length)]
+    start = pd.DatetimeIndex(onsets["start"]).as_unit("ns").asi8 // DAY
+    np.maximum.at(day, track.bin_of(onsets["position"]), start)
+    return day
 
 
 def _highest(analysis: SlipAnalysis, track: TrackConditionMap) -> FloatArray:

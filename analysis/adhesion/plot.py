@@ -91,7 +91,7 @@ def _draw_layer(
     )
     if truth is not None:
         axes.stairs(truth, edges, baseline=None, color=INK, linewidth=0.8, label="truth")
-    used = np.fmax.reduce(np.where(layer.censored > 0.0, track.levels, np.nan), axis=1)
+    used = np.fmax.reduce(np.where(layer.evidence.censored > 0.0, track.levels, np.nan), axis=1)
     axes.stairs(
         used,
         edges,

@@ -358,7 +358,7 @@ def map_of(trips: list[Trip]) -> Counts:
         counts.bias += error.sum()
         counts.square += np.sum(error**2)
         counts.inside += np.count_nonzero(np.abs(error) < 1.96 * layer.log_std[seen])
-        level = np.max(np.where(layer.censored > 0.0, track.levels, 0.0), axis=1)
+        level = np.max(np.where(layer.evidence.censored > 0.0, track.levels, 0.0), axis=1)
         shown = (level > 0.0) & ~seen
         counts.bounded += np.count_nonzero(shown)
         counts.beyond += np.count_nonzero((level > 1.05 * true)[shown])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -14,43 +14,82 @@ from trainlog.formats.files import check_written, plain, read_bytes, write_bytes
 from trainlog.formats.parameters import Details
 from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 
 _Length = Annotated[float, Quantity("m", "m")]
 _Bins = Annotated[FloatArray, Array("1")]
 _Estimates = Annotated[FloatArray, Array("1", gaps=True)]
 
 
+class _Evidence(Part):
+    day: list[int]
+    bin: list[int]
+    trips: _Bins
+    events: _Bins
+    weight: _Bins
+    weighted_log: _Bins
+    weighted_square: _Bins
+    common: _Bins
+    used_day: list[int]
+    used_bin: list[int]
+    used_level: list[int]
+    used_trips: _Bins
+
+    def evidence(self, place: str, bins: int, levels: int) -> DailyEvidence:
+        """The evidence that the part describes."""
+        columns: dict[str, Any] = {
+            name: np.asarray(value, dtype=np.int64) if isinstance(value, list) else value
+            for name in type(self).model_fields
+            for value in [getattr(self, name)]
+        }
+        for name, values in columns.items():
+            rows = columns["used_day" if name.startswith("used") else "day"].size
+            if values.size != rows:
+                raise InputError(
+                    f"has {values.size} values, needs {rows}",
+                    place=f"{place}.{name}",
+                    remedy="one a row",
+                )
+        for name, end in (("bin", bins), ("used_bin", bins), ("used_level", levels)):
+            values = columns[name]
+            if values.size and not (values.min() >= 0 and values.max() < end):
+                raise InputError(
+                    f"has a number that is not from 0 to {end - 1}",
+                    place=f"{place}.{name}",
+                    remedy="correct it, or begin a new map from the logs",
+                )
+        return DailyEvidence(bins, levels, **columns)
+
+
 class _Layer(Part):
     log_mean: _Estimates
     log_std: _Estimates
     observed: list[bool]
-    events: _Bins
-    weight: _Bins
-    weighted_log: _Bins
-    censored: Annotated[FloatArray, Array("1", dimensions=2)]
-    common: _Bins | None = None
+    evidence: _Evidence
 
     def layer(self, place: str, bins: int, levels: int) -> ConditionLayer:
         """The layer that the part describes."""
-        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        fields = {name: getattr(self, name) for name in ("log_mean", "log_std")}
         fields["observed"] = np.array(self.observed, dtype=np.bool_)
         for name, values in fields.items():
-            if values is None:
-                continue
-            needed = (bins, levels) if name == "censored" else (bins,)
-            if values.shape != needed:
+            if values.shape != (bins,):
                 raise InputError(
-                    f"has {' by '.join(map(str, values.shape))} values, needs"
-                    f" {' by '.join(map(str, needed))}",
+                    f"has {' by '.join(map(str, values.shape))} values, needs {bins}",
                     place=f"{place}.{name}",
                     remedy="one row a bin of the line",
                 )
-        return ConditionLayer(**fields)
+        known = self.evidence.evidence(f"{place}.evidence", bins, levels)
+        return ConditionLayer(**fields, evidence=known)
 
     @staticmethod
     def of(layer: ConditionLayer) -> _Layer:
         """The part that describes a layer."""
-        return _Layer.holding(layer, observed=layer.observed.tolist())
+        whole = ("day", "bin", "used_day", "used_bin", "used_level")
+        known = layer.evidence
+        rows = {name: getattr(known, name).tolist() for name in whole}
+        return _Layer.holding(
+            layer, observed=layer.observed.tolist(), evidence=_Evidence.holding(known, **rows)
+        )
 
 
 class _MapFile(File):

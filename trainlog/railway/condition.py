@@ -1,20 +1,24 @@
 """The track-condition map: maximum adhesion along a line, by rail condition.
 
-A map is a set of layers (``"dry"``, ``"wet"`` ...). Each layer has one row a bin of the line: the
-estimate, its uncertainty, whether it was observed at all, and the statistics it was made from,
-which add up in any order so that trips can be processed apart and merged.
+A map is a set of layers (``"dry"``, ``"wet"`` ...). Each layer has an estimate for every bin of the
+line, its uncertainty, whether it was observed at all, and the evidence it was made from, which adds
+up in any order so that trips can be processed apart and merged.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pandas import Timestamp
+from scipy.special import ndtr, ndtri
 
 from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
+from trainlog.railway.evidence import DailyEvidence
 
 FloatArray = NDArray[np.float64]
 
@@ -23,8 +27,8 @@ BIN_LENGTH = 25.0
 
 
 @dataclass(frozen=True, eq=False)
-class ConditionLayer:
-    """Maximum adhesion in one rail condition.
+class AdhesionEstimate:
+    """What is known of the maximum adhesion of each bin.
 
     Attributes
     ----------
@@ -33,32 +37,102 @@ class ConditionLayer:
     observed : (n,) bool array
         Whether evidence in or near the bin determines the estimate. Where it is false the
         estimate is only the prior: it must not be shown as data.
-    events : (n,) array
-        Onsets of slip measured in the bin.
-    weight, weighted_log : (n,) array
-        Sum of the weights of the measured onsets, and of weight times log adhesion.
-    censored : (n, k) array
-        Histogram over `levels` of "the maximum is at least this": adhesion that was used without
-        slip.
-    common : (n,) array, optional
-        Sum over the trips of the squared weight times the variance of the error that all onsets
-        of a trip share, from a load and a gain of the efforts that are not known; None: none did.
+    log_levels : (k,) array, optional
+        Increasing; None: the logarithm is normal.
+    probability : (n, k) array, optional
+        That the logarithm of the maximum is next to each of `log_levels`; rows sum up to 1.
     """
 
     log_mean: FloatArray
     log_std: FloatArray
     observed: NDArray[np.bool_]
-    events: FloatArray
-    weight: FloatArray
-    weighted_log: FloatArray
-    censored: FloatArray
-    common: FloatArray | None = None
+    log_levels: FloatArray | None = None
+    probability: FloatArray | None = None
 
     @property
     def maximum_adhesion(self) -> FloatArray:
         """Estimate of the maximum adhesion a bin, NaN where nothing was observed."""
         estimate: FloatArray = np.exp(self.log_mean)
         return np.asarray(np.where(self.observed, estimate, np.nan), dtype=np.float64)
+
+    def below(self, adhesion: ArrayLike) -> FloatArray:
+        """Probability that the maximum is below an adhesion, by bin; (n,) array.
+
+        Parameters
+        ----------
+        adhesion : float or (n,) array
+        """
+        log = np.broadcast_to(np.log(np.asarray(adhesion, dtype=np.float64)), self.log_mean.shape)
+        if self.log_levels is None or self.probability is None:
+            return np.asarray(ndtr((log - self.log_mean) / self.log_std))
+        edges, cumulated = self._cumulated
+        step = np.clip(np.searchsorted(edges, log, side="right") - 1, 0, edges.size - 2)
+        share = np.clip((log - edges[step]) / (edges[step + 1] - edges[step]), 0.0, 1.0)
+        rows = np.arange(log.size)
+        low, high = cumulated[rows, step], cumulated[rows, step + 1]
+        return np.asarray(low + share * (high - low))
+
+    def quantile(self, share: float) -> FloatArray:
+        """Adhesion below which the maximum lies with probability `share`, by bin; (n,) array.
+
+        Raises
+        ------
+        InputError
+            If the share is not between 0 and 1.
+        """
+        if not 0.0 < share < 1.0:
+            raise InputError(f"a quantile's share must be between 0 and 1, not {share:g}")
+        if self.log_levels is None or self.probability is None:
+            return np.asarray(np.exp(self.log_mean + ndtri(share) * self.log_std))
+        edges, cumulated = self._cumulated
+        step = np.clip((cumulated < share).sum(axis=1) - 1, 0, edges.size - 2)
+        rows = np.arange(step.size)
+        low, high = cumulated[rows, step], cumulated[rows, step + 1]
+        part = np.clip((share - low) / np.maximum(high - low, 1e-300), 0.0, 1.0)
+        return np.asarray(np.exp(edges[step] + part * (edges[step + 1] - edges[step])))
+
+    @cached_property
+    def _cumulated(self) -> tuple[FloatArray, FloatArray]:
+        """Edges between the levels, (k + 1,), and the probability below each, (n, k + 1)."""
+        assert self.log_levels is not None
+        assert self.probability is not None
+        middle = 0.5 * (self.log_levels[1:] + self.log_levels[:-1])
+        first, last = 2.0 * self.log_levels[0] - middle[0], 2.0 * self.log_levels[-1] - middle[-1]
+        edges = np.concatenate(([first], middle, [last]))
+        sums = np.cumsum(self.probability, axis=1)
+        return edges, np.concatenate((np.zeros((sums.shape[0], 1)), sums), axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionLayer(AdhesionEstimate):
+    """Maximum adhesion in one rail condition: the estimate, and the evidence it was made from.
+
+    The estimate, inherited, is that of the lasting condition: what the rail is without the spots
+    that pass.
+
+    Attributes
+    ----------
+    evidence : DailyEvidence
+    """
+
+    evidence: DailyEvidence = field(kw_only=True)
+
+    def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:  # noqa: ARG002
+        """The condition that a run at a time meets, passing spots and trip-to-trip spread included.
+
+        Parameters
+        ----------
+        time : Timestamp, optional
+            Default: right after the last evidence.
+        """
+        return AdhesionEstimate(
+            self.log_mean, self.log_std, self.observed, self.log_levels, self.probability
+        )
+
+    @property
+    def events(self) -> FloatArray:
+        """Onsets of slip measured in each bin."""
+        return self.evidence.by_bin("events")
 
 
 @dataclass(frozen=True, repr=False)
