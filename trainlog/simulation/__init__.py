@@ -19,12 +19,20 @@ from trainlog.simulation.plant import Drive, Plant, PlantState
 from trainlog.simulation.recording import Run, drive, recorded, simulate
 from trainlog.simulation.scenario import Locator, Scenario, draw_scenarios, trajectory_scenarios
 from trainlog.simulation.sensors import Instruments, Reading, Sensors
+from trainlog.simulation.traction import (
+    DriveReading,
+    DriveSensors,
+    TractionControl,
+    TractionLoop,
+)
 
 __all__ = [
     "ConsistPlant",
     "ConsistState",
     "Demand",
     "Drive",
+    "DriveReading",
+    "DriveSensors",
     "Driver",
     "Habits",
     "Instruments",
@@ -38,6 +46,8 @@ __all__ = [
     "Sensors",
     "Stop",
     "TimetableDriver",
+    "TractionControl",
+    "TractionLoop",
     "Variation",
     "check_stops",
     "draw_scenarios",

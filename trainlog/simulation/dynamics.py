@@ -9,8 +9,10 @@ through the adhesion between wheel and rail:
 (Zhao et al. (2025), eq. 1, 8, 10; Amirhosseini et al. (2024), eq. 1, 5, 6, 10). `M` moves with the
 train, `J` is the inertia of one powered axle, both as masses at the wheel rim; `T_i` is the motor
 torque over the wheel radius. The efforts follow their demand with a first-order lag, the friction
-brake after a dead time as well. Classical Runge-Kutta of fourth order with a fixed step; the works
-of all forces are integrated beside the motion, so that the energy balance can be checked.
+brake after a dead time as well. The efforts of the axles are those that a traction control gives,
+or an even share of the demand under the slip protection of each axle (`protect`).
+Classical Runge-Kutta of fourth order with a fixed step; the works of all forces are integrated
+beside the motion, so that the energy balance can be checked.
 
 The state is one vector: position, train speed, friction braking effort, the wheel speeds, the
 lagged efforts of the motors, and the works listed in `WORKS`.
@@ -472,6 +474,7 @@ def advance(
     y: FloatArray,
     tractive_effort: float,
     braking_effort: float,
+    efforts: FloatArray,
     steps: int,
     every: int,
     out: FloatArray,
@@ -493,6 +496,9 @@ def advance(
         State, changed in place.
     tractive_effort, braking_effort : float [N]
         Demanded of the whole train.
+    efforts : (n,) or (0,) array [N]
+        Of each axle, negative in braking, from a traction control; empty: the train's own slip
+        protection shares the demand evenly.
     out : (ceil(steps / every), 10 + 2n) array
     memory : (3, n) array
         Of the slip protection of each axle (see `protect`), changed in place.
@@ -525,14 +531,22 @@ def advance(
         friction_demand = 0.0
         if braking > 0.0:
             wanted = -min(braking / n, dynamic_limit(y[1], braking_curve, p))
-        protect(y, wanted, places[3:], memory, command, pieces, p)
+        if efforts.size == 0:
+            protect(y, wanted, places[3:], memory, command, pieces, p)
+        else:
+            lowest = -dynamic_limit(y[1], braking_curve, p) if braking > 0.0 else 0.0
+            for i in range(n):
+                command[i] = max(efforts[i], lowest)
         if braking > 0.0:
             # The friction brake is asked in time for what the dynamic brake will have lost.
             ahead = max(y[1] - braking / p.body_inertia * dead_time, 0.0)
             soon = min(braking / n, dynamic_limit(ahead, braking_curve, p))
             friction_demand = braking
             for i in range(n):
-                friction_demand -= soon if places[3 + i] == NORMAL else min(soon, memory[1, i])
+                if efforts.size > 0:
+                    friction_demand -= min(soon, -efforts[i])
+                else:
+                    friction_demand -= soon if places[3 + i] == NORMAL else min(soon, memory[1, i])
             friction_demand = min(max(friction_demand, 0.0), p.friction_effort)
         if delay.size > 0:
             head = places[2]

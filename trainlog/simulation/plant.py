@@ -22,6 +22,9 @@ from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
 
+NO_EFFORTS = np.zeros(0)
+"""For the compiled code: no traction control, but the slip protection of the plant."""
+
 HOLDING = 0.7
 """Braking effort of a standing train over its mass [m/s²]; holds on 70 per mille."""
 
@@ -91,6 +94,12 @@ class PlantState:
     def wheel_speeds(self) -> FloatArray:
         """Circumferential speed of the powered wheels [m/s]."""
         return self.values[WHEELS : WHEELS + self.slip_memory.shape[1]]
+
+    @property
+    def motor_efforts(self) -> FloatArray:
+        """Efforts of the motors, lagged [N]; power and curves limit them further."""
+        n = self.slip_memory.shape[1]
+        return self.values[WHEELS + n : WHEELS + 2 * n]
 
     @property
     def works(self) -> dict[str, float]:
@@ -281,6 +290,7 @@ class Plant:
         braking_effort: float,
         steps: int,
         every: int = 1,
+        efforts: FloatArray | None = None,
     ) -> FloatArray:
         """Let `steps` integration steps pass under one demand; `state` is changed in place.
 
@@ -292,17 +302,30 @@ class Plant:
         steps : int
         every : int
             Steps between two recorded samples.
+        efforts : (n,) array [N], optional
+            Of each axle, negative in braking, by a `TractionControl`; default: an even share of the
+            demand, under the plant's own slip protection. They are kept within what one motor
+            gives and, together, within the demand.
+
+        Raises
+        ------
+        InputError
+            If there is not one finite effort for each axle.
 
         Returns
         -------
         (ceil(steps / every), columns) array
             Samples taken before every `every`-th step, the first at the beginning; see `columns`.
         """
+        given = NO_EFFORTS
+        if efforts is not None:
+            given = self._within(efforts, tractive_effort, braking_effort)
         out = np.empty((-(-steps // every), len(SAMPLE) + 2 * self.weights.size))
         dynamics.advance(
             state.values,
             float(tractive_effort),
             float(braking_effort),
+            given,
             steps,
             every,
             out,
@@ -317,6 +340,22 @@ class Plant:
             self._constants,
         )
         return out
+
+    def _within(self, efforts: FloatArray, traction: float, braking: float) -> FloatArray:
+        """Efforts of a traction control [N], within what a motor gives and what is demanded."""
+        given = np.asarray(efforts, dtype=np.float64)
+        if given.shape != self.weights.shape or not np.all(np.isfinite(given)):
+            raise InputError(
+                f"traction control: efforts {given} are not {self.axles} finite numbers",
+                remedy="give one effort for each powered axle, negative in braking",
+            )
+        p = self.parameters
+        if braking > 0.0:
+            kept, demand = np.clip(given, -p.axle_braking_effort, 0.0), braking
+        else:
+            kept, demand = np.clip(given, 0.0, p.axle_effort), max(traction, 0.0)
+        total = abs(float(kept.sum()))
+        return kept if total <= demand else kept * (demand / total)
 
 
 def _axle_curve(curve: EffortCurve | None, axles: int) -> FloatArray:

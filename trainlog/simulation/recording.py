@@ -16,6 +16,7 @@ from trainlog.formats.train import train_to_bytes
 from trainlog.simulation import sensors as measuring
 from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
 from trainlog.simulation.scenario import LARGEST_LOAD, Scenario
+from trainlog.simulation.traction import TractionLoop
 from trainlog.topics import EVENTS, REFERENCE, STANDSTILL, TRAIN_AXLES, TRAIN_CONTROLS, TRUTH
 from trainlog.trip import (
     LINE_ATTACHMENT,
@@ -50,11 +51,14 @@ class Run:
         See `Plant.columns`.
     demands : (n, 2) array [N]
         Tractive and braking effort asked for.
+    traction : TractionLoop, optional
+        The traction control and what became of its decisions; None: the plant's own protection.
     """
 
     seconds: FloatArray
     samples: FloatArray
     demands: FloatArray
+    traction: TractionLoop | None = None
 
 
 def drive(scenario: Scenario) -> Run:
@@ -75,6 +79,7 @@ def drive(scenario: Scenario) -> Run:
         origin, patience = float(trajectory.positions[0]), 3.0 * trajectory.running_time
     state = plant.at(origin)
     observed = scenario.driver_observation(origin)
+    loop = scenario.traction_loop(plant)
     steps = round(PERIOD / plant.parameters.step)
     rate = round(scenario.sensors.rate * PERIOD)
     blocks: list[FloatArray] = []
@@ -99,7 +104,10 @@ def drive(scenario: Scenario) -> Run:
                 f" {position / 1e3:.3f} after {time:.0f} s",
                 remedy="check adhesion, gradients and tractive effort there",
             )
-        blocks.append(plant.advance(state, *demands[-1], steps, steps // rate))
+        if loop is None:
+            blocks.append(plant.advance(state, *demands[-1], steps, steps // rate))
+        else:
+            blocks.append(loop.advance(state, demands[-1], steps, steps // rate))
         position, before, speed = state.position, speed, state.speed
         acceleration = (speed - before) / PERIOD
     samples = np.concatenate(blocks)
@@ -107,6 +115,7 @@ def drive(scenario: Scenario) -> Run:
         np.arange(len(samples)) / scenario.sensors.rate,
         samples,
         np.repeat(np.array(demands[: len(blocks)]), rate, axis=0),
+        loop,
     )
 
 
@@ -166,7 +175,7 @@ def recorded(scenario: Scenario, run: Run) -> Trip:
         fix,
         motion,
         measuring.environment(scenario.travelled, time, believed, scenario.temperature),
-        events(scenario, columns, time, changes),
+        events(scenario, columns, time, changes, run.traction),
         reference(scenario, run, columns, time),
         truth(columns, time),
     ]
@@ -177,7 +186,7 @@ def recorded(scenario: Scenario, run: Run) -> Trip:
     )
     trip = Trip(
         topics={frame.attrs["topic"]: frame for frame in frames if frame is not None},
-        metadata=metadata(scenario),
+        metadata=metadata(scenario) | traction_metadata(run.traction),
         attachments={
             LINE_ATTACHMENT: line,
             TRAIN_ATTACHMENT: train,
@@ -216,6 +225,17 @@ def metadata(scenario: Scenario) -> dict[str, str]:
     if scenario.trajectory is not None:
         known["configuration"] = scenario.trajectory.configurations[scenario.row].name
     return known
+
+
+def traction_metadata(loop: TractionLoop | None) -> dict[str, str]:
+    """Which traction control drove, and how many of its decisions were not solved."""
+    if loop is None:
+        return {}
+    return {
+        "traction_control": loop.control.name,
+        "traction_decisions": str(loop.steps),
+        "traction_unsolved": str(len(loop.unsolved)),
+    }
 
 
 def controls(
@@ -281,6 +301,7 @@ def events(
     columns: dict[str, FloatArray],
     time: NDArray[np.int64],
     changes: list[tuple[int, str]],
+    loop: TractionLoop | None = None,
 ) -> pd.DataFrame:
     """The ``/events`` topic: departures, arrivals, slip protection, satellites."""
     found = [(when, WARNING if "lost" in text else INFO, text, "gnss") for when, text in changes]
@@ -293,6 +314,7 @@ def events(
     for edge in np.flatnonzero(np.diff(active.astype(np.int8)) > 0) + 1:
         how = "traction" if columns["tractive_effort"][edge] > 0.0 else "braking"
         found.append((int(time[edge]), WARNING, f"slip protection active in {how}", "drive"))
+    found += unsolved_events(scenario, loop)
     found.sort(key=lambda event: event[0])
     when, level, message, name = zip(*found, strict=True) if found else ((), (), (), ())
     return frame_of(
@@ -304,6 +326,22 @@ def events(
             "name": np.array(name, dtype=object),
         },
     )
+
+
+def unsolved_events(
+    scenario: Scenario, loop: TractionLoop | None
+) -> list[tuple[int, int, str, str]]:
+    """One event for each run of decisions that a traction control did not solve."""
+    if loop is None or not loop.unsolved:
+        return []
+    when = np.array(loop.unsolved)
+    first = np.flatnonzero(np.diff(when, prepend=-np.inf) > 1.5 * loop.control.period)
+    counts = np.diff(first, append=when.size)
+    starts = scenario.start + np.round(when[first] * NANOSECONDS).astype(np.int64)
+    return [
+        (int(start), WARNING, f"traction control unsolved, {count} decisions", "drive")
+        for start, count in zip(starts, counts, strict=True)
+    ]
 
 
 def place(scenario: Scenario, position: float) -> str:

@@ -25,6 +25,7 @@ from trainlog.simulation.drivers import (
 )
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_scales
+from trainlog.simulation.traction import TractionLoop, TractionMaker
 from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
@@ -97,6 +98,8 @@ class Scenario:
     locates : callable or None
         Makes the locator that gives that driver place and speed, from the train's sensors and the
         place where it starts; None: he sees the true motion.
+    traction : callable or None
+        Makes the traction control; None: the plant's own slip protection.
 
     Examples
     --------
@@ -129,6 +132,7 @@ class Scenario:
     row: int = 0
     follows: Callable[[], Driver] | None = None
     locates: Callable[[Sensors, float], Locator] | None = None
+    traction: TractionMaker | None = None
 
     def __repr__(self) -> str:
         rows = {
@@ -193,6 +197,12 @@ class Scenario:
             maximum_adhesion=self.rail,
             axle_adhesion=cleaning if count > 1 else None,
         )
+
+    def traction_loop(self, plant: Plant) -> TractionLoop | None:
+        """The traction control on a plant; None: the plant's own slip protection."""
+        if self.traction is None:
+            return None
+        return TractionLoop(self.traction(), plant, seed=self.seed)
 
     def driver(self) -> Driver:
         """Who drives."""
