@@ -1,0 +1,69 @@
+"""Commands of the track-condition map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from trainlog.cli.options import Logs, destination, logs_in
+from trainlog.cli.terminal import console, progress_bar, wrote
+
+app = typer.Typer()
+map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
+app.add_typer(map_app, name="map", rich_help_panel="Learn")
+
+
+@map_app.command("update")
+def map_update(
+    logs: Logs,
+    condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
+    layer: Annotated[
+        Literal["dry", "wet"] | None,
+        typer.Option(help="Rail condition; default: the weather that each log states."),
+    ] = None,
+) -> None:
+    """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
+
+    A drive that the map already holds is not counted again, whatever file it comes in.
+
+    Example: trainlog map update results/trips --map results/map.json
+    """
+    from analysis.adhesion.condition_map import adhesion_map, map_table
+    from analysis.adhesion.plot import draw_map
+    from trainlog.formats.condition import read_map, write_map
+
+    destination(condition, ".json")
+    known = read_map(condition) if condition.exists() else None
+    with progress_bar() as progress:
+        every = progress.track(logs_in(logs), description="mapping")
+        found = adhesion_map(every, known, layer)
+    for words in (*found.reasons, *found.doubts):
+        console.print(f"  {words}", highlight=False, markup=False)
+    write_map(found.track, condition)
+    draw_map(found.track, condition.with_suffix(".png"))
+    console.print(map_table(found.track))
+    wrote(condition, condition.with_suffix(".png"))
+
+
+@map_app.command("show")
+def map_show(
+    condition: Annotated[Path, typer.Argument(help="Map file.")],
+    picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
+) -> None:
+    """Show what a track-condition map knows, and where it knows nothing.
+
+    Example: trainlog map show results/map.json --picture map.png
+    """
+    from analysis.adhesion.condition_map import map_table
+    from analysis.adhesion.plot import draw_map
+    from trainlog.formats.condition import read_map
+
+    if picture is not None:
+        destination(picture, ".png")
+    known = read_map(condition)
+    console.print(map_table(known))
+    if picture is not None:
+        draw_map(known, picture)
+        wrote(picture)
