@@ -23,13 +23,14 @@ from analysis.adhesion.condition_map import (
     empty_map,
     map_table,
     merge,
-    prior_of,
     summary,
     update,
 )
-from analysis.adhesion.evidence import Evidence, Prior, evidence, evidence_of, solve_field
+from analysis.adhesion.evidence import Evidence, evidence, evidence_of
 from analysis.adhesion.plot import draw_map
 from analysis.adhesion.slip import SlipAnalysis, slip
+from estimators.condition import Prior, solve_field
+from trainlog.condition import prior_of
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.mcap import write_log

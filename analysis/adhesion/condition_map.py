@@ -1,7 +1,7 @@
 """The track-condition map: maximum adhesion along a line, learnt from trips.
 
 Each trip gives additive evidence a bin (`evidence`). `update` adds it to a map and solves for the
-estimate (`analysis.adhesion.evidence`). All sums are exact: trips can be processed apart, in any
+estimate (`trainlog.condition`). All sums are exact: trips can be processed apart, in any
 order and grouping, and give the same map, byte for byte.
 """
 
@@ -19,17 +19,15 @@ from rich.console import Group
 
 from analysis.adhesion.evidence import (
     Evidence,
-    Prior,
     check_line,
     condition_of,
     evidence_of_parts,
-    setting,
-    solve_field,
 )
 from analysis.adhesion.slip import TOPICS, SlipAnalysis, slip
 from analysis.given import Given, each_given
 from analysis.tables import new_table
 from trainlog import __version__
+from trainlog.condition import estimated
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
@@ -378,43 +376,15 @@ def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackCondition
     return _solved(first, sums, [*first.trips, *second.trips])
 
 
-def prior_of(track: TrackConditionMap, layer: str) -> Prior:
-    """What the map's settings say of a layer before any evidence."""
-    known = layer if layer in ("dry", "wet") else "other"
-    return Prior(
-        float(np.log(setting(track, f"prior_{known}"))),
-        setting(track, "prior_std"),
-        setting(track, "correlation_length"),
-    )
-
-
 def _solved(
     track: TrackConditionMap, sums: dict[str, list[DailyEvidence]], trips: list[dict[str, Any]]
 ) -> TrackConditionMap:
-    layers = {}
-    for name in sorted(sums):
-        known = DailyEvidence.total(sums[name])
-        prior = prior_of(track, name)
-        field = solve_field(
-            prior,
-            track.bin_length,
-            known.by_bin("weight"),
-            known.by_bin("weighted_log"),
-            known.censored,
-            np.log(track.levels),
-            setting(track, "trip_std"),
-            known.by_bin("common"),
-        )
-        layers[name] = ConditionLayer(
-            log_mean=field.mean,
-            log_std=np.hypot(field.std, setting(track, "model_std")),
-            observed=(known.by_bin("events") > 0)
-            | (field.events_std <= setting(track, "observed_share") * prior.std),
-            evidence=known,
-        )
+    layers = {
+        name: ConditionLayer.unestimated(DailyEvidence.total(sums[name])) for name in sorted(sums)
+    }
     keys = ("layer", "trip", "sha256", "identity")
     ordered = tuple(sorted(trips, key=lambda trip: [trip.get(key, "") for key in keys]))
-    return replace(track, layers=layers, trips=ordered)
+    return estimated(replace(track, layers=layers, trips=ordered))
 
 
 def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.adhesion.evidence import setting
+from trainlog.condition import setting
 from trainlog.errors import InputError
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.line import StepProfile

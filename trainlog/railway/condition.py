@@ -103,6 +103,143 @@ class AdhesionEstimate:
         return edges, np.concatenate((np.zeros((sums.shape[0], 1)), sums), axis=1)
 
 
+@dataclass(frozen=True, slots=True)
+class PassingSpot:
+    """A slippery place that was there for some days.
+
+    Attributes
+    ----------
+    start, end : float [m]
+    adhesion, low, high : float
+        Maximum adhesion in it and the ends of its 95 % band.
+    first, last : int
+        Days of the first and the last trip that met it, counted from 1970-01-01 in UTC.
+    checked : int
+        Day of the last evidence in it.
+    present : float
+        Probability that it was still there at the end of that day.
+    life : float [days]
+        Expected from then on.
+    """
+
+    start: float
+    end: float
+    adhesion: float
+    low: float
+    high: float
+    first: int
+    last: int
+    checked: int
+    present: float
+    life: float
+
+    def alive(self, time: Timestamp) -> float:
+        """Probability that it is there at a time after the last evidence.
+
+        Examples
+        --------
+        >>> met = PassingSpot(100.0, 175.0, 0.08, 0.07, 0.1, 20_000, 20_000, 20_000, 0.9, 3.0)
+        >>> [round(met.alive(Timestamp(day, tz="UTC")), 2) for day in ("2024-10-05", "2024-11-01")]
+        [0.9, 0.0]
+        """
+        return self.present * float(np.exp(-days_after(self.checked, time) / self.life))
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionChange:
+    """A change of the lasting condition: a rail that was ground, trees that were cut.
+
+    Attributes
+    ----------
+    start, end : float [m]
+    day : int
+        The first day after it with evidence, most probably; counted from 1970-01-01 in UTC.
+    earliest, latest : int
+        Days that hold it with 95 % probability.
+    before, after : float
+        Lasting maximum adhesion.
+    before_std, after_std : float
+        Standard deviations of their logarithms.
+    significance : float
+        Natural logarithm of the odds that there was a change there at all.
+    """
+
+    start: float
+    end: float
+    day: int
+    earliest: int
+    latest: int
+    before: float
+    after: float
+    before_std: float
+    after_std: float
+    significance: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModelParameter:
+    """A number of the model behind a layer's estimate.
+
+    Attributes
+    ----------
+    name, unit : str
+    value, std : float
+    source : {"estimated", "assumed"}
+        From the layer's evidence, or typed in, for want of evidence.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionModel:
+    """The numbers behind a layer's estimate.
+
+    Attributes
+    ----------
+    parameters : tuple of ModelParameter
+    """
+
+    parameters: tuple[ModelParameter, ...] = ()
+
+    def __getitem__(self, name: str) -> float:
+        return self.parameter(name).value
+
+    def parameter(self, name: str) -> ModelParameter:
+        """The parameter called `name`.
+
+        Raises
+        ------
+        InputError
+            If the model has none of that name.
+        """
+        for each in self.parameters:
+            if each.name == name:
+                return each
+        raise InputError(
+            f"the model of the track condition has no parameter '{name}'",
+            remedy=f"parameters: {', '.join(each.name for each in self.parameters) or 'none'}",
+        )
+
+
+def days_after(day: int, time: Timestamp) -> float:
+    """Days from the end of a day, counted from 1970-01-01 in UTC, to a time; not less than 0.
+
+    A time without a zone is taken for UTC.
+
+    Examples
+    --------
+    >>> days_after(20_000, Timestamp("2024-10-06T12:00"))
+    1.5
+    """
+    zoned = time.tz_localize("UTC") if time.tzinfo is None else time
+    return max(zoned.timestamp() / 86_400.0 - (day + 1), 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class ConditionLayer(AdhesionEstimate):
     """Maximum adhesion in one rail condition: the estimate, and the evidence it was made from.
@@ -113,9 +250,32 @@ class ConditionLayer(AdhesionEstimate):
     Attributes
     ----------
     evidence : DailyEvidence
+    spots : tuple of PassingSpot
+        By place.
+    changes : tuple of ConditionChange
+        By place; the estimate is what holds after them.
+    model : ConditionModel
     """
 
     evidence: DailyEvidence = field(kw_only=True)
+    spots: tuple[PassingSpot, ...] = field(default=(), kw_only=True)
+    changes: tuple[ConditionChange, ...] = field(default=(), kw_only=True)
+    model: ConditionModel = field(default_factory=ConditionModel, kw_only=True)
+
+    @staticmethod
+    def unestimated(evidence: DailyEvidence) -> ConditionLayer:
+        """A layer of which only the evidence is known; `trainlog.condition.estimated` makes more.
+
+        Examples
+        --------
+        >>> layer = ConditionLayer.unestimated(DailyEvidence.none(3, 2))
+        >>> layer.log_mean.tolist(), layer.observed.tolist()
+        ([nan, nan, nan], [False, False, False])
+        """
+        unknown = np.full(evidence.bins, np.nan)
+        return ConditionLayer(
+            unknown, unknown, np.zeros(evidence.bins, dtype=np.bool_), evidence=evidence
+        )
 
     def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:  # noqa: ARG002
         """The condition that a run at a time meets, passing spots and trip-to-trip spread included.
