@@ -22,8 +22,8 @@ from trainlog.simulation import (
     draw_scenarios,
     simulate,
 )
+from trainlog.simulation.rail import base_map
 from trainlog.simulation.recorders import OVERFLOW, write_recorder_csv, write_ublox_csv
-from trainlog.simulation.scenario import base_map
 from trainlog.simulation.sensors import Sensors
 from trainlog.topics import TOPICS, units
 from trainlog.trip import Trip

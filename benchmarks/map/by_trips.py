@@ -26,7 +26,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import StepProfile
 from trainlog.simulation import Scenario, draw_scenarios, simulate
-from trainlog.simulation.scenario import base_map, smooth_variation
+from trainlog.simulation.rail import base_map, smooth_variation
 
 STAGES = (1, 3, 6, 12, 20, 50, 100)
 

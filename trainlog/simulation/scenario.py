@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
-from trainlog.railway.condition import BIN_LENGTH
 from trainlog.simulation.drivers import (
     Driver,
     Habits,
@@ -24,11 +23,15 @@ from trainlog.simulation.drivers import (
     plan,
 )
 from trainlog.simulation.plant import Plant
+from trainlog.simulation.rail import Rail, RailState, base_map, trip_profile
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_scales
 from trainlog.simulation.traction import TractionLoop, TractionMaker
+from trainlog.simulation.weather import DAY, HOUR
 from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
+
+MINUTE = 60 * NANOSECONDS
 
 START = pd.Timestamp("2024-10-07T06:00:00Z").value
 """When the first of several drawn trips begins [ns since 1970 UTC]."""
@@ -46,14 +49,8 @@ SURVEYED_LENGTH = (500.0, 3000.0)
 """Lengths [m] over which one error of a gradient holds on elements longer than these: the heights
 at their ends are known, so that a small error does not add up over a whole line."""
 
-CORRELATION_LENGTH = 120.0
-"""Distance over which adhesion varies [m] (Ornstein-Uhlenbeck)."""
-
-BASE = {"dry": (0.325, 0.04), "wet": (0.175, 0.08)}
-"""Median of the base map and standard deviation of its logarithm, by weather."""
-
-SPOTS = {"dry": (0.1, 0.16), "wet": (0.06, 0.12)}
-"""Range of the maximum adhesion in slippery spots, by weather."""
+FIRST_DEPARTURE, LAST_DEPARTURE = 5 * HOUR, 23 * HOUR
+"""Of the trains of a day [ns since its midnight]."""
 
 Locator = Callable[[Reading], Observation]
 """From a reading of the train's instruments to what its driver knows."""
@@ -71,7 +68,8 @@ class Scenario:
     train : Train
         As its file says; what the train truly is on this trip follows.
     direction : {"forward", "reverse"}
-    weather : {"dry", "wet"}
+    weather : str
+        The rail's condition: ``"dry"``, ``"wet"``, ``"leaves"`` ...
     mass : float [kg]
         Loaded, without the rotating part.
     rotating_mass : float [kg]
@@ -100,6 +98,8 @@ class Scenario:
         place where it starts; None: he sees the true motion.
     traction : callable or None
         Makes the traction control; None: the plant's own slip protection.
+    state : RailState or None
+        What lasts and what passes of `maximum_adhesion`, where it is drawn over days.
 
     Examples
     --------
@@ -133,6 +133,7 @@ class Scenario:
     follows: Callable[[], Driver] | None = None
     locates: Callable[[Sensors, float], Locator] | None = None
     traction: TractionMaker | None = None
+    state: RailState | None = None
 
     def __repr__(self) -> str:
         rows = {
@@ -249,6 +250,10 @@ class Scenario:
         }
         if self.trajectory is not None:
             content["configuration"] = self.trajectory.configurations[self.row].name
+        if self.state is not None:
+            content["lasting_adhesion"] = _as_json(self.state.lasting)
+            content["conditions"] = self.state.weather.known()
+            content["spots"] = self.state.spots.to_dict("records")
         return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 
 
@@ -302,7 +307,102 @@ def draw_scenarios(
     sensors = sensors or Sensors()
     bases = {weather: base_map(line, weather, seed) for weather in ("dry", "wet")}
     survey = survey_error(line, seed)
-    return [_drawn(line, train, number, seed, sensors, bases, survey) for number in range(count)]
+    scenarios = []
+    for number in range(count):
+        weather = ("dry", "dry", "wet", "wet")[number % 4]
+
+        def rail(generator: np.random.Generator, weather: str = weather) -> StepProfile:
+            return trip_profile(line, bases[weather], weather, generator)
+
+        own = np.random.default_rng([seed, 3, number])
+        drawn = _drawn(line, train, number, weather, rail, own)
+        scenarios.append(replace(drawn, survey_error=survey, sensors=sensors))
+    return scenarios
+
+
+def draw_days(
+    rail: Rail,
+    trains: Sequence[Train],
+    trips_a_day: int = 4,
+    seed: int | None = None,
+    sensors: Sensors | None = None,
+) -> list[Scenario]:
+    """Draw the trips of every day that a rail lasts, from 5:00 to 23:00.
+
+    The trains take turns, in both directions. What they meet is the rail at the time of their
+    departure: the weather and the spots of that hour.
+
+    Parameters
+    ----------
+    rail : Rail
+    trains : sequence of Train
+    trips_a_day : int
+        Departures are evenly spaced, but for a few minutes.
+    seed : int, optional
+        Of loads, drivers and timetables; default: the rail's.
+    sensors : Sensors, optional
+
+    Raises
+    ------
+    InputError
+        If a train has no brake, the line no two stations, or there are no trips or no trains.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from trainlog.simulation.rail import Rail
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> rail = Rail.draw(line, days=3, start="2026-10-01", seed=1)
+    >>> trips = draw_days(rail, [train], trips_a_day=2)
+    >>> [trip.name for trip in trips[:3]]
+    ['2026-10-01-0504', '2026-10-01-2300', '2026-10-02-0500']
+    """
+    if trips_a_day < 1 or not trains:
+        raise InputError(
+            f"cannot draw {trips_a_day} trips a day of {counted(len(trains), 'train')}",
+            remedy="give 1 trip and 1 train or more",
+        )
+    line = rail.line
+    if len(line.stations) < 2:
+        raise InputError(f"line '{line.name}' has fewer than two stations")
+    for train in trains:
+        _check_brakes(train)
+    seed = rail.seed if seed is None else seed
+    survey = survey_error(line, seed)
+    scenarios = []
+    for number in range(rail.days * trips_a_day):
+        own = np.random.default_rng([seed, 17, number])
+        start = _departure(rail.start, number, trips_a_day, own)
+        state, profile = rail.state(start), rail.profile(start, number)
+        # Trains take turns, and each goes in both directions.
+        train = trains[(number // 2) % len(trains)]
+
+        def met(_: np.random.Generator, profile: StepProfile = profile) -> StepProfile:
+            return profile
+
+        drawn = _drawn(line, train, number, state.weather.condition, met, own)
+        scenarios.append(
+            replace(
+                drawn,
+                name=f"{pd.Timestamp(start):%Y-%m-%d-%H%M}",
+                survey_error=survey,
+                sensors=sensors or Sensors(),
+                start=start,
+                temperature=state.weather.temperature,
+                state=state,
+            )
+        )
+    return scenarios
+
+
+def _departure(first: int, number: int, trips_a_day: int, generator: np.random.Generator) -> int:
+    """When trip `number` begins [ns since 1970 UTC], on a whole minute."""
+    day, turn = divmod(number, trips_a_day)
+    headway = (LAST_DEPARTURE - FIRST_DEPARTURE) / max(trips_a_day - 1, 1)
+    jitter = generator.uniform(-1.0, 1.0) * min(10 * MINUTE, 0.3 * headway)
+    since = np.clip(FIRST_DEPARTURE + turn * headway + jitter, FIRST_DEPARTURE, LAST_DEPARTURE)
+    return first + day * DAY + MINUTE * round(float(since) / MINUTE)
 
 
 def _check_brakes(train: Train) -> None:
@@ -340,15 +440,12 @@ def _drawn(
     line: Line,
     train: Train,
     number: int,
-    seed: int,
-    sensors: Sensors,
-    bases: dict[str, FloatArray],
-    survey: StepProfile,
+    weather: str,
+    rail: Callable[[np.random.Generator], StepProfile],
+    generator: np.random.Generator,
 ) -> Scenario:
-    """Trip `number` of a series."""
-    generator = np.random.default_rng([seed, 3, number])
+    """Trip `number` of a series, in a rail condition."""
     direction = "forward" if number % 2 == 0 else "reverse"
-    weather = ("dry", "dry", "wet", "wet")[number % 4]
     travelled = line if direction == "forward" else line.reversed()
     scale = 1.0 + np.clip(0.07 * generator.standard_normal(3), -0.15, 0.15)
     nominal = train.resistance
@@ -358,7 +455,7 @@ def _drawn(
     stations = travelled.stations[1:-1] if calling else ()
     kept = generator.uniform(size=len(stations)) < generator.choice([0.7, 1.0])
     calls = [station for station, stop in zip(stations, kept, strict=True) if stop]
-    wet = weather == "wet"
+    wet = weather != "dry"
     habits = Habits(
         lever=min(1.0, float(generator.uniform(0.45, 0.8) if wet else generator.uniform(0.7, 1.2))),
         lever_rate=float(generator.uniform(0.15, 0.35)),
@@ -381,8 +478,7 @@ def _drawn(
             nominal.r0 * float(scale[0]), nominal.r1 * float(scale[1]), nominal.r2 * float(scale[2])
         ),
         max_power=train.max_traction_power * float(generator.uniform(0.92, 1.0)),
-        maximum_adhesion=trip_profile(line, bases[weather], weather, generator),
-        survey_error=survey,
+        maximum_adhesion=rail(generator),
         stops=plan(
             travelled,
             train,
@@ -390,7 +486,6 @@ def _drawn(
             reserve=float(generator.uniform(0.08, 0.13)),
         ),
         habits=habits,
-        sensors=sensors,
         seed=int(generator.integers(2**31)),
         start=START + number * 3600 * NANOSECONDS,
         temperature=float(np.round(generator.uniform(278.0, 288.0), 1)),
@@ -487,89 +582,3 @@ def trajectory_scenarios(
             )
         )
     return scenarios
-
-
-def bin_centres(count: int) -> FloatArray:
-    """Centres [m] of the first `count` bins of a line."""
-    return np.asarray((np.arange(count) + 0.5) * BIN_LENGTH, dtype=np.float64)
-
-
-def smooth_variation(count: int, generator: np.random.Generator) -> FloatArray:
-    """Ornstein-Uhlenbeck process of unit variance over `count` bins."""
-    from scipy.signal import lfilter
-
-    keep = np.exp(-BIN_LENGTH / CORRELATION_LENGTH)
-    white = generator.standard_normal(count)
-    white[1:] *= np.sqrt(1.0 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], white))
-
-
-def spot(centres: FloatArray, start: float, length: float, depth: float) -> FloatArray:
-    """Upper bound of the logarithm of adhesion that a spot imposes; its ends fade over 50 m."""
-    outside = np.maximum(np.maximum(start - centres, centres - (start + length)), 0.0)
-    return np.asarray(np.where(outside < 75.0, np.log(depth) + outside / 50.0, np.inf))
-
-
-def likely_places(line: Line, generator: np.random.Generator) -> FloatArray:
-    """Where persistent spots begin [m]: around the stations and on the climbs.
-
-    Each station has one or more on either side, where trains brake and leave; some climbs have one.
-    """
-    around = [
-        station.position + side * generator.uniform(100.0, 550.0)
-        for station in line.stations
-        for side in (-1.0, -1.0, 1.0, 1.0)
-        if generator.uniform() < 0.4
-    ]
-    edges, slopes = line.gradients.positions, line.gradients.values
-    climbs = edges[(np.abs(slopes) > 0.008) & (generator.uniform(size=edges.size) < 0.08)]
-    places = np.concatenate((np.array(around), climbs + generator.uniform(0.0, 200.0, climbs.size)))
-    return places[(places > 50.0) & (places < line.length - 350.0)]
-
-
-def base_map(line: Line, weather: str, seed: int) -> FloatArray:
-    """Maximum adhesion a bin of the line that every trip in that weather meets.
-
-    Parameters
-    ----------
-    line : Line
-        In its own direction.
-    weather : {"dry", "wet"}
-    seed : int
-
-    Returns
-    -------
-    (bins,) array
-    """
-    # The same places are slippery in the dry and in the wet, more so in the wet.
-    where = np.random.default_rng([seed, 1])
-    generator = np.random.default_rng([seed, 2, sorted(BASE).index(weather)])
-    centres = bin_centres(int(np.ceil(line.length / BIN_LENGTH)))
-    median, spread = BASE[weather]
-    logarithm = np.log(median) + spread * smooth_variation(centres.size, generator)
-    for start in likely_places(line, where):
-        length = where.uniform(100.0, 300.0)
-        depth = generator.uniform(*SPOTS[weather])
-        logarithm = np.minimum(logarithm, spot(centres, start, length, depth))
-    return np.asarray(np.exp(logarithm))
-
-
-def trip_profile(
-    line: Line, base: FloatArray, weather: str, generator: np.random.Generator
-) -> StepProfile:
-    """The base map as one trip meets it: 4 % of variation and now and then a new spot.
-
-    Returns
-    -------
-    StepProfile
-        In the line's own direction.
-    """
-    centres = bin_centres(base.size)
-    logarithm = np.log(base) + 0.04 * smooth_variation(base.size, generator)
-    for _ in range(int(generator.poisson(2.0 if weather == "wet" else 0.5))):
-        start = generator.uniform(0.0, line.length)
-        length = generator.uniform(50.0, 150.0)
-        depth = generator.uniform(*SPOTS[weather])
-        logarithm = np.minimum(logarithm, spot(centres, start, length, depth))
-    edges = centres - 0.5 * BIN_LENGTH
-    return StepProfile(edges, np.asarray(np.minimum(np.exp(logarithm), 0.5)))

@@ -50,7 +50,7 @@ from trainlog.mcap import write_log
 from trainlog.railway import Line, StepProfile, TrackConditionMap
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.simulation.drivers import Stop
-from trainlog.simulation.scenario import (
+from trainlog.simulation.rail import (
     base_map,
     bin_centres,
     likely_places,
