@@ -18,6 +18,7 @@ from trainlog.railway import (
     EffortCurve,
     Geometry,
     Line,
+    LineReference,
     ParameterSet,
     RunningResistance,
     Station,
@@ -96,6 +97,16 @@ def lines(draw: Callable[..., Any]) -> Line:
             st.dictionaries(st.sampled_from(["M_NVAVADH", "Kt_int"]), sizes(0.0, 2.0))
         ),
         survey=draw(st.none() | st.builds(Survey, sizes(1e-6, 0.01), st.none() | sizes(1.0, 1e5))),
+        reference=draw(
+            st.none()
+            | st.builds(
+                LineReference,
+                NAMES,
+                st.just(bends),
+                arrays(bends.size, -1e6, 1e6),
+                arrays(bends.size, -1e6, 1e6),
+            )
+        ),
     )
 
 

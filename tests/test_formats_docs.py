@@ -8,7 +8,7 @@ import pytest
 from pydantic import BaseModel
 
 from trainlog.formats.condition import _Evidence, _Layer, _MapFile
-from trainlog.formats.line import _Geometry, _JourneyFile, _LineFile
+from trainlog.formats.line import _Geometry, _JourneyFile, _LineFile, _Reference
 from trainlog.formats.parameters import (
     ConfigurationPart,
     ResistancePart,
@@ -33,7 +33,7 @@ from trainlog.formats.trajectory import _TrajectoryFile
 
 TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
 SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
-    ("## Line", (_LineFile, _Geometry)),
+    ("## Line", (_LineFile, _Geometry, _Reference)),
     ("## Train", (_TrainFile, _Axles, _Brake, _BrakingCurves)),
     (
         "## Consist",

@@ -193,6 +193,8 @@ Kilometrierung [km];Neigung [â€°];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];LÃ
                                [0.0, 1 / 500, 0.0, -1 / 800])  # fmt: skip
     assert line.geometry is not None
     assert line.geometry.latitudes.tolist() == [47.40, 47.41, 47.42, 47.44]
+    np.testing.assert_allclose(line.kilometre([0.0, 2_700.0, 12_000.0]) / 1e3, [12.3, 15.0, 24.3])
+    assert line.reversed().kilometre(0.0) == pytest.approx(24_300.0)
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".json"])

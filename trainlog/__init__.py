@@ -84,6 +84,7 @@ if TYPE_CHECKING:
         Geometry as Geometry,
         Journey as Journey,
         Line as Line,
+        LineReference as LineReference,
         ParameterSet as ParameterSet,
         RunningResistance as RunningResistance,
         Station as Station,
@@ -125,7 +126,7 @@ _NAMES = {
     "trainlog.identity": "identity_of",
     "trainlog.ingest": "read_recording=ingest report_of repairs_of read_profile",
     "trainlog.railway": (
-        "Configuration CurvatureProfile Geometry Journey Line ParameterSet "
+        "Configuration CurvatureProfile Geometry Journey Line LineReference ParameterSet "
         "RunningResistance Station StepProfile TimingPoint TrackConditionMap Train "
         "Trajectory Tunnel Axles Brake"
     ),

@@ -19,6 +19,7 @@ EXTRAS = {
     "daqp": "plan",
     "piqp": "plan",
     "pynmeagps": "recorders",
+    "pyogrio": "gis",
     "pyubx2": "recorders",
     "rerun": "replay",
     "rosbags": "recorders",

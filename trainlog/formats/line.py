@@ -33,6 +33,7 @@ from trainlog.railway.line import (
     CurvatureProfile,
     Geometry,
     Line,
+    LineReference,
     Station,
     StepProfile,
     Survey,
@@ -67,6 +68,21 @@ _Track = Annotated[
 ]
 
 
+_Kilometres = Annotated[
+    tuple[Any, ...],
+    Table((_POSITION, Column("km_at_start", "km", "m"), Column("km_at_end", "km", "m"))),
+]
+
+
+class _Reference(Part):
+    name: str = Field(min_length=1)
+    kilometres: _Kilometres
+
+    def reference(self) -> LineReference:
+        _check_rows("reference.kilometres", self.kilometres[0])
+        return LineReference(self.name, *self.kilometres)
+
+
 class _Geometry(Part):
     quality: str
     track: _Track
@@ -97,6 +113,7 @@ class _LineFile(File):
     braking_parameters: _Braking | None = None
     geometry: _Geometry | None = None
     assumed: list[str] | None = None
+    reference: _Reference | None = None
 
     def content(self) -> Line:
         return self.line()
@@ -107,12 +124,13 @@ class _LineFile(File):
 
     def line(self) -> Line:
         """The line that the file describes."""
-        limits, gradients, curvatures, geometry, survey = gathered(
+        limits, gradients, curvatures, geometry, survey, reference = gathered(
             lambda: profile("speed_limits", *self.speed_limits),
             lambda: profile("gradients", *self.gradients),
             lambda: None if self.curvatures is None else curvature_profile(*self.curvatures),
             lambda: None if self.geometry is None else self.geometry.geometry(),
             lambda: None if self.survey is None else Survey(**dict(self.survey)),
+            lambda: None if self.reference is None else self.reference.reference(),
         )
         return Line(
             name=self.name,
@@ -130,12 +148,14 @@ class _LineFile(File):
             braking_parameters=self.braking_parameters or {},
             survey=survey,
             assumed=tuple(self.assumed or ()),
+            reference=reference,
         )
 
     @staticmethod
     def of(line: Line) -> _LineFile:
         """The file that describes a line."""
         curves, geometry, limits = line.curvatures, line.geometry, line.speed_limits
+        own = line.reference
         return _LineFile.holding(
             line,
             stations=([s.name for s in line.stations], [s.position for s in line.stations]),
@@ -146,6 +166,9 @@ class _LineFile(File):
             tunnels=tunnel_columns(line.tunnels),
             braking_parameters=line.braking_parameters or None,
             assumed=list(line.assumed) or None,
+            reference=None
+            if own is None
+            else _Reference.holding(own, kilometres=(own.positions, own.start, own.end)),
             geometry=None
             if geometry is None
             else _Geometry.holding(

@@ -23,7 +23,7 @@ from trainlog.formats.schema import built, gathered
 from trainlog.formats.toml import as_toml
 from trainlog.railway import Axles, Brake, Line, RunningResistance, Station, StepProfile, Train
 from trainlog.railway.journey import Journey, TimingPoint
-from trainlog.railway.line import CurvatureProfile, Geometry
+from trainlog.railway.line import CurvatureProfile, Geometry, LineReference
 from trainlog.units import KMH, to_si
 
 Numbers = NDArray[np.float64]
@@ -135,6 +135,12 @@ MORE = {
 # [geometry.track]
 # units = { position = "m", latitude = "deg", longitude = "deg" }
 # values = [[0, 47.4000, 9.3000], [12000, 47.4400, 9.4300]]
+#
+# [reference]                         # what the operator calls the line, and its kilometres
+# name = "850"
+# [reference.kilometres]
+# units = { position = "m", km_at_start = "km", km_at_end = "km" }
+# values = [[0, 61.2, 49.2]]
 """,
     "train": """
 # What may be added:
@@ -362,6 +368,7 @@ def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
             curvatures=_curves(position, known),
             geometry=_geometry(table, position, known),
             source=source,
+            reference=_reference(path, name, first, length),
         )
 
     made = built(line, path)
@@ -494,6 +501,16 @@ def _curves(position: Numbers, known: Mapping[str, Numbers]) -> CurvatureProfile
     given = np.flatnonzero(np.isfinite(radius))
     curvature = np.divide(1.0, radius[given], out=np.zeros(given.size), where=radius[given] != 0.0)
     return CurvatureProfile(position[given], curvature, curvature)
+
+
+def _reference(
+    path: str | Path, name: str | None, first: float, length: float
+) -> LineReference | None:
+    """The table's own kilometres, where they do not begin at 0."""
+    if first == 0.0:
+        return None
+    called = name or Path(path).stem.removesuffix(".line")
+    return LineReference(called, np.zeros(1), np.array([first]), np.array([first + length]))
 
 
 def _geometry(

@@ -17,140 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
+from trainlog.railway.profiles import (
+    CurvatureProfile as CurvatureProfile,
+    LineReference as LineReference,
+    StepProfile as StepProfile,
+    check_positions as check_positions,
+    hold_as_arrays,
+)
 from trainlog.railway.resistance import curve_force_per_weight
 from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
-
-
-def _hold_as_arrays(profile: object, *names: str) -> None:
-    """Turn fields of a frozen dataclass into arrays, so that lists can be given."""
-    for name in names:
-        try:
-            values = np.asarray(getattr(profile, name), dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"{type(profile).__name__}: {name} must be numbers") from None
-        object.__setattr__(profile, name, values)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StepProfile:
-    """A piecewise constant quantity: each value holds from its position to the next.
-
-    Attributes
-    ----------
-    positions : (n,) array [m]
-        Strictly increasing, the first is 0.
-    values : (n,) array
-
-    Examples
-    --------
-    >>> limits = StepProfile([0.0, 500.0], [20.0, 30.0])
-    >>> limits([100.0, 500.0, 900.0])
-    array([20., 30., 30.])
-    """
-
-    positions: FloatArray
-    values: FloatArray
-
-    def __post_init__(self) -> None:
-        _hold_as_arrays(self, "positions", "values")
-        check_positions("profile", self.positions, self.values)
-
-    def __repr__(self) -> str:
-        low, high = float(self.values.min()), float(self.values.max())
-        return f"StepProfile of {counted(self.values.size, 'step')}, {low:g} to {high:g}"
-
-    def __call__(self, position: ArrayLike) -> FloatArray:
-        """Value at each position; ends are extended."""
-        index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1
-        return np.asarray(self.values[np.maximum(index, 0)])
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, StepProfile) and bool(
-            np.array_equal(self.positions, other.positions)
-            and np.array_equal(self.values, other.values)
-        )
-
-    def reversed(self, length: float, sign: float = 1.0) -> StepProfile:
-        """The profile seen from the other end of a line of `length` [m]."""
-        ends = np.append(self.positions[1:], length)
-        return StepProfile((length - ends)[::-1].copy(), sign * self.values[::-1])
-
-    def mean(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Mean value over each interval from `start` to `end` [m], (m,) arrays, start < end.
-
-        Examples
-        --------
-        >>> profile = StepProfile(np.array([0.0, 100.0]), np.array([20.0, 30.0]))
-        >>> profile.mean(np.array([50.0]), np.array([150.0])).tolist()
-        [25.0]
-        """
-        edges = np.append(self.positions, np.inf)
-        widths = np.diff(edges[:-1])
-        integral = np.concatenate(([0.0], np.cumsum(self.values[:-1] * widths)))
-
-        def antiderivative(s: FloatArray) -> FloatArray:
-            index = np.maximum(np.searchsorted(self.positions, s, side="right") - 1, 0)
-            return np.asarray(integral[index] + self.values[index] * (s - self.positions[index]))
-
-        return np.asarray((antiderivative(end) - antiderivative(start)) / (end - start))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CurvatureProfile:
-    """Signed track curvature: circular arcs and, between them, linear transitions.
-
-    Positive curvature bends to the right in the direction of travel.
-
-    Attributes
-    ----------
-    positions : (n,) array [m]
-        Start of each element; strictly increasing, the first is 0.
-    start, end : (n,) array [1/m]
-        Curvature at the start and at the end of each element.
-
-    Examples
-    --------
-    >>> curve = CurvatureProfile([0.0, 100.0, 200.0], [0.0, 0.0, 2e-3], [0.0, 2e-3, 2e-3])
-    >>> curve.at([50.0, 150.0, 250.0], 300.0)
-    array([0.   , 0.001, 0.002])
-    """
-
-    positions: FloatArray
-    start: FloatArray
-    end: FloatArray
-
-    def __post_init__(self) -> None:
-        _hold_as_arrays(self, "positions", "start", "end")
-        check_positions("curvature", self.positions, self.start)
-        check_positions("curvature", self.positions, self.end)
-
-    def __repr__(self) -> str:
-        sharpest = float(max(np.abs(self.start).max(), np.abs(self.end).max()))
-        radius = f"radius {1.0 / sharpest:.0f} m at least" if sharpest else "straight"
-        return f"CurvatureProfile of {counted(self.start.size, 'element')}, {radius}"
-
-    def at(self, position: ArrayLike, length: float) -> FloatArray:
-        """Curvature [1/m] at each position of a line of `length` [m]."""
-        s = np.asarray(position, dtype=np.float64)
-        index = np.maximum(np.searchsorted(self.positions, s, side="right") - 1, 0)
-        ends = np.append(self.positions[1:], max(length, self.positions[-1]))
-        width = np.maximum(ends - self.positions, 1e-9)
-        share = np.clip((s - self.positions[index]) / width[index], 0.0, 1.0)
-        return np.asarray(self.start[index] + share * (self.end[index] - self.start[index]))
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, CurvatureProfile) and bool(
-            np.array_equal(self.positions, other.positions)
-            and np.array_equal(self.start, other.start)
-            and np.array_equal(self.end, other.end)
-        )
-
-    def reversed(self, length: float) -> CurvatureProfile:
-        """The profile seen from the other end: a left-hand bend becomes a right-hand one."""
-        ends = np.append(self.positions[1:], length)
-        return CurvatureProfile((length - ends)[::-1].copy(), -self.end[::-1], -self.start[::-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +85,7 @@ class Geometry:
     quality: str
 
     def __post_init__(self) -> None:
-        _hold_as_arrays(self, "positions", "latitudes", "longitudes")
+        hold_as_arrays(self, "positions", "latitudes", "longitudes")
         if self.positions.shape != self.latitudes.shape or self.positions.size < 2:
             raise InputError("geometry: needs at least two points, each with two coordinates")
         check_positions("geometry", self.positions - self.positions[0], self.latitudes)
@@ -322,6 +199,8 @@ class Line:
     assumed : tuple of str
         Fields that the source does not give, such as ``"gradients"``: they hold assumptions, and
         what needs them refuses the line.
+    reference : LineReference or None
+        What the operator calls the line, and its kilometres; None: they are the chainage.
 
     Examples
     --------
@@ -352,6 +231,7 @@ class Line:
     braking_parameters: dict[str, float] = field(default_factory=dict)
     survey: Survey | None = None
     assumed: tuple[str, ...] = ()
+    reference: LineReference | None = None
 
     def __post_init__(self) -> None:
         problems = list(self._problems())
@@ -442,7 +322,16 @@ class Line:
             rows["tunnels"] = f"{len(self.tunnels)}, {sum(t.length for t in self.tunnels):.0f} m"
         if self.geometry is not None:
             rows["geometry"] = f"{self.geometry.positions.size} points"
+        if self.reference is not None:
+            known = self.kilometre([0.0, self.length]) / 1e3
+            rows["operator's"] = f"{self.reference.name}, km {known[0]:.3f} to {known[1]:.3f}"
         return rows
+
+    def kilometre(self, position: ArrayLike) -> FloatArray:
+        """The operator's kilometre, in metres, at each position [m]."""
+        if self.reference is None:
+            return np.asarray(position, dtype=np.float64)
+        return self.reference.at(position, self.length)
 
     def speed_limit(self, position: ArrayLike) -> FloatArray:
         """Permitted speed [m/s] at each position [m]."""
@@ -575,22 +464,10 @@ class Line:
             braking_parameters=self.braking_parameters,
             survey=self.survey,
             assumed=self.assumed,
+            reference=None if self.reference is None else self.reference.reversed(self.length),
         )
 
 
 def _and_more(places: FloatArray) -> str:
     """How many places there are besides the first."""
     return f" (and {places.size - 1} more)" if places.size > 1 else ""
-
-
-def check_positions(what: str, positions: FloatArray, values: FloatArray) -> None:
-    """Refuse profiles that are empty, ragged, not finite or out of order."""
-    if positions.ndim != 1 or positions.size == 0 or positions.shape != values.shape:
-        raise InputError(f"{what}: needs as many positions as values, and at least one")
-    if not (np.all(np.isfinite(positions)) and np.all(np.isfinite(values))):
-        raise InputError(f"{what}: positions and values must be finite numbers")
-    if positions[0] != 0.0:
-        raise InputError(f"{what}: must begin at position 0, begins at {positions[0]} m")
-    if np.any(np.diff(positions) <= 0.0):
-        at = positions[1:][np.diff(positions) <= 0.0][0]
-        raise InputError(f"{what}: positions must increase, they do not at {at} m")
