@@ -104,12 +104,48 @@ class PlantParameters(NamedTuple):
 CONSTANTS = len(PlantParameters._fields)
 
 
+CURVE = ("speed", "unit", "stiffness")
+"""Where a row of the table of a characteristic begins: train speed [m/s], slip speed of a slip of 1
+[m/s] at it, and greatest change of the relative adhesion with slip. The relative adhesions follow,
+at the slips ``LEAST_SLIP (exp(i SLIP_STEP) - 1)``, the last at all greater ones."""
+
+LEAST_SLIP, SLIP_STEP, SLIPS = 1e-4, 0.03, 430
+"""Slips [1] or [m/s] at which a characteristic is tabulated: from 0 to 39."""
+
+
 @njit(cache=True, error_model="numpy")
-def adhesion(slip: float, rail: FloatArray) -> float:
-    """Adhesion at a slip speed [m/s] on one row of the rail table (start, mu_max, a, b, scale)."""
+def adhesion(slip: float, rail: FloatArray, curve: FloatArray) -> float:
+    """Adhesion at a slip speed [m/s] on one row of the rail table (start, mu_max, a, b, scale).
+
+    `curve` is a row of the characteristic's table; without one, the row of the rail is the curve.
+    """
     size = abs(slip)
-    found = rail[4] * (np.exp(-rail[2] * size) - np.exp(-rail[3] * size))
+    if curve.size == 0:
+        found = rail[4] * (np.exp(-rail[2] * size) - np.exp(-rail[3] * size))
+    else:
+        place = np.log1p(size / (curve[1] * LEAST_SLIP)) * (1.0 / SLIP_STEP)
+        i = min(int(place), SLIPS - 2)
+        share = min(place - i, 1.0)
+        found = rail[1] * (curve[3 + i] + share * (curve[4 + i] - curve[3 + i]))
     return found if slip >= 0.0 else -found
+
+
+@njit(cache=True, error_model="numpy")
+def find_curve(table: FloatArray, speed: float, over_creepage: bool, curve: FloatArray) -> None:
+    """Fill `curve` with the characteristic at a train speed: between the rows of its table."""
+    last = table.shape[0] - 1
+    k = 0
+    while k < last - 1 and speed >= table[k + 1, 0]:
+        k += 1
+    share = 0.0
+    if last > 0:
+        share = (speed - table[k, 0]) / (table[k + 1, 0] - table[k, 0])
+        share = min(max(share, 0.0), 1.0)
+    following = min(k + 1, last)
+    for j in range(2, curve.size):
+        curve[j] = table[k, j] + share * (table[following, j] - table[k, j])
+    curve[0] = speed
+    curve[1] = max(speed, table[0, 1]) if over_creepage else 1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -203,13 +239,14 @@ def net_force(
     command: FloatArray,
     track: FloatArray,
     rail: FloatArray,
+    curve: FloatArray,
     weights: FloatArray,
     p: PlantParameters,
 ) -> float:
     """Net force on a train that moves or is about to [N]; rows of the tables under it."""
     pull, v = 0.0, y[1]
     for i in range(command.size):
-        pull += adhesion(y[3 + i] - v, rail) * weights[i]
+        pull += adhesion(y[3 + i] - v, rail, curve) * weights[i]
     resistance, along, friction = held_back(y, v, command, track, rail, p)
     return pull - resistance - along - friction
 
@@ -225,6 +262,7 @@ def stage(
     friction_demand: float,
     track: FloatArray,
     rail: FloatArray,
+    curve: FloatArray,
     moving: bool,
     weights: FloatArray,
     pieces: FloatArray,
@@ -248,7 +286,7 @@ def stage(
         wheel = at[3 + i]
         lagged = at[3 + n + i]
         effort = motor_effort(lagged, wheel, pieces, i, p)
-        contact = adhesion(wheel - v, rail) * weights[i]
+        contact = adhesion(wheel - v, rail, curve) * weights[i]
         change = (effort - contact) / p.axle_inertia
         end[3 + i] += share * change
         at[3 + i] = y[3 + i] + reach * change
@@ -285,6 +323,7 @@ def runge_kutta(
     friction_demand: float,
     track: FloatArray,
     rail: FloatArray,
+    curve: FloatArray,
     moving: bool,
     weights: FloatArray,
     pieces: FloatArray,
@@ -299,8 +338,8 @@ def runge_kutta(
         share = h / 6.0 if k in (0, 3) else h / 3.0
         reach = h if k == 2 else 0.5 * h
         stage(
-            y, at, end, share, reach, command, friction_demand, track, rail, moving, weights,
-            pieces, p,
+            y, at, end, share, reach, command, friction_demand, track, rail, curve, moving,
+            weights, pieces, p,
         )  # fmt: skip
 
 
@@ -365,30 +404,33 @@ def dynamic_limit(speed: float, curve: FloatArray, p: PlantParameters) -> float:
 @njit(cache=True, error_model="numpy")
 def move(
     y: FloatArray,
+    step: float,
     command: FloatArray,
     friction_demand: float,
     track: FloatArray,
     rail: FloatArray,
+    curve: FloatArray,
     weights: FloatArray,
     pieces: FloatArray,
     p: PlantParameters,
     end: FloatArray,
     at: FloatArray,
 ) -> None:
-    """Advance the state by one step, in place; a train that comes to rest stays at rest."""
-    moving = y[1] > 0.0 or net_force(y, command, track, rail, weights, p) > 0.0
+    """Advance the state by `step` [s], in place; a train that comes to rest stays at rest."""
+    moving = y[1] > 0.0 or net_force(y, command, track, rail, curve, weights, p) > 0.0
     runge_kutta(
-        y, p.step, command, friction_demand, track, rail, moving, weights, pieces, p, end, at
+        y, step, command, friction_demand, track, rail, curve, moving, weights, pieces, p, end, at
     )
     if moving and end[1] <= 0.0:
         if y[1] <= 0.0:
             # Not the literal False: numba would compile the step once more for it.
             still = not moving
             runge_kutta(
-                y, p.step, command, friction_demand, track, rail, still, weights, pieces, p, end, at
-            )
+                y, step, command, friction_demand, track, rail, curve, still, weights, pieces, p,
+                end, at,
+            )  # fmt: skip
         else:
-            stop(y, command, friction_demand, track, rail, weights, pieces, p, end, at)
+            stop(y, step, command, friction_demand, track, rail, curve, weights, pieces, p, end, at)
     for j in range(y.size):
         y[j] = end[j]
 
@@ -396,10 +438,12 @@ def move(
 @njit(cache=True, error_model="numpy")
 def stop(
     y: FloatArray,
+    step: float,
     command: FloatArray,
     friction_demand: float,
     track: FloatArray,
     rail: FloatArray,
+    curve: FloatArray,
     weights: FloatArray,
     pieces: FloatArray,
     p: PlantParameters,
@@ -411,14 +455,15 @@ def stop(
     `end` holds the end of the whole step with the train moving, and is overwritten.
     """
     moving = y[1] > 0.0
-    before, after = 0.0, p.step
+    before, after = 0.0, step
     v_before, v_after = y[1], end[1]
     instant = after
     for _ in range(40):
         instant = before + (after - before) * v_before / (v_before - v_after)
         runge_kutta(
-            y, instant, command, friction_demand, track, rail, moving, weights, pieces, p, end, at
-        )
+            y, instant, command, friction_demand, track, rail, curve, moving, weights, pieces, p,
+            end, at,
+        )  # fmt: skip
         if abs(end[1]) < 1e-13:
             break
         if end[1] > 0.0:
@@ -428,8 +473,10 @@ def stop(
     for j in range(y.size):
         y[j] = end[j]
     y[1] = 0.0
-    rest, still = p.step - instant, not moving
-    runge_kutta(y, rest, command, friction_demand, track, rail, still, weights, pieces, p, end, at)
+    rest, still = step - instant, not moving
+    runge_kutta(
+        y, rest, command, friction_demand, track, rail, curve, still, weights, pieces, p, end, at
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -439,6 +486,7 @@ def sample(
     command: FloatArray,
     track: FloatArray,
     rail: FloatArray,
+    curve: FloatArray,
     weights: FloatArray,
     modes: IntArray,
     pieces: FloatArray,
@@ -446,7 +494,7 @@ def sample(
 ) -> None:
     """Write what `SAMPLE` lists, then wheel speeds and wheel efforts, into `out`."""
     n = command.size
-    net = net_force(y, command, track, rail, weights, p)
+    net = net_force(y, command, track, rail, curve, weights, p)
     out[0] = y[0]
     out[1] = y[1]
     out[2] = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
@@ -480,6 +528,8 @@ def advance(
     out: FloatArray,
     track_table: FloatArray,
     rail_table: FloatArray,
+    curve_table: FloatArray,
+    over_creepage: bool,
     weights: FloatArray,
     memory: FloatArray,
     delay: FloatArray,
@@ -500,6 +550,11 @@ def advance(
         Of each axle, negative in braking, from a traction control; empty: the train's own slip
         protection shares the demand evenly.
     out : (ceil(steps / every), 10 + 2n) array
+    curve_table : (k, 3 + SLIPS) array
+        Of the adhesion characteristic, one row a train speed (see `CURVE`); without rows the rail
+        table holds the curves.
+    over_creepage : bool
+        Whether its slips are creepages.
     memory : (3, n) array
         Of the slip protection of each axle (see `protect`), changed in place.
     delay : (k,) array [N]
@@ -518,6 +573,9 @@ def advance(
     command, pieces = np.empty(n), np.zeros((4, n))
     for i in range(n):
         pieces[0, i] = pieces[2, i] = np.inf
+    curve = np.empty(curve_table.shape[1] if curve_table.shape[0] > 0 else 0)
+    stiffness = weights.max() * (1.0 / p.axle_inertia + 1.0 / p.body_inertia)
+    parts, part = 1, p.step
     traction = min(max(tractive_effort, 0.0) / n, p.axle_effort)
     braking = max(braking_effort, 0.0)
     dead_time = p.friction_dead_time + p.friction_lag
@@ -527,6 +585,11 @@ def advance(
         track = track_table[places[0]]
         rail = rail_table[places[1]]
         find_pieces(y, traction_curve, braking_curve, pieces)
+        if curve.size > 0:
+            # Steep characteristics at low speed need shorter steps than the plant's.
+            find_curve(curve_table, y[1], over_creepage, curve)
+            parts = max(int(np.ceil(p.step * stiffness * rail[1] * curve[2] / curve[1])), 1)
+            part = p.step / parts
         wanted = traction
         friction_demand = 0.0
         if braking > 0.0:
@@ -556,5 +619,6 @@ def advance(
             friction_demand = delayed
         if k % every == 0:
             row = out[k // every]
-            sample(y, row, command, track, rail, weights, places[3:], pieces, p)
-        move(y, command, friction_demand, track, rail, weights, pieces, p, end, at)
+            sample(y, row, command, track, rail, curve, weights, places[3:], pieces, p)
+        for _ in range(parts):
+            move(y, part, command, friction_demand, track, rail, curve, weights, pieces, p, end, at)

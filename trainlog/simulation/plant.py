@@ -14,10 +14,24 @@ from numpy.typing import NDArray
 
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train
-from trainlog.railway.adhesion import DRY, creep_coefficients
+from trainlog.railway.adhesion import (
+    DRY,
+    LEAST_SPEED,
+    AdhesionCharacteristic,
+    creep_coefficients,
+)
 from trainlog.railway.effort import EffortCurve, arrays_of
 from trainlog.simulation import dynamics
-from trainlog.simulation.dynamics import SAMPLE, WHEELS, WORKS, PlantParameters
+from trainlog.simulation.dynamics import (
+    CURVE,
+    LEAST_SLIP,
+    SAMPLE,
+    SLIP_STEP,
+    SLIPS,
+    WHEELS,
+    WORKS,
+    PlantParameters,
+)
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -27,6 +41,12 @@ NO_EFFORTS = np.zeros(0)
 
 HOLDING = 0.7
 """Braking effort of a standing train over its mass [m/s²]; holds on 70 per mille."""
+
+CURVE_SPEEDS = np.geomspace(LEAST_SPEED, 120.0, 36)
+"""Train speeds [m/s] at which a characteristic that depends on the speed is tabulated."""
+
+MOST_PARTS = 100
+"""Into which a step of integration is cut at low speed on a steep characteristic."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +141,8 @@ class Plant:
     length: float = field(default=np.inf)
     traction_curve: FloatArray = field(default_factory=lambda: _axle_curve(None, 1))
     braking_curve: FloatArray = field(default_factory=lambda: _axle_curve(None, 1))
+    curves: FloatArray = field(default_factory=lambda: curve_table(None))
+    over_creepage: bool = False
 
     @cached_property
     def _constants(self) -> FloatArray:
@@ -136,6 +158,7 @@ class Plant:
         resistance: RunningResistance | None = None,
         max_power: float | None = None,
         maximum_adhesion: StepProfile | None = None,
+        characteristic: AdhesionCharacteristic | None = None,
         axle_adhesion: FloatArray | None = None,
         drive: Drive | None = None,
         step: float = 0.005,
@@ -155,6 +178,9 @@ class Plant:
         max_power : float [W], optional
         maximum_adhesion : StepProfile, optional
             By position; default: the dry rail of Zhao et al. (2025) everywhere.
+        characteristic : AdhesionCharacteristic, optional
+            Shape of the adhesion over slip, scaled at every train speed to the maximum adhesion
+            there; default: the curves of Zhao et al. (2025), see `creep_coefficients`.
         axle_adhesion : (n,) array, optional
             Adhesion of each axle over the profile's; default 1.
         drive : Drive, optional
@@ -229,6 +255,8 @@ class Plant:
             line.length,
             _axle_curve(train.traction_curve_with(power), axles.count),
             _axle_curve(train.dynamic_braking_curve, axles.count),
+            curve_table(characteristic),
+            characteristic is not None and characteristic.variable == "creepage",
         )
         plant.check_step()
         return plant
@@ -251,8 +279,14 @@ class Plant:
     def check_step(self) -> None:
         """Refuse a step that cannot resolve how fast creep pulls a wheel to the train's speed."""
         stiffness = float(np.max(self.rail[:, 4] * (self.rail[:, 3] - self.rail[:, 2])))
+        parts = 1
+        if self.curves.size:
+            stiffness = float(np.max(self.rail[:, 1]) * np.max(self.curves[:, 2]))
+            stiffness /= LEAST_SPEED if self.over_creepage else 1.0
+            parts = MOST_PARTS
         p = self.parameters
         rate = stiffness * float(self.weights.max()) * (1.0 / p.axle_inertia + 1.0 / p.body_inertia)
+        rate /= parts
         if p.step * rate > 1.0:
             raise InputError(
                 f"step of {1e3 * p.step:g} ms is too coarse for axles of"
@@ -331,6 +365,8 @@ class Plant:
             out,
             self.track,
             self.rail,
+            self.curves,
+            self.over_creepage,
             self.weights,
             state.slip_memory,
             state.friction_delay,
@@ -429,3 +465,32 @@ def rail_table(maximum_adhesion: StepProfile) -> FloatArray:
         raise InputError(f"maximum adhesion {peak[bad]} at km {at:.3f} is not between 0 and 1")
     columns = [maximum_adhesion.positions, peak, *creep_coefficients(peak).T]
     return np.ascontiguousarray(np.column_stack(columns))
+
+
+def curve_table(characteristic: AdhesionCharacteristic | None) -> FloatArray:
+    """An adhesion characteristic relative to its maximum: one row a train speed.
+
+    Returns
+    -------
+    (n, 3 + SLIPS) array
+        As `dynamics.CURVE` lists; without rows where there is no characteristic.
+
+    Raises
+    ------
+    InputError
+        If the characteristic gives no adhesion.
+    """
+    width = len(CURVE) + SLIPS
+    if characteristic is None:
+        return np.empty((0, width))
+    over_creepage = characteristic.variable == "creepage"
+    speeds = CURVE_SPEEDS if characteristic.needs_speed else CURVE_SPEEDS[:1]
+    slips = LEAST_SLIP * np.expm1(SLIP_STEP * np.arange(SLIPS))
+    found = characteristic.adhesion_at(slips, speeds[:, None])
+    peaks = found.max(axis=1, keepdims=True)
+    if not np.all((peaks > 0.0) & np.isfinite(peaks)):
+        raise InputError("adhesion characteristic: has no maximum above 0")
+    relative = found / peaks
+    steepest = np.max(np.diff(relative, axis=1) / np.diff(slips), axis=1)
+    units = speeds if over_creepage else np.ones(speeds.size)
+    return np.ascontiguousarray(np.column_stack([speeds, units, steepest, relative]))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
+from trainlog.railway.adhesion import AdhesionCharacteristic
 from trainlog.simulation.drivers import (
     Driver,
     Habits,
@@ -77,6 +78,8 @@ class Scenario:
     max_power : float [W]
     maximum_adhesion : StepProfile
         Along the line in its own direction.
+    characteristic : AdhesionCharacteristic or None
+        Shape of the adhesion over slip, see `Plant.of`; None: that of Zhao et al. (2025).
     survey_error : StepProfile or None
         True gradient less that of the line's file, along the line in its own direction.
     stops : tuple of Stop
@@ -134,6 +137,7 @@ class Scenario:
     locates: Callable[[Sensors, float], Locator] | None = None
     traction: TractionMaker | None = None
     state: RailState | None = None
+    characteristic: AdhesionCharacteristic | None = None
 
     def __repr__(self) -> str:
         rows = {
@@ -196,6 +200,7 @@ class Scenario:
             resistance=self.resistance,
             max_power=self.max_power,
             maximum_adhesion=self.rail,
+            characteristic=self.characteristic,
             axle_adhesion=cleaning if count > 1 else None,
         )
 

@@ -1,0 +1,292 @@
+"""Adhesion characteristics: families behind one interface, and the plant that runs on them."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings, strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, minimize_scalar
+from simulated_line import flirt, hilly_line, level_line, steps
+
+from trainlog.errors import InputError
+from trainlog.railway import RunningResistance
+from trainlog.railway.adhesion import (
+    DRY,
+    LEAST_SPEED,
+    WET,
+    AdhesionCharacteristic,
+    AdhesionTable,
+    CreepCurve,
+    PolachCurve,
+    polach_curve,
+)
+from trainlog.simulation.dynamics import WHEELS
+from trainlog.simulation.plant import Plant
+from trainlog.units import GRAVITY
+
+CREEP = Path(__file__).parents[2] / "shared" / "data" / "creep" / "eurosprinter_creep_curves.csv"
+
+
+def eurosprinter(curve: int) -> np.ndarray:
+    """Creepages and adhesions of one of CONTACT's curves, (2, 30)."""
+    if not CREEP.exists():
+        pytest.skip("the CONTACT creep curves are not beside the checkout")
+    with CREEP.open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["curve"] == str(curve)]
+    return np.array([[float(r["long_creepage"]), float(r["traction_coeff"])] for r in rows]).T
+
+
+def polach_adhesion(creepage: float, speed: float, condition: str) -> float:
+    """Polach (2005), eqs. (2) to (6), with its table 1, written once more from the paper."""
+    k_a, k_s, mu_0, a, b = {
+        "dry": (1.00, 0.40, 0.55, 0.40, 0.60),
+        "wet": (0.30, 0.10, 0.30, 0.40, 0.20),
+    }[condition]
+    mu = mu_0 * ((1.0 - a) * np.exp(-b * creepage * speed) + a)
+    eps = np.pi / 4.0 * 300.0 * creepage / mu
+    return 2.0 * mu / np.pi * (k_a * eps / (1.0 + (k_a * eps) ** 2) + np.arctan(k_s * eps))
+
+
+FAMILIES: dict[str, AdhesionCharacteristic] = {
+    "wet rail of Zhao et al.": WET,
+    "double exponential over creepage": CreepCurve(2.46, 203.0, 0.325, 0.325, "creepage"),
+    "Polach, dry": polach_curve("dry"),
+    "Polach, wet": polach_curve("wet"),
+    "table over creepage": AdhesionTable(
+        np.array([0.004, 0.01, 0.016, 0.05, 0.25]), np.array([0.20, 0.30, 0.31, 0.28, 0.19])
+    ),
+    "table over slip speed": AdhesionTable(
+        np.array([0.05, 0.2, 0.5, 2.0]), np.array([0.10, 0.15, 0.14, 0.1]), "slip speed"
+    ),
+}
+
+family = pytest.mark.parametrize("curve", FAMILIES.values(), ids=FAMILIES.keys())
+
+
+@pytest.mark.parametrize("condition", ["dry", "wet"])
+@pytest.mark.parametrize("speed", [5.0, 20.0, 60.0])
+def test_polach_with_the_published_parameters(condition: str, speed: float) -> None:
+    curve = polach_curve(condition)
+    creepages = np.geomspace(1e-4, 0.5, 50)
+    expected = [polach_adhesion(s, speed, condition) for s in creepages]
+    np.testing.assert_allclose(curve.over_creepage(creepages, speed), expected, rtol=1e-12)
+    best = minimize_scalar(
+        lambda s: -polach_adhesion(s, speed, condition), bounds=(1e-4, 0.1), method="bounded",
+        options={"xatol": 1e-9},
+    )  # fmt: skip
+    assert curve.maximum(speed) == pytest.approx(-best.fun, rel=1e-9)
+    assert curve.optimal_creepage(speed) == pytest.approx(best.x, rel=1e-3)
+    assert curve.optimal_slip_speed(speed) == pytest.approx(best.x * speed, rel=1e-3)
+
+
+def test_polach_is_kalkers_theory_at_little_creepage_and_coulombs_law_at_much() -> None:
+    clean = PolachCurve(stiffness=231.0, adhesion_factor=1.0, slip_factor=1.0, friction=0.33)
+    assert clean.slope(0.0, 10.0) * 10.0 == pytest.approx(231.0, rel=1e-3)
+    assert clean.over_creepage(1.0, 10.0) == pytest.approx(0.33, rel=1e-2)
+    reduced = replace(clean, adhesion_factor=0.3, slip_factor=0.1)
+    assert reduced.slope(0.0, 10.0) * 10.0 == pytest.approx(231.0 * 0.2, rel=1e-3)
+
+
+def test_polachs_friction_falls_with_the_speed_and_moves_the_optimum() -> None:
+    wet, speeds = polach_curve("wet"), np.array([5.0, 10.0, 20.0, 40.0])
+    assert np.all(np.diff(wet.maximum(speeds)) < 0.0)
+    assert np.all(np.diff(wet.optimal_creepage(speeds)) < 0.0)
+    assert np.all(np.diff(wet.optimal_slip_speed(speeds)) > 0.0)
+
+
+def test_a_double_exponential_over_creepage_peaks_at_its_slip_speed() -> None:
+    """Peak .304 at 2.2 %: over slip speed at 10 m/s its constants are a tenth."""
+    over_creepage = CreepCurve(2.46, 203.0, 0.325, 0.325, "creepage")
+    over_slip = CreepCurve(0.246, 20.3, 0.325, 0.325)
+    slip = np.linspace(-2.5, 2.5, 101)
+    np.testing.assert_allclose(over_creepage(slip, 10.0), over_slip(slip), atol=1e-12)
+    assert over_slip.optimal_slip_speed() == pytest.approx(0.2201, abs=1e-4)
+    assert over_slip.optimal_creepage(10.0) == pytest.approx(0.02201, abs=1e-5)
+    assert over_creepage(2.5, 10.0) == pytest.approx(0.1757, abs=1e-4)
+
+
+def test_a_table_keeps_the_shape_of_its_points() -> None:
+    creepage, adhesion = eurosprinter(2)
+    table = AdhesionTable(creepage, adhesion)
+    np.testing.assert_allclose(table.over_creepage(creepage, 10.0), adhesion, rtol=1e-12)
+    dense = table.over_creepage(np.linspace(0.0, 0.25, 20_001), 10.0)
+    # One maximum, where it was measured: no overshoot between the points.
+    assert dense.max() == pytest.approx(adhesion.max(), rel=1e-9)
+    assert table.optimal_creepage(10.0) == pytest.approx(0.016, rel=1e-4)
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(dense))))
+    assert turns == 1
+    assert table.over_creepage(0.6, 10.0) == pytest.approx(adhesion[-1])
+
+
+@family
+@settings(deadline=None)
+@given(slip=st.floats(-20.0, 20.0), speed=st.floats(0.0, 60.0))
+def test_it_is_odd_and_never_beyond_its_maximum(
+    curve: AdhesionCharacteristic, slip: float, speed: float
+) -> None:
+    at = float(curve(slip, speed))
+    assert at == -float(curve(-slip, speed))
+    assert abs(at) <= float(curve.maximum(speed)) * (1.0 + 1e-9)
+    assert at * slip >= 0.0
+
+
+@family
+@settings(deadline=None)
+@given(share=st.floats(0.01, 5.0), speed=st.floats(3.0, 60.0))
+def test_slopes_are_those_of_the_curve_and_vanish_at_the_optimum(
+    curve: AdhesionCharacteristic, share: float, speed: float
+) -> None:
+    best = float(curve.optimal_slip_speed(speed))
+    slip, small = share * best, 1e-5 * best
+    assume(slip / speed < 0.9)
+    secant = (float(curve(slip + small, speed)) - float(curve(slip - small, speed))) / (2.0 * small)
+    scale = float(curve.maximum(speed)) / best
+    assert float(curve.slope(slip, speed)) == pytest.approx(secant, abs=5e-3 * scale)
+    assert float(curve.slope(best, speed)) == pytest.approx(0.0, abs=5e-3 * scale)
+    assert float(curve.slope(0.0, speed)) > scale
+
+
+@family
+def test_many_speeds_at_once_give_what_each_gives(curve: AdhesionCharacteristic) -> None:
+    speeds = np.array([[3.0, 10.0], [25.0, 50.0]])
+    for name in ("maximum", "optimal_slip_speed", "optimal_creepage"):
+        together = getattr(curve, name)(speeds)
+        each = [[float(getattr(curve, name)(v)) for v in row] for row in speeds]
+        np.testing.assert_allclose(together, each, rtol=1e-12)
+    slip = np.linspace(-1.0, 1.0, 5)[:, None]
+    np.testing.assert_allclose(
+        curve.over_creepage(slip / speeds.ravel(), speeds.ravel()), curve(slip, speeds.ravel()),
+        rtol=1e-9, atol=1e-12,
+    )  # fmt: skip
+
+
+@given(factor=st.floats(0.1, 3.0))
+def test_a_scaled_table_has_a_scaled_maximum_at_the_same_slip(factor: float) -> None:
+    table = FAMILIES["table over creepage"]
+    assert isinstance(table, AdhesionTable)
+    scaled = replace(table, adhesions=factor * table.adhesions)
+    assert scaled.maximum(10.0) == pytest.approx(factor * table.maximum(10.0), rel=1e-9)
+    assert scaled.optimal_creepage(10.0) == pytest.approx(table.optimal_creepage(10.0), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: polach_curve("dry")(1.0), "needs the train's speed"),
+        (lambda: WET.optimal_creepage(), "needs the train's speed"),
+        (lambda: polach_curve("icy"), "rail condition 'icy' is unknown"),  # type: ignore[arg-type]
+        (lambda: PolachCurve(300.0, 0.1, 0.3, 0.3), "slip factor <= adhesion factor"),
+        (lambda: PolachCurve(300.0, 0.3, 0.1, 0.3, 1.2), "friction ratio <= 1"),
+        (lambda: PolachCurve(300.0, 0.3, 0.1, 0.3, 0.4, -1.0), "friction decay >= 0"),
+        (lambda: AdhesionTable(np.array([0.1, 0.2]), np.array([0.1, 0.2])), "three pairs"),
+        (lambda: AdhesionTable(np.array([0.0, 0.1, 0.2]), np.full(3, 0.1)), "do not grow"),
+        (lambda: AdhesionTable(np.array([0.1, 0.2, 0.3]), np.full(3, -0.1)), "between 0 and 1.5"),
+        (lambda: CreepCurve(0.1, 1.0, 1.0, 1.0, "slip"), "over 'slip' is unknown"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_no_characteristic_is_refused(make, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+# --------------------------------------------------------------------------------- in the plant
+
+
+@family
+@settings(max_examples=4, deadline=None)
+@given(
+    efforts=st.lists(st.floats(-250e3, 250e3), min_size=3, max_size=6), peak=st.floats(0.05, 0.4)
+)
+def test_energy_and_momentum_are_conserved_on_any_characteristic(
+    curve: AdhesionCharacteristic, efforts: list[float], peak: float
+) -> None:
+    rail = steps((0.0, 0.3), (300.0, peak), (900.0, 0.25), (2_000.0, 0.8 * peak), (3_000.0, 0.3))
+    plant = Plant.of(hilly_line(), flirt(), mass=130e3, maximum_adhesion=rail, characteristic=curve)
+    state = plant.at()
+    for effort in (150e3, *efforts):
+        plant.advance(state, max(effort, 0.0), max(-effort, 0.0), 2_000, 2_000)
+    p, works = plant.parameters, state.works
+    kinetic = 0.5 * p.body_inertia * state.speed**2
+    kinetic += 0.5 * p.axle_inertia * float(np.sum(state.wheel_speeds**2))
+    gained = works["traction"] - sum(v for k, v in works.items() if k != "traction")
+    total = sum(abs(value) for value in works.values())
+    assert total > 1e6
+    # Between the points of its table a characteristic has edges, which cost accuracy.
+    assert abs(kinetic - gained) <= 2e-6 * total
+
+    free = Plant.of(
+        level_line(), flirt(resistance=RunningResistance(0.0, 0.0, 0.0)), characteristic=curve
+    )
+    state = free.at(0.0, 20.0)
+    state.wheel_speeds[:] = [26.0, 21.0, 15.0, 20.5]
+    p = free.parameters
+    before = p.body_inertia * state.speed + p.axle_inertia * float(state.wheel_speeds.sum())
+    free.advance(state, 0.0, 0.0, 2_000, 2_000)
+    after = p.body_inertia * state.speed + p.axle_inertia * float(state.wheel_speeds.sum())
+    assert after == pytest.approx(before, rel=1e-12)
+    assert np.all(state.works["slip"] >= 0.0)
+
+
+@family
+def test_the_plant_agrees_with_an_adaptive_solver(curve: AdhesionCharacteristic) -> None:
+    """The same equations with the characteristic itself, scaled to the rail at every speed."""
+    peak, effort, train = 0.2, 30e3, flirt()
+    plant = Plant.of(level_line(), train, maximum_adhesion=steps((0.0, peak)), characteristic=curve)
+    p = plant.parameters
+
+    def slope(_: float, y: np.ndarray) -> list[float]:
+        _, speed, wheel, lagged = y
+        contact = float(curve(wheel - speed, speed) / curve.maximum(speed)) * peak * p.axle_weight
+        drag = float(train.resistance(speed))
+        return [
+            speed,
+            (4.0 * contact - drag) / p.body_inertia,
+            (lagged - contact) / p.axle_inertia,
+            (effort - lagged) / 0.1,
+        ]
+
+    peer = solve_ivp(slope, (0.0, 10.0), [0.0, 8.0, 8.0, 0.0], method="LSODA", rtol=1e-8, atol=1e-8)
+    state = plant.at(0.0, 8.0)
+    plant.advance(state, 4.0 * effort, 0.0, 2_000, 2_000)
+    np.testing.assert_allclose(state.values[[0, 1]], peer.y[:2, -1], rtol=1e-5)
+    slip, expected = state.values[WHEELS] - state.speed, peer.y[2, -1] - peer.y[1, -1]
+    assert slip == pytest.approx(expected, rel=5e-3)
+
+
+def test_the_slip_under_a_pull_goes_with_the_trains_speed() -> None:
+    """Wheels settle where the characteristic, at the speed they run at, gives what they pass on."""
+    wet, train, peak = polach_curve("wet"), flirt(max_traction_power=20e6), 0.08
+    for speed in (5.0, 40.0):
+        plant = Plant.of(
+            level_line(), train, maximum_adhesion=steps((0.0, peak)), characteristic=wet
+        )
+        state = plant.at(0.0, speed)
+        rows = plant.advance(state, peak * GRAVITY * train.axles.adhesive_mass, 0.0, 1_000, 999)
+        row = dict(zip(plant.columns, rows[-1], strict=True))
+        pull = row["acceleration"] * plant.parameters.body_inertia + row["running_resistance"]
+        used, v = pull / plant.weights.sum(), row["speed"]
+        assert 0.9 < used / peak < 0.99
+        slip = brentq(
+            lambda s, v=v, used=used: float(wet(s, v) / wet.maximum(v)) * peak - used,
+            0.0, float(wet.optimal_slip_speed(v)),
+        )  # fmt: skip
+        assert row["wheel_speed_1"] - v == pytest.approx(slip, rel=0.02)
+
+
+def test_the_plants_own_curves_are_what_they_were() -> None:
+    """A rail of 0.2862 has the dry curve of Zhao et al. (2025), given or understood."""
+    rail = steps((0.0, DRY.peak))
+    ends = []
+    for characteristic in (None, DRY):
+        plant = Plant.of(
+            level_line(), flirt(), maximum_adhesion=rail, characteristic=characteristic
+        )
+        state = plant.at(0.0, LEAST_SPEED)
+        plant.advance(state, 150e3, 0.0, 3_000, 3_000)
+        ends.append(state.values[[0, 1, WHEELS]])
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-5)
