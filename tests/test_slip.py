@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from simulated_line import flirt, hilly_line, level_line
-from slip_truth import Score, Seen, onset_errors, seen
+from slip_truth import Fine, Score, Seen, onset_errors, seen, slip_power
 
 from analysis import passport
 from analysis.adhesion.condition_map import empty_map
@@ -136,7 +136,9 @@ def test_kind_follows_the_effort(trips: list[Seen]) -> None:
     for each in trips:
         events = each.found.events
         assert ((events["kind"] == "traction") == (events["peak_slip"] > 0.0)).all()
-        assert (events["end"] > events["start"]).all()
+        assert (events["onset"] <= events["peak"]).all()
+        assert (events["start"] <= events["peak"]).all()
+        assert (events["peak"] < events["release"]).all()
         assert (np.abs(events["peak_slip"]) > 1.5).all()
     kinds = pd.concat([each.found.events["kind"] for each in trips])
     assert set(kinds) == {"traction", "braking"}
@@ -154,7 +156,8 @@ def test_frames_fit_the_topics(trips: list[Seen]) -> None:
     assert (
         events["message"]
         .str.match(
-            r"axle \d slips in (traction|braking) at km \d+\.\d{3}, \d+ km/h: .* adhesion 0\.\d+"
+            r"axle \d slips in (traction|braking) at km \d+\.\d{3}, \d+ km/h: \d+\.\d m/s"
+            r"(, creepage \d+%)?, \d+\.\d s, \d+\.\d ± \d+\.\d kJ, adhesion 0\.\d+"
         )
         .all()
     )
@@ -498,6 +501,107 @@ class TestWhatTheRecorderLacks:
             slow = slow.with_topic(frame)
         found = slip(slow)
         assert any("slips shorter than 2 s may be missed" in note for note in found.notes)
+
+
+def total_only(trip: Trip) -> Trip:
+    """The axles' efforts were not recorded."""
+    axles = trip["/train/axles"]
+    bare = axles[[name for name in axles if "effort" not in name]]
+    bare.attrs = axles.attrs
+    return trip.with_topic(bare)
+
+
+def of_unknown_load(trip: Trip) -> Trip:
+    return replace(trip, metadata={n: v for n, v in trip.metadata.items() if n != "load"})
+
+
+def slower(trip: Trip, every: int) -> Trip:
+    for name in ("/train/axles", "/train/controls", "/train/state"):
+        frame = trip[name].iloc[::every]
+        frame.attrs = trip[name].attrs
+        trip = trip.with_topic(frame)
+    return trip
+
+
+@pytest.fixture(scope="module")
+def wet() -> Fine:
+    return Fine.of(draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2])
+
+
+@pytest.fixture(scope="module")
+def sudden() -> Fine:
+    """Of slips that the protection ends within half a second."""
+    scenario = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]
+    known = {name: getattr(scenario, name) for name in Scenario.__dataclass_fields__}
+    return Fine.of(QuickProtection(**known))
+
+
+class TestEnergyOfSlip:
+    """Against the works that the plant integrates, on recorders that are not all good."""
+
+    def test_the_truth_is_the_work_that_the_plant_integrates(self) -> None:
+        scenario = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]
+        plant = scenario.plant()
+        state = plant.at(1_000.0, speed=8.0)
+        samples = plant.advance(state, 200e3, 0.0, steps=6_000)
+        power = slip_power(scenario, 0.005 * np.arange(len(samples)), samples)
+        work = np.trapezoid(power.sum(axis=1), dx=0.005)
+        assert state.works["slip"] > 1e5
+        assert work == pytest.approx(state.works["slip"], rel=5e-3)
+
+    def test_it_is_that_of_the_plant(self, wet: Fine) -> None:
+        found = wet.heats()
+        assert len(found) > 50
+        assert (found["energy"] > 0.0).all()
+        assert np.sqrt(np.mean((found["energy"] / found["truth"] - 1.0) ** 2)) < 0.03
+        assert found["energy"].sum() == pytest.approx(found["truth"].sum(), rel=0.01)
+        assert np.median(found["energy_std"] / found["energy"]) < 0.12
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            pytest.param(of_unknown_load, id="no load"),
+            pytest.param(lambda t: of_efforts(t, lambda values: 1.1 * values), id="gain"),
+            pytest.param(lambda t: of_efforts(t, lambda values: late(values, 0.2)), id="late"),
+            pytest.param(lambda t: without(t, "/gnss/motion"), id="no satellites"),
+            pytest.param(lambda t: slower(t, 5), id="2 Hz"),
+            pytest.param(total_only, id="total effort only"),
+        ],
+    )
+    def test_its_band_holds_for_poor_recorders(
+        self, wet: Fine, change: Callable[[Trip], Trip]
+    ) -> None:
+        found = wet.heats(change).dropna(subset=["energy"])
+        assert len(found) > 10
+        score = (found["energy"] - found["truth"]) / found["energy_std"]
+        assert np.mean(np.abs(score) < 1.96) > 0.93
+
+    def test_its_band_holds_for_short_slips(self, sudden: Fine) -> None:
+        found = sudden.heats()
+        score = (found["energy"] - found["truth"]) / found["energy_std"]
+        assert len(found) > 100
+        assert found["duration"].median() < 1.0
+        assert np.mean(np.abs(score) < 1.96) > 0.93
+
+    def test_without_efforts_there_is_none(self, wet: Fine) -> None:
+        found = slip(without(total_only(wet.trip), "/train/controls"))
+        assert len(found.events) > 10
+        assert found.events[["energy", "energy_std"]].isna().all(axis=None)
+        assert not found.events_frame()["message"].str.contains("kJ").any()
+
+    def test_creepage_is_that_of_the_largest_slip(self, trips: list[Seen]) -> None:
+        errors = []
+        for each in trips:
+            events = each.found.events
+            rows = each.found.time.get_indexer(pd.DatetimeIndex(events["peak"]))
+            known = events["creepage"].notna().to_numpy()
+            assert (each.speed[rows][~known] < 2.0).all()
+            truth = each.slip[rows, events["axle"].to_numpy() - 1] / each.speed[rows]
+            errors.append((events["creepage"].to_numpy() / truth - 1.0)[known])
+        error = np.concatenate(errors)
+        assert error.size > 50
+        assert np.median(np.abs(error)) < 0.03
+        assert np.mean(np.abs(error) < 0.1) > 0.9
 
 
 class TestRefusals:

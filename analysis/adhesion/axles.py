@@ -97,6 +97,8 @@ class PoweredAxles:
         Weight on one powered axle.
     common_std : float
         Relative standard deviation of effort over axle load that lasts for the whole trip.
+    gain_std : float
+        The same of the effort alone.
     delay_std : float [s]
         Standard deviation of the delay that the efforts still have; 0 where it does not matter.
     sampling : float [s]
@@ -122,6 +124,7 @@ class PoweredAxles:
     mass: float
     axle_load: float
     common_std: float
+    gain_std: float
     delay_std: float
     sampling: float
     load: str
@@ -202,6 +205,7 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         mass=train.mass + load,
         axle_load=_axle_load(train, known, load, gain),
         common_std=common_std,
+        gain_std=float(np.nan_to_num(known.effort_gain.std)) / gain,
         delay_std=_delay_std(known, delay) if levelled.any() else 0.0,
         sampling=sampling,
         load=known.load.source,

@@ -1,4 +1,4 @@
-"""Slip events: where an axle slips, and what its onset says of the maximum adhesion.
+"""Slip events: where an axle slips, what its onset says of the maximum adhesion, what it costs.
 
 An axle slips where it turns faster or slower than the train by more than a threshold. Modern slip
 protection acts earlier: slips below the threshold are found from what it does. It cuts the effort
@@ -58,25 +58,35 @@ SHARED_STD = 0.13
 SHARED_TIME = 0.5
 """Time before a slip in which the share of the total effort gives its level [s]."""
 
+FALLEN = 0.8, 0.2
+"""Adhesion while an axle slips over that at the onset, where its own effort is not recorded: mean
+and standard deviation. Measured curves fall to 0.4 at most, the flattest hardly."""
+
+CREEPAGE_SPEED = 1.0
+"""Train speed [m/s] below which a creepage, a ratio of speeds, is not stated."""
+
 RECOVERY = 8.0
 """How long after a slip [s] the axles do not share the total effort evenly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the onset of an event is read from; arrays (n,) and (n, k) of the recorded axles.
+    """What an event is read from; arrays (n,) and (n, k) of the recorded axles.
 
     Where only the total effort is known, `share` is the adhesion of each axle by its share of it,
     (n, k): up to the sample, without what comes after. `later` is what adhesion and share would
-    be with the efforts at other delays that may be.
+    be with the efforts at other delays that may be. `creep_std` is the standard deviation [m/s] of
+    what all wheels slip alike unseen, where nothing but wheels measures the speed.
     """
 
     axles: PoweredAxles
     position: FloatArray
     speed: FloatArray
+    speed_std: FloatArray
     slip_speed: FloatArray
     slip_std: float
     adhesion: FloatArray
+    creep_std: float = 0.0
     share: FloatArray | None = None
     later: tuple[tuple[FloatArray, FloatArray | None], ...] = ()
 
@@ -193,45 +203,105 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
     """One row a slip event; see `analysis.adhesion.slip.SlipAnalysis`."""
     axles = motion.axles
     noise = adhesion_noise(axles.time, motion.adhesion)
+    last = len(axles.clock) - 1
     rows = []
     for axle in range(slipping.shape[1]):
         for start, stop in runs_of(slipping[:, axle]):
             peak = start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
+            at, found = _onset_of(motion, axle, start, peak, noise)
+            times = {"start": start, "onset": at, "peak": peak, "release": min(stop, last)}
+            slip_speed, speed = motion.slip_speed[peak, axle], motion.speed[peak]
+            span = min(start, at), times["release"]
+            energy, energy_std = _energy_of(motion, axle, span, found, noise)
             rows.append(
                 {
                     "axle": int(axles.numbers[axle]) + 1,
-                    "start": axles.clock[start],
-                    "end": axles.clock[min(stop, len(axles.clock) - 1)],
-                    "peak_slip": motion.slip_speed[peak, axle],
-                    **_onset_of(motion, axle, start, peak, noise),
+                    **{name: axles.clock[row] for name, row in times.items()},
+                    "duration": axles.time[span[1]] - axles.time[span[0]],
+                    "peak_slip": slip_speed,
+                    "creepage": slip_speed / speed if speed >= CREEPAGE_SPEED else np.nan,
+                    **found,
+                    "energy": energy,
+                    "energy_std": energy_std,
                 }
             )
+    clock = axles.clock.dtype
     columns = {
-        "axle": "int64", "start": axles.clock.dtype, "end": axles.clock.dtype, "kind": "str",
-        "position": "float64", "speed": "float64", "peak_slip": "float64",
-        "adhesion": "float64", "adhesion_std": "float64", "delay_std": "float64",
-        "measured": "bool",
+        "axle": "int64", "start": clock, "onset": clock, "peak": clock, "release": clock,
+        "duration": "float64", "kind": "str", "position": "float64", "speed": "float64",
+        "peak_slip": "float64", "creepage": "float64", "adhesion": "float64",
+        "adhesion_std": "float64", "delay_std": "float64", "energy": "float64",
+        "energy_std": "float64", "measured": "bool",
     }  # fmt: skip
     frame = pd.DataFrame(rows, columns=list(columns)).astype(columns)
     frame.attrs["units"] = {
-        "position": "m", "speed": "m/s", "peak_slip": "m/s", "adhesion": "1", "adhesion_std": "1",
-        "delay_std": "1",
+        "duration": "s", "position": "m", "speed": "m/s", "peak_slip": "m/s", "creepage": "1",
+        "adhesion": "1", "adhesion_std": "1", "delay_std": "1", "energy": "J", "energy_std": "J",
     }  # fmt: skip
     if axles.level == "shared" and len(frame):
-        frame["measured"] &= ~_after_others(frame)
+        later = _after_others(frame)
+        frame["measured"] &= ~later
+        frame.loc[later, ["energy", "energy_std"]] = np.nan
     return frame
 
 
 def _after_others(events: pd.DataFrame) -> BoolArray:
     """Events before which another axle slipped so shortly that it does not pull its share yet."""
-    starts, ends = (pd.DatetimeIndex(events[n]).as_unit("ns").asi8 for n in ("start", "end"))
+    starts, ends = (pd.DatetimeIndex(events[n]).as_unit("ns").asi8 for n in ("start", "release"))
     recovered = ends + round(RECOVERY * NANOSECONDS)
     earlier = (starts[None, :] < starts[:, None]) & (recovered[None, :] > starts[:, None])
     return np.asarray(earlier.any(axis=1))
 
 
-def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) -> dict[str, Any]:
-    """Adhesion at the onset of one event, which begins at sample `start` and peaks at `peak`."""
+def _energy_of(
+    motion: Motion, axle: int, span: tuple[int, int], found: dict[str, Any], noise: float
+) -> tuple[float, float]:
+    """Energy [J] that the slip turned into heat between two samples, and its std [J].
+
+    The work of the adhesion force over the slip. Its errors: those of force and train speed last
+    about as long as an event, so that their work adds up; the gain of the efforts; their delay; and
+    the integral itself, as far as it changes with every other sample left out. Where only the total
+    effort is known, the force is that of the onset, fallen by `FALLEN`; without effort, or where
+    another axle slipped shortly before that, there is none.
+    """
+    axles, rows = motion.axles, slice(span[0], span[1] + 1)
+    if not axles.levelled[axle]:
+        return np.nan, np.nan
+    time = axles.time[rows]
+    slip_speed = motion.slip_speed[rows, axle]
+    known = np.isfinite(slip_speed)
+    slip_speed = np.interp(time, time[known], slip_speed[known])
+
+    def work(force: FloatArray, times: FloatArray, step: int = 1) -> float:
+        return float(np.trapezoid((force * times)[::step], time[::step]))
+
+    if motion.share is not None:
+        sign = 1.0 if found["kind"] == "traction" else -1.0
+        mean, spread = FALLEN
+        most = work(np.full(time.size, sign * found["adhesion"] * axles.axle_load), slip_speed)
+        relative = np.hypot(spread / mean, SHARED_STD)
+        return mean * most, float(mean * abs(most) * np.hypot(relative, axles.gain_std))
+    force = motion.adhesion[rows, axle] * axles.axle_load
+    energy = work(force, slip_speed)
+    others = [work(each[rows, axle] * axles.axle_load, slip_speed) for each, _ in motion.later]
+    errors = (
+        work(np.full(time.size, noise * axles.axle_load), np.abs(slip_speed)),
+        work(np.abs(force), motion.speed_std[rows]),
+        axles.gain_std * energy,
+        np.sqrt(np.mean((np.array(others) - energy) ** 2)) if others else 0.0,
+        work(np.abs(force), np.full(time.size, motion.creep_std)),
+        energy - work(force, slip_speed, 2),
+    )
+    return energy, float(np.sqrt(np.sum(np.square(errors))))
+
+
+def _onset_of(
+    motion: Motion, axle: int, start: int, peak: int, noise: float
+) -> tuple[int, dict[str, Any]]:
+    """Sample of the onset of one event and the adhesion there, by columns of `event_rows`.
+
+    The event begins at sample `start` and peaks at `peak`.
+    """
     axles = motion.axles
     direction = np.sign(motion.slip_speed[peak, axle])
     first = int(np.searchsorted(axles.time, axles.time[start] - LOOK_BACK))
@@ -252,7 +322,7 @@ def _onset_of(motion: Motion, axle: int, start: int, peak: int, noise: float) ->
         at, adhesion = start, float(shared.max())
         spread = SHARED_STD * abs(adhesion)
     delayed = np.sqrt(np.mean((np.array(others) - adhesion) ** 2)) if others else 0.0
-    return {
+    return at, {
         "kind": "traction" if direction > 0.0 else "braking",
         "position": motion.position[at],
         "speed": motion.speed[at],

@@ -7,6 +7,7 @@ other sample shows that the maximum is at least what is in use.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -57,6 +58,13 @@ ADHESION_RATE = 0.12
 """How fast adhesion in use may wander, for the observer [1/s^0.5]: from nothing to the maximum in
 a few seconds of a run-up, from the maximum to little in half a second of slip."""
 
+REFERENCES = {"/gnss/motion": "speed_accuracy", "/estimates/state": "speed_std"}
+"""Topics with a speed that does not come from the powered wheels, and what states its accuracy."""
+
+UNSEEN_CREEP = 1.0
+"""Standard deviation of what all powered wheels slip alike [m/s] where no such speed is recorded:
+at the maximum adhesion wheels slip 0.2 to 3 m/s."""
+
 SPEED_NOISE_FLOOR = 0.005
 """Least noise of a wheel speed that is assumed [m/s]."""
 
@@ -99,12 +107,17 @@ class SlipAnalysis:
 
         NaN in all of these is what is not known: axles whose speed or effort was not recorded.
     events : DataFrame
-        One row a slip event: ``axle`` (from 1), ``start``, ``end`` (time), ``kind``
-        (``"traction"``, ``"braking"``), ``position`` [m] of the onset, ``speed`` [m/s],
-        ``peak_slip`` [m/s], ``adhesion`` and ``adhesion_std`` at the onset, ``delay_std``: the
-        standard deviation by a delay of the efforts that is not known, which all onsets of the
-        trip have in common and which is not in ``adhesion_std``, and ``measured``: whether the
-        maximum was passed, so that the onset measures it.
+        One row a slip event: ``axle`` (from 1), ``kind`` (``"traction"``, ``"braking"``);
+        ``onset``, the time of the adhesion's last maximum before the slip was largest; ``start``,
+        when it was detected; ``peak``, when the slip was largest; ``release``, when it was over;
+        ``duration`` [s] from the earlier of start and onset to the release; ``position`` [m] and
+        ``speed`` [m/s] at the onset; ``peak_slip`` [m/s] and ``creepage``, slip speed over train
+        speed, at the peak, NaN below 1 m/s; ``adhesion`` and ``adhesion_std`` at the onset;
+        ``delay_std``: the standard deviation by a delay of the efforts that is not known, which all
+        onsets of the trip have in common and which is not in ``adhesion_std``; ``energy`` and
+        ``energy_std`` [J]: what the slip turned into heat, the work of the adhesion force over the
+        slip speed, NaN where no effort is known; and ``measured``: whether the maximum was passed,
+        so that the onset measures it.
     common_std : float
         Relative standard deviation of what all adhesion of the trip errs by alike, from a load and
         a gain of the efforts that are not known; not in `adhesion_std`.
@@ -219,7 +232,7 @@ class SlipAnalysis:
         signs = np.sign(self.events["peak_slip"].to_numpy())
         places = self.events["position"].to_numpy()
         delayed = np.nan_to_num(self.events["delay_std"] / self.events["adhesion"].abs())
-        starts, stops = (self.time.searchsorted(self.events[name]) for name in ("start", "end"))
+        starts, stops = (self.time.searchsorted(self.events[name]) for name in ("start", "release"))
         for number, (axle, sign, start, stop) in enumerate(
             zip(axles, signs, starts, stops, strict=True)
         ):
@@ -247,23 +260,8 @@ class SlipAnalysis:
     def events_frame(self) -> pd.DataFrame:
         """The slip events as a frame of the topic ``/events``, one warning each."""
         rows = self.events.join(self.creep_curves()).sort_values(["start", "axle"])
-        columns = zip(
-            rows["axle"],
-            rows["kind"],
-            rows["position"].to_numpy() / 1e3,
-            rows["speed"].to_numpy() * KMH,
-            np.abs(rows["peak_slip"].to_numpy()),
-            rows["adhesion"].to_numpy(),
-            rows["maximum"].to_numpy(),
-            1.96 * rows["maximum_std"].to_numpy(),
-            strict=True,
-        )
-        messages = [
-            f"axle {axle} slips in {kind} at km {km:.3f}, {kmh:.0f} km/h: {peak:.1f} m/s,"
-            + (f" adhesion {adhesion:.3f}" if np.isfinite(adhesion) else " adhesion not known")
-            + (f", maximum {top:.3f} ± {reach:.3f}" if np.isfinite(top) else "")
-            for axle, kind, km, kmh, peak, adhesion, top, reach in columns
-        ]
+        rows["km"], rows["kmh"] = rows["position"] / 1e3, rows["speed"] * KMH
+        messages = [_words(each) for each in rows.to_dict("records")]
         return frame_of(
             EVENTS,
             pd.DatetimeIndex(rows["start"]),
@@ -273,6 +271,27 @@ class SlipAnalysis:
                 "name": ["slip"] * len(rows),
             },
         )
+
+
+def _words(event: dict[Hashable, Any]) -> str:
+    """One slip event in words, from a row of `SlipAnalysis.events` with its creep curve."""
+    creepage, energy = abs(event["creepage"]), event["energy"]
+    parts = (
+        f"axle {event['axle']} slips in {event['kind']} at km {event['km']:.3f},"
+        f" {event['kmh']:.0f} km/h: {abs(event['peak_slip']):.1f} m/s",
+        f", creepage {creepage:.0%}" if np.isfinite(creepage) else "",
+        f", {event['duration']:.1f} s",
+        f", {energy / 1e3:.1f} ± {1.96 * event['energy_std'] / 1e3:.1f} kJ"
+        if np.isfinite(energy)
+        else "",
+        f", adhesion {event['adhesion']:.3f}"
+        if np.isfinite(event["adhesion"])
+        else ", adhesion not known",
+        f", maximum {event['maximum']:.3f} ± {1.96 * event['maximum_std']:.3f}"
+        if np.isfinite(event["maximum"])
+        else "",
+    )
+    return "".join(parts)
 
 
 def joined_details(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
@@ -332,7 +351,10 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
         (_adhesion(each, train, noise)[0], _share(each, train.axles.rotating_mass))
         for each in axles.at_other_delays()
     )
-    motion = Motion(axles, position, speed.speed, slip_speed, std, adhesion, share, later)
+    creep_std = 0.0 if _reference_is_known(trip) else UNSEEN_CREEP
+    motion = Motion(
+        axles, position, speed.speed, speed.std, slip_speed, std, adhesion, creep_std, share, later
+    )
     slipping = slipping_axles(motion)
     slipping |= small_slips(motion, slipping)
     least = least_slip(motion)
@@ -483,10 +505,16 @@ def _brake_is_known(trip: Trip) -> bool:
     return controls is not None and bool(controls["pneumatic_braking_effort"].notna().any())
 
 
+def _reference_is_known(trip: Trip) -> bool:
+    """Whether any speed was recorded that does not come from the powered wheels."""
+    frames = [trip.topics.get(topic) for topic in REFERENCES]
+    return any(frame is not None and bool(frame["speed"].notna().any()) for frame in frames)
+
+
 def _reference(trip: Trip, clock: pd.DatetimeIndex) -> tuple[FloatArray, FloatArray]:
     """Speed that does not come from the powered wheels, at the axles' nearest samples, else NaN."""
     speed, std = np.full(len(clock), np.nan), np.full(len(clock), np.nan)
-    for topic, column in (("/gnss/motion", "speed_accuracy"), ("/estimates/state", "speed_std")):
+    for topic, column in REFERENCES.items():
         frame = trip.topics.get(topic)
         if frame is None or not frame["speed"].notna().any():
             continue

@@ -297,7 +297,7 @@ def slips_of(
     events = found.events
     for axle in np.flatnonzero(seen):
         own = events[events["axle"] == axle + 1]
-        starts, ends = (pd.DatetimeIndex(own[n]).asi8 for n in ("start", "end"))
+        starts, ends = (pd.DatetimeIndex(own[n]).asi8 for n in ("start", "release"))
         clock = each.time.asi8
         reach = int(1e9)
         for a, b in runs_of(truly[:, axle]):
