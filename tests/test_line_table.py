@@ -1,0 +1,75 @@
+"""Attributes of a line by bin: every one against the line itself, looked at metre by metre."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.adhesion.condition_map import empty_map
+from analysis.adhesion.line_table import UNITS, line_table
+from trainlog.errors import InputError
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
+from trainlog.railway import CurvatureProfile, Line, Station, StepProfile, Tunnel
+
+
+def made_up(**changes: object) -> Line:
+    """A line that begins and ends its elements within bins, and whose last bin is short."""
+    line = Line(
+        "made up",
+        1_010.0,
+        (Station("A", 0.0), Station("B west", 502.0), Station("B", 510.0), Station("C", 1_010.0)),
+        StepProfile([0.0, 333.0, 340.0], [30.0, 10.0, 25.0]),
+        StepProfile([0.0, 410.0], [0.012, -0.004]),
+        CurvatureProfile(
+            [0.0, 205.0, 260.0, 400.0], [0.0, 0.0, -1 / 350, 0.0], [0, -1 / 350, 0, 0]
+        ),
+        (Tunnel(610.0, 4.0, 40.0),),
+    )
+    return replace(line, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["made up", "CH_StGallen_Wil", "DE_Chemnitz_Cranzahl"])
+def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
+    line = made_up() if name == "made up" else read_line(sample(f"{name}.line.json"))
+    table = line_table(line, empty_map(line))
+    assert table.columns.tolist() == list(UNITS)
+    assert table["end"].iloc[-1] == line.length
+    for row in table.iloc[:: max(1, len(table) // 150)].to_dict("records"):
+        # Every centimetre of the bin, its last one left out: there the next begins.
+        within = np.arange(row["start"], row["end"] - 0.005, 0.01)
+        assert row["tunnel"] == bool(line.tunnel_cross_section(within).any())
+        assert row["gradient"] == pytest.approx(1e3 * line.gradient(within).mean(), abs=0.02)
+        assert row["speed_limit"] == pytest.approx(3.6 * line.speed_limit(within).min())
+        if line.curvatures is None:
+            assert np.isnan(row["curve_radius"])
+            continue
+        sharpest = np.abs(line.curvature(within)).max()
+        assert 1.0 / row["curve_radius"] == pytest.approx(sharpest, rel=2e-3, abs=1e-9)
+
+
+def test_stations_stand_in_their_bins() -> None:
+    table = line_table(made_up(), empty_map(made_up()))
+    named = table.station[table.station != ""]
+    assert named.to_dict() == {0: "A", 20: "B west, B", 40: "C"}
+
+
+def test_what_the_line_does_not_state_is_not_a_number() -> None:
+    line = made_up(curvatures=None, assumed=("gradients", "speed_limits", "stations"))
+    table = line_table(line, empty_map(line))
+    unknown = table[["gradient", "curve_radius", "speed_limit"]]
+    assert unknown.isna().all(axis=None)
+    assert (table.station == "").all()
+
+
+def test_a_straight_line_has_an_infinite_radius() -> None:
+    straight = made_up(curvatures=CurvatureProfile([0.0], [0.0], [0.0]))
+    assert np.isinf(line_table(straight, empty_map(straight)).curve_radius).all()
+
+
+def test_a_map_of_another_line_is_refused() -> None:
+    other = empty_map(made_up(name="other"))
+    with pytest.raises(InputError, match="the map is of 'other'"):
+        line_table(made_up(), other)
