@@ -14,6 +14,7 @@ from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
 
 from analysis.adhesion.events import onset
 from estimators.adhesion import AdhesionObserver, smoothed_force
+from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 from estimators.slip import SlipDetector, impulse, train_speed
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import DRY, WET, CreepCurve
@@ -116,6 +117,39 @@ class TestObserver:
         found = observer.update(time, speed[:, None], np.full((200, 1), effort))
         assert found.force[-1, 0] == pytest.approx(force, rel=1e-6)
         assert observer.result().estimate[0] == found.force[-1, 0]
+
+    @given(st.integers(0, 2**31), st.integers(1, 5))
+    @settings(max_examples=20)
+    def test_it_is_the_linear_gaussian_filter(self, seed: int, axles: int) -> None:
+        """The engine of all models, on uneven steps with speeds and efforts missing."""
+        rng = np.random.default_rng(seed)
+        count = 200
+        time = np.cumsum(rng.uniform(0.02, 0.5, count))
+        speed = 20.0 + rng.standard_normal((count, axles)).cumsum(axis=0)
+        effort = 20e3 * rng.standard_normal((count, axles))
+        speed[rng.random(speed.shape) < 0.2] = np.nan
+        held = effort.copy()
+        for row, axle in np.argwhere(rng.random(effort.shape) < 0.2):
+            if row:
+                effort[row, axle] = np.nan
+        for row in range(1, count):
+            lost = np.isnan(effort[row])
+            held[row] = np.where(lost, held[row - 1], effort[row])
+        found = AdhesionObserver(axles, ROTATING_MASS, 0.03, FORCE_RATE).update(time, speed, effort)
+        steps = np.diff(time)
+        shift = np.zeros((count - 1, axles, 2))
+        shift[:, :, 0] = 0.5 * (held[1:] + held[:-1]) * (steps / ROTATING_MASS)[:, None]
+        transition, noise = random_walk_slope(steps, FORCE_RATE, -1.0 / ROTATING_MASS)
+        model = LinearGaussian(transition, noise, np.array([[[1.0, 0.0]]]), shift=shift)
+        known = ~np.isnan(speed[0])
+        first = np.where(known, 0.03, 100.0) ** 2
+        spread = np.stack([np.diag(each) for each in np.column_stack(
+            [first, FORCE_RATE**2 + effort[0] ** 2]
+        )])  # fmt: skip
+        start = np.column_stack([np.nan_to_num(speed[0]), effort[0]])
+        plain = model.filter(speed[1:, :, None], 0.03**2, start, spread)
+        np.testing.assert_allclose(found.force[1:], plain.means[:, :, 1], rtol=1e-9, atol=1e-4)
+        np.testing.assert_allclose(found.std[1:], plain.std[:, :, 1], rtol=1e-9)
 
     def test_an_effort_that_changes_within_a_sample_does_not_disturb(self) -> None:
         """Effort linear in time, force constant: the trapezoid is exact."""
