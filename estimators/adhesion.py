@@ -192,9 +192,9 @@ class AdhesionObserver(Estimator):
 
     def _filtered(self, steps: FloatArray, speed: FloatArray, effort: FloatArray) -> AdhesionForce:
         force, std = np.empty((2, *speed.shape))
-        self._mean, self._covariance, self._effort = (
-            each.copy() for each in (self._mean, self._covariance, self._effort)
-        )
+        # What was handed out as state or result stays as it was.
+        self._mean, self._covariance = self._mean.copy(), self._covariance.copy()
+        self._effort = self._effort.copy()
         _observe(
             steps, speed, effort, self._rotating_mass, self._speed_std**2, self._force_rate**2,
             self._mean, self._covariance, self._effort, force, std,
