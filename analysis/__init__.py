@@ -16,6 +16,8 @@ from trainlog.public import names_on_first_use
 
 if TYPE_CHECKING:
     from analysis.adhesion.condition_map import adhesion_map as adhesion_map
+    from analysis.adhesion.condition_table import bins_table as bins_table
+    from analysis.adhesion.export import export_map as export_map
     from analysis.adhesion.slip import slip as slip
     from analysis.comparison.cost import compare as compare
     from analysis.control.follow import Follower as Follower, follow as follow
@@ -52,6 +54,8 @@ _NAMES = {
     "analysis.resistance.unknown_gradient": "coast_down_without_gradient",
     "analysis.adhesion.slip": "slip",
     "analysis.adhesion.condition_map": "adhesion_map",
+    "analysis.adhesion.condition_table": "bins_table",
+    "analysis.adhesion.export": "export_map",
     "analysis.trajectory.optimiser": "optimise energy_against_time",
     "analysis.trajectory.problem": "TrajectoryProblem OptimiserOptions",
     "analysis.trajectory.journey": "optimise_journey",

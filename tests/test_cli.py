@@ -51,6 +51,7 @@ COMMANDS: dict[str, list[str]] = {
     "fit --per-trip": ["fit", "BAD", "-o", "OUT.json", "--per-trip", "OUT"],
     "estimate": ["estimate", "BAD", "-o", "OUT"],
     "map update": ["map", "update", "BAD", "--map", "OUT.json"],
+    "map export": ["map", "export", "BAD", "-o", "OUT.csv"],
     "map show": ["map", "show", "BAD", "--picture", "OUT.png"],
     "replay": ["replay", "BAD", "-o", "OUT.rrd", "--no-viewer"],
     "compare": ["compare", "BAD", "--with", "BAD"],

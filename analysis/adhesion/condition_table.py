@@ -1,0 +1,365 @@
+"""A track-condition map as tables: bins, merged sections, passing spots and lasting changes.
+
+Names of columns end with their unit. What was not observed is empty, never the prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.adhesion.line_table import line_table
+from trainlog.errors import InputError
+from trainlog.railway.condition import (
+    AdhesionEstimate,
+    ConditionChange,
+    ConditionLayer,
+    PassingSpot,
+    TrackConditionMap,
+)
+from trainlog.railway.line import Line
+
+FloatArray = NDArray[np.float64]
+
+BAND = (0.025, 0.975)
+"""Shares below the ends of the 95 % band."""
+
+RESOLUTION = 0.01
+"""Adhesion by which the bins of one section may differ."""
+
+
+def last_evidence(track: TrackConditionMap) -> pd.Timestamp | None:
+    """The end of the last day with evidence, in UTC; None of a map without.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> last_evidence(trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")).isoformat()
+    '2024-10-08T00:00:00+00:00'
+    """
+    days = [layer.evidence.days[-1:] for layer in track.layers.values()]
+    last = np.concatenate(days) if days else np.zeros(0)
+    return pd.Timestamp(int(last.max()) + 1, unit="D", tz="UTC") if last.size else None
+
+
+def day_name(day: int) -> str:
+    """A day counted from 1970-01-01 as people write it.
+
+    Examples
+    --------
+    >>> day_name(20_000)
+    '2024-10-04'
+    """
+    return str(np.datetime64(int(day), "D"))
+
+
+def chosen_layers(
+    track: TrackConditionMap, names: Sequence[str] | None
+) -> dict[str, ConditionLayer]:
+    """The layers of a map by these names, or all of them.
+
+    Raises
+    ------
+    InputError
+        If the map lacks one, or has none at all.
+    """
+    if not track.layers:
+        raise InputError(
+            f"map of line '{track.line}' has no layer yet", remedy="count a trip in first"
+        )
+    return {name: track.layer(name) for name in (track.layers if names is None else names)}
+
+
+def check_course(track: TrackConditionMap, line: Line) -> None:
+    """Refuse a line that is not the map's.
+
+    Raises
+    ------
+    InputError
+    """
+    if line.name != track.line or abs(line.length - track.length) > 1e-3:
+        raise InputError(
+            f"the map is of line '{track.line}', {track.length:g} m, not of"
+            f" '{line.name}', {line.length:g} m",
+            remedy="give the line that the map was made on",
+        )
+
+
+def bin_edges(track: TrackConditionMap) -> FloatArray:
+    """Ends of the bins [m]; (bins + 1,) array. The last bin ends with the line."""
+    return np.asarray(np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length))
+
+
+def bins_table(
+    track: TrackConditionMap,
+    line: Line | None = None,
+    time: pd.Timestamp | None = None,
+    layers: Sequence[str] | None = None,
+) -> pd.DataFrame:
+    """One row a layer and bin: the lasting condition, the expected one, evidence, line attributes.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    line : Line, optional
+        Gives the operator's kilometres and what the line has in each bin.
+    time : Timestamp, optional
+        Of the expected condition; default: right after the last evidence.
+    layers : sequence of str, optional
+        Default: all.
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer, or the line is another.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> table = bins_table(track, layers=["wet"])
+    >>> len(table), int(table["adhesion"].notna().sum())
+    (1183, 39)
+    """
+    if line is not None:
+        check_course(track, line)
+    edges = bin_edges(track)
+    where = _where(line, edges[:-1], edges[1:])
+    beside = {} if line is None else _line_attributes(line, track)
+    parts = []
+    for name, layer in chosen_layers(track, layers).items():
+        columns: dict[str, object] = {
+            "line": track.line,
+            "layer": name,
+            "bin": np.arange(track.bins),
+        }
+        columns |= where | _estimates(layer, time)
+        columns["spot_probability"] = spot_probability(track, layer, time)
+        columns |= _evidence(track, layer) | beside
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def sections_table(
+    track: TrackConditionMap,
+    line: Line | None = None,
+    time: pd.Timestamp | None = None,
+    layers: Sequence[str] | None = None,
+    resolution: float = RESOLUTION,
+) -> pd.DataFrame:
+    """Neighbouring bins merged: observed ones while their estimates differ by `resolution` at most.
+
+    The adhesion of a section is the mean of its bins, its band reaches from their lowest to their
+    highest; the expected one alike. Parameters and errors as of `bins_table`.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> sections = sections_table(track, layers=["wet"])
+    >>> bool(sections["end_m"].iloc[-1] == track.length), bool(len(sections) < track.bins)
+    (True, True)
+    """
+    bins = bins_table(track, line, time, layers)
+    section = bins.groupby("layer", sort=False)["adhesion"].transform(
+        lambda values: _merged(values.to_numpy(), resolution)
+    )
+    table = bins.groupby(["line", "layer", section.rename("section")], sort=False).agg(_SECTION)
+    return table.reset_index().rename(columns={"bin": "bins"})
+
+
+_SECTION: dict[str, str] = {
+    "bin": "size",
+    "start_m": "first",
+    "end_m": "last",
+    "start_km": "first",
+    "end_km": "last",
+    "observed": "first",
+    "adhesion": "mean",
+    "low": "min",
+    "high": "max",
+    "expected": "mean",
+    "expected_low": "min",
+    "expected_high": "max",
+    "spot_probability": "max",
+    "events": "sum",
+    "used_without_slip": "max",
+}
+"""Columns of a section, and how they follow from those of its bins."""
+
+
+def _merged(values: FloatArray, resolution: float) -> NDArray[np.int64]:
+    """Number of the section of each value; greedy, from the start of the line."""
+    number = np.zeros(values.size, dtype=np.int64)
+    low = high = values[0] if values.size else np.nan
+    for i, value in enumerate(values[1:].tolist(), start=1):
+        low, high = np.minimum(low, value), np.maximum(high, value)
+        same = high - low <= resolution or (np.isnan(value) and np.isnan(values[i - 1]))
+        number[i] = number[i - 1] + (not same)
+        if not same:
+            low = high = value
+    return number
+
+
+def spots_table(
+    track: TrackConditionMap,
+    line: Line | None = None,
+    time: pd.Timestamp | None = None,
+    layers: Sequence[str] | None = None,
+) -> pd.DataFrame:
+    """One row a passing spot: where, how low, when it was met, and how likely it still lies there.
+
+    Parameters and errors as of `bins_table`.
+    """
+    found = [
+        (name, spot) for name, each in chosen_layers(track, layers).items() for spot in each.spots
+    ]
+    spots = [spot for _, spot in found]
+    now = time or last_evidence(track)
+    rows = {
+        "line": [track.line] * len(found),
+        "layer": [name for name, _ in found],
+        **_ranges(line, spots),
+        "adhesion": _each(spots, "adhesion"),
+        "low": _each(spots, "low"),
+        "high": _each(spots, "high"),
+        **{f"{name}_day": _days_of(spots, name) for name in ("first", "last", "checked")},
+        "present_when_checked": _each(spots, "present"),
+        "probability": np.array([np.nan if now is None else spot.alive(now) for spot in spots]),
+        "life_days": _each(spots, "life"),
+    }
+    return pd.DataFrame(rows)
+
+
+def changes_table(
+    track: TrackConditionMap, line: Line | None = None, layers: Sequence[str] | None = None
+) -> pd.DataFrame:
+    """One row a lasting change: where, on which day, from which maximum adhesion to which.
+
+    Parameters and errors as of `bins_table`.
+    """
+    found = [
+        (name, each)
+        for name, layer in chosen_layers(track, layers).items()
+        for each in layer.changes
+    ]
+    changes = [each for _, each in found]
+    rows: dict[str, object] = {
+        "line": [track.line] * len(found),
+        "layer": [name for name, _ in found],
+        **_ranges(line, changes),
+        **{name: _days_of(changes, name) for name in ("day", "earliest", "latest")},
+    }
+    for name in ("before", "after"):
+        value, std = _each(changes, name), _each(changes, f"{name}_std")
+        rows |= {
+            name: value,
+            f"{name}_low": value * np.exp(-1.96 * std),
+            f"{name}_high": value * np.exp(1.96 * std),
+        }
+    return pd.DataFrame(rows | {"log_odds": _each(changes, "significance")})
+
+
+_ADHESIONS = ("adhesion", "low", "high", "expected", "expected_low", "expected_high")
+"""Columns of `bins_table` with maximum adhesions."""
+
+
+def shown(estimate: AdhesionEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Maximum adhesion and the ends of its 95 % band, by bin; NaN where not observed."""
+    low, high = (np.where(estimate.observed, estimate.quantile(share), np.nan) for share in BAND)
+    return estimate.maximum_adhesion, low, high
+
+
+def spot_probability(
+    track: TrackConditionMap, layer: ConditionLayer, time: pd.Timestamp | None
+) -> FloatArray:
+    """Probability that a passing spot lies in each bin at a time; (bins,) array."""
+    now = time or last_evidence(track)
+    none = np.ones(track.bins)
+    for spot in layer.spots:
+        inside = slice(*_bins_of(track, spot))
+        none[inside] *= 1.0 - (spot.present if now is None else spot.alive(now))
+    return np.asarray(1.0 - none)
+
+
+def _bins_of(track: TrackConditionMap, part: PassingSpot | ConditionChange) -> tuple[int, int]:
+    """First and one-past-last bin of a part of the line."""
+    first = int(track.bin_of(part.start))
+    return first, max(int(np.ceil(part.end / track.bin_length)), first + 1)
+
+
+def _estimates(layer: ConditionLayer, time: pd.Timestamp | None) -> dict[str, object]:
+    columns = (*shown(layer), *shown(layer.expected(time)))
+    return {"observed": layer.observed, **dict(zip(_ADHESIONS, columns, strict=True))}
+
+
+def _evidence(track: TrackConditionMap, layer: ConditionLayer) -> dict[str, object]:
+    known = layer.evidence
+    used = np.fmax.reduce(np.where(known.censored > 0.0, track.levels, np.nan), axis=1)
+    place = np.concatenate((known.bin, known.used_bin))
+    day = np.concatenate((known.day, known.used_day))
+    none = np.iinfo(np.int64).min
+    first, last = np.full(track.bins, np.iinfo(np.int64).max), np.full(track.bins, none)
+    np.minimum.at(first, place, day)
+    np.maximum.at(last, place, day)
+    seen = last > none
+    changed = np.full(track.bins, none)
+    for each in layer.changes:
+        inside = slice(*_bins_of(track, each))
+        changed[inside] = np.maximum(changed[inside], each.day)
+    return {
+        "events": known.by_bin("events").astype(np.int64),
+        "trips_with_onsets": known.by_bin("trips").astype(np.int64),
+        "used_without_slip": used,
+        "first_day": _dates(first, seen),
+        "last_day": _dates(last, seen),
+        "changed_day": _dates(changed, changed > none),
+    }
+
+
+def _dates(day: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.datetime64]:
+    days = np.where(known, day, 0).astype("datetime64[D]")
+    return np.where(known, days, np.datetime64("NaT")).astype("datetime64[s]")
+
+
+def _days_of(parts: Sequence[object], name: str) -> NDArray[np.datetime64]:
+    days = np.array([getattr(each, name) for each in parts], dtype=np.int64)
+    return _dates(days, np.ones(days.size, dtype=np.bool_))
+
+
+def _each(parts: Sequence[object], name: str) -> FloatArray:
+    return np.array([getattr(each, name) for each in parts], dtype=np.float64)
+
+
+def _ranges(line: Line | None, parts: Sequence[object]) -> dict[str, object]:
+    return _where(line, _each(parts, "start"), _each(parts, "end"))
+
+
+def _where(line: Line | None, start: FloatArray, end: FloatArray) -> dict[str, object]:
+    """Chainage and the operator's kilometres of pieces of the line."""
+    if line is None:
+        return {"start_m": start, "end_m": end, "start_km": start / 1e3, "end_km": end / 1e3}
+    # The end of a piece belongs to it: where kilometres jump there, they do so behind it.
+    inside = np.maximum(end - 1e-6, start)
+    return {
+        "start_m": start,
+        "end_m": end,
+        "start_km": (line.kilometre(start) / 1e3).round(6),
+        "end_km": (line.kilometre(inside) / 1e3).round(6),
+    }
+
+
+def _line_attributes(line: Line, track: TrackConditionMap) -> dict[str, object]:
+    table = line_table(line, track)
+    station = table["station"].to_numpy(dtype=object)
+    return {
+        "gradient_permil": table["gradient"].to_numpy().round(3),
+        # Straight track has a curvature that every format can hold.
+        "curvature_per_km": (1e3 / table["curve_radius"].to_numpy()).round(6),
+        "speed_limit_km_h": table["speed_limit"].to_numpy().round(3),
+        "tunnel": table["tunnel"].to_numpy(),
+        "station": [name or None for name in station],
+    }

@@ -1,0 +1,285 @@
+"""A track-condition map for other programs: what they read is what the map knows, and no more."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pyogrio
+import pytest
+
+import analysis
+import trainlog
+from analysis.adhesion.condition_table import (
+    bins_table,
+    sections_table,
+)
+from trainlog.cli.main import run
+from trainlog.errors import InputError, MissingExtraError
+from trainlog.formats.ttobench_adhesion import read_adhesion
+from trainlog.railway import Line, LineReference, TrackConditionMap
+from trainlog.railway.condition import ConditionChange, PassingSpot
+
+AT = pd.Timestamp("2024-10-09T06:00", tz="UTC")
+SPOT = PassingSpot(9_675.0, 9_750.0, 0.07, 0.06, 0.08, 20_003, 20_003, 20_003, 0.9, 2.0)
+CHANGE = ConditionChange(100.0, 150.0, 20_002, 20_001, 20_003, 0.10, 0.14, 0.05, 0.05, 8.0)
+
+
+@pytest.fixture
+def line() -> Line:
+    """St.Gallen - Wil, counted downwards by its operator with a jump at chainage 10 km."""
+    found = trainlog.read_line(trainlog.sample(trainlog.DEFAULT_LINE))
+    start, end = np.array([61_200.0, 51_000.0]), np.array([51_200.0, 31_443.9])
+    return replace(found, reference=LineReference("850", np.array([0.0, 10_000.0]), start, end))
+
+
+@pytest.fixture
+def track() -> TrackConditionMap:
+    found = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map.json"))
+    wet = replace(found.layer("wet"), spots=(SPOT,), changes=(CHANGE,))
+    return replace(found, layers={**found.layers, "wet": wet})
+
+
+def read_layer(path: Path, layer: str) -> tuple[pd.DataFrame, list[bytes | None], str]:
+    meta, _, geometry, columns = pyogrio.raw.read(path, layer=layer)
+    return (
+        pd.DataFrame(dict(zip(meta["fields"], columns, strict=True))),
+        list(geometry),
+        meta["crs"],
+    )
+
+
+def points_of(well_known: bytes | None) -> np.ndarray:
+    assert well_known is not None
+    assert well_known[:5] == b"\x01\x02\x00\x00\x00"
+    return np.frombuffer(well_known[9:], "<f8").reshape(-1, 2)
+
+
+def test_gdal_reads_from_a_geopackage_what_the_map_knows(
+    track: TrackConditionMap, line: Line, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.gpkg"
+    analysis.export_map(track, path, line=line, at=AT)
+    assert set(pyogrio.list_layers(path)[:, 0]) == {
+        "bins",
+        "sections",
+        "spots",
+        "changes",
+        "stations",
+    }
+    found, courses, crs = read_layer(path, "bins")
+    assert crs == "EPSG:4326"
+    expected = bins_table(track, line, AT)
+    assert list(found) == list(expected)
+    for name in expected.select_dtypes("number"):
+        np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
+    observed = np.concatenate([layer.observed for layer in track.layers.values()])
+    for name in ("adhesion", "low", "high", "expected", "expected_low", "expected_high"):
+        np.testing.assert_array_equal(found[name].notna(), observed)
+    assert found["changed_day"].dropna().astype(str).tolist() == ["2024-10-06"] * 2
+    # Each bin lies where its chainage does: both ends on the line's own course.
+    assert line.geometry is not None
+    for row in (0, 400, len(found) - 1):
+        points = points_of(courses[row])
+        for end, name in ((0, "start_m"), (-1, "end_m")):
+            latitude, longitude = line.geometry.at(found[name][row])
+            np.testing.assert_allclose(points[end], [longitude, latitude], atol=1e-7)
+    info = pyogrio.read_info(path, layer="bins")
+    assert info["dataset_metadata"]["expected_at"] == "2024-10-09T06:00:00+00:00"
+
+
+def test_spots_and_changes_have_dates_and_probabilities(
+    track: TrackConditionMap, line: Line, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.gpkg"
+    analysis.export_map(track, path, line=line, at=AT)
+    spots, courses, _ = read_layer(path, "spots")
+    assert spots["first_day"].astype(str).tolist() == ["2024-10-07"]
+    # Nine tenths when last checked, then a life of two days: a day and a quarter later.
+    assert spots["probability"][0] == pytest.approx(0.9 * np.exp(-1.25 / 2.0))
+    assert len(points_of(courses[0])) >= 2
+    changes, _, _ = read_layer(path, "changes")
+    assert changes["day"].astype(str).tolist() == ["2024-10-06"]
+    assert changes["before_low"][0] == pytest.approx(0.10 * np.exp(-1.96 * 0.05))
+    in_spot = bins_table(track, line, AT).query("layer == 'wet' and spot_probability > 0")
+    assert in_spot["start_m"].tolist() == [9_675.0, 9_700.0, 9_725.0]
+
+
+def test_kilometres_are_those_of_the_operator(track: TrackConditionMap, line: Line) -> None:
+    rows = bins_table(track, line, layers=["dry"]).set_index("start_m")
+    assert rows.loc[0.0, ["start_km", "end_km"]].tolist() == [61.2, 61.175]
+    # The bin before the jump ends on its own side of it.
+    assert rows.loc[9_975.0, ["start_km", "end_km"]].tolist() == pytest.approx([51.225, 51.2])
+    assert rows.loc[10_000.0, "start_km"] == pytest.approx(51.0)
+    plain = bins_table(track, layers=["dry"])
+    np.testing.assert_array_equal(plain["start_km"], plain["start_m"] / 1e3)
+    assert {"gradient_permil", "speed_limit_km_h", "station"} & set(plain) == set()
+
+
+def test_geojson_follows_rfc_7946_and_gdal_reads_it(
+    track: TrackConditionMap, line: Line, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.geojson"
+    analysis.export_map(track, path, line=line, at=AT, layers=["wet"])
+    content = json.loads(path.read_text("utf-8"))
+    assert content["type"] == "FeatureCollection"
+    assert "crs" not in content  # WGS 84 is the only one (section 4)
+    kinds = [each["properties"]["kind"] for each in content["features"]]
+    assert {kind: kinds.count(kind) for kind in set(kinds)} == {
+        "bin": track.bins,
+        "spot": 1,
+        "change": 1,
+        "station": 5,
+    }
+    for each in content["features"]:
+        assert set(each) == {"type", "geometry", "properties"}
+        given = each["geometry"]["coordinates"]
+        longitude, latitude = given if each["geometry"]["type"] == "Point" else given[0]
+        assert 9.0 < longitude < 9.4  # longitude first (section 3.1.1)
+        assert 47.4 < latitude < 47.5
+    bins = [each["properties"] for each in content["features"][: track.bins]]
+    observed = track.layer("wet").observed
+    assert [each["adhesion"] is not None for each in bins] == observed.tolist()
+    meta, _, geometry, columns = pyogrio.raw.read(path)
+    assert meta["crs"] == "EPSG:4326"
+    values = columns[list(meta["fields"]).index("adhesion")][: track.bins]
+    np.testing.assert_array_equal(values, bins_table(track, line, AT, ["wet"])["adhesion"])
+    assert len(geometry) == len(kinds)
+
+
+def test_parquet_and_csv_hold_the_bins_by_chainage(
+    track: TrackConditionMap, line: Line, tmp_path: Path
+) -> None:
+    expected = bins_table(track, line, AT)
+    analysis.export_map(track, tmp_path / "map.parquet", line=line, at=AT)
+    table = pq.read_table(tmp_path / "map.parquet")
+    assert table.schema.field("speed_limit_km_h").metadata == {b"unit": b"km/h"}
+    assert table.schema.field("curvature_per_km").metadata == {b"unit": b"1/km"}
+    assert json.loads(table.schema.metadata[b"trainlog"])["operators_line"] == "850"
+    analysis.export_map(track, tmp_path / "map.csv", line=line, at=AT)
+    for found in (table.to_pandas(), pd.read_csv(tmp_path / "map.csv")):
+        assert list(found)[: len(list(expected))] == list(expected)
+        for name in expected.select_dtypes("number"):
+            np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
+        assert found["station"].dropna().tolist() == [s.name for s in line.stations] * 2
+    assert "2024-10-07" in (tmp_path / "map.csv").read_text("utf-8")
+
+
+def test_sections_cover_the_line_and_lose_no_extreme(
+    track: TrackConditionMap, line: Line, tmp_path: Path
+) -> None:
+    bins, sections = bins_table(track, line, AT), sections_table(track, line, AT)
+    for name in track.layers:
+        rows, parts = bins[bins["layer"] == name], sections[sections["layer"] == name]
+        assert len(parts) < len(rows) / 5
+        np.testing.assert_array_equal(
+            parts["start_m"].to_numpy()[1:], parts["end_m"].to_numpy()[:-1]
+        )
+        assert parts["end_m"].iloc[-1] == track.length
+        assert parts["bins"].sum() == len(rows)
+        assert parts["low"].min() == rows["low"].min()
+        assert parts["high"].max() == rows["high"].max()
+        assert parts["events"].sum() == rows["events"].sum()
+        inside = pd.cut(rows["start_m"] + 1e-3, [*parts["start_m"], track.length], labels=False)
+        spread = rows.groupby(inside)["adhesion"].agg(lambda each: each.max() - each.min())
+        assert spread.max() <= 0.01
+        # No section joins what was observed to what was not.
+        assert rows.groupby(inside)["observed"].nunique().max() == 1
+    analysis.export_map(track, tmp_path / "wet.json", line=line, at=AT, layers=["wet"])
+    found = read_adhesion(tmp_path / "wet.json")
+    wet = sections[sections["layer"] == "wet"]
+    assert (found.track, found.layer, found.length) == (track.line, "wet", track.length)
+    np.testing.assert_array_equal(found.values[0], wet["start_m"])
+    np.testing.assert_array_equal(found.values[1], wet["adhesion"])
+    np.testing.assert_array_equal(found.values[6], wet["expected_high"])
+
+
+@pytest.mark.parametrize("name", ["map.geojson", "map.gpkg", "map.parquet", "map.csv"])
+def test_the_same_map_gives_the_same_bytes(
+    name: str, track: TrackConditionMap, line: Line, tmp_path: Path
+) -> None:
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        analysis.export_map(track, tmp_path / folder / name, line=line, at=AT)
+    assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_what_cannot_be_exported_is_refused_and_older_files_stay(
+    track: TrackConditionMap, line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without = replace(line, geometry=None)
+    other = replace(line, name="elsewhere")
+    for name, given, layers, message in (
+        ("map.shp", line, None, r"not exported to files of this kind; end it in \.geojson, \.gpkg"),
+        ("map.gpkg", None, None, "needs the coordinates of line 'CH_StGallen_Wil'"),
+        ("map.geojson", without, None, "has no coordinates; add them from satellite fixes"),
+        ("map.csv", other, None, "the map is of line 'CH_StGallen_Wil', 29556.1 m, not of 'else"),
+        ("map.csv", line, ["leaves"], "has no layer 'leaves'; layers present: dry, wet"),
+        ("map.json", line, None, "has the layers dry, wet; choose one"),
+        ("absent/map.gpkg", line, None, "folder"),
+    ):
+        path = tmp_path / name
+        if path.parent.exists():
+            path.write_text("older")
+        with pytest.raises(InputError, match=message):
+            analysis.export_map(track, path, line=given, layers=layers)
+        assert not path.parent.exists() or path.read_text() == "older"
+        assert not list(tmp_path.glob(".*"))
+    empty = replace(track, layers={})
+    with pytest.raises(InputError, match="has no layer yet"):
+        analysis.export_map(empty, tmp_path / "empty.csv")
+    monkeypatch.setitem(sys.modules, "pyogrio", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'trainlog\[gis\]'"):
+        analysis.export_map(track, tmp_path / "map.gpkg", line=line)
+    assert (tmp_path / "map.gpkg").read_text() == "older"
+
+
+def test_pieces_beyond_the_known_course_have_no_geometry(
+    track: TrackConditionMap, line: Line, tmp_path: Path
+) -> None:
+    assert line.geometry is not None
+    known = line.geometry
+    inside = (known.positions > 5_000.0) & (known.positions < 20_000.0)
+    part = replace(
+        known,
+        positions=known.positions[inside],
+        latitudes=known.latitudes[inside],
+        longitudes=known.longitudes[inside],
+    )
+    path = tmp_path / "map.geojson"
+    analysis.export_map(track, path, line=replace(line, geometry=part), layers=["dry"])
+    features = json.loads(path.read_text("utf-8"))["features"]
+    placed = [each["geometry"] is not None for each in features[: track.bins]]
+    assert placed[0] is placed[-1] is False
+    assert placed[400] is True
+
+
+def test_the_command_takes_the_line_from_a_file_a_log_or_the_samples(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    condition = str(trainlog.sample("CH_StGallen_Wil.map.json"))
+    at = ["--at", "2024-10-09T08:00", "--zone", "Europe/Zurich"]
+    written = []
+    for number, given in enumerate(([], ["--line", "CH_StGallen_Wil.line.json"],
+                                    ["--line", "stopping.mcap"])):  # fmt: skip
+        words = [str(trainlog.sample(word)) if "." in word else word for word in given]
+        path = tmp_path / f"{number}.geojson"
+        assert run(["map", "export", condition, "-o", str(path), *words, *at]) == 0
+        written.append(path.read_bytes())
+    assert written[0] == written[1] == written[2]
+    assert json.loads(written[0])["trainlog"]["expected_at"] == "2024-10-09T06:00:00+00:00"
+    assert "wrote" in capsys.readouterr().out
+    for wrong, message in (
+        (["--at", "soon"], "'soon' is not a time"),
+        (["--at", "2024-10-09T08:00", "--zone", "Mars"], "is not one time in the zone 'Mars'"),
+        (["--at", "2024-10-27T02:30", "--zone", "Europe/Zurich"], "is not one time in the zone"),
+        (["--line", str(trainlog.sample("DE_Chemnitz_Cranzahl.line.json"))], "the map is of line"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run(["map", "export", condition, "-o", str(tmp_path / "no.csv"), *wrong])
+        assert not (tmp_path / "no.csv").exists()
