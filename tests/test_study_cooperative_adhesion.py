@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from analysis.estimates import with_estimates
-from analysis.studies.zhao_2025 import model as model, simulation as study
-from analysis.studies.zhao_2025.controller import (
+from analysis.control import cooperative, multi_motor as model
+from analysis.control.cooperative import (
     CooperativeController,
-    NonlinearReferee,
     Tuning,
     coefficients,
     peak_slips,
     within,
 )
+from analysis.estimates import with_estimates
+from analysis.studies.zhao_2025 import simulation as study
+from analysis.studies.zhao_2025.controller import NonlinearReferee
 from analysis.studies.zhao_2025.plot import draw_rail, draw_study
 from analysis.studies.zhao_2025.rail import STEEP, RailEstimator, driven, rail_ahead
 from analysis.studies.zhao_2025.run import trip_of
@@ -163,29 +164,114 @@ def test_a_real_time_iteration_gives_the_torques_of_the_nonlinear_problem() -> N
     assert np.median(differences) < 0.01
 
 
-def test_sensitivities_are_those_of_finite_differences() -> None:
+@pytest.mark.parametrize(("lag", "direction"), [(0.0, 1.0), (0.1, 1.0), (0.1, -1.0)])
+def test_sensitivities_are_those_of_finite_differences(lag: float, direction: float) -> None:
     rng = np.random.default_rng(1)
     for preset in study.PRESETS:
         locomotive, tuning = preset.locomotive, preset.tuning
-        state = np.concatenate([[20.0], 20.0 + rng.uniform(-0.5, 3.0, 4)])
+        how = model.Prediction(0.1, tuning.substeps, lag, direction, float(tuning.exact))
+        state = np.concatenate([[20.0], 20.0 + direction * rng.uniform(-0.5, 3.0, 4)])
+        begun = 0.3 * np.full(4, locomotive.torque_limit)
         plan = rng.uniform(0.2, 0.8, (5, 4)) * locomotive.torque_limit
         rail = np.tile(coefficients([DRY, WET, DRY, WET]), (10, 1, 1))
+        given = rail, locomotive.loads, locomotive.constants, how
 
-        def slip(plan: np.ndarray, *, known=(state, rail, locomotive, tuning)) -> np.ndarray:
-            state, rail, locomotive, tuning = known
-            return model.predicted(
-                state, plan, rail, locomotive.loads, locomotive.constants, 0.1, tuning.substeps
-            )[0]
+        def slip(plan: np.ndarray, *, known=(state, begun, given)) -> np.ndarray:
+            state, begun, given = known
+            return model.predicted(state, begun, plan, *given, False)[0]
 
-        change = model.predicted(
-            state, plan, rail, locomotive.loads, locomotive.constants, 0.1, tuning.substeps
-        )[1]
+        change = model.predicted(state, begun, plan, *given, True)[1]
         for column in (0, 6, 13, 19):
             moved = np.zeros(20)
             moved[column] = 1.0
             by = moved.reshape(5, 4)
             found = 0.5 * (slip(plan + by) - slip(plan - by))
             np.testing.assert_allclose(change[:, column], found, atol=1e-7, rtol=1e-4)
+
+
+@pytest.mark.parametrize("peak_slip", [1.2, 0.22, 0.1])
+def test_the_prediction_is_the_motion_also_on_steep_creep_curves(peak_slip: float) -> None:
+    """Against Runge-Kutta with steps of 0.1 ms, below and around the peak, in both directions."""
+    locomotive = study.LOCOMOTIVE_85_T
+    curve = steep(peak_slip, 0.25)
+    rail = np.tile(curve, (10, 4, 1))
+    state = np.array([15.0, 15.0, 15.0 + 0.5 * peak_slip, 15.0, 15.0 + peak_slip])
+    bearing = 0.25 * locomotive.loads / locomotive.effort_per_torque
+    plan = np.outer([0.5, 0.9, 0.9, 0.8, 0.8], bearing)
+    how = model.Prediction(0.1, 4, 0.0, 1.0, 1.0)
+    slip, _ = model.predicted(
+        state, np.zeros(4), plan, rail, locomotive.loads, locomotive.constants, how, False
+    )
+    for k in range(10):
+        model.runge_kutta(
+            state, plan[min(k, 4)], rail[k], locomotive.loads, locomotive.constants, 1e-4, 1000
+        )
+        expected = state[1:] - state[0]
+        np.testing.assert_allclose(slip[4 * k : 4 * k + 4], expected, atol=0.03 * peak_slip)
+
+
+@pytest.mark.parametrize("peak_slip", [0.55, 0.22, 0.1])
+@pytest.mark.parametrize("axles", [4, 12])
+def test_steep_creep_curves_are_driven_at_their_peak(peak_slip: float, axles: int) -> None:
+    """Dry, then wet, then half of the axles wet: the adhesion in use is what the rail gives."""
+    four = study.LOCOMOTIVE_85_T
+    locomotive = replace(
+        four,
+        mass=four.mass / 4 * axles,
+        axle_loads=four.axle_loads[:1] * axles,
+        total_torque=four.total_torque / 4 * axles,
+    )
+    controller = CooperativeController(locomotive, Tuning())
+    dry, wet = (np.tile(steep(peak_slip, each.peak), (axles, 1)) for each in (DRY, WET))
+    half = np.where(np.arange(axles)[:, None] < axles // 2, dry, wet)
+    state, used = np.zeros(1 + axles), []
+    for rail, maximum in ((dry, 0.2711), (wet, WET.peak), (half, 0.5 * (DRY.peak + WET.peak))):
+        for k in range(25):
+            demand = controller.demand(rail)
+            torques = controller.torques(float(state[0]), state[1:], demand)
+            steps = round(0.1 / (0.005 * peak_slip))
+            model.runge_kutta(
+                state, torques, rail, locomotive.loads, locomotive.constants, 0.1 / steps, steps
+            )
+            if k > 15:
+                used.append(study.creep(state[1:] - state[0], *rail.T).mean() / maximum)
+    assert controller.unsolved == 0
+    assert controller.steps == 75
+    np.testing.assert_allclose(used, 1.0, atol=0.01)
+
+
+def test_programs_that_no_solver_solves_are_counted_and_the_train_is_still_driven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cooperative, "solve", lambda program: (np.full(20, np.nan), -1))
+    locomotive = study.LOCOMOTIVE_85_T
+    controller = CooperativeController(locomotive, Tuning())
+    rail = coefficients([DRY] * 4)
+    state = np.zeros(5)
+    for _ in range(50):
+        torques = controller.torques(float(state[0]), state[1:], controller.demand(rail))
+        model.runge_kutta(state, torques, rail, locomotive.loads, locomotive.constants, 0.002, 50)
+    assert controller.unsolved == controller.steps == 50
+    # The plan that only brings each axle to its slip speed drives, and keeps the limits.
+    assert torques.sum() == pytest.approx(28_000.0, rel=0.02)
+    assert state[0] > 1.8
+
+
+def test_steps_that_take_longer_than_the_deadline_are_counted() -> None:
+    locomotive = study.LOCOMOTIVE_85_T
+    demand = CooperativeController(locomotive).demand(coefficients([DRY] * 4))
+    for deadline, late in ((1e-9, 5), (100.0, 0)):
+        controller = CooperativeController(locomotive, Tuning(deadline=deadline))
+        for _ in range(5):
+            controller.torques(10.0, np.full(4, 10.5), demand)
+        assert (controller.late, controller.steps) == (late, 5)
+        assert controller.worst > 0.0
+
+
+def steep(peak_slip: float, maximum: float) -> np.ndarray:
+    """A creep curve with its maximum at a slip speed [m/s]."""
+    a = np.log(4.0) / 3.0 / peak_slip
+    return np.array([a, 4.0 * a, maximum / (np.exp(-a * peak_slip) - np.exp(-4.0 * a * peak_slip))])
 
 
 def test_sharing_the_torque_pulls_more_than_fixed_shares_where_one_axle_is_wet() -> None:
@@ -322,7 +408,9 @@ def test_a_locomotive_that_cannot_be_is_refused(field: str, value: object) -> No
         replace(LOCOMOTIVE, **{field: value})
 
 
-@pytest.mark.parametrize(("field", "value"), [("margin", 0.0), ("control_horizon", 11)])
+@pytest.mark.parametrize(
+    ("field", "value"), [("margin", 0.0), ("control_horizon", 11), ("lag", -0.1), ("iterations", 0)]
+)
 def test_a_tuning_that_cannot_be_is_refused(field: str, value: float) -> None:
     with pytest.raises(InputError):
         Tuning(**{field: value})

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.studies.zhao_2025.controller import Tuning, coefficients
-from analysis.studies.zhao_2025.model import MultiMotorLocomotive
+from analysis.control.cooperative import Tuning, coefficients
+from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.studies.zhao_2025.simulation import (
     AXLES,
     CASES,

@@ -15,17 +15,10 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.studies.zhao_2025 import model
-from analysis.studies.zhao_2025.controller import (
-    AxleByAxle,
-    CooperativeController,
-    Demand,
-    EqualTorque,
-    NoSlipControl,
-    Tuning,
-    coefficients,
-)
-from analysis.studies.zhao_2025.model import MultiMotorLocomotive
+from analysis.control import multi_motor as model
+from analysis.control.cooperative import CooperativeController, Demand, Tuning, coefficients
+from analysis.control.multi_motor import MultiMotorLocomotive
+from analysis.studies.zhao_2025.controller import AxleByAxle, EqualTorque, NoSlipControl
 from trainlog.errors import InputError
 from trainlog.railway import RunningResistance, StepProfile
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
@@ -89,8 +82,8 @@ class Preset:
     failed: float
 
 
-PAPER = Preset("paper", PUBLISHED_LOCOMOTIVE, Tuning(), 2_000.0)
-SENSIBLE = Preset("85-t", LOCOMOTIVE_85_T, Tuning(substeps=20), 3_400.0)
+PAPER = Preset("paper", PUBLISHED_LOCOMOTIVE, Tuning(substeps=1, exact=False), 2_000.0)
+SENSIBLE = Preset("85-t", LOCOMOTIVE_85_T, Tuning(), 3_400.0)
 PRESETS = (PAPER, SENSIBLE)
 
 

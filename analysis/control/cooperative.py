@@ -1,0 +1,507 @@
+"""Cooperative maximum-adhesion MPC of Zhao et al. (2025): all torques from one program.
+
+Each axle is to run at the slip speed at which its rail gives most (eq. 16), within the torque of
+each motor and of all of them together (eq. 17). At every sample the motion is linearised along the
+prediction from the measured state, and a dense quadratic program is solved by DAQP: sequential
+quadratic programming, of which the first step often is enough.
+
+Beyond the peak of a creep curve slip grows by itself, and a plan made for another rail lets the
+predicted wheels race: a linearisation about that is of no use. So the search begins from the
+better of two plans, the last one shifted and one that only brings each axle to its slip speed, and
+a step counts only where the motion itself, not its linearisation, becomes better by it.
+
+The bounds of the slip speeds are soft. Their excess stands in the cost as a piecewise quadratic:
+which bounds are exceeded is found by Newton's method (two or three programs in the torques alone),
+so that no program has slack variables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.control.multi_motor import (
+    MultiMotorLocomotive,
+    Prediction,
+    predicted,
+    tracking_plan,
+)
+from analysis.control.qp import UNBOUNDED, QPSubproblem, solve
+from trainlog.errors import InputError
+from trainlog.railway.adhesion import CreepCurve
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+ROUNDS = 8
+"""Of Newton's method for the slip speeds that leave their bounds."""
+
+SHORTENINGS = 4
+"""How often a step of the torques is halved that makes the predicted motion no better."""
+
+SMALL_SLIP = 4.0
+"""A slip speed sought that is less than this many margins is small: its error and its margin count
+relative to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """Of eqs. (15)-(17).
+
+    Attributes
+    ----------
+    horizon, control_horizon : int
+        Np and Nc: steps that are predicted, and steps with a torque of their own.
+    period : float [s]
+        T.
+    substeps : int
+        Of the prediction within a period.
+    exact : bool
+        Whether a substep takes the exponential of its linearised slip. The paper takes one
+        explicit Euler step, which is unstable for axles that are light for their load: below the
+        peak creep pulls a wheel to the train's speed within milliseconds.
+    iterations : int
+        Of the quadratic programming in a sample, at most.
+    tolerance : float
+        Change of a torque, over the torque limit, below which there is no further iteration.
+    deadline : float [s]
+        A decision that takes longer is counted; 0: the period.
+    lag : float [s]
+        Of the motors' torques behind their demand.
+    slip : float [s²/m²]
+        Q is this times the unit matrix.
+    torque : float
+        R likewise, on torques over the torque limit.
+    margin : float [m/s]
+        Epsilon: how far the slip speed may stray from its reference; less where that is small
+        (`slip_weights`).
+    slack : float
+        Weight, over that of the slip, of the squared excess over these bounds, which must be soft:
+        a rail that has just become wet, or a motor that fails, makes them impossible. Heavier ones
+        take the other axles off their peak for the sake of one that cannot reach its own.
+    """
+
+    horizon: int = 10
+    control_horizon: int = 5
+    period: float = 0.1
+    substeps: int = 4
+    exact: bool = True
+    iterations: int = 4
+    tolerance: float = 5e-4
+    deadline: float = 0.0
+    lag: float = 0.0
+    slip: float = 1.0
+    torque: float = 1e-4
+    margin: float = 0.2
+    slack: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            free = name in ("deadline", "lag", "exact")
+            if not ((value > 0.0 or (free and value == 0.0)) and np.isfinite(value)):
+                raise InputError(f"cooperative control: {name} {value} is not positive")
+        if self.control_horizon > self.horizon:
+            raise InputError(
+                f"cooperative control: {self.control_horizon} steps of control are more than the"
+                f" {self.horizon} that are predicted"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Demand:
+    """What the motors may give at one instant, and where their axles are to run.
+
+    Attributes
+    ----------
+    rail : (horizon, n, 3) array
+        a, b and c of the creep curve under each axle.
+    reference : (horizon, n) array [m/s]
+        Slip speeds.
+    limits : (n,) array [N m]
+        Of the motors; a failed one has less.
+    total : float [N m]
+        Of all motors together.
+    direction : float
+        1 in traction, -1 in braking: torques and slip speeds are then counted against the train.
+    at_work : (n,) array [N m], optional
+        Torques that the motors give now, where they lag behind what is asked.
+    """
+
+    rail: FloatArray
+    reference: FloatArray
+    limits: FloatArray
+    total: float
+    direction: float = 1.0
+    at_work: FloatArray | None = None
+
+
+def coefficients(curves: Sequence[CreepCurve]) -> FloatArray:
+    """a, b and c of the creep curves under the axles, (n, 3)."""
+    return np.array([(each.a, each.b, each.c) for each in curves], dtype=np.float64)
+
+
+def peak_slips(rail: FloatArray) -> FloatArray:
+    """Slip speeds of maximum adhesion [m/s] of (..., 3) creep curves."""
+    a, b = rail[..., 0], rail[..., 1]
+    return np.asarray(np.log(b / a) / (b - a))
+
+
+def slip_weights(reference: FloatArray, tuning: Tuning) -> tuple[FloatArray, FloatArray]:
+    """Weight of each error of slip speed [s²/m²] and its margin [m/s].
+
+    Q and epsilon of eqs. (16) and (17) for slip speeds from `SMALL_SLIP` margins on; the error of a
+    smaller one counts relative to it: on a steep creep curve the margin would reach from no force
+    to racing wheels.
+    """
+    small = np.minimum(np.abs(reference) / (SMALL_SLIP * tuning.margin), 1.0)
+    small = np.maximum(small, 1e-3)
+    return np.asarray(tuning.slip / small**2), np.asarray(tuning.margin * small)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The problem of one sample.
+
+    State and demand; and for each slip speed of the horizon what is sought, weight and margin.
+    """
+
+    state: FloatArray
+    demand: Demand
+    reference: FloatArray
+    weights: FloatArray
+    margins: FloatArray
+    at_work: FloatArray
+    how: Prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Its cost about a plan, without the bounds of the slip speeds.
+
+    Hessian and gradient in changes of the levels (torques over the torque limit); errors of slip
+    [m/s] and how they change.
+    """
+
+    hessian: FloatArray
+    gradient: FloatArray
+    change: FloatArray
+    error: FloatArray
+    levels: FloatArray
+
+
+def excess_of(error: FloatArray, margins: FloatArray) -> IntArray:
+    """Which errors of slip are beyond their margins: 1 above, -1 below, 0 within."""
+    return (error > margins).astype(np.int64) - (error < -margins)
+
+
+@njit(cache=True)
+def tracking_cost(error, weights, margins, levels, torque, slack):  # type: ignore[no-untyped-def]
+    """Cost of errors of slip [m/s] and of levels, eq. (16), with the excess over the margins."""
+    found = 0.0
+    for k in range(error.size):
+        beyond = max(abs(error[k]) - margins[k], 0.0)
+        found += weights[k] * error[k] * error[k]
+        found += slack * beyond * beyond * weights[k]
+    for each in levels:
+        found += torque * each * each
+    return found
+
+
+@dataclass
+class CooperativeController:
+    """Gives the torques of all motors, sample by sample.
+
+    Attributes
+    ----------
+    locomotive : MultiMotorLocomotive
+    tuning : Tuning
+    steps : int
+        Samples so far.
+    unsolved : int
+        Samples at which no program was solved: the torques are then those of the better of two
+        plans, the shifted one and the one that brings each axle to its slip speed.
+    late : int
+        Samples that took longer than the deadline, by the clock on the wall.
+    worst : float [s]
+        The longest.
+    """
+
+    locomotive: MultiMotorLocomotive
+    tuning: Tuning = field(default_factory=Tuning)
+    steps: int = 0
+    unsolved: int = 0
+    late: int = 0
+    worst: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._plan = np.zeros((self.tuning.control_horizon, self.locomotive.axles))
+        self._loads, self._constants = self.locomotive.loads, self.locomotive.constants
+        self._excess = np.zeros(self.tuning.horizon * self.locomotive.axles, dtype=np.int64)
+        moves, n = self._plan.shape
+        self._sums = np.asarray(np.kron(np.eye(moves), np.ones((1, n))), dtype=np.float64)
+
+    @property
+    def plan(self) -> FloatArray:
+        """Torques from the last sample on, (control horizon, n) [N m]."""
+        return self._plan.copy()
+
+    def torques(
+        self,
+        speed: float,
+        wheel_speeds: ArrayLike,
+        demand: Demand,
+        guess: FloatArray | None = None,
+    ) -> FloatArray:
+        """Torques of the motors until the next sample.
+
+        Parameters
+        ----------
+        speed : float [m/s]
+            Of the train.
+        wheel_speeds : (n,) array [m/s]
+            Circumferential.
+        demand : Demand
+            See `demand`.
+        guess : (control horizon, n) array [N m], optional
+            Plan to begin from, within the limits; default: `guess`.
+
+        Returns
+        -------
+        (n,) array [N m]
+            Never beyond the limits of a motor or of all together.
+
+        Raises
+        ------
+        InputError
+            If speeds are not numbers, or not one for each axle.
+        """
+        begun = perf_counter()
+        state = self._state(speed, wheel_speeds)
+        task = self._task(state, demand)
+        plan, cost = self._start(task, self.guess(demand) if guess is None else guess)
+        solved = np.isfinite(cost)
+        for _ in range(self.tuning.iterations):
+            step = self._step(task, plan)
+            if step is None:
+                solved = False
+                break
+            plan, cost, moved = self._shortened(task, plan, cost, step)
+            if moved < self.tuning.tolerance:
+                break
+        if not np.isfinite(cost):
+            plan, solved = np.zeros_like(plan), False
+        self._plan = plan
+        taken = perf_counter() - begun
+        self.steps += 1
+        self.unsolved += not solved
+        self.late += taken > (self.tuning.deadline or self.tuning.period)
+        self.worst = max(self.worst, taken)
+        return np.asarray(plan[0].copy())
+
+    def demand(
+        self,
+        rail: ArrayLike,
+        limits: ArrayLike | None = None,
+        total: float | None = None,
+        reference: ArrayLike | None = None,
+    ) -> Demand:
+        """What is asked of the motors on a rail.
+
+        Parameters
+        ----------
+        rail : (n, 3) or (horizon, n, 3) array
+            Creep curves under the axles now, or over the horizon; see `coefficients`.
+        limits : (n,) array [N m], optional
+            Of the motors; default: the torque limit.
+        total : float [N m], optional
+            Of all motors; default: that of the locomotive.
+        reference : (n,) array [m/s], optional
+            Slip speeds; default: those of the maximum adhesion of the curves.
+
+        Raises
+        ------
+        InputError
+            If shapes do not fit, a creep curve is none, or a limit is negative.
+        """
+        n, horizon = self.locomotive.axles, self.tuning.horizon
+        curves = np.asarray(rail, dtype=np.float64)
+        if curves.shape not in ((n, 3), (horizon, n, 3)):
+            raise InputError(
+                f"cooperative control: creep curves of shape {curves.shape}",
+                remedy=f"give a, b, c of {n} axles, or of each in {horizon} steps",
+            )
+        a, b, c = np.moveaxis(curves, -1, 0)
+        if not np.all((a > 0.0) & (b > a) & (c > 0.0) & np.isfinite(b + c)):
+            raise InputError("cooperative control: creep curves need 0 < a < b and c > 0")
+        limit = self.locomotive.torque_limit
+        caps = np.full(n, limit) if limits is None else np.asarray(limits, dtype=np.float64)
+        if caps.shape != (n,) or not np.all((caps >= 0.0) & (caps <= limit)):
+            raise InputError(
+                f"cooperative control: limits of the motors {caps} are not {n} torques"
+                f" from 0 to {limit:g} N m"
+            )
+        most = self.locomotive.total_torque if total is None else float(total)
+        if not most >= 0.0:
+            raise InputError(f"cooperative control: total torque {most} N m is negative")
+        curves = np.ascontiguousarray(np.broadcast_to(curves, (horizon, n, 3)))
+        slips = peak_slips(curves)
+        if reference is not None:
+            given = np.asarray(reference, dtype=np.float64)
+            if given.shape != (n,) or not np.all(np.isfinite(given)):
+                raise InputError(f"cooperative control: reference slip speeds {given} of {n} axles")
+            slips = np.tile(given, (horizon, 1))
+        return Demand(curves, slips, caps, most)
+
+    def guess(self, demand: Demand) -> FloatArray:
+        """The plan of the last sample, shifted, and made to keep the limits."""
+        return within(np.concatenate([self._plan[1:], self._plan[-1:]]), demand)
+
+    def program(self, state: FloatArray, plan: FloatArray, demand: Demand) -> QPSubproblem:
+        """The program (18), linearised about a plan from a state.
+
+        In changes of its torques over the torque limit; slip speeds count as beyond their bounds
+        where they are now.
+        """
+        task = self._task(state, demand)
+        quadratic = self._quadratic(task, plan)
+        outside = excess_of(quadratic.error, task.margins)
+        return self._subproblem(task, plan, quadratic, outside)
+
+    # ---- within a sample --------------------------------------------------------------------
+
+    def _task(self, state: FloatArray, demand: Demand) -> Task:
+        reference = np.ascontiguousarray(demand.reference).ravel()
+        weights, margins = slip_weights(reference, self.tuning)
+        at_work = np.zeros(demand.limits.size) if demand.at_work is None else demand.at_work
+        how = Prediction(
+            float(self.tuning.period), int(self.tuning.substeps), float(self.tuning.lag),
+            float(demand.direction), float(self.tuning.exact),
+        )  # fmt: skip
+        return Task(state, demand, reference, weights, margins, at_work, how)
+
+    def _start(self, task: Task, shifted: FloatArray) -> tuple[FloatArray, float]:
+        """The better of the shifted plan and the one that brings each axle to its slip speed."""
+        cost = self._cost(task, shifted)
+        tracking = within(
+            tracking_plan(
+                task.state, task.at_work, task.reference, task.demand.rail, self._loads,
+                self._constants, task.how, task.demand.limits, task.demand.total, len(shifted),
+            ),
+            task.demand,
+        )  # fmt: skip
+        other = self._cost(task, tracking)
+        return (shifted, cost) if cost <= other else (tracking, other)
+
+    def _cost(self, task: Task, plan: FloatArray) -> float:
+        """Of a plan by the motion itself, eq. (16); infinite where that leaves the numbers."""
+        slip, _ = predicted(
+            task.state, task.at_work, plan, task.demand.rail, self._loads, self._constants,
+            task.how, False,
+        )  # fmt: skip
+        tuning = self.tuning
+        found = float(
+            tracking_cost(
+                slip - task.reference, task.weights, task.margins,
+                plan.ravel() / self.locomotive.torque_limit, tuning.torque, tuning.slack,
+            )
+        )  # fmt: skip
+        return found if np.isfinite(found) else np.inf
+
+    def _quadratic(self, task: Task, plan: FloatArray) -> Quadratic:
+        slip, change = predicted(
+            task.state, task.at_work, plan, task.demand.rail, self._loads, self._constants,
+            task.how, True,
+        )  # fmt: skip
+        scale = self.locomotive.torque_limit
+        change *= scale
+        error = slip - task.reference
+        levels = plan.ravel() / scale
+        weighted = change * task.weights[:, None]
+        hessian = 2.0 * (change.T @ weighted)
+        hessian[np.diag_indices_from(hessian)] += 2.0 * self.tuning.torque
+        gradient = 2.0 * (weighted.T @ error + self.tuning.torque * levels)
+        return Quadratic(hessian, gradient, change, error, levels)
+
+    def _subproblem(
+        self, task: Task, plan: FloatArray, known: Quadratic, outside: IntArray
+    ) -> QPSubproblem:
+        hessian, gradient = known.hessian, known.gradient
+        beyond = np.flatnonzero(outside)
+        if beyond.size:
+            rows = known.change[beyond]
+            weighted = rows * (2.0 * self.tuning.slack * task.weights[beyond, None])
+            hessian = hessian + rows.T @ weighted
+            excess = known.error[beyond] - outside[beyond] * task.margins[beyond]
+            gradient = gradient + weighted.T @ excess
+        demand, levels = task.demand, known.levels
+        caps = np.tile(demand.limits / self.locomotive.torque_limit, len(plan))
+        remaining = demand.total / self.locomotive.torque_limit - self._sums @ levels
+        upper = np.concatenate([caps - levels, remaining])
+        lower = np.concatenate([-levels, np.full(len(plan), -UNBOUNDED)])
+        return QPSubproblem(hessian, gradient, self._sums, upper, lower, plan, soft=False)
+
+    def _step(self, task: Task, plan: FloatArray) -> FloatArray | None:
+        """Change of the plan's torques over the torque limit; None: no program was solved."""
+        known = self._quadratic(task, plan)
+        if not np.all(np.isfinite(known.hessian)):
+            return None
+        outside = self._excess
+        for _ in range(ROUNDS):
+            change, status = solve(self._subproblem(task, plan, known, outside))
+            if status <= 0 or not np.all(np.isfinite(change)):
+                return None
+            found = excess_of(known.error + known.change @ change, task.margins)
+            if np.array_equal(found, outside):
+                break
+            outside = found
+        self._excess = outside
+        return change
+
+    def _shortened(
+        self, task: Task, plan: FloatArray, cost: float, step: FloatArray
+    ) -> tuple[FloatArray, float, float]:
+        """A plan, its cost, and how far its first torques moved, after the step or a part of it."""
+        whole = self.locomotive.torque_limit * step.reshape(plan.shape)
+        best, least, length = plan, cost, 1.0
+        for _ in range(SHORTENINGS):
+            # The solver keeps its bounds within a tolerance, a motor does not.
+            tried = within(plan + length * whole, task.demand)
+            found = self._cost(task, tried)
+            if found < least:
+                best, least = tried, found
+                # Where much is left of the errors the step is short: the curvature of the creep
+                # curves, which it leaves out, then counts.
+                if length < 1.0:
+                    break
+                length *= 2.0
+            elif length > 1.0:
+                break
+            else:
+                length *= 0.5
+        moved = np.abs(best[0] - plan[0]).max() / self.locomotive.torque_limit
+        return best, least, float(moved)
+
+    def _state(self, speed: float, wheel_speeds: ArrayLike) -> FloatArray:
+        wheels = np.asarray(wheel_speeds, dtype=np.float64)
+        if wheels.shape != (self.locomotive.axles,):
+            raise InputError(
+                f"cooperative control: wheel speeds of shape {wheels.shape} for"
+                f" {self.locomotive.axles} axles"
+            )
+        state = np.concatenate([[speed], wheels])
+        if not np.all(np.isfinite(state)):
+            raise InputError(f"cooperative control: speeds {state} are not all numbers")
+        return state
+
+
+def within(plan: FloatArray, demand: Demand) -> FloatArray:
+    """Torques next to a plan that keep the limits: capped, then scaled down to the total."""
+    capped = np.clip(plan, 0.0, demand.limits)
+    sums = np.maximum(capped.sum(axis=1, keepdims=True), 1e-300)
+    return np.asarray(capped * np.minimum(demand.total / sums, 1.0))
