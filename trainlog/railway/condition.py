@@ -91,6 +91,42 @@ class AdhesionEstimate:
         part = np.clip((share - low) / np.maximum(high - low, 1e-300), 0.0, 1.0)
         return np.asarray(np.exp(edges[step] + part * (edges[step + 1] - edges[step])))
 
+    def log_density(self, adhesion: ArrayLike) -> FloatArray:
+        """Logarithm of the density of the logarithm of the maximum, by bin; (n,) array.
+
+        Minus infinity where the estimate holds an adhesion for impossible.
+
+        Parameters
+        ----------
+        adhesion : float or (n,) array
+        """
+        log = np.broadcast_to(np.log(np.asarray(adhesion, dtype=np.float64)), self.log_mean.shape)
+        if self.log_levels is None or self.probability is None:
+            z = (log - self.log_mean) / self.log_std
+            return np.asarray(-0.5 * z**2 - np.log(self.log_std) - 0.5 * np.log(2.0 * np.pi))
+        edges, _ = self._cumulated
+        step = np.clip(np.searchsorted(edges, log, side="right") - 1, 0, edges.size - 2)
+        density = self.probability[np.arange(log.size), step] / (edges[step + 1] - edges[step])
+        inside = (log >= edges[0]) & (log <= edges[-1]) & (density > 0.0)
+        found = np.log(density, where=inside, out=np.full(log.shape, -np.inf))
+        return np.asarray(found, dtype=np.float64)
+
+    def at_bins(self, bins: ArrayLike) -> AdhesionEstimate:
+        """The estimate of some bins, in their order; a bin may be named more than once.
+
+        Parameters
+        ----------
+        bins : (m,) int array
+        """
+        rows = np.asarray(bins, dtype=np.int64)
+        return AdhesionEstimate(
+            self.log_mean[rows],
+            self.log_std[rows],
+            self.observed[rows],
+            self.log_levels,
+            None if self.probability is None else self.probability[rows],
+        )
+
     @cached_property
     def _cumulated(self) -> tuple[FloatArray, FloatArray]:
         """Edges between the levels, (k + 1,), and the probability below each, (n, k + 1)."""
