@@ -72,6 +72,21 @@ class AdhesionEstimate:
         low, high = cumulated[rows, step], cumulated[rows, step + 1]
         return np.asarray(low + share * (high - low))
 
+    def below_each(self, adhesion: ArrayLike) -> FloatArray:
+        """Probability that the maximum is below each of several adhesions, by bin; (n, k) array.
+
+        Parameters
+        ----------
+        adhesion : (k,) array
+        """
+        log = np.log(np.asarray(adhesion, dtype=np.float64))
+        if self.log_levels is None or self.probability is None:
+            return np.asarray(ndtr((log - self.log_mean[:, None]) / self.log_std[:, None]))
+        edges, cumulated = self._cumulated
+        step = np.clip(np.searchsorted(edges, log, side="right") - 1, 0, edges.size - 2)
+        share = np.clip((log - edges[step]) / (edges[step + 1] - edges[step]), 0.0, 1.0)
+        return np.asarray(cumulated[:, step] * (1.0 - share) + cumulated[:, step + 1] * share)
+
     def quantile(self, share: float) -> FloatArray:
         """Adhesion below which the maximum lies with probability `share`, by bin; (n,) array.
 
@@ -105,8 +120,14 @@ class AdhesionEstimate:
             z = (log - self.log_mean) / self.log_std
             return np.asarray(-0.5 * z**2 - np.log(self.log_std) - 0.5 * np.log(2.0 * np.pi))
         edges, _ = self._cumulated
-        step = np.clip(np.searchsorted(edges, log, side="right") - 1, 0, edges.size - 2)
-        density = self.probability[np.arange(log.size), step] / (edges[step + 1] - edges[step])
+        levels = self.log_levels
+        # Linear between the levels, so that a coarse grid costs little.
+        step = np.clip(np.searchsorted(levels, log, side="right") - 1, 0, levels.size - 2)
+        share = np.clip((log - levels[step]) / (levels[step + 1] - levels[step]), 0.0, 1.0)
+        rows, width = np.arange(log.size), np.diff(edges)
+        low = self.probability[rows, step] / width[step]
+        high = self.probability[rows, step + 1] / width[step + 1]
+        density = low + share * (high - low)
         inside = (log >= edges[0]) & (log <= edges[-1]) & (density > 0.0)
         found = np.log(density, where=inside, out=np.full(log.shape, -np.inf))
         return np.asarray(found, dtype=np.float64)

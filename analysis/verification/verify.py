@@ -1,0 +1,437 @@
+"""A forecast of adhesion compared with what trips met later: the scores, with their bands.
+
+Every figure is made of sums by day, so that a bootstrap by day needs no second pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.verification.passages import Demand, Passages, asked_adhesion
+from analysis.verification.references import climatology, persistence
+from analysis.verification.scores import (
+    CLASSES,
+    LEVELS_OF_PIT,
+    BrierScore,
+    brier_score,
+    brier_sums,
+    crps,
+    day_weights,
+    observed_shares,
+    onset_score,
+    pit_sums,
+    used_score,
+)
+from trainlog.errors import InputError
+from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
+
+FloatArray = NDArray[np.float64]
+
+Forecaster = Callable[[str, pd.Timestamp], AdhesionEstimate | None]
+"""The adhesion forecast for a rail condition and a time, by bin; None: unknown everywhere."""
+
+History = Callable[[str, int], DailyEvidence]
+"""What was known of a rail condition before a day."""
+
+FORECASTS = ("forecast", "prior", "persistence")
+"""That are scored on the same passages."""
+
+ALARMS = np.array([0.003, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9])
+"""Probabilities of slip from which on an alarm is given."""
+
+USUAL_ALARM = 0.1
+"""The one that the table shows."""
+
+DRAWS = 500
+"""Of the bootstrap by day."""
+
+FEWEST_DAYS = 5
+"""With fewer days no band is stated: so few say nothing of how days differ."""
+
+BAND = (0.025, 0.975)
+
+_KNOWN, _UNKNOWN = 0, 1
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure with its 95 % band from the bootstrap by day; NaN where it cannot be stated."""
+
+    value: float
+    low: float = float("nan")
+    high: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """What became of a forecast; everything is summed by day.
+
+    Attributes
+    ----------
+    name : str
+    bin_length : float [m]
+    days : (d,) int array
+        Counted from 1970-01-01 in UTC.
+    counts : (d, 2, 2) array
+        Trips and bins with slip and without, where the forecast was known and where it was unknown.
+    scores : dict of str to (d, 3) array
+        By forecast: sums of the log scores of onsets and of used adhesion, and of the CRPS of
+        onsets; where the forecast under verification was known.
+    inside : (d,) array
+        Onsets within the forecast's 95 % band.
+    pit : (d, 2, cells) array
+        See `analysis.verification.scores.pit_sums`.
+    brier : dict of str to (d, 4, classes) array
+        By forecast; see `analysis.verification.scores.brier_sums`.
+    alarms : (d, 2, t) array
+        Slips foreseen and false alarms by the thresholds `ALARMS`.
+    slips : (d,) array
+        That an alarm could have been given for, known or unknown; the others have no demand of
+        other days.
+    no_demand : (d,) array
+        Passages of bins in which no trip of another day shows how much is asked for.
+    """
+
+    name: str
+    bin_length: float
+    days: NDArray[np.int64]
+    counts: FloatArray
+    scores: dict[str, FloatArray]
+    inside: FloatArray
+    pit: FloatArray
+    brier: dict[str, FloatArray]
+    alarms: FloatArray
+    slips: FloatArray
+    no_demand: FloatArray
+
+    @cached_property
+    def _weights(self) -> FloatArray:
+        """How often each day counts: once in the first row, as drawn in the others."""
+        once = np.ones((1, self.days.size))
+        if self.days.size < FEWEST_DAYS:
+            return once
+        return np.concatenate((once, day_weights(self.days.size, DRAWS)))
+
+    def _sum(self, by_day: FloatArray) -> FloatArray:
+        return np.asarray(np.tensordot(self._weights, by_day, axes=1))
+
+    def _figure(self, drawn: FloatArray) -> Figure:
+        value = float(drawn[0])
+        others = drawn[1:][np.isfinite(drawn[1:])]
+        if others.size < 0.9 * DRAWS or not np.isfinite(value):
+            return Figure(value)
+        low, high = np.quantile(others, BAND)
+        return Figure(value, float(low), float(high))
+
+    @property
+    def onsets(self) -> int:
+        """Measured where the forecast was known."""
+        return int(self.counts[:, _KNOWN, 0].sum())
+
+    @property
+    def used(self) -> int:
+        """Passages without slip where the forecast was known."""
+        return int(self.counts[:, _KNOWN, 1].sum())
+
+    @property
+    def unknown_onsets(self) -> int:
+        """Measured where the forecast was unknown."""
+        return int(self.counts[:, _UNKNOWN, 0].sum())
+
+    @property
+    def unknown_used(self) -> int:
+        """Passages without slip where the forecast was unknown."""
+        return int(self.counts[:, _UNKNOWN, 1].sum())
+
+    @property
+    def train_km(self) -> float:
+        """Run with adhesion in use."""
+        return float(self.counts.sum()) * self.bin_length / 1e3
+
+    def log_score(self, what: str = "onsets", over: str | None = None) -> Figure:
+        """Mean log score [nat]: of onsets, of used adhesion, or of all; or its gain over another.
+
+        Parameters
+        ----------
+        what : {"onsets", "used", "all"}
+        over : {"prior", "persistence"}, optional
+        """
+        columns = {"onsets": (0,), "used": (1,), "all": (0, 1)}[what]
+        one = self.scores["forecast"]
+        if over is not None:
+            one = one - self.scores[over]
+        total = self._sum(sum(one[:, each] for each in columns))  # type: ignore[arg-type]
+        return self._figure(_ratio(total, self._sum(_columns(self.counts[:, _KNOWN], columns))))
+
+    def crps(self, name: str = "forecast") -> Figure:
+        """Mean CRPS of the onsets, in log adhesion."""
+        return self._figure(
+            _ratio(self._sum(self.scores[name][:, 2]), self._sum(self.counts[:, _KNOWN, 0]))
+        )
+
+    @property
+    def onsets_in_band(self) -> Figure:
+        """Share of measured onsets in the 95 % band of their forecasts."""
+        return self._figure(_ratio(self._sum(self.inside), self._sum(self.counts[:, _KNOWN, 0])))
+
+    @property
+    def coverage(self) -> Figure:
+        """Share of maxima in the 95 % band: that of onsets, allowing for trips that asked for less.
+
+        NaN where no trip asked for enough to know the upper end.
+        """
+        low, high = (self._reached(each) for each in BAND)
+        return self._figure(high - low)
+
+    def _reached(self, quantile: float) -> FloatArray:
+        share, _ = observed_shares(self._sum(self.pit))
+        return np.array([np.interp(quantile, LEVELS_OF_PIT, row) for row in share])
+
+    def reliability(
+        self, quantiles: Sequence[float] = (0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975)
+    ) -> list[tuple[float, Figure, int]]:
+        """Of each quantile forecast: share of maxima below, and trips that asked for as much."""
+        _, trips = observed_shares(self.pit.sum(axis=0))
+        return [
+            (each, self._figure(self._reached(each)), round(np.interp(each, LEVELS_OF_PIT, trips)))
+            for each in quantiles
+        ]
+
+    def brier_score(self, name: str = "forecast") -> BrierScore:
+        """Of the probability of slip; arrays: all days first, then the draws of the bootstrap."""
+        return brier_score(self._sum(self.brier[name]))
+
+    def brier_figure(self, part: str, name: str = "forecast") -> Figure:
+        """One part of `brier_score`, or ``"skill"``."""
+        return self._figure(np.asarray(getattr(self.brier_score(name), part)))
+
+    def brier_gain(self, over: str) -> Figure:
+        """Skill of the Brier score over another forecast's: 1 at best, 0: no better."""
+        own, other = self.brier_score().score, self.brier_score(over).score
+        return self._figure(1.0 - _ratio(own, other))
+
+    def classes(self) -> list[tuple[float, float, float, float]]:
+        """Of each class of slip forecasts: mean forecast, share that slipped, trips and slips."""
+        trips, events, forecast, _ = self.brier["forecast"].sum(axis=0)
+        return [
+            (f / n, e / n, n, e) for n, e, f in zip(trips, events, forecast, strict=True) if n > 0
+        ]
+
+    def alarm_curve(self) -> list[tuple[float, Figure, Figure]]:
+        """Of each threshold: share of slips foreseen, and false alarms per train-km."""
+        found = self._sum(self.alarms)
+        slips, km = self._sum(self.slips), self._sum(self.counts.sum(axis=(1, 2)))
+        km = km * self.bin_length / 1e3
+        return [
+            (
+                float(level),
+                self._figure(_ratio(found[:, 0, i], slips)),
+                self._figure(_ratio(found[:, 1, i], km)),
+            )
+            for i, level in enumerate(ALARMS)
+        ]
+
+    def alarm(self, level: float = USUAL_ALARM) -> tuple[Figure, Figure]:
+        """Share of slips foreseen and false alarms per train-km at one of the thresholds."""
+        return next(each[1:] for each in self.alarm_curve() if each[0] == level)
+
+
+def _columns(values: FloatArray, columns: Iterable[int]) -> FloatArray:
+    return np.asarray(values[:, list(columns)].sum(axis=1))
+
+
+def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
+    safe = np.where(below > 0.0, below, 1.0)
+    return np.asarray(np.where(below > 0.0, above / safe, np.nan))
+
+
+def verify(
+    name: str,
+    track: TrackConditionMap,
+    passages: Iterable[Passages],
+    forecaster: Forecaster,
+    history: History,
+    demand: Demand,
+) -> Verification:
+    """Score a forecast, beside climatology and persistence, on what trips met.
+
+    Parameters
+    ----------
+    name : str
+        Of the forecast.
+    track : TrackConditionMap
+        Whose bins, levels and settings are used; it may be empty.
+    passages : iterable of Passages
+        Not of a day that the forecast knows.
+    forecaster : callable
+    history : callable
+        What persistence knows.
+    demand : Demand
+
+    Raises
+    ------
+    InputError
+        If there are no passages.
+
+    Examples
+    --------
+    The prior gains nothing over itself:
+
+    >>> from analysis.verification.passages import passages_of
+    >>> from trainlog.formats.condition import read_map
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> known = track.layer("wet").evidence
+    >>> days = list(passages_of("wet", known))
+    >>> found = verify(
+    ...     "prior", track, days, lambda layer, time: climatology(track, layer),
+    ...     lambda layer, day: known.between(-1, day - 1), Demand([known], track.levels),
+    ... )
+    >>> found.log_score("onsets", over="prior").value
+    0.0
+    """
+    every = sorted(passages, key=lambda each: (each.day, each.time, each.layer))
+    if not every:
+        raise InputError(
+            f"{name}: no trip to compare it with", remedy="give trips of days that it does not know"
+        )
+    days = np.unique(np.array([each.day for each in every], dtype=np.int64))
+    sums = [_Sums() for _ in days]
+    references = _References(track, history)
+    asked = asked_adhesion(track.levels)
+    for each in every:
+        forecast = forecaster(each.layer, each.time)
+        if forecast is None:
+            forecast = _unknown(track.bins)
+        several = {"forecast": forecast, **references(each.layer, each.day)}
+        into = sums[int(np.searchsorted(days, each.day))]
+        into.add_scores(each, several, track.levels, asked)
+        into.add_slips(each, several, demand, asked)
+    found: dict[str, Any] = {
+        key: np.array([getattr(each, key) for each in sums]) for key in _Sums.ARRAYS
+    }
+    for key in _Sums.TABLES:
+        found[key] = {
+            one: np.array([getattr(each, key)[one] for each in sums]) for one in FORECASTS
+        }
+    return Verification(name, track.bin_length, days, **found)
+
+
+class _References:
+    """Climatology and persistence, made once a layer and day."""
+
+    def __init__(self, track: TrackConditionMap, history: History) -> None:
+        self._track, self._history = track, history
+        self._made: dict[tuple[str, int], dict[str, AdhesionEstimate]] = {}
+
+    def __call__(self, layer: str, day: int) -> dict[str, AdhesionEstimate]:
+        if (layer, day) not in self._made:
+            known = self._history(layer, day)
+            self._made = {
+                (layer, day): {
+                    "prior": climatology(self._track, layer),
+                    "persistence": persistence(self._track, layer, known),
+                }
+            }
+        return self._made[layer, day]
+
+
+def _unknown(bins: int) -> AdhesionEstimate:
+    return AdhesionEstimate(np.zeros(bins), np.ones(bins), np.zeros(bins, dtype=np.bool_))
+
+
+class _Sums:
+    """The sums of one day."""
+
+    ARRAYS = ("counts", "inside", "pit", "alarms", "slips", "no_demand")
+    TABLES = ("scores", "brier")
+
+    def __init__(self) -> None:
+        self.counts = np.zeros((2, 2))
+        self.inside = 0.0
+        self.pit = np.zeros((2, LEVELS_OF_PIT.size - 1))
+        self.alarms = np.zeros((2, ALARMS.size))
+        self.slips = 0.0
+        self.no_demand = 0.0
+        self.scores = {name: np.zeros(3) for name in FORECASTS}
+        self.brier = {name: np.zeros((4, CLASSES.size - 1)) for name in FORECASTS}
+
+    def add_scores(
+        self,
+        met: Passages,
+        several: Mapping[str, AdhesionEstimate],
+        levels: FloatArray,
+        asked: FloatArray,
+    ) -> None:
+        """Score onsets and used adhesion where the forecast was known; count where it was not."""
+        forecast = several["forecast"]
+        measured, bore = forecast.observed[met.onset_bin], forecast.observed[met.used_bin]
+        for row, (slip, used) in enumerate(((measured, bore), (~measured, ~bore))):
+            self.counts[row] += (np.count_nonzero(slip), met.used_trips[used].sum())
+        place, value = met.onset_bin[measured], met.onset_adhesion[measured]
+        rows, level, trips = met.used_bin[bore], met.used_level[bore], met.used_trips[bore]
+        for name, estimate in several.items():
+            here, there = estimate.at_bins(place), estimate.at_bins(rows)
+            self.scores[name] += (
+                onset_score(here, value).sum(),
+                (trips * used_score(there, levels[level])).sum(),
+                crps(here, value).sum(),
+            )
+        below = forecast.at_bins(place).below(value)
+        self.inside += np.count_nonzero((below >= BAND[0]) & (below <= BAND[1]))
+        self.pit += pit_sums(below, np.ones(place.size), True)
+        self.pit += pit_sums(forecast.at_bins(rows).below(asked[level]), trips, False)
+
+    def add_slips(
+        self,
+        met: Passages,
+        several: Mapping[str, AdhesionEstimate],
+        demand: Demand,
+        asked: FloatArray,
+    ) -> None:
+        """Score the probability of slip, given what trips of other days asked for."""
+        bins, trips, slipped = met.by_bin()
+        shares = demand.without(met.day, bins)
+        usual = np.isfinite(shares[:, 0])
+        self.no_demand += trips[~usual].sum()
+        self.slips += slipped[usual].sum()
+        known = usual & several["forecast"].observed[bins]
+        bins, trips, slipped, shares = bins[known], trips[known], slipped[known], shares[known]
+        for name, estimate in several.items():
+            chance = slip_probability(estimate.at_bins(bins), shares, asked)
+            self.brier[name] += brier_sums(chance, trips, slipped)
+            if name == "forecast":
+                alarmed = chance[:, None] >= ALARMS
+                self.alarms[0] += slipped @ alarmed
+                self.alarms[1] += (trips - slipped) @ alarmed
+
+
+def slip_probability(
+    estimate: AdhesionEstimate, shares: FloatArray, asked: FloatArray
+) -> FloatArray:
+    """Probability that a trip asks for more than the maximum; (n,) array.
+
+    Parameters
+    ----------
+    estimate : AdhesionEstimate
+        Of n bins.
+    shares : (n, k) array
+        Of the levels asked for in each bin; rows sum up to 1.
+    asked : (k,) array
+        Adhesion of each level.
+
+    Examples
+    --------
+    >>> bad = AdhesionEstimate(np.log([0.1]), np.array([1e-9]), np.array([True]))
+    >>> slip_probability(bad, np.array([[0.75, 0.25]]), np.array([0.08, 0.12])).tolist()
+    [0.25]
+    """
+    below = estimate.below_each(asked)
+    return np.asarray(np.clip((shares * below).sum(axis=1), 0.0, 1.0))

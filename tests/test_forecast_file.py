@@ -1,0 +1,149 @@
+"""Forecasts of adhesion as CSV: what is read, what is refused, and what they are worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.verification.forecasts import forecast_of, stated_forecast
+from analysis.verification.references import climatology
+from trainlog.errors import InputError
+from trainlog.formats.condition import read_map
+from trainlog.formats.forecast import read_forecast, write_forecast
+from trainlog.formats.samples import sample
+from trainlog.railway.condition import TrackConditionMap
+
+HEADER = "line,layer,from [km],to [km],valid from,valid to,issued,quantile 0.05,quantile 0.5"
+ROW = "CH_StGallen_Wil,wet,1,2,2026-11-22T00:00Z,2026-11-23T00:00Z,2026-11-21T18:00Z,0.08,0.12"
+NOON = pd.Timestamp("2026-11-22T12:00Z")
+
+
+@pytest.fixture(scope="module")
+def track() -> TrackConditionMap:
+    return read_map(sample("CH_StGallen_Wil.map.json"))
+
+
+def written(folder: Path, *rows: str, header: str = HEADER) -> Path:
+    path = folder / "forecast.csv"
+    path.write_text("\n".join((header, *rows)) + "\n")
+    return path
+
+
+def test_a_row_is_a_distribution_through_its_points(
+    tmp_path: Path, track: TrackConditionMap
+) -> None:
+    found = stated_forecast(read_forecast(written(tmp_path, ROW)), track)("wet", NOON)
+    assert found is not None
+    assert np.flatnonzero(found.observed).tolist() == list(range(40, 80))
+    here = found.at_bins([50])
+    assert here.below(0.08)[0] == pytest.approx(0.05, abs=0.01)
+    assert here.below(0.12)[0] == pytest.approx(0.5, abs=0.03)
+    # Beyond its points it is shaped as the climatology is.
+    usual = climatology(track, "wet").at_bins([50])
+    upper = (here.below(0.2)[0] - 0.5) / 0.5
+    expected = (usual.below(0.2)[0] - usual.below(0.12)[0]) / (1.0 - usual.below(0.12)[0])
+    assert upper == pytest.approx(expected, abs=0.05)
+
+
+def test_a_row_holds_in_its_time_and_rail_condition_and_the_last_issued_counts(
+    tmp_path: Path, track: TrackConditionMap
+) -> None:
+    later = ROW.replace("2026-11-21T18:00Z", "2026-11-21T23:00Z").replace("0.12", "0.16")
+    anyone = ROW.replace(",wet,", ",,").replace(",1,2,", ",0,5,").replace("0.12", "0.3")
+    forecaster = stated_forecast(read_forecast(written(tmp_path, ROW, later, anyone)), track)
+    found = forecaster("wet", NOON)
+    assert found is not None
+    assert found.below(0.16)[50] == pytest.approx(0.5, abs=0.03)
+    assert found.below(0.3)[10] == pytest.approx(0.5, abs=0.03)
+    dry = forecaster("dry", NOON)
+    assert dry is not None
+    assert dry.below(0.3)[50] == pytest.approx(0.5, abs=0.03)
+    assert forecaster("wet", pd.Timestamp("2026-11-23T00:00Z")) is None
+    assert forecaster("wet", pd.Timestamp("2026-11-21T23:59Z")) is None
+
+
+def test_a_single_probability_is_a_forecast_too(tmp_path: Path, track: TrackConditionMap) -> None:
+    header = "line,from [m],to [m],valid from,valid to,below 0.08"
+    row = "CH_StGallen_Wil,0,500,2026-11-22,2026-11-23,0.3"
+    found = stated_forecast(read_forecast(written(tmp_path, row, header=header)), track)
+    here = found("wet", NOON)
+    assert here is not None
+    assert here.below(0.08)[3] == pytest.approx(0.3, abs=0.01)
+    assert here.observed.sum() == 20
+
+
+def test_a_row_without_figures_is_unknown(tmp_path: Path, track: TrackConditionMap) -> None:
+    silent = ROW.replace("0.08,0.12", ",")
+    found = stated_forecast(read_forecast(written(tmp_path, silent)), track)("wet", NOON)
+    assert found is not None
+    assert not found.observed.any()
+
+
+BAD = [
+    (HEADER, ROW.replace(",1,2,", ",2,1,"), "line 2", "must end behind its beginning"),
+    (HEADER, ROW.replace(",1,2,", ",-1,2,"), "line 2", "must end behind its beginning"),
+    (HEADER, ROW.replace("0.08", "8"), "line 2", "not in per cent"),
+    (HEADER, ROW.replace("0.08", "0"), "line 2", "an adhesion above 0"),
+    (HEADER, ROW.replace("0.08", "low"), "line 2", "'low' is not a number"),
+    (HEADER, ROW.replace("0.08", "nan"), "line 2", "'nan' is not a number"),
+    (HEADER, ROW.replace("0.08", "0.2"), "line 2", "must grow with the adhesion"),
+    (HEADER, ROW.replace("2026-11-23T00:00Z", "2026-11-21T00:00Z"), "line 2", "correct the times"),
+    (HEADER, ROW.replace("2026-11-23T00:00Z", "tomorrow"), "line 2", "'tomorrow' is not a time"),
+    (HEADER, ROW.replace("2026-11-21T18", "2026-11-22T18"), "line 2", "issued after"),
+    (HEADER, ROW.replace("CH_StGallen_Wil", ""), "line 2", "names no line"),
+    (HEADER, f"{ROW}\n{ROW.replace('CH_StGallen_Wil', 'A-B')}", "is for 2 lines", "a file a line"),
+    (HEADER, f"{ROW},0.4", "line 2", "10 cells"),
+    (HEADER.replace("[km]", ""), ROW, "line 1", "has no unit"),
+    (HEADER.replace("valid to", "until"), ROW, "line 1", "'until' is not known"),
+    (HEADER.replace("issued", "valid from"), ROW, "line 1", "is there twice"),
+    (HEADER.replace("0.5", "50"), ROW, "line 1", "must be between 0 and 1"),
+    (HEADER, "", "holds no forecast", "give a row"),
+    ("line,from [km],to [km],valid from,valid to", "A,0,1,2026-11-22,2026-11-23", "line 1", "nei"),
+]
+
+
+@pytest.mark.parametrize(("header", "row", "place", "words"), BAD)
+def test_bad_rows_are_named(tmp_path: Path, header: str, row: str, place: str, words: str) -> None:
+    path = written(tmp_path, row, header=header)
+    with pytest.raises(InputError) as refused:
+        read_forecast(path)
+    for each in (str(path), place, words):
+        assert each in str(refused.value)
+
+
+def test_two_forecasts_of_one_place_and_time_are_refused(
+    tmp_path: Path, track: TrackConditionMap
+) -> None:
+    both = read_forecast(written(tmp_path, ROW, ROW.replace(",1,2,", ",1.5,3,")))
+    with pytest.raises(InputError, match=r"line 3 and forecast.csv, line 2 both hold .* km 1\.500"):
+        stated_forecast(both, track)("wet", NOON)
+
+
+def test_a_forecast_for_another_line_is_refused(tmp_path: Path, track: TrackConditionMap) -> None:
+    other = read_forecast(written(tmp_path, ROW.replace("CH_StGallen_Wil", "A-B")))
+    with pytest.raises(InputError, match="is for line 'A-B', the trips ran on 'CH_StGallen_Wil'"):
+        stated_forecast(other, track)
+    beyond = read_forecast(written(tmp_path, ROW.replace(",1,2,", ",1,99,")))
+    with pytest.raises(InputError, match=r"reaches km 99\.000, the line ends at km 29"):
+        stated_forecast(beyond, track)
+
+
+def test_what_a_map_expects_survives_the_file(tmp_path: Path, track: TrackConditionMap) -> None:
+    path = tmp_path / "forecast.csv"
+    write_forecast(forecast_of(track, NOON, hours=6.0), path)
+    read = stated_forecast(read_forecast(path), track)
+    for layer in track.layers:
+        own, found = track.layer(layer).expected(NOON), read(layer, NOON)
+        assert found is not None
+        np.testing.assert_array_equal(found.observed, own.observed)
+        seen = np.flatnonzero(own.observed)
+        for adhesion in (0.06, 0.1, 0.15, 0.3):
+            np.testing.assert_allclose(
+                found.at_bins(seen).below(adhesion), own.at_bins(seen).below(adhesion), atol=0.03
+            )
+    assert read("wet", NOON + pd.Timedelta(hours=6)) is None
+    with pytest.raises(InputError, match="hours above 0"):
+        forecast_of(track, NOON, hours=0.0)

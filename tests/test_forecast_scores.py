@@ -1,0 +1,325 @@
+"""Scores of adhesion forecasts: known answers, propriety, reliability on drawn rails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, strategies as st
+from numpy.typing import NDArray
+from scipy import stats
+from simulated_line import level_line
+
+from analysis.adhesion.condition_map import LEVELS, empty_map
+from analysis.verification.passages import Demand, Passages, asked_adhesion, passages_of
+from analysis.verification.references import climatology, persistence
+from analysis.verification.scores import (
+    brier_score,
+    brier_sums,
+    crps,
+    observed_shares,
+    onset_score,
+    pit_sums,
+    used_score,
+)
+from analysis.verification.verify import Forecaster, Verification, slip_probability, verify
+from trainlog.errors import InputError
+from trainlog.railway.condition import AdhesionEstimate
+from trainlog.railway.evidence import DailyEvidence
+
+FloatArray = NDArray[np.float64]
+
+BINS = 200
+TRACK = empty_map(level_line(25.0 * BINS))
+FIRST = 20_000
+
+
+def normal(mean: FloatArray | float, std: FloatArray | float, bins: int = BINS) -> AdhesionEstimate:
+    return AdhesionEstimate(
+        np.broadcast_to(np.asarray(mean, dtype=np.float64), (bins,)),
+        np.broadcast_to(np.asarray(std, dtype=np.float64), (bins,)),
+        np.ones(bins, dtype=np.bool_),
+    )
+
+
+def on_grid(estimate: AdhesionEstimate) -> AdhesionEstimate:
+    levels = np.linspace(-7.0, 0.7, 1541)
+    density = stats.norm.pdf(levels, estimate.log_mean[:, None], estimate.log_std[:, None])
+    density /= density.sum(axis=1, keepdims=True)
+    return AdhesionEstimate(estimate.log_mean, estimate.log_std, estimate.observed, levels, density)
+
+
+@given(st.floats(0.05, 0.4), st.floats(0.05, 0.5), st.floats(0.05, 0.4))
+def test_scores_of_a_normal_forecast_are_those_of_the_textbook(
+    median: float, std: float, met: float
+) -> None:
+    forecast, z = normal(np.log(median), std, 1), (np.log(met) - np.log(median)) / std
+    if abs(z) < 3.0:
+        known = stats.norm.logpdf(np.log(met), np.log(median), std)
+        assert onset_score(forecast, [met])[0] == pytest.approx(known, abs=0.03)
+        assert used_score(forecast, [met])[0] == pytest.approx(stats.norm.logsf(z), abs=0.03)
+    # Gneiting and Raftery (2007), eq. (21) and below.
+    textbook = std * (
+        z * (2.0 * stats.norm.cdf(z) - 1.0) + 2.0 * stats.norm.pdf(z) - 1.0 / np.sqrt(np.pi)
+    )
+    assert crps(forecast, [met])[0] == pytest.approx(textbook, abs=2e-3)
+
+
+def test_a_forecast_on_a_grid_scores_as_the_distribution_that_it_stands_for() -> None:
+    forecast, met = normal(np.log([0.08, 0.1, 0.2]), [0.1, 0.2, 0.4], 3), [0.09, 0.15, 0.12]
+    for score in (onset_score, used_score, crps):
+        np.testing.assert_allclose(score(on_grid(forecast), met), score(forecast, met), atol=0.02)
+
+
+def test_what_was_held_for_impossible_costs_much_and_not_everything() -> None:
+    forecast = normal(np.log(0.3), 0.01, 1)
+    assert -12.0 < onset_score(forecast, [0.05])[0] < -8.0
+    assert -12.0 < used_score(forecast, [0.5])[0] < -8.0
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.0, 1.0), st.integers(0, 5), st.integers(0, 5)),
+        min_size=1,
+        max_size=30,
+    ).filter(lambda rows: any(row[1] + row[2] for row in rows))
+)
+def test_the_brier_score_is_its_parts_together(rows: list[tuple[float, int, int]]) -> None:
+    chance = np.array([row[0] for row in rows])
+    slips, others = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2))
+    found = brier_score(brier_sums(chance, slips + others, slips))
+    direct = np.sum(slips * (1.0 - chance) ** 2 + others * chance**2) / np.sum(slips + others)
+    assert found.score == pytest.approx(direct, abs=1e-12)
+    parts = found.reliability - found.resolution + found.uncertainty + found.within
+    assert parts == pytest.approx(direct, abs=1e-12)
+
+
+def test_murphys_decomposition_of_forecasts_in_tenths() -> None:
+    # Rain forecast with .1, .5 and .9 on ten days each; it came on 2, 5 and 8 of them.
+    found = brier_score(
+        brier_sums(np.array([0.1, 0.5, 0.9]), np.full(3, 10.0), np.array([2.0, 5.0, 8.0]))
+    )
+    assert found.reliability == pytest.approx((0.01 + 0.0 + 0.01) / 3.0)
+    assert found.resolution == pytest.approx((0.09 + 0.0 + 0.09) / 3.0)
+    assert found.uncertainty == pytest.approx(0.25)
+    assert found.within == pytest.approx(0.0, abs=1e-12)
+
+
+def test_censored_values_do_not_bend_the_observed_shares() -> None:
+    generator = np.random.default_rng(3)
+    value, limit = generator.uniform(size=40_000), generator.beta(1.0, 2.0, 40_000)
+    shown = value < limit
+    sums = pit_sums(value[shown], np.ones(shown.sum()), True)
+    sums += pit_sums(limit[~shown], np.ones((~shown).sum()), False)
+    share, trips = observed_shares(sums)
+    np.testing.assert_allclose(share[[20, 100, 160]], [0.1, 0.5, 0.8], atol=0.02)
+    # The share of those measured alone is far off: slip shows low maxima only.
+    assert np.mean(value[shown] < 0.5) > 0.75
+    assert trips[0] == 40_000
+    assert np.all(np.diff(trips) <= 0.0)
+
+
+def test_two_trips_of_a_day_are_known_each_from_their_sums() -> None:
+    weight = np.array([40.0, 0.0])
+    pieces = [
+        DailyEvidence.of_bins(5, weight > 0, weight, weight * np.log([met, 1.0]), np.zeros((2, 3)))
+        for met in (0.08, 0.12)
+    ]
+    (day,) = passages_of("wet", DailyEvidence.total(pieces))
+    np.testing.assert_allclose(np.sort(day.onset_adhesion), [0.08, 0.12], rtol=1e-6)
+    assert day.onset_bin.tolist() == [0, 0]
+
+
+# ------------------------------------------------------------------ demand and references
+
+
+def evidence(day: int, met: dict[int, float], used: dict[int, int]) -> DailyEvidence:
+    weight, log, levels = np.zeros(BINS), np.zeros(BINS), np.zeros((BINS, LEVELS.size))
+    for place, value in met.items():
+        weight[place], log[place] = 64.0, 64.0 * np.log(value)
+    for place, level in used.items():
+        levels[place, level] = 1.0
+    return DailyEvidence.of_bins(day, weight > 0, weight, log, levels)
+
+
+def test_demand_leaves_out_the_day_and_spreads_what_slipped_over_higher_demands() -> None:
+    days = [
+        evidence(1, {}, {0: 4, 1: 10}),
+        evidence(2, {}, {0: 6, 1: 10}),
+        evidence(3, {0: 0.075}, {1: 4}),  # slips at level 5: it asked for more
+    ]
+    demand = Demand(days, LEVELS)
+    shares = demand.without(1, np.array([0, 1, 2]))
+    assert shares[0, 6] == pytest.approx(0.5 + 0.5 * 0.5)
+    assert shares[0, 10] == pytest.approx(0.5 * 0.5)
+    assert shares[1, [4, 10]].tolist() == [0.5, 0.5]
+    assert np.all(np.isnan(shares[2]))
+    # Whether a trip slips on a day does not change the demand by which it is scored.
+    changed = Demand([evidence(1, {0: 0.05, 1: 0.05}, {}), *days[1:]], LEVELS)
+    np.testing.assert_array_equal(shares, changed.without(1, np.array([0, 1, 2])))
+
+
+def test_persistence_is_what_a_bin_showed_last() -> None:
+    known = DailyEvidence.total(
+        [evidence(1, {0: 0.06, 1: 0.06}, {2: 8}), evidence(2, {0: 0.09}, {1: 10, 2: 6})]
+    )
+    found = persistence(TRACK, "wet", known)
+    assert found.quantile(0.5)[0] == pytest.approx(0.09, rel=0.03)
+    usual = climatology(TRACK, "wet")
+    assert found.below(0.08)[1] < 0.05 < usual.below(0.08)[1]
+    assert found.below(0.08)[2] < usual.below(0.08)[2]
+    assert found.below(0.1)[3] == pytest.approx(usual.below(0.1)[3], abs=0.03)
+
+
+# --------------------------------------------------- rails that the forecasters do not know
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Days on a rail that is drawn anew each day about a level that only one forecaster knows."""
+
+    days: list[Passages]
+    demand: Demand
+    knows: Forecaster
+    level: FloatArray
+
+
+def shape() -> tuple[FloatArray, FloatArray]:
+    """A skewed distribution of the day's deviation: what forecasts of a normal are not."""
+    grid = np.linspace(-0.8, 0.8, 641)
+    density = stats.gumbel_l.pdf(grid, 0.05, 0.09) + 0.15 * stats.norm.pdf(grid, -0.3, 0.06)
+    return grid, density / density.sum()
+
+
+def drawn(seed: int, days: int = 30) -> Drawn:
+    generator = np.random.default_rng(seed)
+    level = np.log(generator.uniform(0.06, 0.2, BINS))
+    grid, probability = shape()
+    asks = generator.uniform(0.05, 0.2, BINS)
+    found = []
+    for day in range(FIRST, FIRST + days):
+        step = grid[1] - grid[0]
+        deviation = generator.choice(grid, BINS, p=probability)
+        met = np.exp(level + deviation + step * generator.uniform(-0.5, 0.5, BINS))
+        asked = asks * generator.uniform(0.6, 1.4, BINS)
+        slipped, held = np.flatnonzero(met < asked), np.flatnonzero(met >= asked)
+        used = np.searchsorted(LEVELS, asked[held], side="right") - 1
+        found.append(
+            evidence(
+                day,
+                dict(zip(slipped.tolist(), met[slipped].tolist(), strict=True)),
+                {int(i): int(k) for i, k in zip(held, used, strict=True) if k >= 0},
+            )
+        )
+    log_levels = np.linspace(-4.5, 0.0, 451)
+    table = np.array([np.interp(log_levels - each, grid, probability) for each in level])
+    table /= table.sum(axis=1, keepdims=True)
+    mean = table @ log_levels
+    std = np.sqrt(table @ log_levels**2 - mean**2)
+    true = AdhesionEstimate(mean, std, np.ones(BINS, dtype=np.bool_), log_levels, table)
+    passages = [day for each in found for day in passages_of("wet", each)]
+    return Drawn(passages, Demand(found, LEVELS), lambda layer, time: true, level)
+
+
+def scored(rail: Drawn, forecaster: Forecaster) -> Verification:
+    nothing = DailyEvidence.none(BINS, LEVELS.size)
+    return verify("drawn", TRACK, rail.days, forecaster, lambda layer, day: nothing, rail.demand)
+
+
+def others(rail: Drawn) -> dict[str, Forecaster]:
+    """Forecasters that do not know the rail: too high, too low, too sure, too wide, ignorant."""
+    true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
+    assert true is not None
+    made = {
+        "too high": normal(true.log_mean + 0.15, true.log_std),
+        "too low": normal(true.log_mean - 0.15, true.log_std),
+        "too sure": normal(true.log_mean, 0.4 * true.log_std),
+        "too wide": normal(true.log_mean, 3.0 * true.log_std),
+        "the mean of the line": normal(np.mean(true.log_mean), 0.35),
+    }
+    return {name: lambda layer, time, each=each: each for name, each in made.items()}  # type: ignore[misc]
+
+
+def test_a_forecaster_that_knows_the_rail_beats_those_that_do_not() -> None:
+    rail = drawn(2)
+    best = scored(rail, rail.knows)
+    assert best.log_score("onsets", over="prior").low > 0.5
+    assert best.brier_gain("prior").low > 0.1
+    for name, forecaster in others(rail).items():
+        worse = scored(rail, forecaster)
+        assert best.log_score("all").value > worse.log_score("all").value + 0.005, name
+        # Whether a trip slips hangs on what it asks for, too: how sure a forecast is hardly shows.
+        margin = 5e-4 if name == "too sure" else 0.0
+        assert best.brier_figure("score").value < worse.brier_figure("score").value + margin, name
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_calibrated_forecasts_are_reliable_and_others_are_not(seed: int) -> None:
+    rail = drawn(seed)
+    best = scored(rail, rail.knows)
+    # An onset within a level of what another trip used without slip may be counted before it.
+    for quantile, share, trips in best.reliability((0.05, 0.1, 0.25, 0.5, 0.75, 0.9)):
+        assert trips > 100
+        assert share.low - 0.02 <= quantile <= share.high + 0.02
+    assert best.coverage.low - 0.01 <= 0.95 <= best.coverage.high + 0.01
+    for forecast, share, trips, slips in best.classes():
+        if trips > 200:
+            assert abs(forecast - share) < 4.0 * np.sqrt(slips + 1.0) / trips + 0.03
+    sure = scored(rail, others(rail)["too sure"])
+    assert sure.coverage.high < 0.85
+    high = scored(rail, others(rail)["too high"])
+    assert {q: share for q, share, _ in high.reliability()}[0.25].low > 0.35
+    assert high.brier_figure("reliability").low > best.brier_figure("reliability").value
+
+
+def test_the_probability_of_slip_is_that_of_asking_for_more_than_there_is() -> None:
+    generator = np.random.default_rng(1)
+    forecast = normal(np.log(0.1), 0.2, 1)
+    share = np.zeros((1, LEVELS.size))
+    share[0, [6, 10]] = 0.5
+    asked = asked_adhesion(LEVELS)
+    met = np.exp(np.log(0.1) + 0.2 * generator.standard_normal(200_000))
+    counted = np.mean(met < generator.choice(asked[[6, 10]], met.size))
+    assert slip_probability(forecast, share, asked)[0] == pytest.approx(counted, abs=0.005)
+
+
+def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored() -> None:
+    rail = drawn(1)
+    true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
+    assert true is not None
+    half = np.arange(BINS) < BINS // 2
+    part = AdhesionEstimate(true.log_mean, true.log_std, half, true.log_levels, true.probability)
+    whole, some = scored(rail, rail.knows), scored(rail, lambda layer, time: part)
+    silent = scored(rail, lambda layer, time: None)
+    assert whole.unknown_onsets == whole.unknown_used == 0
+    assert some.onsets + some.unknown_onsets == whole.onsets == silent.unknown_onsets
+    assert some.used + some.unknown_used == whole.used == silent.unknown_used
+    assert np.isnan(silent.log_score("onsets").value)
+    # Slips where nothing was forecast were not foreseen.
+    assert silent.alarm()[0].value == 0.0
+    assert some.alarm()[0].value < whole.alarm()[0].value
+
+
+def test_bands_need_some_days_and_hold_the_figure() -> None:
+    rail = drawn(3)
+    found = scored(rail, rail.knows).log_score("onsets")
+    assert found.low < found.value < found.high
+    few = Drawn(rail.days[:3], rail.demand, rail.knows, rail.level)
+    assert np.isnan(scored(few, rail.knows).log_score("onsets").low)
+    with pytest.raises(InputError, match="no trip to compare it with"):
+        scored(Drawn([], rail.demand, rail.knows, rail.level), rail.knows)
+
+
+def test_an_alarm_for_everything_foresees_all_and_one_for_nothing_costs_nothing() -> None:
+    rail = drawn(2)
+    curve = scored(rail, rail.knows).alarm_curve()
+    foreseen, false = ([each[i].value for each in curve] for i in (1, 2))
+    assert foreseen[0] > 0.99
+    assert all(np.diff(foreseen) <= 0.0)
+    assert all(np.diff(false) <= 0.0)
+    low = scored(rail, others(rail)["the mean of the line"]).alarm_curve()
+    # At as many slips foreseen, who knows the rail gives fewer false alarms.
+    at = np.interp(0.8, foreseen[::-1], false[::-1])
+    assert at < np.interp(0.8, [e[1].value for e in low][::-1], [e[2].value for e in low][::-1])
