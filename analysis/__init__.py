@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING
 from trainlog.public import names_on_first_use
 
 if TYPE_CHECKING:
+    from analysis.adhesion.characteristic import (
+        fit_adhesion_characteristic as fit_adhesion_characteristic,
+    )
     from analysis.adhesion.condition_map import adhesion_map as adhesion_map
     from analysis.adhesion.condition_table import bins_table as bins_table
     from analysis.adhesion.export import export_map as export_map
@@ -53,6 +56,7 @@ _NAMES = {
     "analysis.resistance.coast_down": "coast_down",
     "analysis.resistance.unknown_gradient": "coast_down_without_gradient",
     "analysis.adhesion.slip": "slip",
+    "analysis.adhesion.characteristic": "fit_adhesion_characteristic",
     "analysis.adhesion.condition_map": "adhesion_map",
     "analysis.adhesion.condition_table": "bins_table",
     "analysis.adhesion.export": "export_map",

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
         NotIdentifiableError as NotIdentifiableError,
         TrainlogError as TrainlogError,
     )
+    from trainlog.formats.characteristic import (
+        read_characteristic as read_characteristic,
+        write_characteristic as write_characteristic,
+    )
     from trainlog.formats.condition import read_map as read_map, write_map as write_map
     from trainlog.formats.line import (
         read_journey as read_journey,
@@ -95,6 +99,14 @@ if TYPE_CHECKING:
         Trajectory as Trajectory,
         Tunnel as Tunnel,
     )
+    from trainlog.railway.adhesion import (
+        AdhesionCharacteristic as AdhesionCharacteristic,
+        AdhesionPoints as AdhesionPoints,
+        AdhesionTable as AdhesionTable,
+        CreepCurve as CreepCurve,
+        PolachCurve as PolachCurve,
+        polach_curve as polach_curve,
+    )
     from trainlog.railway.consist import Consist as Consist, Coupler as Coupler, Vehicle as Vehicle
     from trainlog.replay import (
         open_viewer as open_viewer,
@@ -130,9 +142,13 @@ _NAMES = {
         "RunningResistance Station StepProfile TimingPoint TrackConditionMap Train "
         "Trajectory Tunnel Axles Brake"
     ),
+    "trainlog.railway.adhesion": (
+        "AdhesionCharacteristic AdhesionPoints AdhesionTable CreepCurve PolachCurve polach_curve"
+    ),
     "trainlog.railway.consist": "Consist Coupler Vehicle",
     "trainlog.formats.line": "read_line write_line read_journey write_journey",
     "trainlog.formats.train": "read_train write_train read_consist write_consist",
+    "trainlog.formats.characteristic": "read_characteristic write_characteristic",
     "trainlog.formats.condition": "read_map write_map",
     "trainlog.formats.parameters": "read_parameters write_parameters",
     "trainlog.formats.trajectory": "read_trajectory write_trajectory",

@@ -12,8 +12,13 @@ from trainlog.cli.options import Logs, destination, logs_in
 from trainlog.cli.terminal import console, print_error, progress_bar, wrote
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
+from trainlog.units import KMH
 
 app = typer.Typer()
+adhesion_app = typer.Typer(
+    no_args_is_help=True, help="Adhesion between wheel and rail over slip: characteristics."
+)
+app.add_typer(adhesion_app, name="adhesion", rich_help_panel="Learn")
 
 
 @app.command(rich_help_panel="Learn")
@@ -160,4 +165,45 @@ def coast_down(
     else:
         plot.draw_coast_down(found, shown)
         console.print(coasting.coast_down_table(found))
+    wrote(output, shown)
+
+
+@adhesion_app.command("fit")
+def adhesion_fit(
+    curve: Annotated[
+        Path,
+        typer.Argument(
+            help="CSV of creepage or slip speed, adhesion and, if known, train speed; units in the"
+            " header."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Characteristic (JSON).")],
+    family: Annotated[
+        Literal["polach", "exponentials"] | None,
+        typer.Option(help="Form of the curve; default: the one that explains the points better."),
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Train speed [km/h] of points that do not state theirs.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+) -> None:
+    """Fit an adhesion characteristic to measured points: maximum, optimal slip, slopes.
+
+    Points that do not show the maximum are refused with the reason. The result can be driven on:
+    trainlog simulate --characteristic.
+
+    Example: trainlog adhesion fit curve.csv -o wet.json
+    """
+    from analysis.adhesion.characteristic import characteristic_table, fit_adhesion_characteristic
+    from analysis.adhesion.plot import draw_characteristic
+    from trainlog.formats.characteristic import write_characteristic
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    found = fit_adhesion_characteristic(curve, family, speed=None if speed is None else speed / KMH)
+    write_characteristic(found.characteristic, output, found.provenance())
+    draw_characteristic(found, shown)
+    console.print(characteristic_table(found))
     wrote(output, shown)

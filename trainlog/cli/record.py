@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -71,6 +72,13 @@ def simulate(
         Literal["dry", "wet"] | None,
         typer.Option(help="With --trajectory: the rail's condition; default dry."),
     ] = None,
+    characteristic: Annotated[
+        str | None,
+        typer.Option(
+            help="Adhesion over slip: a file of 'trainlog adhesion fit', measured points (CSV),"
+            " polach-dry or polach-wet; default: the curves of Zhao et al. (2025)."
+        ),
+    ] = None,
     condition: Annotated[
         Path | None,
         typer.Option("--map", help="With --trajectory: track-condition map that the train knows."),
@@ -88,6 +96,7 @@ def simulate(
 
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
     """
+    from trainlog.formats.characteristic import read_characteristic
     from trainlog.mcap import write_log
     from trainlog.simulation import (
         draw_scenarios,
@@ -117,6 +126,9 @@ def simulate(
             configurations=configurations or "hardest", weather=weather or "dry", late=late,
             condition_map=None if condition is None else read_map(condition), seed=seed,
         )  # fmt: skip
+    if characteristic is not None:
+        rail = read_characteristic(characteristic)
+        scenarios = [replace(each, characteristic=rail) for each in scenarios]
     followed = []
     with output_folder(output), progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):

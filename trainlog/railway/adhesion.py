@@ -47,6 +47,12 @@ class AdhesionCharacteristic(ABC):
     """Adhesion in use over slip: odd, rising from 0 to its maximum, then flat or falling.
 
     A family states what it is a function of (`variable`) and its `adhesion_over` that variable.
+
+    Examples
+    --------
+    >>> rails: list[AdhesionCharacteristic] = [WET, polach_curve("wet")]
+    >>> [round(float(rail.optimal_slip_speed(20.0)), 2) for rail in rails]
+    [2.98, 1.0]
     """
 
     variable: SlipVariable
@@ -384,6 +390,85 @@ class AdhesionTable(AdhesionCharacteristic):
         from scipy.interpolate import PchipInterpolator
 
         return PchipInterpolator(np.append(0.0, self.slips), np.append(0.0, self.adhesions))
+
+
+@dataclass(frozen=True, eq=False)
+class AdhesionPoints:
+    """Measured points of adhesion over slip, in any order, with noise, several at one slip.
+
+    Attributes
+    ----------
+    slips : (n,) array [1] or [m/s]
+        Positive.
+    adhesions : (n,) array
+    variable : {"slip speed", "creepage"}
+    speeds : (n,) array [m/s] or None
+        Train speeds, where known.
+
+    Raises
+    ------
+    InputError
+        If a value is none, or can only come of a confused unit.
+
+    Examples
+    --------
+    >>> points = AdhesionPoints(np.array([0.016, 0.004, 0.05]), np.array([0.31, 0.20, 0.28]))
+    >>> points.table().slips.tolist()
+    [0.004, 0.016, 0.05]
+    """
+
+    slips: FloatArray
+    adhesions: FloatArray
+    variable: SlipVariable = "creepage"
+    speeds: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        _check_variable(self.variable)
+        for name in ("slips", "adhesions", "speeds"):
+            if getattr(self, name) is not None:
+                values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+                object.__setattr__(self, name, values)
+        arrays = [self.slips, self.adhesions] + ([] if self.speeds is None else [self.speeds])
+        if self.slips.ndim != 1 or any(each.shape != self.slips.shape for each in arrays):
+            raise InputError("points of adhesion: need pairs of slip and adhesion")
+        if not all(np.all(np.isfinite(each)) for each in arrays):
+            raise InputError("points of adhesion: a value is not a finite number")
+        if not np.all(self.slips > 0.0):
+            raise InputError(
+                "points of adhesion: a slip is not positive",
+                remedy="give the sizes of slip and adhesion, for braking, too",
+            )
+        if self.speeds is not None and not np.all(self.speeds > 0.0):
+            raise InputError("points of adhesion: a train speed is not positive")
+        if not np.all(np.abs(self.adhesions) < 1.5):
+            raise InputError(
+                "points of adhesion: an adhesion is not below 1.5",
+                remedy="state its unit in the header, such as 'adhesion [%]'",
+            )
+        largest = {"creepage": 2.0, "slip speed": 50.0}[self.variable]
+        if np.any(self.slips > largest):
+            of = "2 (200 %)" if self.variable == "creepage" else "50 m/s"
+            raise InputError(
+                f"points of adhesion: a {self.variable} is beyond {of}",
+                remedy="state its unit in the header, such as 'creepage [%]'",
+            )
+
+    def table(self) -> AdhesionTable:
+        """The points themselves as a characteristic.
+
+        Raises
+        ------
+        InputError
+            If there are several at one slip, or too few.
+        """
+        order = np.argsort(self.slips, kind="stable")
+        slips = self.slips[order]
+        if np.any(np.diff(slips) <= 0.0):
+            raise InputError(
+                "points of adhesion: several have one slip",
+                remedy="fit a curve to them: trainlog adhesion fit",
+            )
+        return AdhesionTable(slips, self.adhesions[order], self.variable)
 
 
 def _check_variable(variable: str) -> None:

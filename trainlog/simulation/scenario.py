@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
+from trainlog.formats.characteristic import characteristic_content
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
 from trainlog.railway.adhesion import AdhesionCharacteristic
 from trainlog.simulation.drivers import (
@@ -253,6 +254,8 @@ class Scenario:
             "habits": asdict(self.habits),
             "sensors": asdict(self.sensors),
         }
+        if self.characteristic is not None:
+            content["characteristic"] = characteristic_content(self.characteristic)
         if self.trajectory is not None:
             content["configuration"] = self.trajectory.configurations[self.row].name
         if self.state is not None:

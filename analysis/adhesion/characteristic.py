@@ -1,0 +1,434 @@
+"""Fit of an adhesion characteristic to measured points of adhesion over slip.
+
+Nonlinear least squares of a family (`trainlog.railway.adhesion`) in unbounded parameters, from
+several starts. What the answer is uncertain by has two parts: noise of the points, whose variance
+is estimated from second differences of the residuals (Gasser et al. (1986)) and raised where
+neighbours err alike, and what the family's form misses, the rest of the residuals.
+
+References
+----------
+Gasser, T., Sroka, L., Jennen-Steinmetz, C. (1986), Residual variance and residual pattern in
+nonlinear regression, Biometrika 73, 625-633. Burnham, K. P., Anderson, D. R. (2002), Model
+selection and multimodel inference: the criterion (AICc) by which a family is chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from analysis.tables import new_table
+from trainlog.display import as_html, as_text
+from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.formats.characteristic import read_adhesion_points
+from trainlog.railway.adhesion import (
+    AdhesionCharacteristic,
+    AdhesionPoints,
+    CreepCurve,
+    PolachCurve,
+)
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+
+Family = Literal["polach", "exponentials"]
+"""`PolachCurve`, or `CreepCurve`: the form of Ishikawa and Kawamura, and of Zhao et al. (2025)."""
+
+ASSUMED_SPEED = 10.0
+"""Train speed [m/s] of points over creepage that state none: falling friction depends on it."""
+
+RISING = 0.02
+"""Share of the maximum by which the adhesion may still rise beyond the points: with more they do
+not show the maximum."""
+
+FORM_FACTOR, LEAST_FORM = 1.5, 0.15
+"""What a form misses at the maximum over what it misses on average (RMS), and the least share of
+the residuals' variance that counts as missed: noise and form cannot be distinguished exactly."""
+
+DRAWS = 400
+"""Parameters drawn for the interval of the optimal slip."""
+
+
+@dataclass(frozen=True, eq=False)
+class CharacteristicFit:
+    """An adhesion characteristic fitted to points, and how well it is known.
+
+    Attributes
+    ----------
+    characteristic : AdhesionCharacteristic
+    family : str
+    points : AdhesionPoints
+    speed : float [m/s]
+        Train speed of the points (median), at which maximum and optimum are stated; NaN where none
+        is known and none needed.
+    maximum, maximum_std : float
+        Maximum adhesion and its standard deviation.
+    optimal_slip : float [1] or [m/s]
+        Slip of the maximum, creepage or slip speed as the points have it.
+    optimal_band : (float, float) [1] or [m/s]
+        Its 95 % interval; the upper end is infinite where the adhesion does not fall beyond.
+    rms : dict of str to float
+        Root mean square of the residuals over the maximum, by family that could be fitted.
+    findings : tuple of str
+        What the points do not show, in sentences.
+    """
+
+    characteristic: AdhesionCharacteristic
+    family: str
+    points: AdhesionPoints
+    speed: float
+    maximum: float
+    maximum_std: float
+    optimal_slip: float
+    optimal_band: tuple[float, float]
+    rms: dict[str, float]
+    findings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return as_text(f"Adhesion characteristic: {NAMES[self.family]}", self._rows())
+
+    def _repr_html_(self) -> str:
+        return as_html(f"Adhesion characteristic: {NAMES[self.family]}", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        rows = {
+            "maximum adhesion": f"{self.maximum:.4f} ± {1.96 * self.maximum_std:.4f}",
+            f"optimal {self.points.variable}": self.optimum_in_words(),
+            "residuals": f"{100.0 * self.rms[self.family]:.2f} % of the maximum (RMS)"
+            f" of {self.points.slips.size} points",
+        }
+        return rows | ({"note": "; ".join(self.findings)} if self.findings else {})
+
+    def optimum_in_words(self) -> str:
+        """The optimal slip and its interval in the units of railway people."""
+        low, high = self.optimal_band
+        scale, unit = (100.0, "%") if self.points.variable == "creepage" else (KMH, "km/h")
+        end = f"to {scale * high:.3g}" if np.isfinite(high) else "up, flat beyond"
+        return f"{scale * self.optimal_slip:.3g} {unit} ({scale * low:.3g} {end})"
+
+    def provenance(self) -> dict[str, Any]:
+        """What is kept of the fit in the characteristic's file."""
+        low, high = self.optimal_band
+        return {
+            "points": int(self.points.slips.size),
+            "speed": float(self.speed) if np.isfinite(self.speed) else None,
+            "maximum": self.maximum,
+            "maximum_std": self.maximum_std,
+            "optimal_slip": self.optimal_slip,
+            "optimal_band": [low, high if np.isfinite(high) else None],
+            "rms": dict(self.rms),
+            "findings": list(self.findings),
+        }
+
+
+NAMES = {
+    "polach": "Polach (2005), falling friction",
+    "exponentials": "double exponential (Ishikawa and Kawamura)",
+}
+
+
+def fit_adhesion_characteristic(
+    points: AdhesionPoints | str | Path,
+    family: Family | None = None,
+    *,
+    speed: float | None = None,
+    clean_stiffness: float | None = None,
+) -> CharacteristicFit:
+    """Fit an adhesion characteristic to measured points.
+
+    Parameters
+    ----------
+    points : AdhesionPoints or path
+        A path: CSV, see `trainlog.formats.characteristic.read_adhesion_points`.
+    family : {"polach", "exponentials"}, optional
+        Default: the one that explains the points better for its number of parameters (AICc).
+    speed : float [m/s], optional
+        Train speed of points that do not state theirs.
+    clean_stiffness : float, optional
+        Slope of the clean contact over creepage, from which Polach's k_A is then stated. From the
+        points only its product with k_A can be found; by default the product, with a k_A of 1.
+
+    Returns
+    -------
+    CharacteristicFit
+
+    Raises
+    ------
+    InputError
+        If the points are none, or lack what the family needs.
+    NotIdentifiableError
+        If they do not determine the maximum; with the reason.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> creepage = np.geomspace(0.001, 0.3, 25)
+    >>> adhesion = 0.3 * np.sin(1.6 * np.arctan(60.0 * creepage))  # of another form
+    >>> fit = fit_adhesion_characteristic(AdhesionPoints(creepage, adhesion), speed=10.0)
+    >>> print(f"{fit.maximum:.3f} at {100.0 * fit.optimal_slip:.1f} %")
+    0.299 at 2.5 %
+    """
+    given = points if isinstance(points, AdhesionPoints) else read_adhesion_points(points)
+    if given.speeds is None and speed is not None:
+        if not 0.0 < speed < 200.0:
+            raise InputError(f"train speed {speed} m/s is not between 0 and 200")
+        given = replace(given, speeds=np.full(given.slips.size, speed))
+    _check_points(given)
+    findings: list[str] = []
+    wanted: list[Family] = ["polach", "exponentials"] if family is None else [family]
+    fitted: dict[str, _Solution] = {}
+    reasons: list[str] = []
+    for each in wanted:
+        problem, notes = _problem(each, given, clean_stiffness)
+        if problem is None:
+            reasons += notes
+            continue
+        fitted[each] = _solved(problem)
+        if each == "polach":
+            findings += notes
+    if not fitted:
+        raise NotIdentifiableError("; ".join(reasons))
+    best = min(fitted, key=lambda name: fitted[name].criterion)
+    if best != "polach":
+        findings = reasons
+    elif given.speeds is not None and np.ptp(given.speeds) < 0.1 * np.mean(given.speeds):
+        findings.append("points of one train speed: how the curve changes with it is Polach's law")
+    return _judged(best, fitted, given, findings)
+
+
+def _check_points(points: AdhesionPoints) -> None:
+    """Refuse points that cannot show a maximum whatever the family."""
+    if points.slips.size < 5:
+        raise NotIdentifiableError(
+            f"{points.slips.size} points do not determine a characteristic; give five at least"
+        )
+    if not np.max(points.adhesions) > 0.0:
+        raise InputError("points of adhesion: none is positive")
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """A family on given points: residuals of unbounded parameters."""
+
+    slips: FloatArray
+    adhesions: FloatArray
+    speeds: FloatArray
+    curve: Callable[[FloatArray], AdhesionCharacteristic]
+    starts: tuple[FloatArray, ...]
+    width: FloatArray
+    """Of a weak prior around each start, which holds what the points do not show."""
+
+    def residuals(self, theta: FloatArray) -> FloatArray:
+        return self.curve(theta).adhesion_over(self.slips, self.speeds) - self.adhesions
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    problem: _Problem
+    theta: FloatArray
+    covariance: FloatArray
+    noise: float
+    form: float
+    """Standard deviation at the maximum of what the form misses, beyond noise."""
+
+    @property
+    def residuals(self) -> FloatArray:
+        return self.problem.residuals(self.theta)
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+    @property
+    def criterion(self) -> float:
+        """Akaike's, for few points."""
+        n, k = self.residuals.size, self.theta.size + 1
+        return float(n * np.log(self.rms**2 + 1e-18) + 2.0 * k * n / max(n - k - 1, 0.5))
+
+    @property
+    def curve(self) -> AdhesionCharacteristic:
+        return self.problem.curve(self.theta)
+
+
+def _problem(
+    family: Family, points: AdhesionPoints, clean_stiffness: float | None
+) -> tuple[_Problem | None, list[str]]:
+    """The problem of a family, and what is to be stated of it; None where it cannot be put."""
+    top = int(np.argmax(points.adhesions))
+    peak, slip = float(points.adhesions[top]), float(points.slips[top])
+    speeds = np.full(points.slips.size, np.nan) if points.speeds is None else points.speeds
+    if family == "exponentials":
+        starts = []
+        for ratio in (2.0, 15.0, 100.0, 1e3):
+            a = np.log(ratio) / ((ratio - 1.0) * slip)
+            height = np.exp(-a * slip) - np.exp(-ratio * a * slip)
+            starts.append(np.log([a, ratio - 1.0, peak / height]))
+        variable = points.variable
+
+        def exponentials(theta: FloatArray) -> AdhesionCharacteristic:
+            a, more, c = np.exp(np.clip(theta, -30.0, 30.0)).tolist()
+            return CreepCurve(a, a * (1.0 + more) + 1e-12, c, c, variable)
+
+        return _Problem(
+            points.slips, points.adhesions, speeds, exponentials, tuple(starts), np.full(3, 20.0)
+        ), []
+    notes = []
+    if points.slips.size < 7:
+        return None, ["Polach's curve needs seven points at least"]
+    if points.speeds is None:
+        if points.variable == "slip speed":
+            return None, ["Polach's curve is over creepage: without the train's speed not fitted"]
+        notes.append(
+            f"train speed not stated: the fall of the friction holds for {ASSUMED_SPEED:g} m/s"
+        )
+        speeds = np.full(points.slips.size, ASSUMED_SPEED)
+    creepages = points.slips if points.variable == "creepage" else points.slips / speeds
+
+    def polach(theta: FloatArray) -> AdhesionCharacteristic:
+        stiffness, friction, decay = np.exp(np.clip(theta[[0, 2, 4]], -20.0, 20.0)).tolist()
+        ratio, left = (1.0 / (1.0 + np.exp(-np.clip(theta[[1, 3]], -30.0, 30.0)))).tolist()
+        clean = clean_stiffness or stiffness
+        return PolachCurve(
+            clean, min(stiffness / clean, 1.0), min(ratio * stiffness / clean, 1.0),
+            min(friction, 1.49), left, decay,
+        )  # fmt: skip
+
+    steep = np.max(points.adhesions / creepages)
+    starts = []
+    for decay in (0.05, 0.3, 2.0, 10.0):
+        for ratio in (-1.0, 1.0):
+            guess = [np.log(1.5 * steep), ratio, np.log(1.2 * peak), 0.0, np.log(decay)]
+            starts.append(np.array(guess))
+    width = np.array([5.0, 4.0, 2.0, 4.0, 4.0])
+    return _Problem(creepages, points.adhesions, speeds, polach, tuple(starts), width), notes
+
+
+def _solved(problem: _Problem) -> _Solution:
+    """The best of the starts, and how well the points determine it."""
+    from scipy.optimize import least_squares
+
+    scale = 0.01 * float(np.max(problem.adhesions))
+
+    def cost(theta: FloatArray, centre: FloatArray) -> FloatArray:
+        # Weaker than one point of a hundredth of the maximum's error by far.
+        prior = 1e-2 * (theta - centre) / problem.width
+        return np.concatenate([problem.residuals(theta) / scale, prior])
+
+    found = [
+        least_squares(cost, start, args=(start,), method="trf", x_scale="jac", max_nfev=400)
+        for start in problem.starts
+    ]
+    best = min(found, key=lambda each: float(each.cost))
+    theta, jacobian = best.x, best.jac[: problem.slips.size] * scale
+    residuals = problem.residuals(theta)
+    noise = _noise(problem.slips, residuals)
+    n, p = residuals.size, theta.size
+    mean_square = float(np.mean(residuals**2))
+    form = FORM_FACTOR * float(np.sqrt(max(mean_square - noise**2, LEAST_FORM * mean_square)))
+    variance = float(np.sum(residuals**2)) / max(n - p, 1)
+    information = jacobian.T @ jacobian / variance + np.diag(problem.width**-2.0)
+    return _Solution(problem, theta, np.linalg.inv(information), noise, form)
+
+
+def _noise(slips: FloatArray, residuals: FloatArray) -> float:
+    """Standard deviation of the noise, from second differences of the residuals along the slip."""
+    ordered = residuals[np.argsort(slips, kind="stable")]
+    return float(np.sqrt(np.mean(np.diff(ordered, 2) ** 2) / 6.0))
+
+
+def _judged(
+    best: str, fitted: dict[str, _Solution], points: AdhesionPoints, findings: list[str]
+) -> CharacteristicFit:
+    """What the best solution says of maximum and optimum; refused where it says too little."""
+    solution = fitted[best]
+    speeds = solution.problem.speeds
+    speed = float(np.median(speeds)) if np.all(np.isfinite(speeds)) else np.nan
+    largest = float(points.slips.max())
+    grid = np.concatenate(
+        [np.geomspace(1e-3 * points.slips.min(), largest, 600), largest * np.geomspace(1, 5, 200)]
+    )
+    over = _over(solution.curve, points.variable, grid, speed)
+    within = over[:600]
+    top = int(np.argmax(within))
+    maximum, slip = float(within[top]), float(grid[top])
+    beyond = float(over.max())
+    unit = "%" if points.variable == "creepage" else "m/s"
+    end = f"{largest * (100.0 if unit == '%' else 1.0):.3g} {unit}"
+    if beyond > (1.0 + RISING) * maximum:
+        raise NotIdentifiableError(
+            f"adhesion still rises at the largest {points.variable}, {end}: the maximum is not"
+            " shown; measure further into slip"
+        )
+    if np.count_nonzero(points.slips < 0.8 * slip) < 2:
+        raise NotIdentifiableError(
+            f"fewer than two points lie below the maximum: they do not show how adhesion rises"
+            f" to it; measure at less {points.variable}"
+        )
+    std, band = _uncertainty(solution, points.variable, grid, speed)
+    if band[1] >= largest:
+        band = (band[0], np.inf)
+        findings = [
+            *findings,
+            f"no fall beyond the maximum is shown up to {end}: the optimum has a lower end only",
+        ]
+    std = float(np.hypot(std, beyond - maximum))
+    scale = {name: each.rms / maximum for name, each in fitted.items()}
+    return CharacteristicFit(
+        solution.curve, best, points, speed, maximum, std, slip, band, scale, tuple(findings)
+    )
+
+
+def _over(
+    curve: AdhesionCharacteristic, variable: str, slips: FloatArray, speed: float
+) -> FloatArray:
+    """A characteristic over the slip of the points."""
+    if curve.variable != variable:  # points over slip speed, Polach's curve over creepage
+        slips = slips / speed
+    return curve.adhesion_over(slips, np.asarray(speed))
+
+
+def _uncertainty(
+    solution: _Solution, variable: str, grid: FloatArray, speed: float
+) -> tuple[float, tuple[float, float]]:
+    """Standard deviation of the maximum, and 95 % interval of the slip at which it is."""
+    within = grid[:600]
+    own = _over(solution.curve, variable, within, speed)
+    # How the curve moves with each parameter; drawn curves are linear in them.
+    small = 1e-4
+    moves = np.array(
+        [
+            _over(solution.problem.curve(solution.theta + step), variable, within, speed) - own
+            for step in small * np.eye(solution.theta.size)
+        ]
+    )
+    normal = np.random.default_rng(0).standard_normal((DRAWS, solution.theta.size))
+    drawn = normal @ np.linalg.cholesky(solution.covariance).T @ (moves / small)
+    std = float(np.hypot(np.std(drawn[:, int(np.argmax(own))]), solution.form))
+    low, high = np.quantile(within[np.argmax(own + drawn, axis=1)], [0.025, 0.975])
+    flat = within[own >= own.max() - 1.96 * solution.form]
+    return std, (float(min(low, flat[0])), float(max(high, flat[-1])))
+
+
+def characteristic_table(fit: CharacteristicFit) -> Table:
+    """The fit as a table: maximum, optimum, slope, and what each family leaves of the points."""
+    table = new_table(f"Adhesion characteristic: {NAMES[fit.family]}", "quantity", "value")
+    for quantity, value in fit._rows().items():
+        table.add_row(quantity, value)
+    curve = fit.characteristic
+    if np.isfinite(fit.speed):
+        slope = float(curve.slope(0.0, fit.speed)) * fit.speed / 100.0
+        table.add_row("slope at no slip", f"{slope:.3f} a per cent of creepage")
+        best = float(curve.optimal_slip_speed(fit.speed))
+        at = f"at {KMH * fit.speed:.0f} km/h"
+        if np.isfinite(fit.optimal_band[1]):
+            table.add_row(f"optimal slip speed {at}", f"{KMH * best:.3g} km/h")
+    for name, rms in fit.rms.items():
+        if name != fit.family:
+            table.add_row(f"residuals: {NAMES[name]}", f"{100.0 * rms:.2f} % of the maximum (RMS)")
+    return table

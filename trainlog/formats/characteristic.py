@@ -1,0 +1,284 @@
+"""The format ``"trainlog/characteristic"``: adhesion over slip; and its measured points as CSV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from trainlog.errors import InputError
+from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.headed import HeadedTable, read_headed
+from trainlog.formats.parameters import Details
+from trainlog.formats.schema import Column, File, FloatArray, Part, Quantity, Table, built
+from trainlog.railway.adhesion import (
+    AdhesionCharacteristic,
+    AdhesionPoints,
+    AdhesionTable,
+    CreepCurve,
+    PolachCurve,
+    SlipVariable,
+    polach_curve,
+)
+from trainlog.units import to_si
+
+_EXPECTED = (
+    "give a header such as 'creepage [%];adhesion' or 'slip speed [m/s];adhesion;speed [km/h]'"
+)
+
+_Pure = Annotated[float, Quantity("1", "1")]
+_PerSpeed = Annotated[float, Quantity("s/m", "s/m")]
+
+PRESETS = ("polach-dry", "polach-wet")
+"""Names under which the characteristics of Polach (2005) can be given in place of a file."""
+
+
+class _OverSlipSpeed(Part):
+    a: _PerSpeed
+    b: _PerSpeed
+    c: _Pure
+
+
+class _OverCreepage(Part):
+    a: _Pure
+    b: _Pure
+    c: _Pure
+
+
+class _Polach(Part):
+    stiffness: _Pure
+    adhesion_factor: _Pure
+    slip_factor: _Pure
+    friction: _Pure
+    friction_ratio: _Pure
+    friction_decay: _PerSpeed
+
+
+_CREEPAGES = Table((Column("creepage", "%", "1"), Column("adhesion", "1", "1")))
+_SLIP_SPEEDS = Table((Column("slip_speed", "m/s", "m/s"), Column("adhesion", "1", "1")))
+
+
+class _CharacteristicFile(File):
+    FORMAT: ClassVar[str] = "trainlog/characteristic"
+
+    exponentials_over_slip_speed: _OverSlipSpeed | None = None
+    exponentials_over_creepage: _OverCreepage | None = None
+    polach: _Polach | None = None
+    table_over_creepage: Annotated[tuple[FloatArray, FloatArray], _CREEPAGES] | None = None
+    table_over_slip_speed: Annotated[tuple[FloatArray, FloatArray], _SLIP_SPEEDS] | None = None
+    provenance: Details = Field(default_factory=dict)
+
+    def content(self) -> AdhesionCharacteristic:
+        """The characteristic that the file describes."""
+        given = [name for name in _FAMILIES if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError(
+                f"describes {len(given)} characteristics, expected one",
+                remedy=f"give one of {', '.join(_FAMILIES)}",
+            )
+        part = getattr(self, given[0])
+        if given[0] == "polach":
+            return PolachCurve(**dict(part))
+        variable: SlipVariable = "creepage" if given[0].endswith("creepage") else "slip speed"
+        if given[0].startswith("table"):
+            slips, adhesions = part
+            return AdhesionTable(slips, adhesions, variable)
+        return CreepCurve(part.a, part.b, part.c, part.c, variable)
+
+    @staticmethod
+    def of(characteristic: AdhesionCharacteristic, provenance: Details) -> _CharacteristicFile:
+        """The file that describes a characteristic."""
+        over = characteristic.variable.replace(" ", "_")
+        part: Any
+        if isinstance(characteristic, PolachCurve):
+            name, part = "polach", _Polach.holding(characteristic)
+        elif isinstance(characteristic, AdhesionTable):
+            name, part = f"table_over_{over}", (characteristic.slips, characteristic.adhesions)
+        elif isinstance(characteristic, CreepCurve):
+            kind = _OverCreepage if over == "creepage" else _OverSlipSpeed
+            name, part = f"exponentials_over_{over}", kind.holding(characteristic)
+        else:
+            raise InputError(f"a {type(characteristic).__name__} cannot be written as a file")
+        return _CharacteristicFile.model_construct(**{name: part}, provenance=provenance)
+
+
+_FAMILIES = tuple(name for name in _CharacteristicFile.model_fields if name != "provenance")
+"""Keys that describe a characteristic."""
+
+
+def characteristic_from_bytes(
+    data: bytes, *, file: str | Path = "characteristic.json"
+) -> AdhesionCharacteristic:
+    """The characteristic in the bytes of its file; `file` is what errors call it.
+
+    Raises
+    ------
+    InputError
+        If they are not such a file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> wet = polach_curve("wet")
+    >>> characteristic_from_bytes(characteristic_to_bytes(wet)) == wet
+    True
+    """
+    return built(_CharacteristicFile.from_bytes(data, file).content, file)
+
+
+def characteristic_to_bytes(
+    characteristic: AdhesionCharacteristic, provenance: Details | None = None
+) -> bytes:
+    """The bytes of the characteristic's file.
+
+    Examples
+    --------
+    >>> from trainlog.railway.adhesion import WET
+    >>> b"exponentials_over_slip_speed" in characteristic_to_bytes(WET)
+    True
+    """
+    return _CharacteristicFile.of(characteristic, provenance or {}).to_bytes()
+
+
+def characteristic_content(characteristic: AdhesionCharacteristic) -> dict[str, Any]:
+    """What stands in a characteristic's file, to stand in another."""
+    return _CharacteristicFile.of(characteristic, {}).file_content()
+
+
+def read_characteristic(path: str | Path) -> AdhesionCharacteristic:
+    """The adhesion characteristic in a file, or one of Polach (2005) by its name.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file of the format ``trainlog/characteristic`` (JSON, TOML); measured points as CSV, which
+        become a table (see `read_adhesion_points`); or ``polach-dry``, ``polach-wet``.
+
+    Raises
+    ------
+    InputError
+        If it is none of these, or cannot be read.
+
+    Examples
+    --------
+    >>> read_characteristic("polach-wet").friction
+    0.3
+    """
+    name = str(path)
+    if name in PRESETS:
+        return polach_curve("dry" if name.endswith("dry") else "wet")
+    if Path(path).suffix.lower() == ".csv":
+        return built(lambda: read_adhesion_points(path).table(), path)
+    if not Path(path).exists() and not Path(path).suffix:
+        raise InputError(
+            f"adhesion characteristic '{name}' is unknown",
+            remedy=f"give a file, or one of {', '.join(PRESETS)}",
+        )
+    return characteristic_from_bytes(read_bytes(path), file=path)
+
+
+def write_characteristic(
+    characteristic: AdhesionCharacteristic, path: str | Path, provenance: Details | None = None
+) -> None:
+    """Write an adhesion characteristic to a file, JSON or TOML, whole or not at all.
+
+    Parameters
+    ----------
+    characteristic : AdhesionCharacteristic
+    path : str or Path
+    provenance : dict, optional
+        Where it is from, any JSON.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_characteristic(polach_curve("dry"), Path(folder) / "dry.json")
+    ...     read_characteristic(Path(folder) / "dry.json") == polach_curve("dry")
+    True
+    """
+    write_bytes(path, _CharacteristicFile.of(characteristic, provenance or {}).bytes_for(path))
+
+
+def read_adhesion_points(path: str | Path) -> AdhesionPoints:
+    r"""Measured points of adhesion over slip in a CSV file.
+
+    The first column is the slip: creepage where its unit is a pure number (``[%]``, ``[1]``), slip
+    speed where it is a speed. The second is the adhesion, a pure number where it has no unit; a
+    third, if there is one, the train's speed. Columns are separated by semicolons, tabs or commas.
+    Of points in braking, with negative slip and adhesion, the sizes are taken; points without slip
+    are left out.
+
+    Raises
+    ------
+    InputError
+        If the file is not such a table; with the line and the remedy.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "curve.csv"
+    ...     _ = path.write_text("creepage [%];adhesion\n0;0\n0,8;0,21\n1,6;0,31\n10;0,25\n")
+    ...     points = read_adhesion_points(path)
+    >>> points.variable, points.slips.tolist()
+    ('creepage', [0.008, 0.016, 0.1])
+    """
+    table = read_headed(path, _EXPECTED)
+    if len(table.names) not in (2, 3):
+        raise InputError(
+            f"has {len(table.names)} columns, expected slip and adhesion",
+            file=path,
+            place=f"line {table.line}",
+            remedy=_EXPECTED,
+        )
+    variable, unit = _slip_variable(table)
+    units = [(unit, "1" if variable == "creepage" else "m/s"), (table.units[1] or "1", "1")]
+    if len(table.names) == 3:
+        units.append((table.unit(2, _EXPECTED), "m/s"))
+    rows = [_numbers(table, number, cells) for number, cells in table.rows]
+    numbers = np.array(rows, dtype=np.float64).reshape(-1, len(units))
+    columns = built(lambda: [to_si(c, *u) for c, u in zip(numbers.T, units, strict=True)], path)
+    slips, adhesions = columns[:2]
+    opposed = (slips * adhesions < 0.0) & (np.abs(adhesions) > 0.02)
+    if np.any(opposed):
+        raise InputError(
+            "slip and adhesion have opposite signs",
+            file=path,
+            place=f"line {table.rows[int(np.argmax(opposed))][0]}",
+            remedy="give both positive in traction, both negative in braking",
+        )
+    used = slips != 0.0
+    return built(
+        lambda: AdhesionPoints(
+            np.abs(slips[used]),
+            (np.sign(slips) * adhesions)[used],
+            variable,
+            columns[2][used] if len(columns) == 3 else None,
+        ),
+        path,
+    )
+
+
+def _slip_variable(table: HeadedTable) -> tuple[SlipVariable, str]:
+    """What the first column is, by its unit, and that unit."""
+    unit = table.unit(0, _EXPECTED)
+    try:
+        to_si(1.0, unit, "1")
+    except InputError:
+        built(lambda: to_si(1.0, unit, "m/s"), table.path)
+        return "slip speed", unit
+    return "creepage", unit
+
+
+def _numbers(table: HeadedTable, number: int, cells: tuple[str, ...]) -> list[float]:
+    try:
+        return [table.number(cell) for cell in cells]
+    except ValueError as error:
+        raise InputError(
+            f"'{table.separator.join(cells)}' is not a slip and an adhesion",
+            file=table.path,
+            place=f"line {number}",
+            remedy=f"give numbers separated by '{table.separator}'",
+        ) from error
