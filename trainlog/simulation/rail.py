@@ -23,7 +23,7 @@ from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.condition import BIN_LENGTH
-from trainlog.railway.weather import Conditions
+from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Conditions
 from trainlog.simulation.weather import DAY, HOUR, DrawnWeather, draw_weather
 from trainlog.units import NANOSECONDS
 
@@ -267,7 +267,7 @@ class Rail:
     spots : DataFrame
         One row a passing spot, in order of birth: ``kind``, ``start`` and ``length`` [m], ``birth``
         [ns since 1970 UTC], ``life`` [s], ``sharpness`` of its decay, ``dry`` and ``wet``: its
-        maximum adhesion when fresh on dry and on other rail, ``wash`` [s/mm].
+        maximum adhesion when fresh on dry and on other rail, ``wash`` [s/m].
     changes : tuple of Change
 
     Examples
@@ -553,7 +553,7 @@ def _spots(
                     "sharpness": generator.uniform(1.8, 4.0, count),
                     "dry": generator.uniform(*kind.dry, count),
                     "wet": generator.uniform(*kind.wet, count),
-                    "wash": 3600.0 * generator.uniform(*kind.wash, count),
+                    "wash": generator.uniform(*kind.wash, count) / MILLIMETRE_PER_HOUR,
                     "chance": generator.uniform(size=count),
                 }
             )

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from trainlog.railway.weather import Weather
+from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Weather
 from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
@@ -51,10 +51,10 @@ class DrawnWeather:
     falling: FloatArray
 
     def rain_until(self, time: NDArray[np.int64]) -> FloatArray:
-        """Rain since the first hour up to each time [mm]."""
+        """Rain since the first hour up to each time [m]."""
         starts = self.table.starts
         edges = np.append(starts, self.table.ends[-1])
-        total = np.concatenate(([0.0], np.cumsum(self.table.precipitation)))
+        total = np.concatenate(([0.0], np.cumsum(3600.0 * self.table.precipitation)))
         return np.asarray(
             np.interp((time - starts[0]).astype(float), (edges - starts[0]).astype(float), total)
         )
@@ -105,7 +105,7 @@ def draw_weather(start: int, hours: int, generator: np.random.Generator) -> Draw
         tuple(str(each) for each in conditions),
         np.round(temperature, 1),
         np.round(np.clip(humidity, 0.2, 1.0), 2),
-        rain,
+        MILLIMETRE_PER_HOUR * rain,
     )
     return DrawnWeather(table, falling)
 
