@@ -107,7 +107,10 @@ def test_the_samples_profile_is_valid() -> None:
         ),
         (HEAD + "[trip]\nload = {value=3, unit='m'}", "load: unit 'm' cannot be read as kg"),
         (HEAD + "[trip]\nload = 3", "trip.load"),
-        (HEAD + "[trip]\nweather = 'snow'", "trip.weather: must be 'dry' or 'wet'"),
+        (
+            HEAD + "[trip]\nweather = 'wett'",
+            "trip: rail condition 'wett' is not known; did you mean 'wet'",
+        ),
         (
             HEAD + "[trip]\nload = {value=3, unit='t'}\nmass = {value=3, unit='t'}",
             "trip: give load or mass, not both",

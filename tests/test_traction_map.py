@@ -415,7 +415,7 @@ class TestTrips:
         stated = {n: v for n, v in trip.metadata.items() if n != "weather"}
         unknown = replace(trip, metadata=stated)
         track = empty_map(hilly_line())
-        with pytest.raises(LogError, match="does not say whether the rail was dry or wet"):
+        with pytest.raises(LogError, match=r"does not state the rail.s condition"):
             evidence(unknown, track)
         assert evidence(unknown, track, layer="leaves").layer == "leaves"
 

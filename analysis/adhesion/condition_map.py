@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Group
 
+from analysis.adhesion.covariates import TOPICS as COVARIATE_TOPICS, covariates
 from analysis.adhesion.evidence import (
     Evidence,
     check_line,
@@ -46,6 +47,7 @@ from trainlog.railway.adhesion import DRY, WET
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
+from trainlog.railway.weather import Weather
 from trainlog.trip import Trip
 
 FloatArray = NDArray[np.float64]
@@ -158,12 +160,14 @@ def update(
                 "trip": piece.trip,
                 "sha256": piece.sha256,
                 "layer": piece.layer,
+                **({"further_layers": list(piece.further)} if piece.further else {}),
                 "software": f"trainlog {__version__}",
                 "identity": text_of(piece.recorded),
                 **piece.details,
             }
         )
-        sums.setdefault(piece.layer, []).append(piece.daily)
+        for name, daily in piece.layers.items():
+            sums.setdefault(name, []).append(daily)
     return _solved(track, sums, trips), tuple(given[number].trip for number in left_out)
 
 
@@ -260,6 +264,7 @@ def adhesion_map(
     trips: Given | Iterable[Given],
     known: TrackConditionMap | None = None,
     layer: str | None = None,
+    weather: Weather | None = None,
 ) -> UpdatedMap:
     """Learn maximum adhesion along a line from trips, or add trips to a map.
 
@@ -276,6 +281,10 @@ def adhesion_map(
         Default: a new one, on the line of the first trip.
     layer : str, optional
         Rail condition of all trips; default: what each states (metadata ``weather``).
+    weather : Weather, optional
+        At the line: the rail's condition where neither the call nor the trip states it. Where it
+        changes on the way, what was seen counts for the condition that held then. Temperature,
+        humidity and rain are kept with each trip.
 
     Raises
     ------
@@ -293,11 +302,11 @@ def adhesion_map(
     held: list[tuple[str, str]] = []
     for given in each_given(trips):
         path = None if isinstance(given, Trip) else given
-        trip = given if isinstance(given, Trip) else read_log(given, topics=[])
+        trip = given if isinstance(given, Trip) else read_log(given, topics=COVARIATE_TOPICS)
         try:
             if track is None:
                 track = empty_map(_own_line(trip))
-            condition = condition_of(trip, track, layer)
+            condition = condition_of(trip, track, layer, weather)
             digest = "" if path is None else sha256_of(path)
             recorded = identity_of(trip) if path is None else identity_of_log(path)
             why = _left_out(track, [_Log(trip.name, digest, recorded)])
@@ -306,7 +315,10 @@ def adhesion_map(
                 continue
             parts = [slip(trip)] if path is None else _analysed(path)
             piece = evidence_of_parts(parts, track, condition, sha256=digest)
-            pieces.append(replace(piece, recorded=recorded, steps=len(trip.provenance)))
+            details = piece.details | covariates(trip, piece.span, weather)
+            pieces.append(
+                replace(piece, recorded=recorded, steps=len(trip.provenance), details=details)
+            )
         except TrainlogError as error:
             if path is None:
                 raise

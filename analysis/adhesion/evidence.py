@@ -9,7 +9,7 @@ their order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.adhesion.covariates import covariates
 from analysis.adhesion.slip import SlipAnalysis, joined_details, slip
 from trainlog.condition import setting
 from trainlog.errors import InputError, LogError
@@ -24,6 +25,7 @@ from trainlog.formats.attached import line_of
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.weather import Weather, check_condition
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
@@ -48,12 +50,12 @@ class Evidence:
     line : str
     length, bin_length : float [m]
     layer : str
-        Rail condition.
+        Rail condition; where it changed on the way the one that held longest.
     trip : str
     sha256 : str
         Of the log; empty where there is no file.
     daily : DailyEvidence
-        By the day on which each bin was passed.
+        In that rail condition, by the day on which each bin was passed.
     details : dict
         What the map keeps of the trip beside its name: see `SlipAnalysis.details`.
     recorded : TripIdentity, optional
@@ -61,6 +63,10 @@ class Evidence:
     steps : int
         Of processing since it was recorded: of equally full recordings of a drive that of the
         fewest is counted.
+    further : dict of str to DailyEvidence
+        In other rail conditions, where the weather changed on the way.
+    span : (int, int) [ns since 1970 UTC]
+        First and last sample.
     """
 
     line: str
@@ -73,10 +79,22 @@ class Evidence:
     details: dict[str, Any] = field(default_factory=dict)
     recorded: TripIdentity | None = None
     steps: int = 0
+    further: dict[str, DailyEvidence] = field(default_factory=dict)
+    span: tuple[int, int] = (0, 0)
+
+    @property
+    def layers(self) -> dict[str, DailyEvidence]:
+        """All evidence by rail condition."""
+        return {self.layer: self.daily, **self.further}
 
 
 def evidence(
-    trip: Trip, track: TrackConditionMap, *, sha256: str = "", layer: str | None = None
+    trip: Trip,
+    track: TrackConditionMap,
+    *,
+    sha256: str = "",
+    layer: str | None = None,
+    weather: Weather | None = None,
 ) -> Evidence:
     """What a trip that carries its line and its train says of the maximum adhesion.
 
@@ -88,7 +106,10 @@ def evidence(
     sha256 : str
         Of the log file, so that it is never counted twice.
     layer : str, optional
-        Rail condition; default: the trip's own metadata ``weather``.
+        Rail condition; see `condition_of`.
+    weather : Weather, optional
+        At the line: the rail's condition where neither the call nor the trip states it, and what
+        is kept beside the evidence.
 
     Raises
     ------
@@ -96,85 +117,173 @@ def evidence(
         If the rail condition is not known, or slip cannot be analysed
         (`analysis.adhesion.slip.slip`).
     """
-    condition = condition_of(trip, track, layer)
+    condition = condition_of(trip, track, layer, weather)
     found = evidence_of(slip(trip), track, condition, sha256=sha256)
-    return replace(found, recorded=identity_of(trip), steps=len(trip.provenance))
+    details = found.details | covariates(trip, found.span, weather)
+    return replace(found, recorded=identity_of(trip), steps=len(trip.provenance), details=details)
 
 
-def condition_of(trip: Trip, track: TrackConditionMap, layer: str | None = None) -> str:
-    """The rail condition of a trip on the map's line; arguments and errors as for `evidence`."""
-    condition = layer or trip.metadata.get("weather", "")
-    if not condition:
-        raise LogError(
-            f"trip '{trip.name}' does not say whether the rail was dry or wet",
-            remedy="give the layer (--layer wet), or ingest the recording with --set weather=wet",
-        )
+def condition_of(
+    trip: Trip,
+    track: TrackConditionMap,
+    layer: str | None = None,
+    weather: Weather | None = None,
+) -> str | Weather:
+    """The rail condition of a trip on the map's line, or the weather that states it over time.
+
+    The first of these that there is: the `layer` given; what the trip itself states (metadata
+    ``weather``), which who drove or recorded it saw; the `weather` at the line.
+
+    Raises
+    ------
+    LogError
+        If none of them is known.
+    InputError
+        If the trip is on another line, or the condition cannot be one or is misspelt
+        (`trainlog.railway.weather.check_condition`).
+    """
     line = line_of(trip)
     check_line(track, trip.name, line.name, line.length)
-    return condition
+    condition = layer or trip.metadata.get("weather", "")
+    if condition:
+        return check_condition(condition, track.layers)
+    if weather is not None:
+        return weather
+    raise LogError(
+        f"trip '{trip.name}' does not state the rail's condition, such as dry or wet",
+        remedy="give the layer (--layer wet) or a weather file (--weather), or ingest the recording"
+        " with --set weather=wet",
+    )
 
 
 def evidence_of(
-    analysis: SlipAnalysis, track: TrackConditionMap, layer: str, *, sha256: str = ""
+    analysis: SlipAnalysis, track: TrackConditionMap, layer: str | Weather, *, sha256: str = ""
 ) -> Evidence:
     """Evidence of an analysed trip on the map's line; see `evidence_of_parts`."""
     return evidence_of_parts([analysis], track, layer, sha256=sha256)
 
 
 def evidence_of_parts(
-    parts: Iterable[SlipAnalysis], track: TrackConditionMap, layer: str, *, sha256: str = ""
+    parts: Iterable[SlipAnalysis],
+    track: TrackConditionMap,
+    layer: str | Weather,
+    *,
+    sha256: str = "",
 ) -> Evidence:
     """Evidence of a trip that was analysed part by part; arguments as for `evidence`.
 
     All onsets of one bin are one measurement of that trip: their mean, with what they differ by
     and the trip's own deviation. A bin without one counts once, at the highest level that was used
     in it (less one standard deviation, since the highest of noisy values is too high).
+
+    Where weather states the rail's condition, what was seen counts for the condition that held
+    then. What was seen while it states none is left out, with a note.
+
+    Raises
+    ------
+    LogError
+        If weather states no condition for any of the trip.
     """
-    highest, found, trip = np.zeros(track.bins), [], ""
-    common_std, details = 0.0, dict[str, Any]()
-    day = np.full(track.bins, -1, dtype=np.int64)
+    sums: dict[str, _Sums] = {}
+    trip, details, clocks = "", dict[str, Any](), []
     for part in parts:
-        known = part.events["measured"] & part.events["position"].between(0.0, track.length)
-        found.append(part.events[known])
-        highest = np.maximum(highest, _highest(part, track))
-        day = np.maximum(day, _last_day(part, track))
-        trip, common_std = part.trip, max(common_std, part.common_std)
-        details = joined_details(details, part.details)
-    onsets = pd.concat(found)
-    place = track.bin_of(onsets["position"])
-    log_adhesion = np.log(onsets["adhesion"].to_numpy())
-    precision = (onsets["adhesion"] / onsets["adhesion_std"]).to_numpy() ** 2
-
-    def summed(values: FloatArray | None) -> FloatArray:
-        return np.bincount(place, values, minlength=track.bins).astype(np.float64)
-
-    events, total = summed(None), summed(precision)
-    seen = events > 0
-    safe = np.where(seen, total, 1.0)
-    spread = np.hypot(setting(track, "trip_std"), np.sqrt(1.0 / safe))
-    weight = np.where(seen, _fixed(spread**-2), 0.0)
-    # What all onsets of the trip err by alike does not become less with their number.
-    late = summed(precision * (onsets["delay_std"] / onsets["adhesion"]).to_numpy()) / safe
-    common = weight**2 * (common_std**2 + late**2)
-    mean = summed(precision * log_adhesion) / safe
+        trip, details = part.trip, joined_details(details, part.details)
+        clocks.append(part.time.as_unit("ns").asi8[[0, -1] if part.time.size else []])
+        for condition, seen in _by_condition(part, layer):
+            sums.setdefault(condition, _Sums(track)).add(seen)
+    left_out = sums.pop("", None)
+    if not clocks:
+        raise LogError("no speed of a powered axle is recorded in it")
+    start, end = _span(clocks)
+    if not sums:
+        first, last = (f"{pd.Timestamp(each):%Y-%m-%d %H:%M}" for each in (start, end))
+        raise LogError(
+            f"trip '{trip}': the weather states no rail condition from {first} to {last} UTC",
+            remedy="extend the weather file, or give the layer (--layer wet)",
+        )
+    if left_out is not None:
+        words = f"rail condition not known for {left_out.seconds / 60.0:.0f} min: left out"
+        details = joined_details(details, {"notes": [words]})
+    # Of two that held equally long the first by name.
+    longest = min(sums, key=lambda name: (-sums[name].seconds, name))
     return Evidence(
         line=track.line,
         length=track.length,
         bin_length=track.bin_length,
-        layer=layer,
+        layer=longest,
         trip=trip,
         sha256=sha256,
-        daily=DailyEvidence.of_bins(
-            day,
+        daily=sums[longest].evidence(),
+        details=details,
+        further={name: each.evidence() for name, each in sorted(sums.items()) if name != longest},
+        span=(start, end),
+    )
+
+
+def _by_condition(part: SlipAnalysis, layer: str | Weather) -> Iterator[tuple[str, SlipAnalysis]]:
+    """A part of a trip, cut where the rail's condition changes."""
+    if isinstance(layer, str) or not part.time.size:
+        yield layer if isinstance(layer, str) else "", part
+        return
+    clock = part.time.as_unit("ns").asi8
+    # An onset may have been detected with the last sample.
+    for start, end, condition in layer.spans(int(clock[0]), int(clock[-1]) + 1):
+        yield condition, part.part((start, end))
+
+
+def _span(clocks: list[NDArray[np.int64]]) -> tuple[int, int]:
+    """The first and the last of times."""
+    times = np.concatenate(clocks)
+    return (int(times.min()), int(times.max())) if times.size else (0, 0)
+
+
+class _Sums:
+    """What is gathered of one trip in one rail condition."""
+
+    def __init__(self, track: TrackConditionMap) -> None:
+        self.track = track
+        self.highest = np.zeros(track.bins)
+        self.day = np.full(track.bins, -1, dtype=np.int64)
+        self.onsets: list[pd.DataFrame] = []
+        self.common_std, self.seconds = 0.0, 0.0
+
+    def add(self, part: SlipAnalysis) -> None:
+        """Gather what one part shows."""
+        known = part.events["measured"] & part.events["position"].between(0.0, self.track.length)
+        self.onsets.append(part.events[known])
+        self.highest = np.maximum(self.highest, _highest(part, self.track))
+        self.day = np.maximum(self.day, _last_day(part, self.track))
+        self.common_std = max(self.common_std, part.common_std)
+        if part.time.size:
+            self.seconds += (part.time[-1] - part.time[0]).total_seconds()
+
+    def evidence(self) -> DailyEvidence:
+        """What it amounts to."""
+        track, onsets = self.track, pd.concat(self.onsets)
+        place = track.bin_of(onsets["position"])
+        log_adhesion = np.log(onsets["adhesion"].to_numpy())
+        precision = (onsets["adhesion"] / onsets["adhesion_std"]).to_numpy() ** 2
+
+        def summed(values: FloatArray | None) -> FloatArray:
+            return np.bincount(place, values, minlength=track.bins).astype(np.float64)
+
+        events, total = summed(None), summed(precision)
+        seen = events > 0
+        safe = np.where(seen, total, 1.0)
+        spread = np.hypot(setting(track, "trip_std"), np.sqrt(1.0 / safe))
+        weight = np.where(seen, _fixed(spread**-2), 0.0)
+        # What all onsets of the trip err by alike does not become less with their number.
+        late = summed(precision * (onsets["delay_std"] / onsets["adhesion"]).to_numpy()) / safe
+        mean = summed(precision * log_adhesion) / safe
+        return DailyEvidence.of_bins(
+            self.day,
             events,
             weight,
             _fixed(weight * mean),
-            _censored(highest, track, seen),
+            _censored(self.highest, track, seen),
             weighted_square=_fixed(weight * mean**2),
-            common=_fixed(common),
-        ),
-        details=details,
-    )
+            common=_fixed(weight**2 * (self.common_std**2 + late**2)),
+        )
 
 
 def _last_day(analysis: SlipAnalysis, track: TrackConditionMap) -> NDArray[np.int64]:

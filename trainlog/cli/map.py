@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -20,8 +20,15 @@ def map_update(
     logs: Logs,
     condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
     layer: Annotated[
-        Literal["dry", "wet"] | None,
-        typer.Option(help="Rail condition; default: the weather that each log states."),
+        str | None,
+        typer.Option(help="Rail condition, such as wet or leaves; default: what each log states."),
+    ] = None,
+    weather: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV of times, rail conditions, temperature, humidity and rain: the condition of"
+            " logs that state none, and what is kept with each trip."
+        ),
     ] = None,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
@@ -33,12 +40,14 @@ def map_update(
     from analysis.adhesion.condition_map import adhesion_map, map_table
     from analysis.adhesion.plot import draw_map
     from trainlog.formats.condition import read_map, write_map
+    from trainlog.formats.weather import read_weather
 
     destination(condition, ".json")
     known = read_map(condition) if condition.exists() else None
+    stated = None if weather is None else read_weather(weather)
     with progress_bar() as progress:
         every = progress.track(logs_in(logs), description="mapping")
-        found = adhesion_map(every, known, layer)
+        found = adhesion_map(every, known, layer, stated)
     for words in (*found.reasons, *found.doubts):
         console.print(f"  {words}", highlight=False, markup=False)
     write_map(found.track, condition)

@@ -188,6 +188,8 @@ FACTS = ("trip", "weather", "load", "clock")
 
 def pairs(given: list[str]) -> dict[str, str]:
     """Metadata given as ``key=value``."""
+    from trainlog.railway.weather import check_condition
+
     found = {}
     for word in given:
         key, equals, value = word.partition("=")
@@ -195,8 +197,8 @@ def pairs(given: list[str]) -> dict[str, str]:
             raise InputError(f"'{word}' is not of the form key=value", remedy="as in weather=wet")
         if key not in FACTS:
             raise InputError(f"'{key}' is no known fact", remedy=f"known: {', '.join(FACTS)}")
-        if key == "weather" and value not in ("dry", "wet"):
-            raise InputError(f"weather '{value}' is unknown", remedy="it is dry or wet")
+        if key == "weather":
+            check_condition(value)
         found[key] = _load(value) if key == "load" else value
     return found
 

@@ -26,6 +26,7 @@ from trainlog.formats.plausible import TRAIN
 from trainlog.formats.schema import must_be
 from trainlog.formats.toml import parse_toml
 from trainlog.ingest.recording import field_of
+from trainlog.railway.weather import check_condition
 from trainlog.topics import RECORDED, TOPICS, Field as Item, Topic, recorded_topic
 from trainlog.units import factor, si_unit, to_si
 
@@ -61,7 +62,7 @@ def _problem_of(check: Callable[..., object], *given: object) -> str | None:
     """What `check` finds wrong, if anything."""
     try:
         check(*given)
-    except ValueError as error:
+    except (ValueError, InputError) as error:
         return str(error)
     return None
 
@@ -397,7 +398,8 @@ class TripOptions(_Strict):
     name, train, line, clock : str, optional
     direction : {"forward", "reverse"}, optional
         Along the line as its file gives it.
-    weather : {"dry", "wet"}, optional
+    weather : str, optional
+        The rail's condition, such as ``"dry"``, ``"wet"`` or ``"leaves"``.
     load, mass : Quantity, optional
         Load, or mass of the loaded train without the rotating part (needs the train).
     start_position : Quantity, optional
@@ -409,7 +411,7 @@ class TripOptions(_Strict):
     line: str | None = None
     clock: str | None = None
     direction: Literal["forward", "reverse"] | None = None
-    weather: Literal["dry", "wet"] | None = None
+    weather: str | None = None
     load: Quantity | None = None
     mass: Quantity | None = None
     start_position: Quantity | None = None
@@ -421,6 +423,8 @@ class TripOptions(_Strict):
             quantity: Quantity | None = getattr(self, name)
             if quantity is not None:
                 problems.append(_problem_of(_check_unit, name, quantity.unit, unit))
+        if self.weather is not None:
+            problems.append(_problem_of(check_condition, self.weather))
         if self.load is not None and self.mass is not None:
             problems.append("give load or mass, not both")
         _refuse(problems)

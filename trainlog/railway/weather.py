@@ -50,8 +50,8 @@ def check_condition(label: str, known: Iterable[str] = ()) -> str:
 
     Examples
     --------
-    >>> check_condition("leaves")
-    'leaves'
+    >>> check_condition("leaves"), check_condition("wet-leaves")
+    ('leaves', 'wet-leaves')
     >>> check_condition("wett")
     Traceback (most recent call last):
     trainlog.errors.InputError: rail condition 'wett' is not known; did you mean 'wet'?
@@ -62,8 +62,9 @@ def check_condition(label: str, known: Iterable[str] = ()) -> str:
             remedy="use small letters, digits, '_' and '-', as in 'wet' or 'leaves'",
         )
     every = list(dict.fromkeys((*known, *CONDITIONS)))
-    close = get_close_matches(label, every, n=1, cutoff=0.75)
-    if label not in every and close:
+    named = set(every) & {label, *re.split("[_-]", label)}
+    close = [] if named else get_close_matches(label, every, n=1, cutoff=0.7)
+    if close:
         raise InputError(
             f"rail condition '{label}' is not known", remedy=f"did you mean '{close[0]}'?"
         )
