@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from analysis.adhesion.condition_map import adhesion_map as adhesion_map
     from analysis.adhesion.condition_table import bins_table as bins_table
     from analysis.adhesion.export import export_map as export_map
+    from analysis.adhesion.map_state import map_state as map_state
     from analysis.adhesion.slip import slip as slip
     from analysis.comparison.cost import compare as compare
     from analysis.control.follow import Follower as Follower, follow as follow
@@ -60,6 +61,7 @@ _NAMES = {
     "analysis.adhesion.condition_map": "adhesion_map",
     "analysis.adhesion.condition_table": "bins_table",
     "analysis.adhesion.export": "export_map",
+    "analysis.adhesion.map_state": "map_state",
     "analysis.trajectory.optimiser": "optimise energy_against_time",
     "analysis.trajectory.problem": "TrajectoryProblem OptimiserOptions",
     "analysis.trajectory.journey": "optimise_journey",

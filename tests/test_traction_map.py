@@ -27,7 +27,7 @@ from analysis.adhesion.condition_map import (
     update,
 )
 from analysis.adhesion.evidence import Evidence, evidence, evidence_of
-from analysis.adhesion.plot import draw_map
+from analysis.adhesion.map_plot import draw_map
 from analysis.adhesion.slip import SlipAnalysis, slip
 from estimators.condition import Prior, solve_field
 from trainlog.condition import prior_of

@@ -543,6 +543,11 @@ def map_table(track: TrackConditionMap) -> Group:
             f"{layer.observed_length / 1e3:.1f} km, {share:.0%}",
             "\n".join(spots) or "nothing observed",
         )
+    return Group(table, *map_words(track))
+
+
+def map_words(track: TrackConditionMap) -> list[str]:
+    """What holds where nothing was observed, and what the recorders lacked, in sentences."""
     every = summary(track)
     words = [
         each.elsewhere if len(every) == 1 else f"{each.layer}: {each.elsewhere}" for each in every
@@ -553,4 +558,4 @@ def map_table(track: TrackConditionMap) -> Group:
         for note, trips in each.notes.items():
             more = f" and {len(trips) - 1} more" if len(trips) > 1 else ""
             words.append(f"{each.layer}, {trips[0]}{more}: {note}")
-    return Group(table, *words)
+    return words

@@ -6,10 +6,11 @@ Names of columns end with their unit. What was not observed is empty, never the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.adhesion.line_table import line_table
 from trainlog.errors import InputError
@@ -26,6 +27,9 @@ FloatArray = NDArray[np.float64]
 
 BAND = (0.025, 0.975)
 """Shares below the ends of the 95 % band."""
+
+AT_STATION = 100.0
+"""What is nearer to a station lies at it [m]."""
 
 RESOLUTION = 0.01
 """Adhesion by which the bins of one section may differ."""
@@ -291,6 +295,30 @@ def _bins_of(track: TrackConditionMap, part: PassingSpot | ConditionChange) -> t
     return first, max(int(np.ceil(part.end / track.bin_length)), first + 1)
 
 
+def near(line: Line | None, position: ArrayLike) -> list[str]:
+    """Where each position [m] lies, by the nearest station; empty without a line.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> near(line, [20.0, 9_000.0])
+    ['at St.Gallen', '0.3 km before Gossau SG']
+    """
+    at = np.asarray(position, dtype=np.float64)
+    if line is None or not line.stations:
+        return [""] * at.size
+    places = np.array([each.position for each in line.stations])
+    nearest = np.argmin(np.abs(places - at[:, None]), axis=1)
+    beyond = at - places[nearest]
+    return [
+        f"at {line.stations[i].name}"
+        if abs(by) < AT_STATION
+        else f"{abs(by) / 1e3:.1f} km {'after' if by > 0 else 'before'} {line.stations[i].name}"
+        for i, by in zip(nearest.tolist(), beyond.tolist(), strict=True)
+    ]
+
+
 def _estimates(layer: ConditionLayer, time: pd.Timestamp | None) -> dict[str, object]:
     columns = (*shown(layer), *shown(layer.expected(time)))
     return {"observed": layer.observed, **dict(zip(_ADHESIONS, columns, strict=True))}
@@ -335,7 +363,8 @@ def _each(parts: Sequence[object], name: str) -> FloatArray:
 
 
 def _ranges(line: Line | None, parts: Sequence[object]) -> dict[str, object]:
-    return _where(line, _each(parts, "start"), _each(parts, "end"))
+    start, end = _each(parts, "start"), _each(parts, "end")
+    return _where(line, start, end) | {"near": near(line, 0.5 * (start + end))}
 
 
 def _where(line: Line | None, start: FloatArray, end: FloatArray) -> dict[str, object]:
@@ -363,3 +392,18 @@ def _line_attributes(line: Line, track: TrackConditionMap) -> dict[str, object]:
         "tunnel": table["tunnel"].to_numpy(),
         "station": [name or None for name in station],
     }
+
+
+def plain_rows(rows: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows in JSON's own types; None where nothing is known."""
+    columns: dict[str, list[Any]] = {}
+    for name, column in rows.items():
+        values = column.dt.strftime("%Y-%m-%d") if column.dtype.kind == "M" else column
+        known = column.notna().tolist()
+        columns[str(name)] = [
+            value if there else None
+            for value, there in zip(values.tolist(), known, strict=True)
+        ]  # fmt: skip
+    return [
+        dict(zip(columns, each, strict=True)) for each in zip(*columns.values(), strict=True)
+    ]  # fmt: skip

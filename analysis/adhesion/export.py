@@ -19,6 +19,7 @@ from analysis.adhesion.condition_table import (
     check_course,
     chosen_layers,
     last_evidence,
+    plain_rows,
     sections_table,
     spots_table,
 )
@@ -211,7 +212,7 @@ def _write_geojson(export: _Export, path: str | Path) -> None:
     for name, rows, courses in export.located():
         if name == "sections":
             continue
-        for values, course in zip(_plain_rows(rows), courses, strict=True):
+        for values, course in zip(plain_rows(rows), courses, strict=True):
             kind = "Point" if name == "stations" else "LineString"
             coordinates = None if course is None else course.tolist()
             geometry = None if coordinates is None else {
@@ -225,21 +226,6 @@ def _write_geojson(export: _Export, path: str | Path) -> None:
     about = json.dumps(export.about, ensure_ascii=False)
     text = f'{{"type": "FeatureCollection", "trainlog": {about}, "features": [\n{lines}\n]}}\n'
     write_bytes(path, text.encode())
-
-
-def _plain_rows(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows in JSON's own types; None where nothing is known."""
-    columns: dict[str, list[Any]] = {}
-    for name, column in rows.items():
-        values = column.dt.strftime("%Y-%m-%d") if column.dtype.kind == "M" else column
-        known = column.notna().tolist()
-        columns[str(name)] = [
-            value if there else None
-            for value, there in zip(values.tolist(), known, strict=True)
-        ]  # fmt: skip
-    return [
-        dict(zip(columns, each, strict=True)) for each in zip(*columns.values(), strict=True)
-    ]  # fmt: skip
 
 
 def _write_geopackage(export: _Export, path: str | Path) -> None:

@@ -38,7 +38,7 @@ def map_update(
     Example: trainlog map update results/trips --map results/map.json
     """
     from analysis.adhesion.condition_map import adhesion_map, map_table
-    from analysis.adhesion.plot import draw_map
+    from analysis.adhesion.map_plot import draw_map
     from trainlog.formats.condition import read_map, write_map
     from trainlog.formats.weather import read_weather
 
@@ -54,25 +54,3 @@ def map_update(
     draw_map(found.track, condition.with_suffix(".png"))
     console.print(map_table(found.track))
     wrote(condition, condition.with_suffix(".png"))
-
-
-@map_app.command("show")
-def map_show(
-    condition: Annotated[Path, typer.Argument(help="Map file.")],
-    picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
-) -> None:
-    """Show what a track-condition map knows, and where it knows nothing.
-
-    Example: trainlog map show results/map.json --picture map.png
-    """
-    from analysis.adhesion.condition_map import map_table
-    from analysis.adhesion.plot import draw_map
-    from trainlog.formats.condition import read_map
-
-    if picture is not None:
-        destination(picture, ".png")
-    known = read_map(condition)
-    console.print(map_table(known))
-    if picture is not None:
-        draw_map(known, picture)
-        wrote(picture)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trainlog.cli.map import map_app
-from trainlog.cli.terminal import wrote
+from trainlog.cli.options import destination
+from trainlog.cli.terminal import console, wrote
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,8 +43,54 @@ AtOption = Annotated[
     ),
 ]
 ZoneOption = Annotated[
-    str, typer.Option("--zone", help="Time zone of --at where it states none: Europe/Zurich.")
+    str | None,
+    typer.Option("--zone", help="Zone of a time that states none: Europe/Zurich. Default: UTC."),
 ]
+
+
+JsonOption = Annotated[bool, typer.Option("--json", help="State it as JSON.")]
+
+
+@map_app.command("show")
+def map_show(
+    condition: MapArgument,
+    at: AtOption = None,
+    zone: ZoneOption = None,
+    layer: LayersOption = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
+    line: CourseOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a track-condition map knows, and where it knows nothing.
+
+    Lasting beside expected maximum adhesion at the lowest places, passing spots with the
+    probability that they still lie there, changes of the lasting condition with their dates, and
+    the numbers of the model with their uncertainty.
+
+    Example: trainlog map show results/map.json --at 2026-11-22T06:00+01:00 --picture map.png
+    """
+    from analysis.adhesion.map_plot import draw_map
+    from analysis.adhesion.map_state import map_state, state_table
+    from trainlog.formats.condition import read_map
+
+    if picture is not None:
+        destination(picture, ".png")
+    track = read_map(condition)
+    when, known = moment(at, zone), course(track, line)
+    state = map_state(track, when, line=known, layers=layer)
+    if picture is not None:
+        shown = (
+            track if layer is None else replace(track, layers={n: track.layer(n) for n in layer})
+        )
+        draw_map(shown, picture, line=known, at=when)
+    if as_json:
+        typer.echo(json.dumps(state.as_json(), ensure_ascii=False, allow_nan=False))
+        return
+    console.print(state_table(state))
+    if when is not None and zone_assumed(at, zone):
+        console.print(f"  {at} states no zone: taken for UTC (--zone names another)")
+    if picture is not None:
+        wrote(picture)
 
 
 @map_app.command("export")
@@ -56,7 +105,7 @@ def map_export(
     line: CourseOption = None,
     layer: LayersOption = None,
     at: AtOption = None,
-    zone: ZoneOption = "UTC",
+    zone: ZoneOption = None,
 ) -> None:
     """Write a track-condition map for other programs, by the suffix of the file.
 
@@ -105,7 +154,7 @@ def course(track: TrackConditionMap, given: Path | None) -> Line | None:
     return line
 
 
-def moment(at: str | None, zone: str) -> pd.Timestamp | None:
+def moment(at: str | None, zone: str | None) -> pd.Timestamp | None:
     """A time as given by ``--at`` and ``--zone``, in UTC.
 
     Raises
@@ -119,11 +168,7 @@ def moment(at: str | None, zone: str) -> pd.Timestamp | None:
 
     from trainlog.spans import utc
 
-    try:
-        local = pd.Timestamp(at).tzinfo is None and zone != "UTC"
-    except ValueError:
-        local = False
-    if not local:
+    if zone is None or not _zoneless(at):
         return utc(at)
     try:
         return utc(pd.Timestamp(at).tz_localize(zone))
@@ -132,3 +177,17 @@ def moment(at: str | None, zone: str) -> pd.Timestamp | None:
             f"'{at}' is not one time in the zone '{zone}'",
             remedy="write it with its offset, as 2026-11-22T06:00+01:00",
         ) from error
+
+
+def zone_assumed(at: str | None, zone: str | None) -> bool:
+    """Whether a time states no zone, and none is given."""
+    return at is not None and zone is None and _zoneless(at)
+
+
+def _zoneless(at: str) -> bool:
+    import pandas as pd
+
+    try:
+        return pd.Timestamp(at).tzinfo is None
+    except ValueError:
+        return False

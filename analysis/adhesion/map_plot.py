@@ -1,0 +1,302 @@
+"""Pictures of a track-condition map: lasting beside expected adhesion, spots and changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.adhesion.condition_table import (
+    bin_edges,
+    check_course,
+    day_name,
+    last_evidence,
+    shown,
+)
+from analysis.plotting import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    PURPLE,
+    RED,
+    dress,
+    headline,
+    new_figure,
+    write_figure,
+)
+from trainlog.display import counted
+from trainlog.errors import InputError
+from trainlog.railway.condition import (
+    ConditionChange,
+    ConditionLayer,
+    PassingSpot,
+    TrackConditionMap,
+)
+from trainlog.railway.line import Line
+
+FloatArray = NDArray[np.float64]
+
+COLOURS = {"dry": ORANGE, "wet": BLUE}
+"""Of the layers; others are drawn in ink."""
+
+LABELLED = 8
+"""Spots, and changes, of a layer that are labelled with their dates: the likeliest."""
+
+LABEL_SPACE = 0.022
+"""Share of the width that a label beside a vertical line takes."""
+
+
+def draw_map(
+    track: TrackConditionMap,
+    path: str | Path,
+    truth: Mapping[str, ArrayLike] | None = None,
+    *,
+    line: Line | None = None,
+    at: pd.Timestamp | None = None,
+) -> None:
+    """Draw lasting beside expected maximum adhesion where it was observed; grey where it was not.
+
+    Each has its 95 % band. Passing spots and lasting changes are marked with their dates.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    path : path
+        PNG file.
+    truth : mapping of str to (bins,) array, optional
+        True maximum adhesion a bin, by layer, to compare with.
+    line : Line, optional
+        Gives the stations.
+    at : Timestamp, optional
+        Time of the expected condition; default: right after the last evidence.
+
+    Raises
+    ------
+    InputError
+        If the map has no layer yet, or the line is another.
+    """
+    if not track.layers:
+        raise InputError(
+            f"map of line '{track.line}' has no layer to draw", remedy="count a trip in first"
+        )
+    if line is not None:
+        check_course(track, line)
+    count = len(track.layers)
+    figure = new_figure(13.0, 1.2 + 3.0 * count + 0.9 * (line is not None))
+    heights = [3.0] * count + [0.9] * (line is not None)
+    every = np.atleast_1d(
+        figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    ).tolist()
+    axes = every[:count]
+    for place, (name, layer) in zip(axes, track.layers.items(), strict=True):
+        known = None if truth is None or name not in truth else np.asarray(truth[name])
+        _draw_layer(place, track, name, layer, known, at)
+        dress(place, x="", y="maximum adhesion", title=_title(track, name, layer))
+        place.set_ylim(0.0, _top(track, at))
+        place.tick_params(labelbottom=True)
+    _legend(figure, axes)
+    if line is not None:
+        _draw_stations(axes, every[-1], line)
+    axes[-1].set_xlabel("km", color=INK)
+    axes[-1].set_xlim(0.0, track.length / 1e3)
+    now = at or last_evidence(track)
+    when = "" if now is None else f"; expected at {now:%Y-%m-%d %H:%M} UTC"
+    headline(figure, f"{track.line}: maximum adhesion, {track.bin_length:.0f} m bins{when}")
+    write_figure(figure, path)
+
+
+def _draw_layer(
+    axes: Axes,
+    track: TrackConditionMap,
+    name: str,
+    layer: ConditionLayer,
+    truth: FloatArray | None,
+    at: pd.Timestamp | None,
+) -> None:
+    colour = COLOURS.get(name, INK)
+    edges = bin_edges(track) / 1e3
+    centres = 0.5 * (edges[:-1] + edges[1:])
+    _shade_unobserved(axes, edges, layer.observed)
+    if truth is not None:
+        axes.stairs(truth, edges, baseline=None, color=INK, linewidth=0.8, label="truth")
+    used = np.fmax.reduce(np.where(layer.evidence.censored > 0.0, track.levels, np.nan), axis=1)
+    axes.stairs(used, edges, baseline=None, color=GREY, linewidth=0.8, label="used without slip")
+    # Bins are narrow on a long line: estimates are drawn as points with bars, side by side.
+    expected = layer.expected(at)
+    for estimate, ink, width, words in (
+        (expected, PURPLE, 3.2, "expected, 95 % band"),
+        (layer, colour, 1.4, "lasting, 95 % band"),
+    ):
+        middle, low, high = shown(estimate)
+        seen = np.isfinite(middle)
+        axes.vlines(
+            centres[seen],
+            low[seen],
+            high[seen],
+            color=ink,
+            alpha=0.3 if estimate is expected else 0.6,
+            linewidth=width,
+            label=words,
+        )
+        size = 2.0 if estimate is expected else 4.0
+        axes.plot(centres[seen], middle[seen], ".", color=ink, markersize=size)
+    slips = layer.events > 0
+    axes.plot(
+        centres[slips],
+        np.full(np.count_nonzero(slips), 0.025),
+        "|",
+        transform=axes.get_xaxis_transform(),
+        color=RED,
+        markersize=7,
+        label="slip",
+    )
+    _draw_marks(axes, track, layer, at)
+
+
+def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
+    """One legend for all axes, below them."""
+    found: dict[str, Any] = {}
+    for place in axes:
+        handles, words = place.get_legend_handles_labels()
+        found = dict(zip(words, handles, strict=True)) | found
+    figure.legend(
+        found.values(),
+        found.keys(),
+        loc="outside lower center",
+        fontsize=8,
+        frameon=False,
+        ncols=len(found),
+    )
+
+
+def _shade_unobserved(axes: Axes, edges: FloatArray, observed: NDArray[np.bool_]) -> None:
+    axes.fill_between(
+        edges,
+        0.0,
+        1.0,
+        where=np.append(~observed, False),
+        step="post",
+        transform=axes.get_xaxis_transform(),
+        color=PALE,
+        alpha=0.45,
+        linewidth=0,
+        label="not observed",
+    )
+
+
+def _draw_marks(
+    axes: Axes, track: TrackConditionMap, layer: ConditionLayer, at: pd.Timestamp | None
+) -> None:
+    """Passing spots at their adhesion, the fainter the less likely they still lie there; changes.
+
+    A change is an arrow from the lasting level before it to the one after.
+    """
+    now = at or last_evidence(track)
+    spots = layer.spots if now is not None else ()
+    alive = [0.0 if now is None else spot.alive(now) for spot in spots]
+    if spots:
+        axes.hlines(
+            [spot.adhesion for spot in spots],
+            [spot.start / 1e3 for spot in spots],
+            [spot.end / 1e3 for spot in spots],
+            color=RED,
+            linewidth=1.2,
+        )
+        axes.scatter(
+            [0.5e-3 * (spot.start + spot.end) for spot in spots],
+            [spot.adhesion for spot in spots],
+            marker="v",
+            s=26,
+            color=[to_rgba(RED, 0.2 + 0.8 * share) for share in alive],
+            linewidths=0,
+            label="passing spot",
+        )
+    for each in layer.changes:
+        middle = 0.5e-3 * (each.start + each.end)
+        axes.annotate(
+            "",
+            xy=(middle, each.after),
+            xytext=(middle, each.before),
+            arrowprops={"arrowstyle": "->", "color": GREEN, "linewidth": 1.6},
+        )
+    if layer.changes:
+        axes.plot([], [], color=GREEN, linewidth=1.6, label="lasting change")
+    texts = [f"changed {day_name(each.day)}" for each in layer.changes]
+    texts += [f"{day_name(each.last)}, {p:.0%}" for each, p in zip(spots, alive, strict=True)]
+    parts: list[ConditionChange | PassingSpot] = [*layer.changes, *spots]
+    place = np.array([0.5e-3 * (each.start + each.end) for each in parts])
+    # Changes first, then the spots that are likeliest there.
+    rank = np.array([2.0] * len(layer.changes) + alive)
+    _label(axes, LABEL_SPACE * track.length / 1e3, place, texts, rank)
+
+
+def _label(axes: Axes, space: float, place: FloatArray, texts: list[str], rank: FloatArray) -> None:
+    """Write upright labels below the top of the axes, the highest in rank first, none on another.
+
+    Parameters
+    ----------
+    space : float [km]
+        Between two labels.
+    """
+    taken: list[float] = []
+    for i in np.argsort(-rank, kind="stable"):
+        if len(taken) < LABELLED and all(abs(place[i] - other) >= space for other in taken):
+            axes.text(
+                place[i],
+                0.98,
+                texts[i],
+                transform=axes.get_xaxis_transform(),
+                rotation=90,
+                ha="center",
+                va="top",
+                fontsize=7,
+                color=INK,
+            )
+            taken.append(float(place[i]))
+
+
+def _draw_stations(axes: Sequence[Axes], strip: Axes, line: Line) -> None:
+    """A dotted line at each station, and their names on a strip below; ends first."""
+    space, length = LABEL_SPACE * line.length / 1e3, line.length / 1e3
+    taken: list[float] = []
+    inner = sorted(line.stations[1:-1], key=lambda each: each.position)
+    for each in (line.stations[0], line.stations[-1], *inner):
+        at = each.position / 1e3
+        for place in axes:
+            place.axvline(at, color=GREY, linewidth=0.6, linestyle=":", zorder=0.5)
+        if all(abs(at - other) >= space for other in taken):
+            taken.append(at)
+            shown_at = min(max(at, 0.25 * space), length - 0.25 * space)
+            strip.text(shown_at, 1.0, each.name, rotation=90, ha="center", va="top", fontsize=7)
+    strip.set_axis_off()
+
+
+def _title(track: TrackConditionMap, name: str, layer: ConditionLayer) -> str:
+    trips = sum(trip["layer"] == name for trip in track.trips)
+    share = float(np.mean(layer.observed))
+    onsets = int(layer.events.sum())
+    lacking = sum(trip["layer"] == name and bool(trip.get("notes")) for trip in track.trips)
+    words = f", {lacking} with recorders that lack something" if lacking else ""
+    of = f"{counted(trips, 'trip')}, {counted(onsets, 'onset')} of slip"
+    return f"{name}: {of}, {share:.1%} observed{words}"
+
+
+def _top(track: TrackConditionMap, at: pd.Timestamp | None) -> float:
+    """Upper end of the adhesion axis: the highest band drawn, in tenths."""
+    tops = [
+        float(np.nanmax(shown(estimate)[2], initial=0.0))
+        for layer in track.layers.values()
+        for estimate in (layer, layer.expected(at))
+        if estimate.observed.any()
+    ]
+    return max(0.4, 0.1 * float(np.ceil(10.0 * max(tops, default=0.0))))

@@ -1,0 +1,301 @@
+"""What a track-condition map says of a time: lasting beside expected, spots, changes, the model."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Group, RenderableType
+
+from analysis.adhesion.condition_map import SPOT_SEPARATION, map_words, summary
+from analysis.adhesion.condition_table import (
+    bins_table,
+    changes_table,
+    check_course,
+    chosen_layers,
+    day_name,
+    last_evidence,
+    near,
+    plain_rows,
+    spots_table,
+)
+from analysis.tables import as_page, new_table
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.line import Line
+
+LISTED = 12
+"""Spots, and changes, of a layer that a table lists; the likeliest first."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapState:
+    """What a track-condition map says of a time.
+
+    Attributes
+    ----------
+    track : TrackConditionMap
+    line : Line or None
+    at : Timestamp or None
+        Of the expected condition, UTC; None of a map without evidence.
+    last_evidence : Timestamp or None
+        End of the last day with evidence, UTC.
+    layers : DataFrame
+        A row a layer: trips, onsets, observed length.
+    lowest : DataFrame
+        The lowest places, least lasting or expected adhesion first; a row as of
+        `analysis.bins_table`, with the nearest station.
+    model : DataFrame
+        A row a layer and parameter of the model: value, standard deviation, estimated or assumed.
+    spots, changes : DataFrame
+        A row a passing spot, with the probability that it lies there then; a row a lasting change.
+    """
+
+    track: TrackConditionMap
+    line: Line | None
+    at: pd.Timestamp | None
+    last_evidence: pd.Timestamp | None
+    layers: pd.DataFrame
+    lowest: pd.DataFrame
+    model: pd.DataFrame
+    spots: pd.DataFrame
+    changes: pd.DataFrame
+
+    def __repr__(self) -> str:
+        when = "no evidence" if self.at is None else f"expected at {self.at:%Y-%m-%d %H:%M} UTC"
+        return f"{self.track!r}\n  {when}"
+
+    def _repr_html_(self) -> str:
+        return as_page(state_table(self))
+
+    def as_json(self) -> dict[str, Any]:
+        """The same in JSON's own types; null where nothing is known."""
+        times = {
+            "expected_at": None if self.at is None else self.at.isoformat(),
+            "last_evidence": None if self.last_evidence is None else self.last_evidence.isoformat(),
+        }
+        tables = ("layers", "lowest", "model", "spots", "changes")
+        return {
+            "line": self.track.line,
+            "length_m": self.track.length,
+            **times,
+            **{name: plain_rows(getattr(self, name)) for name in tables},
+        }
+
+
+def map_state(
+    track: TrackConditionMap,
+    at: pd.Timestamp | None = None,
+    *,
+    line: Line | None = None,
+    layers: Sequence[str] | None = None,
+    places: int = 5,
+) -> MapState:
+    """What a map says of a time: the lowest places, the model, spots and changes.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    at : Timestamp, optional
+        Without a zone it is UTC. Default: right after the last evidence.
+    line : Line, optional
+        Gives the stations and the operator's kilometres.
+    layers : sequence of str, optional
+        Default: all.
+    places : int
+        How many of the lowest places of each layer are listed.
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer, or the line is another.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> state = map_state(track, line=trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json"))
+    >>> state.lowest.query("layer == 'wet'")["near"].tolist()[:2]
+    ['0.4 km after Gossau SG', '0.9 km after Uzwil']
+    """
+    if line is not None:
+        check_course(track, line)
+    chosen = chosen_layers(track, layers)
+    last = last_evidence(track)
+    if at is not None and at.tzinfo is None:
+        at = at.tz_localize("UTC")
+    return MapState(
+        track=track,
+        line=line,
+        at=at or last,
+        last_evidence=last,
+        layers=_layers(track, list(chosen)),
+        lowest=_lowest(track, line, at, list(chosen), places),
+        model=_model(chosen),
+        spots=spots_table(track, line, at, list(chosen)),
+        changes=changes_table(track, line, list(chosen)),
+    )
+
+
+def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
+    every = [each for each in summary(track, 0) if each.layer in names]
+    return pd.DataFrame(
+        {
+            "layer": [each.layer for each in every],
+            "trips": [each.trips for each in every],
+            "onsets": [each.events for each in every],
+            "observed_m": [each.observed_length for each in every],
+            "observed_bins": [each.observed_bins for each in every],
+            "bins": [each.bins for each in every],
+        }
+    )
+
+
+def _lowest(
+    track: TrackConditionMap,
+    line: Line | None,
+    at: pd.Timestamp | None,
+    names: list[str],
+    places: int,
+) -> pd.DataFrame:
+    """The lowest bins of each layer, lasting or expected, apart from each other."""
+    rows = bins_table(track, line, at, names)
+    rows["near"] = near(line, 0.5 * (rows["start_m"] + rows["end_m"]))
+    chosen: list[int] = []
+    for _, layer in rows[rows["observed"]].groupby("layer", sort=False):
+        least = layer[["adhesion", "expected"]].min(axis=1).sort_values(kind="stable")
+        taken: list[float] = []
+        for number in least.index:
+            place = float(rows["start_m"][number])
+            if len(taken) < places and all(abs(place - one) >= SPOT_SEPARATION for one in taken):
+                taken.append(place)
+                chosen.append(int(number))
+    return rows.loc[chosen].reset_index(drop=True)
+
+
+def _model(layers: dict[str, ConditionLayer]) -> pd.DataFrame:
+    every = [(name, each) for name, layer in layers.items() for each in layer.model.parameters]
+    return pd.DataFrame(
+        {
+            "layer": [name for name, _ in every],
+            "parameter": [each.name for _, each in every],
+            "value": np.array([each.value for _, each in every], dtype=np.float64),
+            "std": np.array([each.std for _, each in every], dtype=np.float64),
+            "unit": [each.unit for _, each in every],
+            "source": [each.source for _, each in every],
+        }
+    )
+
+
+def state_table(state: MapState) -> Group:
+    """The tables of a map's state."""
+    parts: list[RenderableType] = [_layers_table(state)]
+    if not state.lowest.empty:
+        parts.append(_places_table(state))
+    if not state.spots.empty:
+        parts.append(_spots_table(state))
+    if not state.changes.empty:
+        parts.append(_changes_table(state))
+    if not state.model.empty:
+        parts.append(_model_table(state))
+    parts += map_words(state.track)
+    at, last = state.at, state.last_evidence
+    if at is not None and last is not None and at < last:
+        parts.append(
+            f"{at:%Y-%m-%d %H:%M} UTC lies before the last evidence ({_day(last)}): what was learnt"
+            " since counts in what is expected."
+        )
+    return Group(*parts)
+
+
+def _layers_table(state: MapState) -> RenderableType:
+    title = f"Track condition of {state.track.line}, {state.track.bin_length:.0f} m bins"
+    table = new_table(title, "rail", "trips", "slip events", "observed", "last evidence")
+    for each in state.layers.to_dict("records"):
+        days = state.track.layer(str(each["layer"])).evidence.days
+        table.add_row(
+            str(each["layer"]),
+            str(each["trips"]),
+            str(each["onsets"]),
+            f"{each['observed_m'] / 1e3:.1f} km, {each['observed_bins'] / each['bins']:.0%}",
+            day_name(int(days[-1])) if days.size else "none",
+        )
+    return table
+
+
+def _places_table(state: MapState) -> RenderableType:
+    at = "expected" if state.at is None else f"expected at {state.at:%Y-%m-%d %H:%M} UTC"
+    heads = ("km", "near", "lasting (95 % band)", f"{at} (95 % band)", "spot")
+    table = new_table("Lowest maximum adhesion", "rail", *heads)
+    lasting = _bands(state.lowest, "adhesion", "low", "high")
+    expected = _bands(state.lowest, "expected", "expected_low", "expected_high")
+    rows = state.lowest.to_dict("records")
+    for each, now, then in zip(rows, lasting, expected, strict=True):
+        share = f"{each['spot_probability']:.0%}" if each["spot_probability"] > 0.0 else ""
+        words = (f"{each['start_km']:.3f}", str(each["near"]), now, then, share)
+        table.add_row(str(each["layer"]), *words)
+    return table
+
+
+def _bands(rows: pd.DataFrame, value: str, low: str, high: str) -> list[str]:
+    return [
+        f"{middle:.3f} ({least:.3f} to {most:.3f})"
+        for middle, least, most in zip(rows[value], rows[low], rows[high], strict=True)
+    ]
+
+
+def _spots_table(state: MapState) -> RenderableType:
+    still = "still there" if state.at is None else f"there on {state.at:%Y-%m-%d %H:%M}"
+    heads = ("km", "near", "adhesion (95 % band)", "met", "last passed", still)
+    table = new_table("Passing spots, the likeliest first", "rail", *heads)
+    for name, listed, more in _listed(state.spots, "probability"):
+        bands = _bands(listed, "adhesion", "low", "high")
+        for each, band in zip(listed.to_dict("records"), bands, strict=True):
+            met = " to ".join(dict.fromkeys(_day(each[f"{end}_day"]) for end in ("first", "last")))
+            words = (_ends(each), str(each["near"]), band, met, _day(each["checked_day"]))
+            table.add_row(name, *words, f"{each['probability']:.0%}")
+        if more:
+            table.add_row(name, f"and {more} more")
+    return table
+
+
+def _changes_table(state: MapState) -> RenderableType:
+    heads = ("km", "near", "on (95 %)", "before (95 % band)", "after (95 % band)")
+    table = new_table("Changes of the lasting condition", "rail", *heads)
+    for name, listed, more in _listed(state.changes, "log_odds"):
+        before, after = (
+            _bands(listed, side, f"{side}_low", f"{side}_high") for side in ("before", "after")
+        )
+        for each, old, new in zip(listed.to_dict("records"), before, after, strict=True):
+            days = f"{_day(each['day'])} ({_day(each['earliest'])} to {_day(each['latest'])})"
+            table.add_row(name, _ends(each), str(each["near"]), days, old, new)
+        if more:
+            table.add_row(name, f"and {more} more")
+    return table
+
+
+def _listed(rows: pd.DataFrame, rank: str) -> Iterator[tuple[str, pd.DataFrame, int]]:
+    """Name, first rows by rank, and number of the others, of each layer."""
+    for name, every in rows.groupby("layer", sort=False):
+        listed = every.sort_values(rank, ascending=False, kind="stable")[:LISTED]
+        yield str(name), listed, len(every) - len(listed)
+
+
+def _ends(row: Mapping[Hashable, Any]) -> str:
+    return f"{row['start_km']:.3f} to {row['end_km']:.3f}"
+
+
+def _model_table(state: MapState) -> RenderableType:
+    table = new_table("Model", "rail", "parameter", "value", "standard deviation", "unit", "from")
+    for each in state.model.to_dict("records"):
+        std = f"{each['std']:.2g}" if np.isfinite(each["std"]) else ""
+        source = "the evidence" if each["source"] == "estimated" else "assumed"
+        words = (str(each["parameter"]).replace("_", " "), f"{each['value']:.3g}", std)
+        table.add_row(str(each["layer"]), *words, str(each["unit"]), source)
+    return table
+
+
+def _day(time: Any) -> str:
+    return f"{time:%Y-%m-%d}"

@@ -1,0 +1,192 @@
+"""Looking at a track-condition map: its state at a time, as tables, JSON and picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+
+import analysis
+import trainlog
+from analysis.adhesion import map_plot as plot
+from analysis.adhesion.map_state import state_table
+from trainlog.cli.main import run
+from trainlog.errors import InputError
+from trainlog.railway import Line, TrackConditionMap
+from trainlog.railway.condition import (
+    AdhesionEstimate,
+    ConditionChange,
+    ConditionLayer,
+    ConditionModel,
+    ModelParameter,
+    PassingSpot,
+)
+
+AT = pd.Timestamp("2024-10-09T06:00", tz="UTC")
+SPOT = PassingSpot(9_675.0, 9_750.0, 0.07, 0.06, 0.08, 20_003, 20_003, 20_003, 0.9, 2.0)
+CHANGE = ConditionChange(100.0, 150.0, 20_002, 20_001, 20_003, 0.10, 0.14, 0.05, 0.05, 8.0)
+MODEL = ConditionModel(
+    (
+        ModelParameter("trip_std", "1", 0.12, 0.011, "estimated"),
+        ModelParameter("correlation_length", "m", 120.0, float("nan"), "assumed"),
+    )
+)
+
+
+class Layer(ConditionLayer):
+    """A layer whose expected condition is lower than the lasting one by a tenth."""
+
+    def expected(self, time: pd.Timestamp | None = None) -> AdhesionEstimate:
+        return AdhesionEstimate(self.log_mean + np.log(0.9), self.log_std, self.observed)
+
+
+@pytest.fixture
+def line() -> Line:
+    return trainlog.read_line(trainlog.sample(trainlog.DEFAULT_LINE))
+
+
+@pytest.fixture
+def track() -> TrackConditionMap:
+    found = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map.json"))
+    wet = found.layer("wet")
+    mine = Layer(
+        wet.log_mean,
+        wet.log_std,
+        wet.observed,
+        evidence=wet.evidence,
+        spots=(SPOT,),
+        changes=(CHANGE,),
+        model=MODEL,
+    )
+    return replace(found, layers={**found.layers, "wet": mine})
+
+
+def printed(table: object) -> str:
+    console = Console(width=200, record=True, file=StringIO())
+    console.print(table)
+    return " ".join(console.export_text().split())
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    figures: list[Figure] = []
+    written = plot.write_figure
+
+    def keep(figure: Figure, path: str | Path) -> None:
+        figures.append(figure)
+        written(figure, path)
+
+    monkeypatch.setattr(plot, "write_figure", keep)
+    return figures
+
+
+def test_the_state_has_lasting_beside_expected_with_place_and_spot(
+    track: TrackConditionMap, line: Line
+) -> None:
+    state = analysis.map_state(track, AT, line=line, places=3)
+    wet = state.lowest.query("layer == 'wet'")
+    layer = track.layer("wet")
+    lowest = int(np.argmin(np.where(layer.observed, layer.log_mean, np.inf)))
+    first = wet.iloc[0]
+    assert first["bin"] == lowest
+    assert first["adhesion"] == pytest.approx(np.exp(layer.log_mean[lowest]))
+    assert first["expected"] == pytest.approx(0.9 * np.exp(layer.log_mean[lowest]))
+    assert first["low"] < first["adhesion"] < first["high"]
+    assert first["near"] == "0.4 km after Gossau SG"
+    assert first["spot_probability"] == pytest.approx(SPOT.alive(AT))
+    # Apart from each other, and least first.
+    assert np.diff(np.sort(wet["start_m"])).min() >= 250.0
+    assert wet["expected"].is_monotonic_increasing
+    assert state.model["source"].tolist() == ["estimated", "assumed"]
+
+
+def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
+    track: TrackConditionMap, line: Line
+) -> None:
+    words = printed(state_table(analysis.map_state(track, AT, line=line)))
+    assert "expected at 2024-10-09 06:00 UTC" in words
+    assert "9.675 to 9.750" in words
+    assert f"{SPOT.alive(AT):.0%}" in words
+    assert "2024-10-06 (2024-10-05 to 2024-10-07)" in words
+    assert "trip std 0.12 0.011 1 the evidence" in words
+    assert "correlation length 120 m assumed" in words
+    assert "Elsewhere the map says nothing" in words
+    assert "lies before the last evidence" not in words
+    earlier = analysis.map_state(track, AT - pd.Timedelta("3D"), line=line)
+    assert "lies before the last evidence" in printed(state_table(earlier))
+
+
+def test_the_default_time_is_right_after_the_last_evidence(track: TrackConditionMap) -> None:
+    state = analysis.map_state(track)
+    assert state.at == state.last_evidence == pd.Timestamp("2024-10-08", tz="UTC")
+    assert state.spots["probability"].tolist() == [0.9]
+    naive = analysis.map_state(track, pd.Timestamp("2024-10-09T06:00"))
+    assert naive.at == AT
+    assert "Passing spots" in naive._repr_html_()
+    assert "expected at 2024-10-09 06:00 UTC" in repr(naive)
+
+
+def test_the_picture_names_stations_and_dates_and_shades_what_is_unknown(
+    track: TrackConditionMap, line: Line, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    plot.draw_map(track, tmp_path / "map.png", line=line, at=AT)
+    (figure,) = drawn
+    texts = {text.get_text() for axes in figure.axes for text in axes.texts}
+    assert {station.name for station in line.stations} <= texts
+    assert f"2024-10-07, {SPOT.alive(AT):.0%}" in texts
+    assert "changed 2024-10-06" in texts
+    legend = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert {"not observed", "lasting, 95 % band", "expected, 95 % band", "passing spot"} <= legend
+    before = (tmp_path / "map.png").read_bytes()
+    plot.draw_map(track, tmp_path / "map.png", line=line, at=AT + pd.Timedelta("9D"))
+    assert (tmp_path / "map.png").read_bytes() != before
+    with pytest.raises(InputError, match="the map is of line"):
+        plot.draw_map(track, tmp_path / "map.png", line=replace(line, name="elsewhere"))
+
+
+def test_a_long_line_labels_its_likeliest_spots_without_overlap(
+    track: TrackConditionMap, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    many = tuple(
+        replace(SPOT, start=500.0 * number, end=500.0 * number + 75.0, present=number / 59)
+        for number in range(59)
+    )
+    wet = replace(track.layer("wet"), spots=many, changes=())
+    plot.draw_map(replace(track, layers={"wet": wet}), tmp_path / "map.png")
+    labels = [text for text in drawn[0].axes[0].texts if "%" in text.get_text()]
+    assert len(labels) == plot.LABELLED
+    places = np.sort([text.get_position()[0] for text in labels])
+    assert np.diff(places).min() >= plot.LABEL_SPACE * track.length / 1e3
+    assert places[-1] == pytest.approx(29.0375)  # the likeliest is among them
+
+
+def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    condition = str(trainlog.sample("CH_StGallen_Wil.map.json"))
+    words = ["map", "show", condition, "--layer", "wet", "--at", "2024-10-09T08:00"]
+    assert run([*words, "--zone", "Europe/Zurich", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["expected_at"] == "2024-10-09T06:00:00+00:00"
+    assert [each["layer"] for each in found["layers"]] == ["wet"]
+    lowest = found["lowest"][0]
+    assert lowest["near"] == "0.4 km after Gossau SG"
+    assert lowest["expected_low"] < lowest["expected"] < lowest["expected_high"]
+    assert run([*words, "--picture", str(tmp_path / "wet.png")]) == 0
+    shown = capsys.readouterr().out
+    assert "states no zone: taken for UTC" in shown
+    assert (tmp_path / "wet.png").stat().st_size > 20_000
+    assert run([*words[:-1], "2024-10-09T08:00+02:00"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "expected at 2024-10-09 06:00 UTC" in shown
+    assert "states no zone" not in shown
+    with pytest.raises(InputError, match="has no layer 'frost'"):
+        run(["map", "show", condition, "--layer", "frost", "--picture", str(tmp_path / "no.png")])
+    assert not (tmp_path / "no.png").exists()
