@@ -225,7 +225,9 @@ def drawn(seed: int, days: int = 30) -> Drawn:
 
 def scored(rail: Drawn, forecaster: Forecaster) -> Verification:
     nothing = DailyEvidence.none(BINS, LEVELS.size)
-    return verify("drawn", TRACK, rail.days, forecaster, lambda layer, day: nothing, rail.demand)
+    return verify("drawn", TRACK, rail.days, forecaster, lambda layer, day: nothing, rail.demand)[
+        "wet"
+    ]
 
 
 def others(rail: Drawn) -> dict[str, Forecaster]:

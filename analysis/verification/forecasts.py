@@ -220,3 +220,21 @@ def forecast_of(
         thresholds=np.zeros(0),
         below=np.zeros((count, 0)),
     )
+
+
+def first_free(track: TrackConditionMap) -> pd.Timestamp:
+    """The beginning of the day after the last evidence of a map.
+
+    Raises
+    ------
+    InputError
+        If the map holds no evidence.
+    """
+    days = [each.evidence.days for each in track.layers.values()]
+    last = max((int(each.max()) for each in days if each.size), default=None)
+    if last is None:
+        raise InputError(
+            f"map of line '{track.line}' holds no evidence to forecast from",
+            remedy="count a trip in first",
+        )
+    return pd.Timestamp((last + 1) * _DAY, tz="UTC")

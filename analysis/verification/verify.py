@@ -112,6 +112,26 @@ class Verification:
     slips: FloatArray
     no_demand: FloatArray
 
+    @staticmethod
+    def together(several: Mapping[str, Verification]) -> Verification:
+        """Rail conditions together, added up by day."""
+        every = list(several.values())
+        days = np.unique(np.concatenate([each.days for each in every]))
+
+        def total(arrays: list[FloatArray]) -> FloatArray:
+            found = np.zeros((days.size, *arrays[0].shape[1:]))
+            for each, values in zip(every, arrays, strict=True):
+                found[np.searchsorted(days, each.days)] += values
+            return found
+
+        sums: dict[str, Any] = {
+            key: total([getattr(each, key) for each in every]) for key in _Sums.ARRAYS
+        }
+        for key in _Sums.TABLES:
+            tables = [getattr(each, key) for each in every]
+            sums[key] = {name: total([table[name] for table in tables]) for name in FORECASTS}
+        return Verification(every[0].name, every[0].bin_length, days, **sums)
+
     @cached_property
     def _weights(self) -> FloatArray:
         """How often each day counts: once in the first row, as drawn in the others."""
@@ -243,6 +263,58 @@ class Verification:
         """Share of slips foreseen and false alarms per train-km at one of the thresholds."""
         return next(each[1:] for each in self.alarm_curve() if each[0] == level)
 
+    def details(self) -> dict[str, Any]:
+        """All figures, as JSON has them; None where one cannot be stated."""
+        brier = {
+            part: _plain(self.brier_figure(part))
+            for part in ("score", "reliability", "resolution", "uncertainty", "within", "skill")
+        }
+        return {
+            "days": int(self.days.size),
+            "train_km": self.train_km,
+            "onsets": {"known": self.onsets, "unknown": self.unknown_onsets},
+            "used": {"known": self.used, "unknown": self.unknown_used},
+            "no_demand": int(self.no_demand.sum()),
+            "log_score": {
+                what: {
+                    "score": _plain(self.log_score(what)),
+                    **{
+                        f"gain_over_{other}": _plain(self.log_score(what, over=other))
+                        for other in FORECASTS[1:]
+                    },
+                }
+                for what in ("onsets", "used", "all")
+            },
+            "crps": {name: _plain(self.crps(name)) for name in FORECASTS},
+            "coverage_of_95_percent": {
+                "maxima": _plain(self.coverage),
+                "onsets": _plain(self.onsets_in_band),
+            },
+            "reliability": [
+                {"quantile": each, "observed": _plain(share), "trips": trips}
+                for each, share, trips in self.reliability()
+            ],
+            "brier": brier
+            | {f"skill_over_{other}": _plain(self.brier_gain(other)) for other in FORECASTS[1:]},
+            "slip_classes": [
+                {"forecast": forecast, "observed": share, "passages": trips, "slips": slips}
+                for forecast, share, trips, slips in self.classes()
+            ],
+            "alarms": [
+                {
+                    "probability": level,
+                    "slips_foreseen": _plain(foreseen),
+                    "false_alarms_per_train_km": _plain(false),
+                }
+                for level, foreseen, false in self.alarm_curve()
+            ],
+        }
+
+
+def _plain(figure: Figure) -> dict[str, float | None]:
+    parts = {"value": figure.value, "low": figure.low, "high": figure.high}
+    return {name: float(each) if np.isfinite(each) else None for name, each in parts.items()}
+
 
 def _columns(values: FloatArray, columns: Iterable[int]) -> FloatArray:
     return np.asarray(values[:, list(columns)].sum(axis=1))
@@ -260,8 +332,8 @@ def verify(
     forecaster: Forecaster,
     history: History,
     demand: Demand,
-) -> Verification:
-    """Score a forecast, beside climatology and persistence, on what trips met.
+) -> dict[str, Verification]:
+    """Score a forecast, beside climatology and persistence, on what trips met, by rail condition.
 
     Parameters
     ----------
@@ -294,7 +366,7 @@ def verify(
     ...     "prior", track, days, lambda layer, time: climatology(track, layer),
     ...     lambda layer, day: known.between(-1, day - 1), Demand([known], track.levels),
     ... )
-    >>> found.log_score("onsets", over="prior").value
+    >>> found["wet"].log_score("onsets", over="prior").value
     0.0
     """
     every = sorted(passages, key=lambda each: (each.day, each.time, each.layer))
@@ -302,8 +374,7 @@ def verify(
         raise InputError(
             f"{name}: no trip to compare it with", remedy="give trips of days that it does not know"
         )
-    days = np.unique(np.array([each.day for each in every], dtype=np.int64))
-    sums = [_Sums() for _ in days]
+    sums: dict[str, dict[int, _Sums]] = {}
     references = _References(track, history)
     asked = asked_adhesion(track.levels)
     for each in every:
@@ -311,9 +382,14 @@ def verify(
         if forecast is None:
             forecast = _unknown(track.bins)
         several = {"forecast": forecast, **references(each.layer, each.day)}
-        into = sums[int(np.searchsorted(days, each.day))]
+        into = sums.setdefault(each.layer, {}).setdefault(each.day, _Sums())
         into.add_scores(each, several, track.levels, asked)
         into.add_slips(each, several, demand, asked)
+    return {layer: _made(name, track.bin_length, days) for layer, days in sums.items()}
+
+
+def _made(name: str, bin_length: float, by_day: Mapping[int, _Sums]) -> Verification:
+    sums = list(by_day.values())
     found: dict[str, Any] = {
         key: np.array([getattr(each, key) for each in sums]) for key in _Sums.ARRAYS
     }
@@ -321,7 +397,7 @@ def verify(
         found[key] = {
             one: np.array([getattr(each, key)[one] for each in sums]) for one in FORECASTS
         }
-    return Verification(name, track.bin_length, days, **found)
+    return Verification(name, bin_length, np.array(list(by_day), dtype=np.int64), **found)
 
 
 class _References:

@@ -1,0 +1,278 @@
+"""Maps and forecasts scored on logs, or a map on its own days: `trainlog map score`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from analysis.adhesion.condition_map import _analysed, _own_line, empty_map
+from analysis.adhesion.evidence import Evidence, condition_of, evidence_of_parts
+from analysis.adhesion.slip import SlipAnalysis
+from analysis.verification.forecasts import map_forecast, rolling_forecast, stated_forecast
+from analysis.verification.passages import Demand, Passages, passages_of
+from analysis.verification.verify import Forecaster, History, Verification, verify
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.files import sha256_of
+from trainlog.identity import Known, same_drives
+from trainlog.mcap import read_log
+from trainlog.mcap.reader import identity_of_log
+from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.forecast import AdhesionForecast
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Score:
+    """How good a forecast was.
+
+    Attributes
+    ----------
+    line, name : str
+        Of the line, and of what was scored.
+    layers : dict of str to Verification
+        By rail condition; ``"all"`` has all of them together.
+    left_out : tuple of str
+        Trips that were not scored, with the reason.
+    refused : tuple of str
+        Logs that could not be used, with the reason.
+    """
+
+    line: str
+    name: str
+    layers: dict[str, Verification]
+    left_out: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        whole = self.layers["all"]
+        gain = whole.log_score("onsets", over="prior")
+        return (
+            f"Score of {self.name} on line '{self.line}', {whole.days.size} days,"
+            f" {whole.onsets} onsets: {gain.value:+.2f} nat over the prior"
+        )
+
+    def _repr_html_(self) -> str:
+        from analysis.tables import as_page
+        from analysis.verification.table import score_table
+
+        return as_page(score_table(self))
+
+    def details(self) -> dict[str, Any]:
+        """All figures, as JSON has them."""
+        return {
+            "line": self.line,
+            "scored": self.name,
+            "layers": {name: each.details() for name, each in self.layers.items()},
+            "left_out": list(self.left_out),
+            "refused": list(self.refused),
+        }
+
+
+@dataclass
+class _Trips:
+    """What the logs hold: evidence of each trip, and what could not be used."""
+
+    track: TrackConditionMap
+    pieces: list[tuple[Evidence, pd.Timestamp]] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+
+    @property
+    def evidence(self) -> list[DailyEvidence]:
+        return [piece.daily for piece, _ in self.pieces]
+
+    def passages(self) -> list[Passages]:
+        return [
+            day
+            for piece, time in self.pieces
+            for day in passages_of(piece.layer, piece.daily, time)
+        ]
+
+
+def score_rolling(track: TrackConditionMap, layers: Sequence[str] | None = None) -> Score:
+    """Score what a map would have expected of each of its days from the days before alone.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    layers : sequence of str, optional
+        Rail conditions to score; default: all of the map.
+
+    Raises
+    ------
+    InputError
+        If the map has no such layer, or no evidence of two days.
+
+    Examples
+    --------
+    >>> from trainlog.formats.condition import read_map
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> score_rolling(track, ["wet"])
+    Traceback (most recent call last):
+    ...
+    trainlog.errors.InputError: the map holds evidence of one day: ...
+    """
+    days = {day for layer in track.layers.values() for day in layer.evidence.days.tolist()}
+    if len(days) < 2:
+        raise InputError(
+            f"the map holds evidence of {'one day' if days else 'no day'}: no day can be forecast"
+            " from the days before",
+            remedy="count in trips of several days, or give later trips to score it on",
+        )
+    chosen = {name: track.layer(name).evidence for name in layers or track.layers}
+    every = [passages for name, known in chosen.items() for passages in passages_of(name, known)]
+    demand = Demand([layer.evidence for layer in track.layers.values()], track.levels)
+    first = min(days)
+    scored = [each for each in every if each.day > first]
+    return _scored("the map, day by day", track, scored, rolling_forecast(track),
+                   lambda layer, day: chosen[layer].between(first, day - 1), demand)  # fmt: skip
+
+
+def score_map(
+    track: TrackConditionMap, logs: Iterable[str | Path], layer: str | None = None
+) -> Score:
+    """Score a map on later trips, which it does not hold; trips of its own days are left out.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    logs : iterable of path
+    layer : str, optional
+        Rail condition of the trips; default: what each states.
+
+    Raises
+    ------
+    InputError
+        If there is no later trip.
+    """
+    last = max(
+        (
+            int(each.evidence.days.max())
+            for each in track.layers.values()
+            if each.evidence.days.size
+        ),
+        default=-1,
+    )
+    trips = _trips(logs, track, layer)
+    later = []
+    for piece, time in trips.pieces:
+        days = piece.daily.days
+        if days.size and days.min() <= last:
+            trips.left_out.append(
+                f"trip '{piece.trip}': ran on a day of which the map holds evidence, or before:"
+                " not scored"
+            )
+        else:
+            later.append((piece, time))
+    trips.pieces = later
+    nothing = DailyEvidence.none(track.bins, track.levels.size)
+    held = {name: each.evidence for name, each in track.layers.items()}
+    demand = Demand([*held.values(), *trips.evidence], track.levels)
+    return _scored("the map", track, trips.passages(), map_forecast(track),
+                   lambda layer, _: held.get(layer, nothing), demand, trips)  # fmt: skip
+
+
+def score_forecast(
+    forecast: AdhesionForecast, logs: Iterable[str | Path], layer: str | None = None
+) -> Score:
+    """Score the forecast of anyone on trips; persistence knows the earlier of these trips.
+
+    Parameters
+    ----------
+    forecast : AdhesionForecast
+    logs : iterable of path
+    layer : str, optional
+        Rail condition of the trips; default: what each states.
+
+    Raises
+    ------
+    InputError
+        If the forecast is for another line.
+    """
+    trips = _trips(logs, None, layer)
+    track = trips.track
+    held: dict[str, DailyEvidence] = {}
+    for name in {piece.layer for piece, _ in trips.pieces}:
+        own = [piece.daily for piece, _ in trips.pieces if piece.layer == name]
+        held[name] = DailyEvidence.total(own)
+    return _scored("the forecast", track, trips.passages(), stated_forecast(forecast, track),
+                   lambda layer, day: held[layer].between(-1, day - 1),
+                   Demand(trips.evidence, track.levels), trips)  # fmt: skip
+
+
+def _scored(
+    name: str,
+    track: TrackConditionMap,
+    passages: list[Passages],
+    forecaster: Forecaster,
+    history: History,
+    demand: Demand,
+    trips: _Trips | None = None,
+) -> Score:
+    if trips is not None and not passages:
+        why = [*trips.left_out, *trips.refused]
+        raise InputError(
+            "no trip to score the forecast on" + (f": {why[0]}" if why else ""),
+            remedy="give logs of days that the forecast does not know",
+        )
+    by_day = sorted(passages, key=lambda each: each.day)
+    found = verify(name, track, by_day, forecaster, history, demand)
+    names = sorted({each.layer for each in passages})
+    layers = {each: found[each] for each in names} | {"all": Verification.together(found)}
+    left_out, refused = ((), ()) if trips is None else (trips.left_out, trips.refused)
+    return Score(track.line, name, layers, tuple(left_out), tuple(refused))
+
+
+def _trips(
+    logs: Iterable[str | Path], track: TrackConditionMap | None, layer: str | None
+) -> _Trips:
+    """Evidence of each trip, a drive once; a log that cannot be used does not stop the others."""
+    found: list[tuple[Evidence, pd.Timestamp]] = []
+    refused, digests = [], set[str]()
+    for path in map(Path, logs):
+        try:
+            digest = sha256_of(path)
+            if digest in digests:
+                continue
+            if track is None:
+                track = empty_map(_own_line(read_log(path, topics=[])))
+            found.append(_evidence(path, track, layer, digest))
+            digests.add(digest)
+        except TrainlogError as error:
+            refused.append(str(type(error)(error.problem, file=path, remedy=error.remedy)))
+    if track is None:
+        raise InputError(
+            "no log could be used" + (f": {refused[0]}" if refused else ""),
+            remedy="give logs of trips",
+        )
+    known = [
+        Known(each.trip, each.recorded, (each.steps, each.sha256, each.trip), digest=each.sha256)
+        for each, _ in found
+    ]
+    same = {each.number: each.sentence for each in same_drives(known)}
+    pieces = [each for number, each in enumerate(found) if number not in same]
+    return _Trips(track, pieces, list(same.values()), refused)
+
+
+def _evidence(
+    path: Path, track: TrackConditionMap, layer: str | None, digest: str
+) -> tuple[Evidence, pd.Timestamp]:
+    """Evidence of a log, and the middle of the trip."""
+    trip = read_log(path, topics=[])
+    condition = condition_of(trip, track, layer)
+    ends: list[pd.Timestamp] = []
+
+    def watched() -> Iterable[SlipAnalysis]:
+        for part in _analysed(path):
+            if len(part.time):
+                ends.extend((part.time[0], part.time[-1]))
+            yield part
+
+    piece = evidence_of_parts(watched(), track, condition, sha256=digest)
+    middle = min(ends) + 0.5 * (max(ends) - min(ends)) if ends else pd.Timestamp(0, tz="UTC")
+    recorded = identity_of_log(path)
+    return replace(piece, recorded=recorded, steps=len(trip.provenance)), middle

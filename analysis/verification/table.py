@@ -1,0 +1,120 @@
+"""Tables of how good forecasts were."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+
+from analysis.tables import new_table
+from analysis.verification.scoring import Score
+from analysis.verification.verify import FEWEST_DAYS, USUAL_ALARM, Figure, Verification
+from trainlog.display import counted
+
+
+def score_table(score: Score) -> Group:
+    """Scores by rail condition with their 95 % bands, reliability, and the curve of alarms."""
+    names = [name for name in score.layers if name != "all"]
+    shown = names if len(names) == 1 else [*names, "all"]
+    table = new_table(f"Score of {score.name} on {score.line} (95 % band by day)", "", *shown)
+    for title, figure in ROWS:
+        table.add_row(title, *(figure(score.layers[name]) for name in shown))
+    whole = score.layers["all"]
+    words = []
+    if whole.days.size < FEWEST_DAYS:
+        words.append(
+            f"{counted(int(whole.days.size), 'day')}: too few for bands, which need {FEWEST_DAYS}"
+        )
+    missing = int(whole.no_demand.sum())
+    if missing:
+        words.append(
+            f"{counted(missing, 'passage')} of bins without a trip on another day: how much is"
+            " asked for there is not known, so that the probability of slip is not scored"
+        )
+    return Group(table, _reliability(whole), _alarms(whole), *words)
+
+
+def _said(figure: Figure, digits: int = 2, sign: bool = False) -> str:
+    if not np.isfinite(figure.value):
+        return "-"
+    form = f"{'+' if sign else ''}.{digits}f"
+    band = f" ({figure.low:{form}} to {figure.high:{form}})" if np.isfinite(figure.low) else ""
+    return f"{figure.value:{form}}{band}"
+
+
+def _share(figure: Figure) -> str:
+    if not np.isfinite(figure.value):
+        return "-"
+    band = f" ({figure.low:.0%} to {figure.high:.0%})" if np.isfinite(figure.low) else ""
+    return f"{figure.value:.1%}{band}"
+
+
+ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
+    ("days; train-km", lambda v: f"{v.days.size}; {v.train_km:.0f}"),
+    ("onsets of slip scored / unknown", lambda v: f"{v.onsets} / {v.unknown_onsets}"),
+    ("without slip scored / unknown", lambda v: f"{v.used} / {v.unknown_used}"),
+    ("log score of onsets [nat]", lambda v: _said(v.log_score("onsets"))),
+    ("  gain over the prior", lambda v: _said(v.log_score("onsets", over="prior"), 2, True)),
+    (
+        "  gain over persistence",
+        lambda v: _said(v.log_score("onsets", over="persistence"), 2, True),
+    ),
+    ("log score of used adhesion [nat]", lambda v: _said(v.log_score("used"), 3)),
+    ("  gain over the prior", lambda v: _said(v.log_score("used", over="prior"), 3, True)),
+    (
+        "  gain over persistence",
+        lambda v: _said(v.log_score("used", over="persistence"), 3, True),
+    ),
+    ("CRPS of onsets, log adhesion", lambda v: _said(v.crps(), 3)),
+    (
+        "  of the prior; of persistence",
+        lambda v: "; ".join(
+            _said(Figure(v.crps(name).value), 3) for name in ("prior", "persistence")
+        ),
+    ),
+    ("maxima in the 95 % band", lambda v: _share(v.coverage)),
+    ("measured onsets in it", lambda v: _share(v.onsets_in_band)),
+    ("Brier score of slip", lambda v: _said(v.brier_figure("score"), 4)),
+    (
+        "  reliability - resolution + uncertainty",
+        lambda v: (
+            f"{v.brier_figure('reliability').value:.4f} - {v.brier_figure('resolution').value:.4f}"
+            f" + {v.brier_figure('uncertainty').value:.4f}"
+        ),
+    ),
+    ("  skill over the prior", lambda v: _said(v.brier_gain("prior"), 2, True)),
+    ("  skill over persistence", lambda v: _said(v.brier_gain("persistence"), 2, True)),
+    (f"slips foreseen, alarm at {USUAL_ALARM:.0%}", lambda v: _share(v.alarm()[0])),
+    ("false alarms per train-km", lambda v: _said(v.alarm()[1])),
+)
+
+
+def _reliability(found: Verification) -> Table:
+    table = new_table(
+        "Reliability: share of maxima below a quantile of their forecast",
+        "quantile",
+        *(f"{quantile:.1%}" for quantile, _, _ in found.reliability()),
+    )
+    rows = found.reliability()
+    table.add_row("observed", *(f"{share.value:.1%}" for _, share, _ in rows))
+    table.add_row("95 % band", *(_band(share) for _, share, _ in rows))
+    table.add_row("trips", *(f"{trips}" for _, _, trips in rows))
+    return table
+
+
+def _band(figure: Figure) -> str:
+    return f"{figure.low:.0%} to {figure.high:.0%}" if np.isfinite(figure.low) else "-"
+
+
+def _alarms(found: Verification) -> Table:
+    curve = found.alarm_curve()
+    table = new_table(
+        "Alarm where the probability of slip is at least",
+        "",
+        *(f"{level:g}" for level, *_ in curve),
+    )
+    table.add_row("slips foreseen", *(f"{foreseen.value:.1%}" for _, foreseen, _ in curve))
+    table.add_row("false alarms per train-km", *(f"{false.value:.2f}" for *_, false in curve))
+    return table

@@ -1,0 +1,128 @@
+"""Commands that forecast by a track-condition map, and score forecasts: forecast, score."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from trainlog.cli.map import map_app
+from trainlog.cli.map_views import AtOption, MapArgument, ZoneOption, moment
+from trainlog.cli.options import destination, logs_in
+from trainlog.cli.terminal import console, print_error, progress_bar, working, wrote
+from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    from analysis.verification.scoring import Score
+
+app = typer.Typer()
+"""Empty: these commands stand among those of the map."""
+
+
+@map_app.command("forecast")
+def map_forecast(
+    condition: MapArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Forecast (CSV).")],
+    at: AtOption = None,
+    zone: ZoneOption = "UTC",
+    hours: Annotated[float, typer.Option(help="For how long it is said to hold.")] = 24.0,
+    layer: Annotated[
+        str | None, typer.Option(help="Rail condition; default: every one of the map.")
+    ] = None,
+) -> None:
+    """Write what a map expects at a time as a forecast, in the form in which forecasts are scored.
+
+    Where the map was not observed the forecast states nothing. Without --at it holds from the day
+    after the last evidence.
+
+    Example: trainlog map forecast results/map.json --at 2026-11-22T06:00Z -o results/forecast.csv
+    """
+    from analysis.verification.forecasts import first_free, forecast_of
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.forecast import write_forecast
+
+    destination(output, ".csv")
+    track = read_map(condition)
+    time = moment(at, zone) or first_free(track)
+    write_forecast(forecast_of(track, time, layer=layer, hours=hours), output)
+    wrote(output)
+
+
+@map_app.command("score")
+def map_score(
+    forecast: Annotated[Path, typer.Argument(help="Map file, or a forecast (.csv).")],
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="Logs (.mcap) of later trips, or folders of logs.")
+    ] = None,
+    rolling: Annotated[
+        bool,
+        typer.Option("--rolling", help="Forecast each of the map's days from the days before."),
+    ] = False,
+    layer: Annotated[
+        str | None,
+        typer.Option(help="Rail condition to score; default: what each log states, or all."),
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the scores here.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print all figures as JSON.")] = False,
+) -> None:
+    """Score a map's forecast, or anyone's, on trips that it does not know.
+
+    Log score of measured and of used adhesion with the gain over the prior and over persistence,
+    reliability, Brier score of slip, slips foreseen against false alarms, coverage; bands by a
+    bootstrap over days. Where the forecast is unknown it is counted as unknown. What each figure
+    means: docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
+
+    Example: trainlog map score results/map.json results/later-trips --picture results/score.png
+    """
+    from analysis.verification.plot import draw_score
+    from analysis.verification.table import score_table
+
+    if picture is not None:
+        destination(picture, ".png")
+    found = _scored(forecast, logs or [], rolling, layer)
+    for words in found.refused:
+        print_error(words)
+    if picture is not None:
+        draw_score(found, picture)
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(found.details(), ensure_ascii=False))
+    else:
+        for words in found.left_out:
+            console.print(f"  {words}", highlight=False, soft_wrap=True)
+        console.print(score_table(found))
+        if picture is not None:
+            wrote(picture)
+    if found.refused:
+        raise typer.Exit(1)
+
+
+def _scored(forecast: Path, logs: list[Path], rolling: bool, layer: str | None) -> Score:
+    from analysis.verification.scoring import score_forecast, score_map, score_rolling
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.forecast import read_forecast
+
+    foreign = forecast.suffix.lower() == ".csv"
+    if rolling and (logs or foreign):
+        raise InputError(
+            "--rolling scores a map on its own days",
+            remedy="leave out " + ("the logs" if logs else "--rolling, and give logs"),
+        )
+    if not rolling and not logs:
+        raise InputError(
+            "there is nothing to compare the forecast with",
+            remedy="give logs of trips" + ("" if foreign else ", or --rolling"),
+        )
+    if rolling:
+        with working("forecasting day by day"):
+            return score_rolling(read_map(forecast), None if layer is None else [layer])
+    stated = read_forecast(forecast) if foreign else None
+    track = None if foreign else read_map(forecast)
+    with progress_bar() as progress:
+        every = progress.track(logs_in(logs), description="scoring")
+        if stated is not None:
+            return score_forecast(stated, every, layer)
+        assert track is not None
+        return score_map(track, every, layer)
