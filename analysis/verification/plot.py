@@ -103,7 +103,11 @@ def _draw_alarms(axes: Axes, found: Verification) -> None:
     x = np.array([false.value for *_, false in curve])
     y = np.array([foreseen.value for _, foreseen, _ in curve])
     axes.plot(x, y, "-", color=RED, linewidth=1.2)
+    near, at = 0.02 * float(np.nanmax(x, initial=1e-9)), np.inf
     for level, foreseen, false in curve:
+        if at - false.value < near:
+            continue
+        at = false.value
         if np.isfinite(foreseen.low):
             axes.vlines(false.value, foreseen.low, foreseen.high, color=RED, alpha=0.3)
         axes.annotate(

@@ -11,9 +11,8 @@ import pandas as pd
 
 from analysis.adhesion.condition_map import _analysed, _own_line, empty_map
 from analysis.adhesion.evidence import Evidence, condition_of, evidence_of_parts
-from analysis.adhesion.slip import SlipAnalysis
 from analysis.verification.forecasts import map_forecast, rolling_forecast, stated_forecast
-from analysis.verification.passages import Demand, Passages, passages_of
+from analysis.verification.passages import NOON, Demand, Passages, passages_of, time_of
 from analysis.verification.verify import Forecaster, History, Verification, verify
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import sha256_of
@@ -77,20 +76,26 @@ class _Trips:
     """What the logs hold: evidence of each trip, and what could not be used."""
 
     track: TrackConditionMap
-    pieces: list[tuple[Evidence, pd.Timestamp]] = field(default_factory=list)
+    pieces: list[Evidence] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
 
     @property
     def evidence(self) -> list[DailyEvidence]:
-        return [piece.daily for piece, _ in self.pieces]
+        return [known for piece in self.pieces for known in piece.layers.values()]
 
     def passages(self) -> list[Passages]:
         return [
             day
-            for piece, time in self.pieces
-            for day in passages_of(piece.layer, piece.daily, time)
+            for piece in self.pieces
+            for layer, known in piece.layers.items()
+            for day in passages_of(layer, known, _middle(piece))
         ]
+
+
+def _middle(piece: Evidence) -> pd.Timestamp:
+    """Of the time of a trip."""
+    return pd.Timestamp(sum(piece.span) // 2, tz="UTC")
 
 
 def score_rolling(track: TrackConditionMap, layers: Sequence[str] | None = None) -> Score:
@@ -111,10 +116,11 @@ def score_rolling(track: TrackConditionMap, layers: Sequence[str] | None = None)
     --------
     >>> from trainlog.formats.condition import read_map
     >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
-    >>> score_rolling(track, ["wet"])
-    Traceback (most recent call last):
-    ...
-    trainlog.errors.InputError: the map holds evidence of one day: ...
+    >>> try:
+    ...     score_rolling(track)
+    ... except InputError as error:
+    ...     print(error.problem)
+    the map holds evidence of one day: no day can be forecast from the days before
     """
     days = {day for layer in track.layers.values() for day in layer.evidence.days.tolist()}
     if len(days) < 2:
@@ -159,15 +165,14 @@ def score_map(
     )
     trips = _trips(logs, track, layer)
     later = []
-    for piece, time in trips.pieces:
-        days = piece.daily.days
-        if days.size and days.min() <= last:
+    for piece in trips.pieces:
+        if _middle(piece) < time_of(last) + NOON:
             trips.left_out.append(
                 f"trip '{piece.trip}': ran on a day of which the map holds evidence, or before:"
                 " not scored"
             )
         else:
-            later.append((piece, time))
+            later.append(piece)
     trips.pieces = later
     nothing = DailyEvidence.none(track.bins, track.levels.size)
     held = {name: each.evidence for name, each in track.layers.items()}
@@ -195,10 +200,11 @@ def score_forecast(
     """
     trips = _trips(logs, None, layer)
     track = trips.track
-    held: dict[str, DailyEvidence] = {}
-    for name in {piece.layer for piece, _ in trips.pieces}:
-        own = [piece.daily for piece, _ in trips.pieces if piece.layer == name]
-        held[name] = DailyEvidence.total(own)
+    every = [item for piece in trips.pieces for item in piece.layers.items()]
+    held = {
+        name: DailyEvidence.total(known for each, known in every if each == name)
+        for name, _ in every
+    }
     return _scored("the forecast", track, trips.passages(), stated_forecast(forecast, track),
                    lambda layer, day: held[layer].between(-1, day - 1),
                    Demand(trips.evidence, track.levels), trips)  # fmt: skip
@@ -231,7 +237,7 @@ def _trips(
     logs: Iterable[str | Path], track: TrackConditionMap | None, layer: str | None
 ) -> _Trips:
     """Evidence of each trip, a drive once; a log that cannot be used does not stop the others."""
-    found: list[tuple[Evidence, pd.Timestamp]] = []
+    found: list[Evidence] = []
     refused, digests = [], set[str]()
     for path in map(Path, logs):
         try:
@@ -251,28 +257,15 @@ def _trips(
         )
     known = [
         Known(each.trip, each.recorded, (each.steps, each.sha256, each.trip), digest=each.sha256)
-        for each, _ in found
+        for each in found
     ]
     same = {each.number: each.sentence for each in same_drives(known)}
     pieces = [each for number, each in enumerate(found) if number not in same]
     return _Trips(track, pieces, list(same.values()), refused)
 
 
-def _evidence(
-    path: Path, track: TrackConditionMap, layer: str | None, digest: str
-) -> tuple[Evidence, pd.Timestamp]:
-    """Evidence of a log, and the middle of the trip."""
+def _evidence(path: Path, track: TrackConditionMap, layer: str | None, digest: str) -> Evidence:
     trip = read_log(path, topics=[])
     condition = condition_of(trip, track, layer)
-    ends: list[pd.Timestamp] = []
-
-    def watched() -> Iterable[SlipAnalysis]:
-        for part in _analysed(path):
-            if len(part.time):
-                ends.extend((part.time[0], part.time[-1]))
-            yield part
-
-    piece = evidence_of_parts(watched(), track, condition, sha256=digest)
-    middle = min(ends) + 0.5 * (max(ends) - min(ends)) if ends else pd.Timestamp(0, tz="UTC")
-    recorded = identity_of_log(path)
-    return replace(piece, recorded=recorded, steps=len(trip.provenance)), middle
+    piece = evidence_of_parts(_analysed(path), track, condition, sha256=digest)
+    return replace(piece, recorded=identity_of_log(path), steps=len(trip.provenance))

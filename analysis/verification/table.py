@@ -40,21 +40,25 @@ def _said(figure: Figure, digits: int = 2, sign: bool = False) -> str:
     if not np.isfinite(figure.value):
         return "-"
     form = f"{'+' if sign else ''}.{digits}f"
-    band = f" ({figure.low:{form}} to {figure.high:{form}})" if np.isfinite(figure.low) else ""
+    low, high = (f"{each:.{digits}f}" for each in (figure.low, figure.high))
+    band = f"\n({low}, {high})" if np.isfinite(figure.low) else ""
     return f"{figure.value:{form}}{band}"
 
 
 def _share(figure: Figure) -> str:
     if not np.isfinite(figure.value):
         return "-"
-    band = f" ({figure.low:.0%} to {figure.high:.0%})" if np.isfinite(figure.low) else ""
+    band = f"\n({figure.low:.0%}, {figure.high:.0%})" if np.isfinite(figure.low) else ""
     return f"{figure.value:.1%}{band}"
 
 
 ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
-    ("days; train-km", lambda v: f"{v.days.size}; {v.train_km:.0f}"),
-    ("onsets of slip scored / unknown", lambda v: f"{v.onsets} / {v.unknown_onsets}"),
-    ("without slip scored / unknown", lambda v: f"{v.used} / {v.unknown_used}"),
+    ("days\ntrain-km", lambda v: f"{v.days.size}\n{v.train_km:.0f}"),
+    (
+        "onsets of slip scored\nwhere the forecast is unknown",
+        lambda v: f"{v.onsets}\n{v.unknown_onsets}",
+    ),
+    ("passages without slip scored\nwhere it is unknown", lambda v: f"{v.used}\n{v.unknown_used}"),
     ("log score of onsets [nat]", lambda v: _said(v.log_score("onsets"))),
     ("  gain over the prior", lambda v: _said(v.log_score("onsets", over="prior"), 2, True)),
     (
@@ -69,8 +73,8 @@ ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
     ),
     ("CRPS of onsets, log adhesion", lambda v: _said(v.crps(), 3)),
     (
-        "  of the prior; of persistence",
-        lambda v: "; ".join(
+        "  of the prior\n  of persistence",
+        lambda v: "\n".join(
             _said(Figure(v.crps(name).value), 3) for name in ("prior", "persistence")
         ),
     ),
@@ -78,10 +82,10 @@ ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
     ("measured onsets in it", lambda v: _share(v.onsets_in_band)),
     ("Brier score of slip", lambda v: _said(v.brier_figure("score"), 4)),
     (
-        "  reliability - resolution + uncertainty",
+        "  reliability\n  less resolution\n  plus uncertainty",
         lambda v: (
-            f"{v.brier_figure('reliability').value:.4f} - {v.brier_figure('resolution').value:.4f}"
-            f" + {v.brier_figure('uncertainty').value:.4f}"
+            f"{v.brier_figure('reliability').value:.4f}\n{v.brier_figure('resolution').value:.4f}"
+            f"\n{v.brier_figure('uncertainty').value:.4f}"
         ),
     ),
     ("  skill over the prior", lambda v: _said(v.brier_gain("prior"), 2, True)),

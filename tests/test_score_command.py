@@ -1,0 +1,167 @@
+"""The commands `trainlog map forecast` and `trainlog map score`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from test_forecast_scores import BINS, FIRST, TRACK, evidence
+
+from analysis.verification.scoring import score_rolling
+from trainlog.cli.main import run
+from trainlog.condition import estimated
+from trainlog.errors import InputError
+from trainlog.formats.condition import read_map, write_map
+from trainlog.formats.samples import copy_samples
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
+
+FORECAST = """line,layer,from [km],to [km],valid from,valid to,issued,quantile 0.05,quantile 0.5
+CH_StGallen_Wil,,0,15,2024-10-07,2024-10-08,2024-10-06T18:00Z,0.08,0.2
+CH_StGallen_Wil,,15,29,2024-10-07,2024-10-08,2024-10-06T18:00Z,0.1,0.25
+"""
+
+
+def month() -> TrackConditionMap:
+    """Twelve days on a line with a place that always slips, and one that slips for three days."""
+    days = []
+    generator = np.random.default_rng(1)
+    for day in range(12):
+        met = {i: 0.08 * float(np.exp(0.05 * generator.standard_normal())) for i in range(20, 26)}
+        if 5 <= day < 8:
+            met |= dict.fromkeys(range(100, 104), 0.06)
+        used = {i: 8 for i in range(10, BINS - 10) if i not in met}
+        days.append(evidence(FIRST + day, met, used))
+    layer = ConditionLayer.unestimated(DailyEvidence.total(days))
+    return estimated(replace(TRACK, layers={"wet": layer}))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("score")
+    copy_samples(made)
+    write_map(month(), made / "month.json")
+    known = read_map(next(made.glob("CH_StGallen_Wil.map*")))
+    layers = {}
+    for name, layer in known.layers.items():
+        one = layer.evidence
+        earlier = replace(one, day=one.day - 3, used_day=one.used_day - 3)
+        layers[name] = ConditionLayer.unestimated(earlier)
+    write_map(estimated(replace(known, layers=layers, trips=())), made / "earlier.json")
+    return made
+
+
+def scored(capsys: pytest.CaptureFixture[str], *words: object) -> dict:  # type: ignore[type-arg]
+    capsys.readouterr()
+    assert run(["map", "score", *map(str, words), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_each_day_is_forecast_from_the_days_before_alone() -> None:
+    whole = month()
+    cut = replace(
+        whole,
+        layers={
+            "wet": ConditionLayer.unestimated(whole.layer("wet").evidence.between(0, FIRST + 8))
+        },
+    )
+    long, short = (score_rolling(each).layers["wet"] for each in (whole, cut))
+    # What came later does not change how a day was forecast; only the demand uses all days.
+    np.testing.assert_allclose(long.scores["forecast"][: short.days.size], short.scores["forecast"])
+    assert long.days[0] == FIRST + 1
+    # The spot of three days was not foreseen on its first day.
+    spot, steady = (np.flatnonzero(long.days == FIRST + day)[0] for day in (5, 4))
+    assert long.alarms[spot, 0, 4] < long.slips[spot]
+    assert long.alarms[steady, 0, 4] == long.slips[steady] == 6.0
+
+
+def test_a_map_is_scored_day_by_day(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = folder / "score.png"
+    found = scored(capsys, folder / "month.json", "--rolling", "--picture", picture)
+    assert picture.exists()
+    wet = found["layers"]["wet"]
+    assert wet["days"] == 11
+    assert wet["log_score"]["onsets"]["gain_over_prior"]["low"] > 0.0
+    assert run(["map", "score", str(folder / "month.json"), "--rolling"]) == 0
+    printed = capsys.readouterr().out
+    for words in ("gain over persistence", "slips foreseen", "Reliability", "false alarms"):
+        assert words in printed
+
+
+def test_a_map_is_scored_on_later_trips(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = scored(capsys, folder / "earlier.json", folder / "stopping.mcap")
+    assert found["left_out"] == []
+    onsets = found["layers"]["all"]["onsets"]
+    assert onsets["known"] + onsets["unknown"] > 0
+    with pytest.raises(InputError, match="ran on a day of which the map holds evidence"):
+        run(["map", "score", str(next(folder.glob("CH_*.map*"))), str(folder / "stopping.mcap")])
+
+
+def test_the_forecast_of_anyone_is_scored(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = folder / "forecast.csv"
+    path.write_text(FORECAST)
+    found = scored(capsys, path, folder / "stopping.mcap", folder / "nonstop.mcap")
+    whole = found["layers"]["all"]
+    assert whole["onsets"]["known"] > 0
+    # Beyond km 29 nothing is forecast, and on another day nothing at all.
+    assert whole["used"]["unknown"] > 0
+    path.write_text(
+        FORECAST.replace("2024-10-08", "2024-10-09").replace("2024-10-07", "2024-10-08")
+    )
+    silent = scored(capsys, path, folder / "stopping.mcap")["layers"]["all"]
+    assert silent["onsets"]["known"] == 0
+    assert silent["log_score"]["onsets"]["score"]["value"] is None
+
+
+def test_a_maps_forecast_in_a_file_scores_as_the_map(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, known = folder / "own.csv", str(folder / "earlier.json")
+    words = ["map", "forecast", known, "--at", "2024-10-07", "--hours", "24", "-o", str(path)]
+    assert run(words) == 0
+    own = scored(capsys, known, folder / "stopping.mcap")["layers"]["all"]
+    file = scored(capsys, path, folder / "stopping.mcap")["layers"]["all"]
+    assert file["onsets"] == own["onsets"]
+    assert file["used"] == own["used"]
+    for what in ("onsets", "used"):
+        one, other = (each["log_score"][what]["score"]["value"] for each in (own, file))
+        assert one == pytest.approx(other, abs=0.1)
+
+
+def test_one_bad_log_does_not_stop_the_others(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "bad.mcap").write_bytes(b"no log")
+    path = folder / "other.csv"
+    path.write_text(FORECAST)
+    words = ["map", "score", str(path), str(folder / "stopping.mcap"), str(folder / "bad.mcap")]
+    try:
+        status = run(words)
+    except typer.Exit as end:
+        status = end.exit_code
+    assert status == 1
+    assert "bad.mcap" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (("month.json",), "nothing to compare the forecast with"),
+        (("month.json", "stopping.mcap", "--rolling"), "scores a map on its own days"),
+        (("forecast.csv", "--rolling"), "scores a map on its own days"),
+        (("month.json", "--rolling", "--layer", "dry"), "no layer 'dry'"),
+        (("month.json", "stopping.mcap"), "no trip|ran on line"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(
+    folder: Path, words: tuple[str, ...], problem: str
+) -> None:
+    names = [str(folder / word) if "." in word else word for word in words]
+    with pytest.raises(InputError, match=problem):
+        run(["map", "score", *names])
