@@ -238,6 +238,19 @@ def test_where_the_map_was_not_observed_it_still_states_what_is_likely() -> None
     np.testing.assert_allclose(track.likely("wet", place), track.lower_bound("wet", place))
 
 
+def test_a_driver_who_takes_less_risk_pulls_and_brakes_less() -> None:
+    train, trajectory = plan()
+    line = hilly_line()
+    track = replace(map_of(steps((0.0, 0.08)), spread=0.15), line=line.name)
+    careful, bold = (
+        Follower(trajectory, line, train, condition=track, layer="wet", risk=risk)
+        for risk in (0.01, 0.3)
+    )
+    for name in ("pulling", "adhesion"):
+        low, high = (getattr(each._route, name) for each in (careful, bold))
+        assert np.all(low < high)
+
+
 def test_it_waits_for_its_departure_and_holds_the_train_after_its_arrival() -> None:
     train, trajectory = plan()
     driver = Follower(trajectory, hilly_line(), train)

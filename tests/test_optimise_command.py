@@ -103,6 +103,18 @@ def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_p
     assert least[0] < least[1] < least[2]
 
 
+def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
+    observed: Path, tmp_path: Path
+) -> None:
+    risky, careful = (
+        asked(observed, tmp_path, "--km", ":4", *MAP, "--risk", risk, "--at", "2024-10-08T06:00Z")
+        for risk in (0.2, 0.001)
+    )
+    assert max(risky.certificate["least_time"]) < max(careful.certificate["least_time"])
+    stated = careful.provenance["settings"]["adhesion"]
+    assert stated == {"layer": "wet", "risk": 0.001, "time": "2024-10-08T06:00:00+00:00"}
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -128,6 +140,12 @@ def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_p
         (("--final-speed", "nan"), "must be finite and not negative"),
         ((*MAP, "--sigmas", "-1"), "give 0 or more"),
         ((*MAP, "--sigmas", "nan"), "give 0 or more"),
+        ((*MAP, "--sigmas", "1", "--risk", "0.1"), "leave out --sigmas"),
+        ((*MAP, "--risk", "0"), "a risk must be between 0 and 1, not 0"),
+        ((*MAP, "--risk", "5"), "one trip in twenty"),
+        (("--risk", "0.05"), "leave out --risk or give a map"),
+        (("--at", "2026-11-22"), "leave out --at or give a map"),
+        ((*MAP, "--at", "soon"), "'soon' is not a time"),
     ],
     ids=lambda given: " ".join(map(str, given[-2:])) if isinstance(given, tuple) else "",
 )

@@ -7,14 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from pandas import Timestamp
 from simulated_line import flirt, level_line
 from trajectory_cases import observed
 
 from analysis.adhesion.condition_map import SETTINGS
-from analysis.adhesion.demonstrated import demonstrated_adhesion, typical_adhesion, usable_adhesion
+from analysis.adhesion.demonstrated import (
+    demonstrated_adhesion,
+    risk_of_run,
+    typical_adhesion,
+    usable_adhesion,
+)
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
-from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
 LEVELS = np.array([0.04, 0.06, 0.08, 0.10])
@@ -114,3 +120,76 @@ def test_a_trajectory_counts_on_what_was_seen_demonstrated_or_assumed() -> None:
     assert np.array_equal(stated.adhesion_at(track.centres), counted.values)
     backwards = replace(stated, direction="reverse")
     assert np.array_equal(backwards.adhesion(cells), counted.values[::-1])
+
+
+def test_a_risk_is_the_share_of_trips_that_find_less_at_a_place() -> None:
+    track = made({3: 0.07, 9: 0.1})
+    generator = np.random.default_rng(1)
+    for risk in (0.05, 0.2):
+        found = usable_adhesion(track, "wet", risk=risk)
+        assert np.flatnonzero(found.seen).tolist() == [3, 9]
+        met = 0.07 * np.exp(0.1 * generator.standard_normal(20_000))
+        assert np.mean(met < found.values[3]) == pytest.approx(risk, abs=0.01)
+    # What was demonstrated is read with the same caution, and so is what is typical.
+    bold, careful = (
+        usable_adhesion(made({3: 0.07}, {(8, 3): 4.0}), "wet", risk=risk, assumed=0.01)
+        for risk in (0.3, 0.01)
+    )
+    assert careful.values[8] < bold.values[8] < 0.1
+    typical = [typical_adhesion(track, "wet", risk=risk) for risk in (0.01, 0.05, 0.5)]
+    assert typical == sorted(typical)
+    for risk in (0.0, 1.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="a risk must be between 0 and 1"):
+            usable_adhesion(track, "wet", risk=risk)
+
+
+def test_a_risk_is_read_for_the_time_of_the_run() -> None:
+    class Fading(ConditionLayer):
+        """Expects half of the adhesion until a time."""
+
+        def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:
+            worse = time is None or time < Timestamp("2026-11-22", tz="UTC")
+            mean = self.log_mean - (np.log(2.0) if worse else 0.0)
+            return AdhesionEstimate(mean, self.log_std, self.observed)
+
+    known = made({3: 0.07})
+    layer = known.layer("wet")
+    fading = Fading(layer.log_mean, layer.log_std, layer.observed, evidence=layer.evidence)
+    track = replace(known, layers={"wet": fading})
+    early, late = Timestamp("2026-11-21T06:00Z"), Timestamp("2026-11-23T06:00Z")
+    for options in ({"risk": 0.05}, {"sigmas": 1.0}):
+        now, then = (
+            usable_adhesion(track, "wet", time=time, **options).values[3]  # type: ignore[arg-type]
+            for time in (early, late)
+        )
+        assert then == pytest.approx(2.0 * now)
+    # Without a time a risk is that right after the last evidence; deviations are of what lasts.
+    assert usable_adhesion(track, "wet", risk=0.05).values[3] < 0.04
+    assert usable_adhesion(track, "wet", sigmas=1.0).values[3] > 0.06
+    line = replace(level_line(track.length), name=track.line)
+    options = {"end": 1_000.0, "condition_map": track, "risk": 0.05}
+    cells = np.linspace(0.0, 1_000.0, BINS + 1)
+    runs = [
+        TrajectoryProblem(line, flirt(), observed(flirt(), 1.0), time=time, **options)  # type: ignore[arg-type]
+        for time in (early, late)
+    ]
+    assert runs[1].adhesion(cells)[3] == pytest.approx(2.0 * runs[0].adhesion(cells)[3])
+
+
+@pytest.mark.parametrize("together", [0.0, 0.5, 0.95])
+def test_the_risk_of_a_run_lies_between_its_bounds_however_places_hang_together(
+    together: float,
+) -> None:
+    generator = np.random.default_rng(2)
+    places = np.arange(10, 200, 20)
+    rail = AdhesionEstimate(np.full(200, np.log(0.1)), np.full(200, 0.15), np.ones(200, bool))
+    demand = np.zeros(200)
+    demand[places] = rail.quantile(0.05)[0] * np.linspace(0.9, 1.0, places.size)
+    least, most = risk_of_run(rail, demand, 25.0, 100.0)
+    shared, own = generator.standard_normal((50_000, 1)), generator.standard_normal((50_000, 10))
+    deviation = np.sqrt(together) * shared + np.sqrt(1.0 - together) * own
+    met = 0.1 * np.exp(0.15 * deviation)
+    failed = np.mean(np.any(met < demand[places], axis=1))
+    assert least - 0.003 <= failed <= most + 0.003
+    assert least == pytest.approx(0.05)
+    assert risk_of_run(rail, np.zeros(200), 25.0, 100.0) == (0.0, 0.0)

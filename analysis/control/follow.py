@@ -9,10 +9,11 @@ arrives last, which all can keep, and it arrives with that.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.control import prediction as prediction
@@ -94,6 +95,11 @@ class Follower:
         Efforts are kept within the adhesion that it cautiously promises.
     layer : str
         Rail condition to read from the map.
+    risk : float, optional
+        Probability, for each place and trip, that there is less adhesion than is counted on;
+        default: the estimate less standard deviations.
+    time : Timestamp, optional
+        Of the run: what the map expects then is counted on.
     tuning : Tuning, optional
     departure : float [s]
         When it departs; the timetable is that of a departure at `DEPARTURE`.
@@ -136,11 +142,13 @@ class Follower:
         *,
         condition: TrackConditionMap | None = None,
         layer: str = "wet",
+        risk: float | None = None,
+        time: pd.Timestamp | None = None,
         tuning: Tuning | None = None,
         departure: float = DEPARTURE,
         margin: Margin | None = None,
     ) -> None:
-        run = run_of(trajectory, line, train, condition, layer)
+        run = replace(run_of(trajectory, line, train, condition, layer), risk=risk, time=time)
         self.tuning = tuning or Tuning()
         self.unsolved = 0
         self._limits = train_limits(run)
@@ -302,6 +310,8 @@ def following_scenarios(
     configurations: str = "hardest",
     weather: str = "dry",
     condition_map: TrackConditionMap | None = None,
+    risk: float | None = None,
+    time: pd.Timestamp | None = None,
     late: float = 0.0,
     seed: int = 1,
 ) -> list[Scenario]:
@@ -313,6 +323,8 @@ def following_scenarios(
         train,
         condition=condition_map,
         layer=weather,
+        risk=risk,
+        time=time,
         departure=DEPARTURE + late,
         margin=MARGIN,
     )
@@ -330,6 +342,8 @@ def follow(
     configurations: str = "hardest",
     weather: str = "dry",
     condition_map: TrackConditionMap | None = None,
+    risk: float | None = None,
+    time: pd.Timestamp | None = None,
     late: float = 0.0,
     seed: int = 1,
 ) -> list[Trip]:
@@ -352,6 +366,10 @@ def follow(
         Of the rail, and the layer of the map.
     condition_map : TrackConditionMap, optional
         That the driver knows.
+    risk : float, optional
+        With which the map is read; see `Follower`.
+    time : Timestamp, optional
+        Of the run, for which the map is read; see `Follower`.
     late : float [s]
         By which the trains depart late.
     seed : int
@@ -384,7 +402,7 @@ def follow(
     """
     scenarios = following_scenarios(
         trajectory, line, train, configurations=configurations, weather=weather,
-        condition_map=condition_map, late=late, seed=seed,
+        condition_map=condition_map, risk=risk, time=time, late=late, seed=seed,
     )  # fmt: skip
     return [simulate(scenario) for scenario in scenarios]
 

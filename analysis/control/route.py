@@ -253,16 +253,19 @@ def _adhesion(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray
     """Maximum adhesion that the driver counts on in traction and in braking.
 
     Where the map was not observed he expects what its own places and neighbours make likely
-    (`TrackConditionMap.likely`), which a plan must not rest on; he sees slip and eases off. Without
-    a map he knows what is usual in such weather.
+    (`TrackConditionMap.likely`), which a plan must not rest on; he sees slip and eases off. A risk
+    holds for traction and braking, and where nothing was observed. Without a map he knows what is
+    usual in such weather.
     """
     if run.condition_map is None:
         usual = ASSUMED.get(run.layer, ASSUMED["wet"])
         return np.full(positions.shape, usual[0]), np.full(positions.shape, usual[1])
     own = run.line.length - positions if run.direction == "reverse" else positions
     known = run.adhesion_at(positions)
-    likely = run.condition_map.likely(run.layer, own, UNSEEN_SIGMAS)
-    pulling = run.condition_map.likely(run.layer, own, PULLING_SIGMAS)
+    likely, pulling = (
+        run.condition_map.likely(run.layer, own, sigmas, risk=run.risk, time=run.time)
+        for sigmas in (UNSEEN_SIGMAS, PULLING_SIGMAS)
+    )
     return pulling, np.where(np.isfinite(known), known, likely)
 
 

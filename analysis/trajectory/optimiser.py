@@ -149,7 +149,10 @@ def _settings(problem: TrajectoryProblem, options: OptimiserOptions) -> dict[str
     }
     adhesion: dict[str, str | float] | None = None
     if problem.condition_map is not None:
-        adhesion = {"layer": problem.layer, "sigmas": problem.sigmas}
+        adhesion = {"layer": problem.layer}
+        adhesion |= {"sigmas": problem.sigmas} if problem.risk is None else {"risk": problem.risk}
+        if problem.time is not None:
+            adhesion["time"] = problem.time.isoformat()
         if np.isfinite(problem.assumed_adhesion):
             adhesion["assumed"] = problem.assumed_adhesion
     return settings | {

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from pandas import Timestamp
 
 from analysis.adhesion.demonstrated import usable_adhesion
 from trainlog.display import as_text
@@ -69,6 +70,12 @@ class TrajectoryProblem:
         Rail condition to read from the map.
     sigmas : float
         How cautiously the map is read: the estimate less this many standard deviations.
+    risk : float, optional
+        Instead: the probability, for each place and trip, that there is less adhesion than is
+        counted on.
+    time : Timestamp, optional
+        Of the run: what the map expects then is counted on; default: right after its last evidence
+        with a risk, else its lasting condition.
     assumed_adhesion : float
         Where the map has no estimate, unless more was demonstrated there without slip; infinite for
         no limit there. See `analysis.adhesion.demonstrated`.
@@ -117,6 +124,8 @@ class TrajectoryProblem:
     condition_map: TrackConditionMap | None = None
     layer: str = "wet"
     sigmas: float = 2.0
+    risk: float | None = None
+    time: Timestamp | None = None
     assumed_adhesion: float = np.inf
     protected_length: float = 0.0
     windows: Sequence[TimingPoint] = ()
@@ -133,7 +142,9 @@ class TrajectoryProblem:
             "energy": _ENERGY[self.objective],
         }
         if self.condition_map is not None:
-            rows["adhesion"] = f"of the track-condition map, {self.layer}"
+            rows["adhesion"] = f"of the track-condition map, {self.layer}" + (
+                "" if self.risk is None else f", risk {self.risk:g} a place"
+            )
         if self.windows:
             rows["passing points"] = f"{len(self.windows)}"
         title = f"Trajectory problem: {self.train.name} on {self.line.name}"
@@ -289,7 +300,9 @@ class TrajectoryProblem:
                 f" {self.sigmas}",
                 remedy="give 0 or more",
             )
-        lower = self.condition_map.lower_bound(self.layer, self.condition_map.centres, self.sigmas)
+        lower = self.condition_map.lower_bound(
+            self.layer, self.condition_map.centres, self.sigmas, risk=self.risk, time=self.time
+        )
         wrong = np.flatnonzero(~((lower > 0.0) & (self._usable > 0.0)))
         if wrong.size:
             raise InputError(
@@ -339,7 +352,12 @@ class TrajectoryProblem:
         if self.condition_map is None:
             return np.zeros(0)
         return usable_adhesion(
-            self.condition_map, self.layer, sigmas=self.sigmas, assumed=self.assumed_adhesion
+            self.condition_map,
+            self.layer,
+            sigmas=self.sigmas,
+            risk=self.risk,
+            time=self.time,
+            assumed=self.assumed_adhesion,
         ).values
 
     def adhesion_at(self, positions: FloatArray) -> FloatArray:

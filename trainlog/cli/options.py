@@ -28,6 +28,21 @@ LineOption = Annotated[
 TrainOption = Annotated[
     Path | None, typer.Option("--train", help="Train file; default: Stadler FLIRT.")
 ]
+RiskOption = Annotated[
+    float | None,
+    typer.Option(
+        help="With --map: probability, for each place and trip, that there is less adhesion than"
+        " is counted on, as the map expects it at the time of the run; such as 0.05."
+    ),
+]
+RunTimeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--at",
+        help="With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: with"
+        " --risk right after its last evidence, else what lasts.",
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
 
 

@@ -10,6 +10,8 @@ import typer
 
 from trainlog.cli.options import (
     LineOption,
+    RiskOption,
+    RunTimeOption,
     TrainOption,
     destination,
     line_and_train,
@@ -101,6 +103,8 @@ def optimise(
         float | None,
         typer.Option(help="With --map: standard deviations taken off its estimate; default: 2."),
     ] = None,
+    risk: RiskOption = None,
+    at: RunTimeOption = None,
     protect: Annotated[
         Literal["front", "train"],
         typer.Option(help="Speed limits hold for the train's front, or for all of its length."),
@@ -124,6 +128,7 @@ def optimise(
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
     from trainlog.formats.condition import read_map
     from trainlog.formats.parameters import read_parameters
+    from trainlog.spans import utc
 
     destination(output, ".json")
     ends = {"--km": km, "--initial-speed": initial_speed, "--final-speed": final_speed}
@@ -139,8 +144,11 @@ def optimise(
         _refuse("--as-fast-as gives the time", {"--reserve": reserve})
         _refuse("--as-fast-as is the time from end to end of the line", ends)
     if condition is None:
-        of_map = {"--assumed-adhesion": assumed_adhesion, "--sigmas": sigmas}
+        of_map: dict[str, object] = {"--assumed-adhesion": assumed_adhesion, "--sigmas": sigmas}
+        of_map |= {"--risk": risk, "--at": at}
         _refuse("there is no --map to be read", of_map, "or give a map")
+    if risk is not None:
+        _refuse("--risk says how cautiously the map is read", {"--sigmas": sigmas})
     the_line, the_train = line_and_train(line, train)
     observed = read_parameters(parameters)
     observed.check_train(the_train.name)
@@ -167,6 +175,8 @@ def optimise(
         "weights": observed.weights if objective == "expected" else None,
         "condition_map": None if condition is None else read_map(condition),
         "sigmas": sigmas,
+        "risk": risk,
+        "time": None if at is None else utc(at),
         "assumed_adhesion": assumed_adhesion,
         "protected_length": the_train.length if protect == "train" else None,
         "direction": "reverse" if reverse else None,

@@ -16,6 +16,8 @@ from trainlog.cli.options import (
     KilometreOption,
     LineOption,
     Logs,
+    RiskOption,
+    RunTimeOption,
     Seed,
     ToOption,
     TopicOption,
@@ -83,6 +85,8 @@ def simulate(
         Path | None,
         typer.Option("--map", help="With --trajectory: track-condition map that the train knows."),
     ] = None,
+    risk: RiskOption = None,
+    at: RunTimeOption = None,
     late: Annotated[
         float, typer.Option(min=0.0, help="With --trajectory: departs so many seconds late.")
     ] = 0.0,
@@ -107,7 +111,7 @@ def simulate(
     if trajectory is None:
         _check_alone(
             {"configurations": configurations, "weather": weather, "map": condition}
-            | {"late": late or None}
+            | {"late": late or None, "risk": risk, "at": at}
         )
         scenarios = draw_scenarios(the_line, the_train, count=count or 12, seed=seed)
     elif count is not None:
@@ -120,11 +124,17 @@ def simulate(
         from analysis.control.follow import following_scenarios
         from trainlog.formats.condition import read_map
         from trainlog.formats.trajectory import read_trajectory
+        from trainlog.spans import utc
 
+        if condition is None and (risk is not None or at is not None):
+            raise InputError(
+                "--risk and --at say how a map is read", remedy="give --map, or leave them out"
+            )
         scenarios = following_scenarios(
             read_trajectory(trajectory), the_line, the_train,
             configurations=configurations or "hardest", weather=weather or "dry", late=late,
             condition_map=None if condition is None else read_map(condition), seed=seed,
+            risk=risk, time=None if at is None else utc(at),
         )  # fmt: skip
     if characteristic is not None:
         rail = read_characteristic(characteristic)

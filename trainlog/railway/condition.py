@@ -283,6 +283,22 @@ class ConditionModel:
         )
 
 
+def check_risk(risk: float) -> float:
+    """A risk, if it can be one.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and 1.
+    """
+    if not 0.0 < risk < 1.0:
+        raise InputError(
+            f"a risk must be between 0 and 1, not {risk:g}",
+            remedy="give 0.05 for one trip in twenty that finds less adhesion at a place",
+        )
+    return risk
+
+
 def days_after(day: int, time: Timestamp) -> float:
     """Days from the end of a day, counted from 1970-01-01 in UTC, to a time; not less than 0.
 
@@ -444,10 +460,37 @@ class TrackConditionMap:
         index = np.floor(np.asarray(position, dtype=np.float64) / self.bin_length)
         return np.clip(index, 0, self.bins - 1).astype(np.int64)
 
-    def lower_bound(self, layer: str, position: ArrayLike, sigmas: float = 2.0) -> FloatArray:
+    def lower_bound(
+        self,
+        layer: str,
+        position: ArrayLike,
+        sigmas: float = 2.0,
+        *,
+        risk: float | None = None,
+        time: Timestamp | None = None,
+    ) -> FloatArray:
         """Cautious maximum adhesion at each position: the estimate less `sigmas` deviations.
 
+        With a `risk` it is instead the adhesion that a trip at `time` finds at that place with
+        probability ``1 - risk``, of what is expected then (`ConditionLayer.expected`).
         Infinite where the layer was not observed: the map says nothing there.
+
+        Parameters
+        ----------
+        layer : str
+        position : (n,) array [m]
+        sigmas : float
+            Standard deviations taken off; with a risk it is not used.
+        risk : float, optional
+            Probability, for each place and trip, that there is less.
+        time : Timestamp, optional
+            Of the run: what is expected then; default: the lasting condition, or with a risk what
+            is expected right after the last evidence.
+
+        Raises
+        ------
+        InputError
+            If the map has no such layer, or the risk is not between 0 and 1.
 
         Examples
         --------
@@ -456,13 +499,34 @@ class TrackConditionMap:
         >>> seen = track.centres[track.layer("wet").observed][:2]
         >>> track.lower_bound("wet", seen).round(3).tolist()
         [0.127, 0.126]
+        >>> bool(np.all(track.lower_bound("wet", seen, risk=0.5) > track.lower_bound("wet", seen)))
+        True
         """
-        chosen = self.layer(layer)
         index = self.bin_of(position)
-        cautious = np.exp(chosen.log_mean[index] - sigmas * chosen.log_std[index])
-        return np.asarray(np.where(chosen.observed[index], cautious, np.inf))
+        cautious, observed = self._cautious(layer, sigmas, risk, time)
+        return np.asarray(np.where(observed[index], cautious[index], np.inf))
 
-    def likely(self, layer: str, position: ArrayLike, sigmas: float = 2.0) -> FloatArray:
+    def _cautious(
+        self, layer: str, sigmas: float, risk: float | None, time: Timestamp | None
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Cautious maximum adhesion of each bin, and whether it was observed."""
+        chosen = self.layer(layer)
+        if risk is None and time is None:
+            return np.exp(chosen.log_mean - sigmas * chosen.log_std), chosen.observed
+        expected = chosen.expected(time)
+        if risk is None:
+            return np.exp(expected.log_mean - sigmas * expected.log_std), expected.observed
+        return expected.quantile(check_risk(risk)), expected.observed
+
+    def likely(
+        self,
+        layer: str,
+        position: ArrayLike,
+        sigmas: float = 2.0,
+        *,
+        risk: float | None = None,
+        time: Timestamp | None = None,
+    ) -> FloatArray:
         """Cautious maximum adhesion at each position, also where the layer was not observed.
 
         There it is what the layer's own places and its neighbours make likely, with the larger
@@ -471,8 +535,6 @@ class TrackConditionMap:
         It is an expectation, right for a driver or controller that sees the train slip and eases
         off, and it never says that nothing limits. What a plan rests on must not be guessed:
         `analysis.adhesion.demonstrated` takes there only what a trip bore without slip, or an
-        assumption that is called one.
+        assumption that is called one. Arguments and errors are those of `lower_bound`.
         """
-        chosen = self.layer(layer)
-        index = self.bin_of(position)
-        return np.asarray(np.exp(chosen.log_mean[index] - sigmas * chosen.log_std[index]))
+        return self._cautious(layer, sigmas, risk, time)[0][self.bin_of(position)]
