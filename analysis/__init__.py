@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from analysis.adhesion.condition_map import adhesion_map as adhesion_map
     from analysis.adhesion.condition_table import bins_table as bins_table
     from analysis.adhesion.export import export_map as export_map
+    from analysis.adhesion.map_difference import map_difference as map_difference
+    from analysis.adhesion.map_history import map_history as map_history
     from analysis.adhesion.map_state import map_state as map_state
     from analysis.adhesion.slip import slip as slip
     from analysis.comparison.cost import compare as compare
@@ -61,6 +63,8 @@ _NAMES = {
     "analysis.adhesion.condition_map": "adhesion_map",
     "analysis.adhesion.condition_table": "bins_table",
     "analysis.adhesion.export": "export_map",
+    "analysis.adhesion.map_difference": "map_difference",
+    "analysis.adhesion.map_history": "map_history",
     "analysis.adhesion.map_state": "map_state",
     "analysis.trajectory.optimiser": "optimise energy_against_time",
     "analysis.trajectory.problem": "TrajectoryProblem OptimiserOptions",

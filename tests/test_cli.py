@@ -51,6 +51,8 @@ COMMANDS: dict[str, list[str]] = {
     "fit --per-trip": ["fit", "BAD", "-o", "OUT.json", "--per-trip", "OUT"],
     "estimate": ["estimate", "BAD", "-o", "OUT"],
     "map update": ["map", "update", "BAD", "--map", "OUT.json"],
+    "map diff": ["map", "diff", "BAD", "--from", "2026-01-01", "--picture", "OUT.png"],
+    "map history": ["map", "history", "BAD", "--km", "1", "--picture", "OUT.png"],
     "map export": ["map", "export", "BAD", "-o", "OUT.csv"],
     "map show": ["map", "show", "BAD", "--picture", "OUT.png"],
     "replay": ["replay", "BAD", "-o", "OUT.rrd", "--no-viewer"],

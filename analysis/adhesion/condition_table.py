@@ -131,7 +131,7 @@ def bins_table(
     if line is not None:
         check_course(track, line)
     edges = bin_edges(track)
-    where = _where(line, edges[:-1], edges[1:])
+    where = kilometres(line, edges[:-1], edges[1:])
     beside = {} if line is None else _line_attributes(line, track)
     parts = []
     for name, layer in chosen_layers(track, layers).items():
@@ -226,7 +226,7 @@ def spots_table(
     rows = {
         "line": [track.line] * len(found),
         "layer": [name for name, _ in found],
-        **_ranges(line, spots),
+        **kilometres(line, _each(spots, "start"), _each(spots, "end")),
         "adhesion": _each(spots, "adhesion"),
         "low": _each(spots, "low"),
         "high": _each(spots, "high"),
@@ -254,7 +254,7 @@ def changes_table(
     rows: dict[str, object] = {
         "line": [track.line] * len(found),
         "layer": [name for name, _ in found],
-        **_ranges(line, changes),
+        **kilometres(line, _each(changes, "start"), _each(changes, "end")),
         **{name: _days_of(changes, name) for name in ("day", "earliest", "latest")},
     }
     for name in ("before", "after"):
@@ -362,22 +362,17 @@ def _each(parts: Sequence[object], name: str) -> FloatArray:
     return np.array([getattr(each, name) for each in parts], dtype=np.float64)
 
 
-def _ranges(line: Line | None, parts: Sequence[object]) -> dict[str, object]:
-    start, end = _each(parts, "start"), _each(parts, "end")
-    return _where(line, start, end) | {"near": near(line, 0.5 * (start + end))}
-
-
-def _where(line: Line | None, start: FloatArray, end: FloatArray) -> dict[str, object]:
-    """Chainage and the operator's kilometres of pieces of the line."""
-    if line is None:
-        return {"start_m": start, "end_m": end, "start_km": start / 1e3, "end_km": end / 1e3}
+def kilometres(line: Line | None, start: FloatArray, end: FloatArray) -> dict[str, object]:
+    """Chainage, the operator's kilometres and nearest station of pieces of the line."""
     # The end of a piece belongs to it: where kilometres jump there, they do so behind it.
     inside = np.maximum(end - 1e-6, start)
+    ends = [at if line is None else line.kilometre(at) for at in (start, inside)]
     return {
         "start_m": start,
         "end_m": end,
-        "start_km": (line.kilometre(start) / 1e3).round(6),
-        "end_km": (line.kilometre(inside) / 1e3).round(6),
+        "start_km": (ends[0] / 1e3).round(6),
+        "end_km": (ends[1] / 1e3).round(6),
+        "near": near(line, 0.5 * (start + end)),
     }
 
 

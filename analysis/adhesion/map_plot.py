@@ -1,10 +1,10 @@
-"""Pictures of a track-condition map: lasting beside expected adhesion, spots and changes."""
+"""Pictures of a track-condition map: its state, its differences, the history of a place."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -43,6 +43,10 @@ from trainlog.railway.condition import (
     TrackConditionMap,
 )
 from trainlog.railway.line import Line
+
+if TYPE_CHECKING:
+    from analysis.adhesion.map_difference import MapDifference
+    from analysis.adhesion.map_history import PlaceHistory
 
 FloatArray = NDArray[np.float64]
 
@@ -279,6 +283,127 @@ def _draw_stations(axes: Sequence[Axes], strip: Axes, line: Line) -> None:
             shown_at = min(max(at, 0.25 * space), length - 0.25 * space)
             strip.text(shown_at, 1.0, each.name, rotation=90, ha="center", va="top", fontsize=7)
     strip.set_axis_off()
+
+
+def draw_difference(found: MapDifference, path: str | Path, *, line: Line | None = None) -> None:
+    """Draw both estimates of a difference over km, with the sections that changed shaded.
+
+    Raises
+    ------
+    InputError
+        If no bin was observed in both.
+    """
+    names = list(dict.fromkeys(found.bins["layer"]))
+    if not names:
+        raise InputError(
+            f"{found.before} and {found.after} observed no bin both: there is nothing to draw",
+            remedy="choose other dates or maps",
+        )
+    figure = new_figure(13.0, 1.2 + 3.0 * len(names) + 0.9 * (line is not None))
+    heights = [3.0] * len(names) + [0.9] * (line is not None)
+    every = np.atleast_1d(
+        figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    ).tolist()
+    axes = every[: len(names)]
+    for place, name in zip(axes, names, strict=True):
+        rows = found.bins[found.bins["layer"] == name]
+        centres = 0.5e-3 * (rows["start_m"] + rows["end_m"]).to_numpy()
+        for side, ink, width in (("before", GREY, 3.2), ("after", COLOURS.get(name, INK), 1.4)):
+            low, high = rows[f"{side}_low"], rows[f"{side}_high"]
+            place.vlines(
+                centres, low, high, color=ink, alpha=0.5, linewidth=width, label=f"{side}, 95 %"
+            )
+            place.plot(centres, rows[side], ".", color=ink, markersize=3.0)
+        sections = found.sections[found.sections["layer"] == name]
+        for each in sections.to_dict("records"):
+            up = each["difference"] > 0.0
+            place.axvspan(
+                each["start_m"] / 1e3,
+                each["end_m"] / 1e3,
+                color=GREEN if up else RED,
+                alpha=0.25,
+                linewidth=0.8,
+                label="higher" if up else "lower",
+            )
+        texts = [f"{change:+.3f}" for change in sections["difference"]]
+        middle = 0.5e-3 * (sections["start_m"] + sections["end_m"]).to_numpy()
+        size = sections["difference"].abs().to_numpy()
+        _label(place, LABEL_SPACE * _reach(found, line), middle, texts, size)
+        dress(place, x="", y="maximum adhesion", title=f"{name}: {len(rows)} bins in both")
+        place.set_ylim(0.0, max(0.4, 0.1 * np.ceil(11.0 * rows["after_high"].max())))
+        place.tick_params(labelbottom=True)
+    _legend(figure, axes)
+    if line is not None:
+        _draw_stations(axes, every[-1], line)
+    axes[-1].set_xlabel("km", color=INK)
+    axes[-1].set_xlim(0.0, _reach(found, line))
+    headline(figure, f"{found.line}: {found.before}, and {found.after}. {found.sentence}")
+    write_figure(figure, path)
+
+
+def _reach(found: MapDifference, line: Line | None) -> float:
+    """Right end of the km axis."""
+    return (float(found.bins["end_m"].max()) if line is None else line.length) / 1e3
+
+
+def draw_history(found: PlaceHistory, path: str | Path) -> None:
+    """Draw the evidence of a place over time, and the estimate as it was known by day.
+
+    Raises
+    ------
+    InputError
+        If there is no evidence there.
+    """
+    if found.onsets.empty and found.used.empty and found.known.empty:
+        raise InputError(
+            f"{found.title}: there is no evidence to draw", remedy="choose another place or layer"
+        )
+    figure = new_figure(11.0, 4.6)
+    axes = figure.subplots()
+    known, onsets = found.known, found.onsets
+    for each in found.spots.to_dict("records"):
+        axes.axvspan(
+            each["first_day"],
+            each["last_day"] + pd.Timedelta(days=1),
+            color=RED,
+            alpha=0.12,
+            linewidth=0,
+            label="passing spot met",
+        )
+    for prefix, value, ink, words in (
+        ("expected_", "expected", PURPLE, "expected then, 95 % band"),
+        ("", "adhesion", COLOURS.get(found.layer, INK), "lasting as known then, 95 % band"),
+    ):
+        low, high = known[f"{prefix}low"], known[f"{prefix}high"]
+        axes.fill_between(
+            known["day"], low, high, step="post", color=ink, alpha=0.25, linewidth=0, label=words
+        )
+        axes.plot(known["day"], known[value], drawstyle="steps-post", color=ink, linewidth=1.4)
+        axes.plot(known["day"][-1:], known[value][-1:], ".", color=ink)
+    axes.plot(
+        found.used["day"], found.used["level"], "^", color=GREY, markersize=4,
+        label="used without slip",
+    )  # fmt: skip
+    axes.errorbar(
+        onsets["day"],
+        onsets["adhesion"],
+        [onsets["adhesion"] - onsets["low"], onsets["high"] - onsets["adhesion"]],
+        fmt="o",
+        color=RED,
+        markersize=4,
+        linewidth=1.0,
+        capsize=2,
+        label="onsets of slip, 95 %",
+    )
+    for each in found.changes.to_dict("records"):
+        axes.axvspan(each["earliest"], each["latest"], color=GREEN, alpha=0.2, linewidth=0)
+        axes.axvline(each["day"], color=GREEN, linewidth=1.4, label="lasting change")
+    dress(axes, x="", y="maximum adhesion")
+    axes.set_ylim(bottom=0.0)
+    figure.autofmt_xdate()
+    _legend(figure, [axes])
+    headline(figure, found.title)
+    write_figure(figure, path)
 
 
 def _title(track: TrackConditionMap, name: str, layer: ConditionLayer) -> str:

@@ -18,7 +18,6 @@ from analysis.adhesion.condition_table import (
     chosen_layers,
     day_name,
     last_evidence,
-    near,
     plain_rows,
     spots_table,
 )
@@ -162,7 +161,6 @@ def _lowest(
 ) -> pd.DataFrame:
     """The lowest bins of each layer, lasting or expected, apart from each other."""
     rows = bins_table(track, line, at, names)
-    rows["near"] = near(line, 0.5 * (rows["start_m"] + rows["end_m"]))
     chosen: list[int] = []
     for _, layer in rows[rows["observed"]].groupby("layer", sort=False):
         least = layer[["adhesion", "expected"]].min(axis=1).sort_values(kind="stable")

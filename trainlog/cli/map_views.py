@@ -93,6 +93,114 @@ def map_show(
         wrote(picture)
 
 
+@map_app.command("diff")
+def map_diff(
+    maps: Annotated[list[Path], typer.Argument(help="Two map files, or one with --from.")],
+    start: Annotated[
+        str | None, typer.Option("--from", help="Day up to which the first evidence counts.")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", help="Day up to which the second counts; default: all.")
+    ] = None,
+    layer: LayersOption = None,
+    line: CourseOption = None,
+    rate: Annotated[
+        float, typer.Option(help="Share of the bins called changed that may be so by chance.")
+    ] = 0.05,
+    least: Annotated[
+        float, typer.Option(help="Difference of adhesion whose probability is stated.")
+    ] = 0.01,
+    picture: Annotated[Path | None, typer.Option(help="Draw the difference here as well.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what changed between two dates of a map, or between two maps, with significance.
+
+    What only the second one counts is compared with the first, bin by bin. Exit status 0: nothing
+    changed significantly; 1: something did; 2: the comparison could not be made.
+
+    Example: trainlog map diff results/map.json --from 2026-10-31 --picture diff.png
+    """
+    from analysis.adhesion.map_difference import difference_table, map_difference
+    from analysis.adhesion.map_plot import draw_difference
+    from trainlog.formats.condition import read_map
+
+    if picture is not None:
+        destination(picture, ".png")
+    if len(maps) > 2:
+        raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
+    first, *second = [read_map(each) for each in maps]
+    known = course(first, line)
+    found = map_difference(
+        first,
+        second[0] if second else None,
+        since=_day(start),
+        until=_day(end),
+        line=known,
+        layers=layer,
+        rate=rate,
+        least=least,
+    )
+    if picture is not None:
+        draw_difference(found, picture, line=known)
+    if as_json:
+        typer.echo(json.dumps(found.as_json(), ensure_ascii=False, allow_nan=False))
+    else:
+        console.print(difference_table(found))
+        if picture is not None:
+            wrote(picture)
+    if found.changed:
+        raise typer.Exit(1)
+
+
+@map_app.command("history")
+def map_history(
+    condition: MapArgument,
+    km: Annotated[float, typer.Option("--km", help="The operator's kilometre of the place.")],
+    layer: LayersOption = None,
+    line: CourseOption = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw it here; of several layers, their names are added to the file's."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a map knows of one place over time: its evidence, and the estimate of each day.
+
+    Example: trainlog map history results/map.json --km 12.3 --layer wet --picture place.png
+    """
+    from analysis.adhesion.map_history import history_table, map_history, position_of
+    from analysis.adhesion.map_plot import draw_history
+    from trainlog.formats.condition import read_map
+
+    if picture is not None:
+        destination(picture, ".png")
+    track = read_map(condition)
+    known = course(track, line)
+    position = position_of(track, known, km)
+    names = list(track.layers) if layer is None else layer
+    found = [map_history(track, position, name, line=known) for name in names]
+    written = []
+    if picture is not None:
+        for each in found:
+            several = picture.with_stem(f"{picture.stem}-{each.layer}")
+            written.append(several if len(found) > 1 else picture)
+            draw_history(each, written[-1])
+    if as_json:
+        content = [each.as_json() for each in found]
+        typer.echo(json.dumps(content, ensure_ascii=False, allow_nan=False))
+        return
+    for each in found:
+        console.print(history_table(each))
+    wrote(*written)
+
+
+def _day(given: str | None) -> int | None:
+    """A day as given, counted from 1970-01-01 in UTC."""
+    from trainlog.spans import utc
+
+    return None if given is None else int(utc(given).timestamp() // 86_400)
+
+
 @map_app.command("export")
 def map_export(
     condition: MapArgument,

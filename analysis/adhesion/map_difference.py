@@ -1,0 +1,444 @@
+"""What changed between two dates or two track-condition maps, bin by bin, with significance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+from scipy.special import ndtr
+
+from analysis.adhesion.condition_table import (
+    BAND,
+    bin_edges,
+    check_course,
+    day_name,
+    kilometres,
+    near,
+    plain_rows,
+)
+from analysis.tables import as_page, new_table
+from trainlog.condition import estimated
+from trainlog.display import counted
+from trainlog.errors import InputError
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.line import Line
+
+FloatArray = NDArray[np.float64]
+
+RATE = 0.05
+"""Share of the bins called changed that may be so by chance (false discovery rate)."""
+
+LEAST = 0.01
+"""Difference of maximum adhesion whose probability is stated."""
+
+GAP = 2
+"""Bins without a significant change between two of one section, at most."""
+
+_EVER = int(np.iinfo(np.int32).max)
+_SUMS = ("trips", "events", "weight", "weighted_log", "weighted_square", "common", "used_trips")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapDifference:
+    """How the lasting maximum adhesion differs between two bodies of evidence.
+
+    Attributes
+    ----------
+    line, before, after : str
+        The line, and what is compared, in words.
+    bins : DataFrame
+        A row a layer and bin observed in both: the two estimates with their 95 % bands,
+        ``difference``, ``probability`` (that it is larger than `least`, whichever its sign),
+        ``q_value`` and whether it is ``significant``.
+    sections : DataFrame
+        Neighbouring significant bins of one sign together.
+    newly_observed : dict of str to int
+        Bins by layer that only the second observed.
+    rate : float
+        False discovery rate up to which a bin is significant.
+    least : float
+    notes : tuple of str
+        What the comparison leaves out, in sentences.
+    """
+
+    line: str
+    before: str
+    after: str
+    bins: pd.DataFrame
+    sections: pd.DataFrame
+    newly_observed: dict[str, int]
+    rate: float
+    least: float
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"{self.line}: {self.before} and {self.after}\n  {self.sentence}"
+
+    def _repr_html_(self) -> str:
+        return as_page(difference_table(self))
+
+    @property
+    def changed(self) -> bool:
+        """Whether any bin differs significantly."""
+        return not self.sections.empty
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in one sentence."""
+        tested = counted(len(self.bins), "bin")
+        if not self.changed:
+            return f"No significant change in {tested} that both observed."
+        several = counted(len(self.sections), "section")
+        count = int(self.bins["significant"].sum())
+        return (
+            f"{several} changed: {count} of {tested} that both observed; of these at most"
+            f" {self.rate:.0%} by chance."
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """The same in JSON's own types."""
+        return {
+            "line": self.line,
+            "before": self.before,
+            "after": self.after,
+            "changed": self.changed,
+            "false_discovery_rate": self.rate,
+            "least": self.least,
+            "tested_bins": len(self.bins),
+            "newly_observed_bins": self.newly_observed,
+            "notes": list(self.notes),
+            "sections": plain_rows(self.sections),
+            "bins": plain_rows(self.bins),
+        }
+
+
+def map_difference(
+    first: TrackConditionMap,
+    second: TrackConditionMap | None = None,
+    *,
+    since: int | None = None,
+    until: int | None = None,
+    line: Line | None = None,
+    layers: Sequence[str] | None = None,
+    rate: float = RATE,
+    least: float = LEAST,
+) -> MapDifference:
+    """What changed between two maps, or between two dates of one.
+
+    The second body of evidence is what the first lacks, so that the two are independent: of two
+    maps the trips that only the second counts, of one map the days after `since` up to `until`.
+    Each gives an estimate of its own. The difference of their logarithms over its standard
+    deviation is normal where nothing changed; bins are called changed so that among them the
+    share of those by chance is at most `rate` (Benjamini & Hochberg, 1995; valid for estimates
+    that depend on each other positively, as those of neighbouring bins do: Benjamini & Yekutieli,
+    2001).
+
+    Parameters
+    ----------
+    first, second : TrackConditionMap
+        Of one line with the same bins; without `second` two dates of the first.
+    since, until : int, optional
+        Days counted from 1970-01-01 in UTC; default of `until`: the last.
+    line : Line, optional
+        Gives the operator's kilometres and the stations.
+    layers : sequence of str, optional
+        Default: all that both have.
+    rate, least : float
+
+    Raises
+    ------
+    InputError
+        If the maps are of different lines or bins, neither a second map nor a date is given, one
+        side has no evidence, or a number is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> map_difference(track, track)
+    Traceback (most recent call last):
+    trainlog.errors.InputError: both maps count the same trips; give two maps of different trips
+    """
+    for name, value in (("rate", rate), ("least", least)):
+        if not 0.0 < value < 1.0:
+            raise InputError(f"map difference: {name} must be between 0 and 1, got {value:g}")
+    if line is not None:
+        check_course(first, line)
+    if second is None:
+        pair = _of_dates(first, since, until)
+    elif since is not None or until is not None:
+        raise InputError(
+            "two maps and dates are given", remedy="give two maps, or one and two dates"
+        )
+    else:
+        pair = _of_maps(first, second)
+    names = [name for name in pair.one if name in pair.other]
+    for name in layers or ():
+        first.layer(name)
+        if name not in names:
+            raise InputError(
+                f"only one side has evidence of layer '{name}'",
+                remedy=f"both have {', '.join(names) or 'none in common'}",
+            )
+    chosen = names if layers is None else list(layers)
+    if not chosen:
+        raise InputError(
+            f"nothing to compare: {pair.before} and {pair.after} have no layer in common",
+            remedy="choose other dates or maps",
+        )
+    sides = [
+        estimated(replace(first, layers={name: side[name] for name in chosen}))
+        for side in (pair.one, pair.other)
+    ]
+    bins = _bins(sides[0], sides[1], line, least)
+    bins["q_value"] = q_values(bins.pop("p_value").to_numpy())
+    bins["significant"] = bins["q_value"] <= rate
+    fresh = {
+        name: int((sides[1].layer(name).observed & ~sides[0].layer(name).observed).sum())
+        for name in chosen
+    }
+    sections = _sections(bins, line)
+    return MapDifference(
+        first.line, pair.before, pair.after, bins, sections, fresh, rate, least, pair.notes
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two independent bodies of evidence, by layer, and what they are called."""
+
+    one: dict[str, ConditionLayer]
+    other: dict[str, ConditionLayer]
+    before: str
+    after: str
+    notes: tuple[str, ...] = ()
+
+
+def _of_dates(track: TrackConditionMap, since: int | None, until: int | None) -> _Pair:
+    if since is None:
+        raise InputError(
+            "one map is given", remedy="give a second one, or the date to compare from"
+        )
+    last = max((int(each.evidence.days[-1]) for each in track.layers.values()
+                if each.evidence.days.size), default=since)  # fmt: skip
+    until = last if until is None else until
+    if until <= since:
+        raise InputError(
+            f"the second date, {day_name(until)}, must be after the first, {day_name(since)}",
+            remedy=f"the last day with evidence is {day_name(last)}",
+        )
+    one = {name: each.evidence.between(-_EVER, since) for name, each in track.layers.items()}
+    other = {name: each.evidence.between(since + 1, until) for name, each in track.layers.items()}
+    return _Pair(
+        _known(one),
+        _known(other),
+        f"evidence up to {day_name(since)}",
+        f"evidence after it up to {day_name(until)}",
+    )
+
+
+def _of_maps(first: TrackConditionMap, second: TrackConditionMap) -> _Pair:
+    for name in ("line", "length", "bin_length", "levels"):
+        if not np.array_equal(getattr(first, name), getattr(second, name)):
+            raise InputError(
+                f"the maps differ in {name}: {getattr(first, name)} and {getattr(second, name)}",
+                remedy="compare maps of one line with the same bins",
+            )
+    one, other = _trips(first), _trips(second)
+    both = one & other
+    evidence = [
+        {name: each.evidence for name, each in track.layers.items()} for track in (first, second)
+    ]
+    words = [f"the first map ({counted(len(one), 'trip')})"]
+    notes: tuple[str, ...] = ()
+    if both == one == other:
+        raise InputError(
+            "both maps count the same trips", remedy="give two maps of different trips"
+        )
+    if both == one:
+        evidence[1] = {
+            name: _less(each, evidence[0].get(name)) for name, each in evidence[1].items()
+        }
+        words.append(f"what the second adds ({counted(len(other - both), 'trip')})")
+    elif both == other:
+        evidence[0] = {
+            name: _less(each, evidence[1].get(name)) for name, each in evidence[0].items()
+        }
+        words = [f"what only the first has ({counted(len(one - both), 'trip')})"]
+        words.append(f"the second map ({counted(len(other), 'trip')})")
+    else:
+        words.append(f"the second map ({counted(len(other), 'trip')})")
+        if both:
+            evidence[1] = {
+                name: _other_days(each, evidence[0].get(name)) for name, each in evidence[1].items()
+            }
+            notes = (
+                f"Both maps count {counted(len(both), 'trip')}: of the second only the days are"
+                " compared on which the first has no evidence.",
+            )
+    return _Pair(_known(evidence[0]), _known(evidence[1]), words[0], words[1], notes)
+
+
+def _trips(track: TrackConditionMap) -> set[str]:
+    """What identifies each trip: what was recorded, its log's digest, or its name."""
+    return {
+        str(trip.get("identity") or trip.get("sha256") or trip.get("trip")) for trip in track.trips
+    }
+
+
+def _known(evidence: dict[str, DailyEvidence]) -> dict[str, ConditionLayer]:
+    """The layers of which there is any evidence, not yet estimated."""
+    return {
+        name: ConditionLayer.unestimated(each) for name, each in evidence.items() if each.days.size
+    }
+
+
+def _added(
+    whole: dict[str, DailyEvidence], part: dict[str, DailyEvidence]
+) -> dict[str, DailyEvidence]:
+    """Evidence by layer without that of some of its trips."""
+    return {name: _less(each, part.get(name)) for name, each in whole.items()}
+
+
+def _less(whole: DailyEvidence, part: DailyEvidence | None) -> DailyEvidence:
+    """Evidence without that of some of its trips; the sums are exact."""
+    if part is None:
+        return whole
+    negative = replace(part, **{name: -getattr(part, name) for name in _SUMS})
+    rest = DailyEvidence.total([whole, negative])
+    return _rows(rest, rest.trips > 0.0, rest.used_trips > 0.0)
+
+
+def _other_days(evidence: DailyEvidence, first: DailyEvidence | None) -> DailyEvidence:
+    days = np.zeros(0) if first is None else first.days
+    return _rows(evidence, ~np.isin(evidence.day, days), ~np.isin(evidence.used_day, days))
+
+
+def _rows(
+    evidence: DailyEvidence, onsets: NDArray[np.bool_], used: NDArray[np.bool_]
+) -> DailyEvidence:
+    """Some rows of evidence."""
+    columns = {
+        each.name: getattr(evidence, each.name)[used if each.name.startswith("used") else onsets]
+        for each in fields(evidence)
+        if each.name not in ("bins", "levels")
+    }
+    return replace(evidence, **columns)
+
+
+def _bins(
+    one: TrackConditionMap, other: TrackConditionMap, line: Line | None, least: float
+) -> pd.DataFrame:
+    """Both estimates and their difference in the bins that both observed, layer by layer."""
+    edges = bin_edges(one)
+    where = kilometres(line, edges[:-1], edges[1:])
+    parts = []
+    for name in one.layers:
+        old, new = one.layer(name), other.layer(name)
+        seen = old.observed & new.observed
+        deviation = np.hypot(old.log_std, new.log_std)[seen]
+        columns: dict[str, Any] = {"line": one.line, "layer": name, "bin": np.flatnonzero(seen)}
+        columns |= {key: np.asarray(values)[seen] for key, values in where.items()}
+        spread = np.zeros(deviation.size)
+        for side, layer in (("before", old), ("after", new)):
+            columns |= {side: np.exp(layer.log_mean[seen])}
+            ends = [layer.quantile(share)[seen] for share in BAND]
+            columns |= {f"{side}_low": ends[0], f"{side}_high": ends[1]}
+            spread = np.hypot(spread, columns[side] * layer.log_std[seen])
+        difference = columns["after"] - columns["before"]
+        beyond = ndtr((-least - difference) / spread) + ndtr((difference - least) / spread)
+        score = (new.log_mean - old.log_mean)[seen] / deviation
+        columns |= {"difference": difference, "difference_std": spread}
+        columns |= {"probability": beyond, "p_value": 2.0 * ndtr(-np.abs(score))}
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def q_values(p: FloatArray) -> FloatArray:
+    """Least false discovery rate at which each of several tests is called a discovery.
+
+    Y. Benjamini, Y. Hochberg: Controlling the false discovery rate. J. R. Stat. Soc. B 57 (1995),
+    289-300.
+
+    Parameters
+    ----------
+    p : (n,) array
+        Probability of a result at least as extreme by chance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> q_values(np.array([0.01, 0.04, 0.5])).tolist()
+    [0.03, 0.06, 0.5]
+    """
+    order = np.argsort(p, kind="stable")
+    raw = p[order] * p.size / np.arange(1, p.size + 1)
+    least = np.minimum.accumulate(raw[::-1])[::-1]
+    found = np.empty(p.size)
+    found[order] = np.minimum(least, 1.0)
+    return found
+
+
+def _sections(bins: pd.DataFrame, line: Line | None) -> pd.DataFrame:
+    """Neighbouring significant bins of one sign, joined."""
+    chosen = bins[bins["significant"]]
+    sign = np.sign(chosen["difference"])
+    step = chosen["bin"].diff()
+    new = (
+        ~((step > 0) & (step <= 1 + GAP))
+        | (sign.diff() != 0)
+        | (chosen["layer"] != chosen["layer"].shift())
+    )
+    rows = []
+    for _, each in chosen.groupby(new.cumsum()):
+        weight = each["difference_std"] ** -2.0 / (each["difference_std"] ** -2.0).sum()
+        first, last = each.iloc[0], each.iloc[-1]
+        rows.append(
+            {
+                **{name: first[name] for name in ("line", "layer", "start_m")},
+                "end_m": last["end_m"],
+                "start_km": first["start_km"],
+                "end_km": last["end_km"],
+                "near": near(line, [0.5 * (first["start_m"] + last["end_m"])])[0],
+                "bins": len(each),
+                **{name: float((weight * each[name]).sum()) for name in _AVERAGED},
+                "probability": float(each["probability"].max()),
+                "q_value": float(each["q_value"].min()),
+            }
+        )
+    names = ["line", "layer", "start_m", "end_m", "start_km", "end_km", "near", "bins"]
+    return pd.DataFrame(rows, columns=[*names, *_AVERAGED, "probability", "q_value"])
+
+
+_AVERAGED = (
+    *("before", "before_low", "before_high", "after", "after_low", "after_high"),
+    "difference",
+)
+
+
+def difference_table(found: MapDifference) -> Group:
+    """What changed, section by section, the largest difference first."""
+    title = f"{found.line}: {found.before}, and {found.after}"
+    heads = ("km", "near", "before (95 % band)", "after (95 % band)")
+    table = new_table(title, "rail", *heads, f"differs by more than {found.least:g}", "q")
+    ranked = found.sections.sort_values("difference", key=lambda each: -each.abs(), kind="stable")
+    for each in ranked.to_dict("records"):
+        sides = [
+            f"{each[side]:.3f} ({each[f'{side}_low']:.3f} to {each[f'{side}_high']:.3f})"
+            for side in ("before", "after")
+        ]
+        ends = f"{each['start_km']:.3f} to {each['end_km']:.3f}"
+        words = (ends, str(each["near"]), *sides, f"{each['probability']:.1%}")
+        table.add_row(str(each["layer"]), *words, f"{each['q_value']:.2g}")
+    parts: list[RenderableType] = [table] if found.changed else [title]
+    parts += [found.sentence, *found.notes]
+    fresh = [f"{name} {count}" for name, count in found.newly_observed.items() if count]
+    if fresh:
+        parts.append(f"Observed for the first time (bins): {', '.join(fresh)}.")
+    return Group(*parts)

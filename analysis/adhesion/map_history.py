@@ -1,0 +1,331 @@
+"""What a track-condition map knows of one place over time: its evidence and its estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+
+from analysis.adhesion.condition_table import (
+    BAND,
+    check_course,
+    kilometres,
+    plain_rows,
+)
+from analysis.tables import as_page, new_table
+from trainlog.condition import estimated
+from trainlog.errors import InputError
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.line import Line
+
+FloatArray = NDArray[np.float64]
+
+MOST_DAYS = 60
+"""Days that get the estimate of then; of more they are chosen evenly, the last among them."""
+
+REACH = 500.0
+"""A day counts for a place if it has evidence no further from it than this [m]."""
+
+LISTED = 15
+"""Days that a table lists: the last."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlaceHistory:
+    """The history of one bin in one layer.
+
+    Attributes
+    ----------
+    line, layer : str
+    start, end : float [m]
+        Of the bin.
+    start_km, end_km : float
+        The operator's kilometres of its ends.
+    near : str
+        Its place by the nearest station; empty without a line.
+    onsets : DataFrame
+        A row a day on which a slip measured the maximum there: ``day``, ``trips``, ``events``,
+        ``adhesion`` and its 95 % band from the measurement alone.
+    used : DataFrame
+        A row a day: the highest ``level`` that was used without slip, and by how many ``trips``.
+    known : DataFrame
+        The estimate as it was known at the end of ``day``, made of the evidence up to then:
+        whether the bin was ``observed``, the lasting ``adhesion``, ``low``, ``high``, and what was
+        ``expected`` right after, with its band; NaN where it was not observed.
+    spots, changes : DataFrame
+        Passing spots and lasting changes there, as known now, with their dates.
+    thinned : bool
+        Whether `known` leaves days out.
+    """
+
+    line: str
+    layer: str
+    start: float
+    end: float
+    start_km: float
+    end_km: float
+    near: str
+    onsets: pd.DataFrame
+    used: pd.DataFrame
+    known: pd.DataFrame
+    spots: pd.DataFrame
+    changes: pd.DataFrame
+    thinned: bool = False
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.title}: {int(self.onsets['events'].sum())} onsets of slip on"
+            f" {len(self.onsets)} days, used without slip on {len(self.used)} days"
+        )
+
+    def _repr_html_(self) -> str:
+        return as_page(history_table(self))
+
+    @property
+    def title(self) -> str:
+        """Line, place and layer in words."""
+        place = f"km {self.start_km:.3f} to {self.end_km:.3f}" + f", {self.near}" * bool(self.near)
+        return f"{self.line}, {place}, {self.layer}"
+
+    def as_json(self) -> dict[str, Any]:
+        """The same in JSON's own types."""
+        tables = ("onsets", "used", "known", "spots", "changes")
+        return {
+            "line": self.line,
+            "layer": self.layer,
+            "start_m": self.start,
+            "end_m": self.end,
+            "start_km": self.start_km,
+            "end_km": self.end_km,
+            "near": self.near,
+            "thinned": self.thinned,
+            **{name: plain_rows(getattr(self, name)) for name in tables},
+        }
+
+
+def map_history(
+    track: TrackConditionMap,
+    position: float,
+    layer: str,
+    *,
+    line: Line | None = None,
+    days: int = MOST_DAYS,
+) -> PlaceHistory:
+    """The history of the bin at a position: its evidence, and the estimate as it was known by day.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    position : float [m]
+        Chainage.
+    layer : str
+    line : Line, optional
+        Gives the operator's kilometres and the stations.
+    days : int
+        At most so many days get the estimate of then.
+
+    Raises
+    ------
+    InputError
+        If the position is not on the line, the map lacks the layer, or the line is another.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> found = map_history(track, 9_680.0, "wet")
+    >>> [str(day.date()) for day in found.onsets["day"]], found.onsets["adhesion"].round(2).tolist()
+    (['2024-10-07'], [0.07])
+    """
+    if not 0.0 <= position <= track.length:
+        raise InputError(
+            f"km {position / 1e3:g} is not on line '{track.line}'",
+            remedy=f"it reaches from km 0 to {track.length / 1e3:.3f}",
+        )
+    if line is not None:
+        check_course(track, line)
+    chosen = track.layer(layer)
+    row = int(track.bin_of(position))
+    start = row * track.bin_length
+    end = min(start + track.bin_length, track.length)
+    where = pd.DataFrame(kilometres(line, np.array([start]), np.array([end]))).iloc[0]
+    when = _days_near(track, chosen, row)
+    shown = when if when.size <= days else when[np.linspace(0, when.size - 1, days).astype(int)]
+    return PlaceHistory(
+        line=track.line,
+        layer=layer,
+        start=start,
+        end=end,
+        start_km=float(where["start_km"]),
+        end_km=float(where["end_km"]),
+        near=str(where["near"]),
+        onsets=_onsets(chosen, row),
+        used=_used(track, chosen, row),
+        known=_known(track, layer, row, shown),
+        spots=_spots(chosen, start, end),
+        changes=_changes(chosen, start, end),
+        thinned=bool(shown.size < when.size),
+    )
+
+
+def position_of(track: TrackConditionMap, line: Line | None, km: float) -> float:
+    """Chainage [m] of the operator's kilometre; that is the chainage itself without a reference.
+
+    Where the kilometres come twice, the first.
+
+    Raises
+    ------
+    InputError
+        If the line has no such kilometre.
+    """
+    if line is None or line.reference is None:
+        return 1e3 * km
+    known = line.reference
+    ends = np.append(known.positions[1:], line.length)
+    growth = np.where(known.end == known.start, np.nan, known.end - known.start)
+    share = (1e3 * km - known.start) / growth
+    inside = np.flatnonzero((share >= 0.0) & (share <= 1.0))
+    if inside.size == 0:
+        raise InputError(
+            f"line '{track.line}' has no km {km:g}",
+            remedy=f"its kilometres are {known.start[0] / 1e3:.3f} to {known.end[-1] / 1e3:.3f}",
+        )
+    piece = int(inside[0])
+    width = ends[piece] - known.positions[piece]
+    return float(known.positions[piece] + share[piece] * width)
+
+
+def _dates(days: NDArray[np.int64]) -> NDArray[np.datetime64]:
+    return days.astype("datetime64[D]").astype("datetime64[s]")
+
+
+def _onsets(layer: ConditionLayer, row: int) -> pd.DataFrame:
+    known = layer.evidence
+    there = (known.bin == row) & (known.weight > 0.0)
+    weight = known.weight[there]
+    mean = known.weighted_log[there] / weight
+    # What all onsets of a trip share does not average out within the trip.
+    std = np.sqrt(1.0 / weight + known.common[there] / weight**2)
+    return pd.DataFrame(
+        {
+            "day": _dates(known.day[there]),
+            "trips": known.trips[there].astype(np.int64),
+            "events": known.events[there].astype(np.int64),
+            "adhesion": np.exp(mean),
+            "low": np.exp(mean - 1.96 * std),
+            "high": np.exp(mean + 1.96 * std),
+        }
+    )
+
+
+def _used(track: TrackConditionMap, layer: ConditionLayer, row: int) -> pd.DataFrame:
+    known = layer.evidence
+    there = known.used_bin == row
+    rows = pd.DataFrame(
+        {
+            "day": _dates(known.used_day[there]),
+            "level": track.levels[known.used_level[there]],
+            "trips": known.used_trips[there].astype(np.int64),
+        }
+    )
+    # The rows of a day are in the order of the levels.
+    return rows.groupby("day", as_index=False).last()
+
+
+def _days_near(track: TrackConditionMap, layer: ConditionLayer, row: int) -> NDArray[np.int64]:
+    """Days with evidence in or near a bin."""
+    reach = int(np.ceil(REACH / track.bin_length))
+    known = layer.evidence
+    near = np.abs(known.bin - row) <= reach
+    used = np.abs(known.used_bin - row) <= reach
+    return np.union1d(known.day[near], known.used_day[used]).astype(np.int64)
+
+
+def _known(track: TrackConditionMap, name: str, row: int, days: NDArray[np.int64]) -> pd.DataFrame:
+    """The estimate in a bin as it was known at the end of each day."""
+    whole = track.layer(name).evidence
+    first = int(whole.days[0]) if whole.days.size else 0
+    rows = []
+    for day in days.tolist():
+        past = ConditionLayer.unestimated(whole.between(first, day))
+        layer = estimated(replace(track, layers={name: past})).layer(name)
+        expected = layer.expected()
+        values: dict[str, Any] = {"day": day, "observed": bool(layer.observed[row])}
+        for key, estimate in (("adhesion", layer), ("expected", expected)):
+            low, high = (float(estimate.quantile(share)[row]) for share in BAND)
+            prefix = "" if key == "adhesion" else "expected_"
+            found = (float(np.exp(estimate.log_mean[row])), low, high)
+            seen = bool(estimate.observed[row])
+            names = (key, f"{prefix}low", f"{prefix}high")
+            values |= {k: v if seen else np.nan for k, v in zip(names, found, strict=True)}
+        rows.append(values)
+    columns = ["day", "observed", "adhesion", "low", "high"]
+    table = pd.DataFrame(rows, columns=[*columns, "expected", "expected_low", "expected_high"])
+    table["day"] = _dates(days)
+    return table
+
+
+def _spots(layer: ConditionLayer, start: float, end: float) -> pd.DataFrame:
+    there = [each for each in layer.spots if each.start < end and each.end > start]
+    days = {
+        f"{name}_day": _dates(np.array([getattr(each, name) for each in there], dtype=np.int64))
+        for name in ("first", "last", "checked")
+    }
+    names = ("adhesion", "low", "high", "present", "life")
+    values = {name: [getattr(each, name) for each in there] for name in names}
+    return pd.DataFrame(days | values)
+
+
+def _changes(layer: ConditionLayer, start: float, end: float) -> pd.DataFrame:
+    there = [each for each in layer.changes if each.start < end and each.end > start]
+    days = {
+        name: _dates(np.array([getattr(each, name) for each in there], dtype=np.int64))
+        for name in ("day", "earliest", "latest")
+    }
+    values = {name: [getattr(each, name) for each in there] for name in ("before", "after")}
+    return pd.DataFrame(days | values)
+
+
+def history_table(found: PlaceHistory) -> Group:
+    """The history as a table by day, the last days of it, with spots and changes in words."""
+    heads = ("onsets", "measured (95 % band)", "used without slip", "lasting (95 % band)")
+    table = new_table(found.title, "day", *heads, "expected (95 % band)")
+    onsets, used, known = (
+        each.set_index("day") for each in (found.onsets, found.used, found.known)
+    )
+    days = sorted({*onsets.index, *used.index, *known.index})
+    for day in days[-LISTED:]:
+        measured = _band(onsets, day, "adhesion", "low", "high")
+        count = str(int(onsets.loc[day, "events"])) if day in onsets.index else ""
+        level = f"{used.loc[day, 'level']:.2f}" if day in used.index else ""
+        lasting = _band(known, day, "adhesion", "low", "high")
+        expected = _band(known, day, "expected", "expected_low", "expected_high")
+        table.add_row(f"{day:%Y-%m-%d}", count, measured, level, lasting, expected)
+    parts: list[RenderableType] = [table]
+    if len(days) > LISTED:
+        parts.append(f"{len(days) - LISTED} earlier days are not listed.")
+    if found.thinned:
+        parts.append(f"The estimate of then was made for {len(found.known)} days, chosen evenly.")
+    parts += [
+        f"Passing spot: {each.adhesion:.3f}, met {each.first_day:%Y-%m-%d} to"
+        f" {each.last_day:%Y-%m-%d}, still there on {each.checked_day:%Y-%m-%d} with"
+        f" {each.present:.0%}."
+        for each in found.spots.itertuples()
+    ]
+    parts += [
+        f"Lasting change on {each.day:%Y-%m-%d} ({each.earliest:%Y-%m-%d} to"
+        f" {each.latest:%Y-%m-%d}): {each.before:.3f} to {each.after:.3f}."
+        for each in found.changes.itertuples()
+    ]
+    return Group(*parts)
+
+
+def _band(rows: pd.DataFrame, day: Any, value: str, low: str, high: str) -> str:
+    if day not in rows.index or not np.isfinite(rows.loc[day, value]):
+        return ""
+    middle, least, most = (float(rows.loc[day, name]) for name in (value, low, high))
+    return f"{middle:.3f} ({least:.3f} to {most:.3f})"

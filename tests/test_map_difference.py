@@ -1,0 +1,242 @@
+"""What changed between two maps or dates, and the history of a place: known answers.
+
+The evidence is drawn with noise that the map's model does not know: heavy tails, and offsets that
+all onsets of a trip share.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+import trainlog
+from analysis.adhesion.condition_map import empty_map
+from analysis.adhesion.map_difference import q_values
+from analysis.adhesion.map_history import position_of
+from trainlog.cli.main import run
+from trainlog.condition import estimated
+from trainlog.errors import InputError
+from trainlog.railway import Line, LineReference, Station, StepProfile, TrackConditionMap
+from trainlog.railway.condition import ConditionChange, ConditionLayer
+from trainlog.railway.evidence import DailyEvidence
+
+DAY = 20_600
+CHANGED = slice(150, 162)
+"""Bins whose maximum rises by half on the day 30."""
+
+LINE = Line(
+    "A-B",
+    10_000.0,
+    (Station("Aach", 0.0), Station("Mitte", 3_900.0), Station("Berg", 10_000.0)),
+    StepProfile(np.zeros(1), np.array([30.0])),
+    StepProfile(np.zeros(1), np.zeros(1)),
+)
+
+
+def a_trip(day: int, seed: int, *, change: bool) -> DailyEvidence:
+    """One trip that slips in some of the bins 20 to 40, 150 to 161 and 300 to 330."""
+    generator = np.random.default_rng([seed, day])
+    bins, levels = 400, 59
+    truth = np.log(np.full(bins, 0.12))
+    truth[20:40] = np.log(0.09)
+    if change and day >= DAY + 30:
+        truth[CHANGED] += np.log(1.5)
+    prone = np.zeros(bins, dtype=bool)
+    for part in (slice(20, 40), CHANGED, slice(300, 330)):
+        prone[part] = True
+    slips = prone & (generator.random(bins) < 0.4)
+    log = truth + generator.laplace(0.0, 0.05) + 0.05 * generator.standard_t(4, bins)
+    weight = np.where(slips, 64.0, 0.0)
+    used = np.zeros((bins, levels))
+    used[60:120, 4] = 1.0
+    return DailyEvidence.of_bins(day, slips.astype(float), weight, weight * log, used)
+
+
+def a_map(days: range, seed: int = 1, *, change: bool = True) -> TrackConditionMap:
+    pieces = [a_trip(DAY + day, seed, change=change) for day in days]
+    wet = ConditionLayer.unestimated(DailyEvidence.total(pieces))
+    trips = tuple(
+        {"trip": f"{seed}-{day}", "sha256": f"{seed}-{day}", "layer": "wet"} for day in days
+    )
+    return estimated(replace(empty_map(LINE), layers={"wet": wet}, trips=trips))
+
+
+@pytest.fixture(scope="module")
+def whole() -> TrackConditionMap:
+    return a_map(range(60))
+
+
+def test_a_made_up_change_is_found_and_nothing_else(whole: TrackConditionMap) -> None:
+    found = analysis.map_difference(whole, since=DAY + 29, line=LINE)
+    assert found.changed
+    inside = found.bins["bin"].between(CHANGED.start, CHANGED.stop - 1)
+    assert found.bins.loc[inside, "significant"].sum() >= 10
+    assert not found.bins.loc[~inside, "significant"].any()
+    (section,) = found.sections.to_dict("records")
+    assert section["start_m"] == pytest.approx(25.0 * CHANGED.start, abs=50.0)
+    assert section["end_m"] == pytest.approx(25.0 * CHANGED.stop, abs=50.0)
+    assert section["before"] == pytest.approx(0.12, abs=0.01)
+    assert section["after"] == pytest.approx(0.18, abs=0.015)
+    assert section["probability"] > 0.99
+    assert section["near"] == "at Mitte"
+    assert "1 section changed" in found.sentence
+
+
+def test_where_nothing_changed_little_is_found() -> None:
+    """At most one comparison in twenty may find anything; of twelve, two at most with luck."""
+    found = [
+        analysis.map_difference(a_map(range(40), seed, change=False), since=DAY + 19)
+        for seed in range(12)
+    ]
+    assert all(len(each.bins) >= 50 for each in found)
+    assert sum(each.changed for each in found) <= 2
+    quiet = next(each for each in found if not each.changed)
+    assert "No significant change" in quiet.sentence
+    assert quiet.bins["probability"].mean() < 0.5
+
+
+def test_dates_and_maps_give_the_same_answer(whole: TrackConditionMap) -> None:
+    """The map of the first days against the whole compares the same evidence as the dates do."""
+    by_date = analysis.map_difference(whole, since=DAY + 29)
+    by_map = analysis.map_difference(a_map(range(30)), whole)
+    np.testing.assert_array_equal(by_map.bins["difference"], by_date.bins["difference"])
+    apart = analysis.map_difference(a_map(range(30)), a_map(range(30, 60)))
+    np.testing.assert_array_equal(apart.bins["q_value"], by_date.bins["q_value"])
+    back = analysis.map_difference(whole, a_map(range(30)))
+    np.testing.assert_allclose(back.bins["difference"], -by_date.bins["difference"], atol=1e-12)
+    assert "what the second adds (30 trips)" in by_map.after
+    half = analysis.map_difference(a_map(range(40)), a_map(range(20, 60)))
+    assert half.notes[0].startswith("Both maps count 20 trips")
+    np.testing.assert_array_equal(
+        half.bins["after"], analysis.map_difference(whole, since=DAY + 39).bins["after"]
+    )
+
+
+def test_a_false_discovery_rate_follows_benjamini_and_hochberg() -> None:
+    # Table 1 of their paper: the four least of fifteen are discoveries at 0.05.
+    p = np.array([0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344,
+                  0.0459, 0.3240, 0.4262, 0.5719, 0.6528, 0.7590, 1.0])  # fmt: skip
+    shuffled = np.random.default_rng(0).permutation(15)
+    found = q_values(p[shuffled])
+    assert int((found <= 0.05).sum()) == 4
+    np.testing.assert_array_equal(np.sort(shuffled[found <= 0.05]), [0, 1, 2, 3])
+    assert q_values(np.zeros(0)).size == 0
+
+
+def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
+    for given, message in (
+        ({}, "one map is given; give a second one, or"),
+        ({"since": DAY + 90}, "the second date, 2026-07-25, must be after the first, 2026-08-25"),
+        ({"since": DAY - 1}, "no layer in common"),
+        ({"since": DAY + 29, "layers": ["dry"]}, "has no layer 'dry'"),
+        ({"since": DAY + 29, "rate": 0.0}, "rate must be between 0 and 1"),
+        ({"second": whole, "since": DAY}, "two maps and dates are given"),
+        ({"second": whole}, "both maps count the same trips"),
+        ({"second": replace(whole, length=9_000.0)}, "the maps differ in length"),
+    ):
+        with pytest.raises(InputError, match=message):
+            analysis.map_difference(whole, **given)
+
+
+def test_a_history_has_the_evidence_and_the_estimate_of_each_day(whole: TrackConditionMap) -> None:
+    row = CHANGED.start + 5
+    position = 25.0 * row + 10.0
+    found = analysis.map_history(whole, position, "wet", line=LINE)
+    evidence = whole.layer("wet").evidence
+    assert found.onsets["events"].sum() == evidence.events[evidence.bin == row].sum()
+    after = found.onsets["day"] >= np.datetime64("2026-06-26")
+    assert found.onsets["adhesion"][~after].median() == pytest.approx(0.12, abs=0.012)
+    assert found.onsets["adhesion"][after].median() == pytest.approx(0.18, abs=0.018)
+    assert (found.onsets["low"] < found.onsets["adhesion"]).all()
+    # The estimate as known on a day is that of a map of the days up to then.
+    assert len(found.known) == 60
+    assert not found.thinned
+    then = found.known.iloc[29]
+    assert then["adhesion"] == pytest.approx(
+        float(np.exp(a_map(range(30)).layer("wet").log_mean[row])), rel=1e-12
+    )
+    last = found.known.iloc[-1]
+    assert last["adhesion"] == pytest.approx(float(np.exp(whole.layer("wet").log_mean[row])))
+    assert last["low"] < last["adhesion"] < last["high"]
+    assert found.near == "at Mitte"
+    few = analysis.map_history(whole, position, "wet", days=7)
+    assert (len(few.known), few.thinned) == (7, True)
+    np.testing.assert_array_equal(few.known.iloc[-1].to_numpy()[1:], last.to_numpy()[1:])
+
+
+def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
+    whole: TrackConditionMap,
+) -> None:
+    found = analysis.map_history(whole, 2_000.0, "wet")
+    assert found.onsets.empty
+    assert found.used["level"].unique().tolist() == pytest.approx([whole.levels[4]])
+    assert len(found.used) == 60
+    assert found.known["adhesion"].isna().all()
+    assert found.known["low"].isna().all()
+    with pytest.raises(InputError, match=r"km 11 is not on line 'A-B'; it reaches from km 0 to 10"):
+        analysis.map_history(whole, 11_000.0, "wet")
+
+
+def test_changes_there_are_part_of_the_history(whole: TrackConditionMap) -> None:
+    change = ConditionChange(
+        3_750.0, 4_050.0, DAY + 30, DAY + 29, DAY + 31, 0.12, 0.18, 0.05, 0.05, 9.0
+    )
+    wet = replace(whole.layer("wet"), changes=(change,))
+    changed = replace(whole, layers={"wet": wet})
+    found = analysis.map_history(changed, 4_000.0, "wet", days=1)
+    assert found.changes["day"].astype(str).tolist() == ["2026-06-26"]
+    assert analysis.map_history(changed, 4_051.0, "wet", days=1).changes.empty
+
+
+def test_a_place_is_named_by_the_operators_kilometre(whole: TrackConditionMap) -> None:
+    reference = LineReference(
+        "850",
+        np.array([0.0, 5_000.0]),
+        np.array([61_200.0, 56_000.0]),
+        np.array([56_200.0, 51_000.0]),
+    )
+    line = replace(LINE, reference=reference)
+    assert position_of(whole, line, 61.2) == 0.0
+    assert position_of(whole, line, 57.2) == pytest.approx(4_000.0)
+    assert position_of(whole, line, 52.0) == pytest.approx(9_000.0)
+    assert position_of(whole, LINE, 4.0) == position_of(whole, None, 4.0) == 4_000.0
+    with pytest.raises(InputError, match=r"has no km 56\.1; its kilometres are 61\.200 to 51\.000"):
+        position_of(whole, line, 56.1)
+
+
+def test_the_commands_draw_list_and_end_as_diff_does(
+    whole: TrackConditionMap, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, line = tmp_path / "wet.map.json", tmp_path / "A-B.line.json"
+    trainlog.write_map(whole, path)
+    trainlog.write_line(LINE, line)
+    words = ["map", "diff", str(path), "--from", "2026-06-25", "--line", str(line)]
+    assert run([*words, "--picture", str(tmp_path / "diff.png")]) == 1
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "1 section changed" in shown
+    assert "at Mitte" in shown
+    assert (tmp_path / "diff.png").stat().st_size > 20_000
+    assert run([*words, "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["changed"] is True
+    assert len(found["sections"]) == 1
+    assert run(["map", "diff", str(path), "--from", "2026-06-10", "--to", "2026-06-25"]) == 0
+    capsys.readouterr()
+    with pytest.raises(InputError, match="both maps count the same trips"):
+        run(["map", "diff", str(path), str(path), "--picture", str(tmp_path / "no.png")])
+    assert not (tmp_path / "no.png").exists()
+    words = ["map", "history", str(path), "--km", "3.9", "--line", str(line)]
+    assert run([*words, "--picture", str(tmp_path / "place.png")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "A-B, km 3.900 to 3.925, at Mitte, wet" in shown
+    assert "45 earlier days are not listed" in shown
+    assert (tmp_path / "place.png").stat().st_size > 20_000
+    assert run([*words, "--json"]) == 0
+    (place,) = json.loads(capsys.readouterr().out)
+    assert len(place["known"]) == 60
+    assert place["used"] == []
