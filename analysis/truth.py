@@ -37,6 +37,8 @@ class Truth:
         Along the line in its own direction.
     top_speed : float [m/s]
         Of the line for this train.
+    lasting_adhesion : StepProfile or None
+        What lasts of the maximum adhesion in that weather, where the rail was drawn over days.
     """
 
     trip: str
@@ -46,6 +48,7 @@ class Truth:
     max_power: float
     maximum_adhesion: StepProfile
     top_speed: float
+    lasting_adhesion: StepProfile | None = None
 
     @property
     def speeds(self) -> FloatArray:
@@ -61,15 +64,19 @@ def truth_of(trip: Trip) -> Truth | None:
     from trainlog.formats.attached import line_of
 
     stated = json.loads(data)
-    profile = stated["maximum_adhesion"]
+
+    def profile(name: str) -> StepProfile:
+        return StepProfile(np.array(stated[name]["positions"]), np.array(stated[name]["values"]))
+
     return Truth(
         trip=trip.name,
         weather=stated["weather"],
         mass=stated["mass"],
         resistance=RunningResistance(stated["r0"], stated["r1"], stated["r2"]),
         max_power=stated["max_power"],
-        maximum_adhesion=StepProfile(np.array(profile["positions"]), np.array(profile["values"])),
+        maximum_adhesion=profile("maximum_adhesion"),
         top_speed=min(float(line_of(trip).speed_limits.values.max()), train_of(trip).max_speed),
+        lasting_adhesion=profile("lasting_adhesion") if "lasting_adhesion" in stated else None,
     )
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from trainlog.railway import Line, Train
+    from trainlog.simulation import Change
     from trainlog.trip import Trip
 
 
@@ -115,6 +116,40 @@ def stretch(text: str | None) -> tuple[float | None, float | None] | None:
             f"'{text}' must be a section of the line in km", remedy="write kilometres as 3.2:7.5"
         ) from error
     return limits[0], limits[1]
+
+
+def lasting_change(word: str) -> Change:
+    """A change of the rail, from ``km=10:14,date=2026-10-15,factor=1.3``, ``spots=0.2`` besides.
+
+    Raises
+    ------
+    InputError
+        If the text is not of that form.
+    """
+    import pandas as pd
+
+    from trainlog.simulation import Change
+
+    remedy = "write it as km=10:14,date=2026-10-15,factor=1.3"
+    given: dict[str, str] = {}
+    for part in word.split(","):
+        key, equals, value = (each.strip() for each in part.partition("="))
+        if not (equals and value) or key in given or key not in ("km", "date", "factor", "spots"):
+            raise InputError(f"change '{word}': '{part}' is not understood", remedy=remedy)
+        given[key] = value
+    for names in (("km",), ("date",), ("factor", "spots")):
+        if not given.keys() & set(names):
+            raise InputError(f"change '{word}' has no {' or '.join(names)}", remedy=remedy)
+    km = stretch(re.sub(r"(?<=[0-9.])-", ":", given["km"], count=1))
+    if km is None or km[0] is None or km[1] is None:
+        raise InputError(f"change '{word}': km needs both ends", remedy=remedy)
+    try:
+        when = pd.Timestamp(given["date"])
+        factor, spots = (float(given.get(name, "1")) for name in ("factor", "spots"))
+    except ValueError:
+        raise InputError(f"change '{word}' has no such date or number", remedy=remedy) from None
+    when = when.tz_localize("UTC") if when.tz is None else when
+    return Change(km[0], km[1], int(when.as_unit("ns").value), factor, spots)
 
 
 def _moment(

@@ -24,6 +24,7 @@ from trainlog.cli.options import (
     TrainOption,
     destination,
     distinct,
+    lasting_change,
     line_and_train,
     logs_in,
     pairs,
@@ -90,6 +91,26 @@ def simulate(
     late: Annotated[
         float, typer.Option(min=0.0, help="With --trajectory: departs so many seconds late.")
     ] = 0.0,
+    days: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Trips of so many days, on a rail with passing spots and weather."
+        ),
+    ] = None,
+    trips_per_day: Annotated[
+        int | None, typer.Option(min=1, help="With --days: from 5:00 to 23:00; default 4.")
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(help="With --days: the first; default 2026-10-01.")
+    ] = None,
+    change: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="With --days: a lasting change of the rail, as"
+            " km=10:14,date=2026-10-15,factor=1.3 (adhesion there, from then on); spots=0.2: of how"
+            " often passing spots come."
+        ),
+    ] = None,
 ) -> None:
     """Drive trips in simulation and log them.
 
@@ -98,21 +119,42 @@ def simulate(
     a configuration; the train does not know in which it is, and where it is and how fast it knows
     from its own instruments.
 
+    With [bold]--days[/bold] the rail lives through the days: its weather changes, slippery spots
+    come and go, and what changes for good is said with [bold]--change[/bold]. The weather is
+    written beside the logs.
+
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
+
+    trainlog simulate --days 30 --start 2026-10-01 --change km=10:14,date=2026-10-15,factor=1.3 -o
+    results/october
     """
     from trainlog.formats.characteristic import read_characteristic
+    from trainlog.formats.weather import write_weather
     from trainlog.mcap import write_log
     from trainlog.simulation import (
+        Rail,
+        draw_days,
         draw_scenarios,
         simulate as drive,
     )
 
     the_line, the_train = line_and_train(line, train)
+    over_days = None
     if trajectory is None:
-        _check_alone(
-            {"configurations": configurations, "weather": weather, "map": condition}
-            | {"late": late or None, "risk": risk, "at": at}
-        )
+        following = {"configurations": configurations, "weather": weather, "map": condition}
+        _check_alone(following | {"late": late or None, "risk": risk, "at": at}, "trajectory")
+    if days is None:
+        _check_alone({"trips-per-day": trips_per_day, "start": start, "change": change}, "days")
+    if days is not None:
+        if trajectory is not None or count is not None:
+            other = "count" if trajectory is None else "trajectory"
+            raise InputError(
+                f"--days and --{other} are different kinds of trips", remedy="give one of them"
+            )
+        changes = [lasting_change(word) for word in change or []]
+        over_days = Rail.draw(the_line, days, start or "2026-10-01", seed, changes)
+        scenarios = draw_days(over_days, [the_train], trips_per_day or 4)
+    elif trajectory is None:
         scenarios = draw_scenarios(the_line, the_train, count=count or 12, seed=seed)
     elif count is not None:
         raise InputError(
@@ -149,6 +191,9 @@ def simulate(
             )
             if trajectory is not None:
                 followed.append(trip)
+    if over_days is not None:
+        write_weather(over_days.table, output / "weather.csv")
+        wrote(output / "weather.csv")
     if followed:
         from analysis.control.plot import draw_following
 
@@ -156,13 +201,14 @@ def simulate(
         wrote(output / "following.png")
 
 
-def _check_alone(options: dict[str, object]) -> None:
-    """Refuse options that say how to follow a trajectory where none is given."""
+def _check_alone(options: dict[str, object], needed: str) -> None:
+    """Refuse options that go with the option `needed`, which is not given."""
     for option, given in options.items():
         if given is not None:
+            what = "a trajectory" if needed == "trajectory" else f"--{needed}"
             raise InputError(
-                f"--{option} goes with --trajectory",
-                remedy=f"give a trajectory, or leave out --{option}",
+                f"--{option} goes with --{needed}",
+                remedy=f"give {what}, or leave out --{option}",
             )
 
 

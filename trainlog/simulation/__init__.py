@@ -16,8 +16,15 @@ from trainlog.simulation.drivers import (
     plan,
 )
 from trainlog.simulation.plant import Drive, Plant, PlantState
+from trainlog.simulation.rail import Change, Rail, RailState
 from trainlog.simulation.recording import Run, drive, recorded, simulate
-from trainlog.simulation.scenario import Locator, Scenario, draw_scenarios, trajectory_scenarios
+from trainlog.simulation.scenario import (
+    Locator,
+    Scenario,
+    draw_days,
+    draw_scenarios,
+    trajectory_scenarios,
+)
 from trainlog.simulation.sensors import Instruments, Reading, Sensors
 from trainlog.simulation.traction import (
     DriveReading,
@@ -27,6 +34,7 @@ from trainlog.simulation.traction import (
 )
 
 __all__ = [
+    "Change",
     "ConsistPlant",
     "ConsistState",
     "Demand",
@@ -40,6 +48,8 @@ __all__ = [
     "Observation",
     "Plant",
     "PlantState",
+    "Rail",
+    "RailState",
     "Reading",
     "Run",
     "Scenario",
@@ -50,6 +60,7 @@ __all__ = [
     "TractionLoop",
     "Variation",
     "check_stops",
+    "draw_days",
     "draw_scenarios",
     "drive",
     "plan",

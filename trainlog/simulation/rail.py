@@ -23,7 +23,7 @@ from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.condition import BIN_LENGTH
-from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Conditions
+from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Conditions, Weather
 from trainlog.simulation.weather import DAY, HOUR, DrawnWeather, draw_weather
 from trainlog.units import NANOSECONDS
 
@@ -366,6 +366,20 @@ class Rail:
                 remedy="draw it over more days",
             )
         return found
+
+    @property
+    def table(self) -> Weather:
+        """Weather of its days, and of the day after: the last trains arrive then."""
+        known = self.drawn.table
+        rows = known.starts >= self.start
+        first = int(np.argmax(rows))
+        columns = (known.temperature, known.humidity, known.precipitation)
+        return Weather(
+            known.starts[rows],
+            known.ends[rows],
+            known.conditions[first:],
+            *(each[rows] for each in columns),
+        )
 
     def lasting(self, condition: str, time: int) -> StepProfile:
         """Maximum adhesion that lasts in a rail condition, with the changes made until `time`."""

@@ -1,0 +1,308 @@
+"""A rail over days: spots live and fade as drawn, seasons and weather matter, changes last."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import kstest
+from typer.testing import CliRunner
+
+import trainlog
+from analysis.truth import truth_of
+from trainlog.cli.main import app
+from trainlog.errors import InputError
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train
+from trainlog.formats.weather import read_weather
+from trainlog.railway import Line
+from trainlog.simulation import Change, Rail, draw_days, simulate
+from trainlog.simulation.rail import KINDS
+from trainlog.simulation.weather import DAY, HOUR
+
+
+@pytest.fixture(scope="module")
+def line() -> Line:
+    return read_line(sample(DEFAULT_LINE))
+
+
+@pytest.fixture(scope="module")
+def rail(line: Line) -> Rail:
+    return Rail.draw(line, days=40, start="2026-10-10", seed=2)
+
+
+@pytest.fixture(scope="module")
+def few(line: Line) -> Rail:
+    """Six days, as many as trips are drawn of."""
+    return Rail.draw(line, days=6, start="2026-10-20", seed=2)
+
+
+def at(text: str) -> int:
+    return int(pd.Timestamp(text, tz="UTC").as_unit("ns").value)
+
+
+def without_rain(rail: Rail) -> Rail:
+    table = replace(rail.drawn.table, precipitation=np.zeros(rail.drawn.table.starts.size))
+    return replace(rail, drawn=replace(rail.drawn, table=table))
+
+
+class TestSpots:
+    def test_half_of_a_spot_is_left_after_its_life_and_little_long_after(self, rail: Rail) -> None:
+        dry = without_rain(rail)
+        for number, spot in dry.spots.iloc[::25].iterrows():
+            life = int(spot["life"] * 1e9)
+            shares = [
+                dry.left(int(spot["birth"]) + age)[number]
+                for age in (-1, 0, life // 4, life, 4 * life)
+            ]
+            assert shares[0] == 0.0
+            assert shares[1] == 1.0
+            assert shares[3] == pytest.approx(0.5, abs=1e-6)
+            # It holds at first, then falls: not as an exponential, of which 0.84 and 0.06 are left.
+            assert shares[2] == pytest.approx(1.0 / (1.0 + 4.0 ** -spot["sharpness"]), abs=1e-6)
+            assert shares[2] > 0.92
+            assert shares[4] < 0.08
+
+    def test_rain_shortens_the_life_of_what_it_washes_off(self, rail: Rail) -> None:
+        rainy = np.flatnonzero(rail.drawn.table.precipitation > 0.0)
+        after = int(rail.drawn.table.ends[rainy[rainy.size // 2]]) + 3 * HOUR
+        wet, dry = rail.left(after), without_rain(rail).left(after)
+        washed = (rail.spots["wash"] > 0.0).to_numpy() & (dry > 0.0)
+        assert np.all(wet <= dry)
+        assert np.any(wet[washed] < dry[washed] - 0.05)
+        lasts = (rail.spots["kind"] == "frost").to_numpy()
+        assert np.array_equal(wet[lasts], dry[lasts])
+
+    def test_a_fresh_spot_has_the_adhesion_it_was_drawn_with(self, rail: Rail) -> None:
+        alone = 0
+        for spot in rail.spots[rail.spots["birth"] > rail.start].to_dict("records"):
+            time = spot["birth"] + 1
+            fresh = "dry" if rail.weather(time).condition == "dry" else "wet"
+            state = rail.state(time)
+            middle = spot["start"] + 0.5 * spot["length"]
+            near = state.spots[(state.spots["start"] - middle).abs() < 1_000.0]
+            if len(near) > 1 or state.lasting([middle])[0] < 1.2 * spot[fresh]:
+                continue
+            alone += 1
+            met = rail.profile(time, 1)
+            assert met([middle])[0] == pytest.approx(spot[fresh], rel=1e-6)
+            before = rail.profile(spot["birth"] - HOUR // 60, 1)
+            if rail.weather(spot["birth"] - HOUR // 60).condition == rail.weather(time).condition:
+                assert before([middle])[0] > 1.1 * spot[fresh]
+        assert alone > 10
+
+    @pytest.mark.parametrize("kind", ["leaves", "contamination"])
+    def test_lives_are_lognormal_with_the_median_that_is_stated(
+        self, line: Line, kind: str
+    ) -> None:
+        spots = [Rail.draw(line, 40, "2026-10-10", seed).spots for seed in range(6)]
+        lives = pd.concat([each[each["kind"] == kind] for each in spots])["life"] / 3600.0
+        median, spread, shortest, longest = KINDS[kind].life
+        assert lives.min() >= shortest
+        assert lives.max() <= longest
+        inside = lives[(lives > shortest) & (lives < longest)]
+        assert inside.size > 100
+        assert np.median(lives) == pytest.approx(median, rel=0.35)
+        scores = np.log(inside / median) / spread
+        assert kstest(scores, "norm").pvalue > 1e-3
+
+    def test_leaves_fall_in_autumn_and_frost_comes_in_cold_nights(self, line: Line) -> None:
+        summer = Rail.draw(line, 30, "2026-06-15", 3)
+        assert set(summer.spots["kind"]) == {"contamination"}
+        winter = Rail.draw(line, 60, "2026-11-20", 3)
+        frost = winter.spots[winter.spots["kind"] == "frost"]
+        assert len(frost) > 20
+        rows = winter.drawn.table.row_at(frost["birth"].to_numpy())
+        assert (winter.drawn.table.temperature[rows] < 274.15).all()
+
+    def test_leaves_lie_under_trees_and_contamination_near_stations(self, line: Line) -> None:
+        under, near, share, stations = 0.0, 0.0, 0.0, 0.0
+        leaves = contamination = 0
+        for seed in range(5):
+            rail = Rail.draw(line, 30, "2026-10-10", seed)
+            place = np.minimum(rail.spots["start"] // 10.0, rail.trees.size - 1).astype(int)
+            fallen = (rail.spots["kind"] == "leaves").to_numpy()
+            other = (rail.spots["kind"] == "contamination").to_numpy()
+            under += rail.trees[place][fallen].sum()
+            leaves += fallen.sum()
+            share += rail.trees.mean() / 5
+            positions = np.array([station.position for station in line.stations])
+            distance = np.abs(rail.spots["start"].to_numpy()[:, None] - positions).min(axis=1)
+            near += (distance[other] < 700.0).sum()
+            contamination += other.sum()
+            centres = 10.0 * np.arange(rail.trees.size)
+            stations += (np.abs(centres[:, None] - positions).min(axis=1) < 700.0).mean() / 5
+        assert under / leaves > 1.5 * share
+        assert near / contamination > 1.5 * stations
+
+
+class TestRail:
+    def test_the_same_seed_draws_the_same_rail(self, line: Line, rail: Rail) -> None:
+        again = Rail.draw(line, days=40, start="2026-10-10", seed=2)
+        pd.testing.assert_frame_equal(rail.spots, again.spots)
+        time = rail.start + 5 * DAY + 7 * HOUR
+        assert rail.profile(time, 3) == again.profile(time, 3)
+        assert rail.profile(time, 3) != rail.profile(time, 4)
+        other = Rail.draw(line, days=40, start="2026-10-10", seed=3)
+        assert rail.profile(time, 3) != other.profile(time, 3)
+
+    def test_trips_differ_a_little_about_what_lasts(self, rail: Rail) -> None:
+        alone = replace(rail, spots=rail.spots[:0])
+        logs = []
+        for number in range(120):
+            time = rail.start + (number % 40) * DAY + 8 * HOUR
+            state = alone.state(time)
+            ratio = np.log(alone.profile(time, number).values / state.lasting.values)
+            logs.append(ratio)
+        spread = np.std(logs)
+        assert 0.03 < spread < 0.06
+        assert abs(np.mean(logs)) < 0.01
+
+    def test_weather_turns_and_the_rail_with_it(self, rail: Rail) -> None:
+        names = pd.Series(rail.table.conditions).value_counts(normalize=True)
+        assert set(names.index) == {"dry", "wet", "leaves", "frost"}
+        assert names.max() < 0.8
+        assert (rail.table.precipitation[np.array(rail.table.conditions) == "dry"] == 0.0).all()
+        medians = {name: np.median(rail.base[name]) for name in rail.base}
+        assert medians["leaves"] < medians["wet"] < medians["dry"]
+
+    def test_what_lasts_does_not_change_by_itself(self, rail: Rail) -> None:
+        assert rail.lasting("wet", rail.start) == rail.lasting("wet", rail.start + 39 * DAY)
+
+    def test_days_that_were_not_drawn_are_refused(self, rail: Rail) -> None:
+        with pytest.raises(InputError, match="is not one of the days drawn"):
+            rail.weather(rail.start + 50 * DAY)
+        with pytest.raises(InputError, match="rail condition 'snow' is unknown"):
+            rail.lasting("snow", rail.start)
+
+
+class TestChanges:
+    def test_adhesion_in_the_section_is_changed_from_the_date_on(self, line: Line) -> None:
+        change = Change(10e3, 14e3, at("2026-10-20T02:00"), factor=0.7)
+        rail = Rail.draw(line, 30, "2026-10-10", 2, [change])
+        for name in rail.base:
+            before = rail.lasting(name, change.time - 1).values
+            after = rail.lasting(name, change.time).values
+            centres = 10.0 * np.arange(before.size) + 5.0
+            inside = (centres > 10e3) & (centres < 14e3)
+            np.testing.assert_allclose(after[inside] / before[inside], 0.7)
+            assert np.array_equal(after[~inside], before[~inside])
+
+    def test_passing_spots_come_more_or_less_often_afterwards(self, line: Line) -> None:
+        def share(births: float) -> float:
+            change = Change(0.0, 15e3, at("2026-10-25"), births=births)
+            before = after = 0
+            for seed in range(4):
+                spots = Rail.draw(line, 30, "2026-10-10", seed, [change]).spots
+                inside = spots[spots["start"] < 15e3]["birth"]
+                after += int((inside >= change.time).sum())
+                before += int((inside < change.time).sum())
+            return after / before
+
+        assert share(0.0) == 0.0
+        assert 0.0 < share(0.3) < 0.7 * share(1.0)
+        assert share(4.0) > 2.0 * share(1.0)
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ((10e3, 40e3, "2026-10-15"), "ends at km 29.556"),
+            ((10e3, 14e3, "2026-11-15"), "is not one of the days simulated"),
+        ],
+    )
+    def test_changes_beyond_line_and_days_are_refused(
+        self, line: Line, change: tuple[float, float, str], words: str
+    ) -> None:
+        start, end, date = change
+        with pytest.raises(InputError, match=words):
+            Rail.draw(line, 30, "2026-10-10", 1, [Change(start, end, at(date), 1.3)])
+
+    def test_a_change_must_be_one(self) -> None:
+        with pytest.raises(InputError, match="ends after it starts"):
+            Change(5e3, 4e3, 0)
+        with pytest.raises(InputError, match="factor 130 is not between"):
+            Change(4e3, 5e3, 0, factor=130.0)
+        with pytest.raises(InputError, match="births -1 is not"):
+            Change(4e3, 5e3, 0, births=-1.0)
+
+
+class TestTrips:
+    def test_trains_run_from_five_to_eleven_on_every_day(self, few: Rail) -> None:
+        trips = draw_days(few, [read_train(sample(DEFAULT_TRAIN))], 7)
+        assert len(trips) == len({trip.name for trip in trips}) == 42
+        starts = pd.DatetimeIndex([trip.start for trip in trips])
+        assert starts.is_monotonic_increasing
+        hours = (starts - starts.normalize()) / pd.Timedelta(hours=1)
+        assert hours.min() >= 5.0
+        assert hours.max() <= 23.0
+        assert (pd.Series(starts.normalize()).value_counts() == 7).all()
+        assert {trip.direction for trip in trips} == {"forward", "reverse"}
+        for trip in trips:
+            assert trip.weather == few.weather(trip.start).condition
+
+    def test_trains_take_turns_in_both_directions(self, few: Rail) -> None:
+        first = read_train(sample(DEFAULT_TRAIN))
+        second = replace(first, name="second")
+        trips = draw_days(few, [first, second], 3)
+        for train in (first, second):
+            own = {trip.direction for trip in trips if trip.train is train}
+            assert own == {"forward", "reverse"}
+
+    def test_the_log_carries_what_the_trip_met_and_what_lasts(self, few: Rail) -> None:
+        scenario = draw_days(few, [read_train(sample(DEFAULT_TRAIN))], 2)[11]
+        truth = truth_of(simulate(scenario))
+        assert truth is not None
+        assert truth.lasting_adhesion == few.lasting(scenario.weather, scenario.start)
+        assert truth.maximum_adhesion == few.profile(scenario.start, 11)
+        assert truth.weather == few.weather(scenario.start).condition
+
+    def test_nothing_to_draw_is_refused(self, rail: Rail) -> None:
+        with pytest.raises(InputError, match="cannot draw 0 trips a day of 1 train"):
+            draw_days(rail, [read_train(sample(DEFAULT_TRAIN))], 0)
+        with pytest.raises(InputError, match="of 0 trains"):
+            draw_days(rail, [], 4)
+
+
+class TestCommand:
+    def test_days_are_simulated_with_their_weather(self, tmp_path: Path) -> None:
+        given = ["simulate", "--days", "1", "--trips-per-day", "2", "--start", "2026-10-20"]
+        change = ["--change", "km=10:14,date=2026-10-20,factor=0.5"]
+        for folder in ("first", "second"):
+            result = CliRunner().invoke(app, [*given, *change, "-o", str(tmp_path / folder)])
+            assert result.exit_code == 0, result.output
+        files = sorted(path.name for path in (tmp_path / "first").iterdir())
+        assert len(files) == 3
+        assert files[-1] == "weather.csv"
+        for name in files:
+            same = (tmp_path / "first" / name).read_bytes()
+            assert same == (tmp_path / "second" / name).read_bytes()
+        weather = read_weather(tmp_path / "first" / "weather.csv")
+        for name in files[:-1]:
+            trip = trainlog.read(tmp_path / "first" / name, topics=[])
+            there = weather.at(pd.Timestamp(trip.metadata["start"]).value)
+            assert there is not None
+            assert there.condition == trip.metadata["weather"]
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["--start", "2026-10-20"], "--start goes with --days"),
+            (["--days", "2", "--count", "3"], "--days and --count are different kinds of trips"),
+            (["--days", "2", "--start", "soon"], "'soon' is no date"),
+            (["--days", "2", "--change", "km=1:2,factor=2"], "has no date"),
+            (["--days", "2", "--change", "km=1:2,date=2026-10-01"], "has no factor or spots"),
+            (["--days", "2", "--change", "km=1,date=2026-10-01,factor=2"], "section of the line"),
+            (["--days", "2", "--change", "km=1:2,date=2026-10-01,depth=2"], "not understood"),
+            (["--days", "2", "--change", "km=1:2,date=2027-10-01,factor=2"], "not one of the days"),
+        ],
+    )
+    def test_what_does_not_fit_is_refused(
+        self, tmp_path: Path, words: list[str], message: str
+    ) -> None:
+        result = CliRunner().invoke(app, ["simulate", *words, "-o", str(tmp_path / "out")])
+        assert result.exit_code != 0
+        assert message in str(result.exception)
