@@ -125,8 +125,7 @@ def simulate(
 
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
 
-    trainlog simulate --days 30 --start 2026-10-01 --change km=10:14,date=2026-10-15,factor=1.3 -o
-    results/october
+    Example: trainlog simulate --days 30 --change km=10:14,date=2026-10-15,factor=1.3 -o october
     """
     from trainlog.formats.characteristic import read_characteristic
     from trainlog.formats.weather import write_weather
