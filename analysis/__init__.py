@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from analysis.adhesion.slip import slip as slip
     from analysis.comparison.cost import compare as compare
     from analysis.control.follow import Follower as Follower, follow as follow
+    from analysis.control.traction import (
+        CooperativeTraction as CooperativeTraction,
+        ReadhesionControl as ReadhesionControl,
+        with_traction as with_traction,
+    )
     from analysis.estimates import with_estimates as with_estimates
     from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
     from analysis.passports import passport as passport
@@ -71,6 +76,7 @@ _NAMES = {
     "analysis.trajectory.journey": "optimise_journey",
     "analysis.trajectory.phases": "advice phases_of",
     "analysis.control.follow": "follow Follower",
+    "analysis.control.traction": "CooperativeTraction ReadhesionControl with_traction",
     "analysis.comparison.cost": "compare",
     "analysis.passports": "passport",
     "analysis.reporting": "report",

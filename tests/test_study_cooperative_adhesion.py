@@ -17,11 +17,12 @@ from analysis.control.cooperative import (
     peak_slips,
     within,
 )
+from analysis.control.rail_estimate import RailEstimator, rail_ahead
 from analysis.estimates import with_estimates
 from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.controller import NonlinearReferee
 from analysis.studies.zhao_2025.plot import draw_rail, draw_study
-from analysis.studies.zhao_2025.rail import STEEP, RailEstimator, driven, rail_ahead
+from analysis.studies.zhao_2025.rail import STEEP, driven
 from analysis.studies.zhao_2025.run import trip_of
 from analysis.studies.zhao_2025.table import (
     gain_table,

@@ -131,6 +131,8 @@ class Demand:
         1 in traction, -1 in braking: torques and slip speeds are then counted against the train.
     at_work : (n,) array [N m], optional
         Torques that the motors give now, where they lag behind what is asked.
+    held_back : float [N]
+        Force against the train besides its running resistance: gradient, friction brakes.
     """
 
     rail: FloatArray
@@ -139,6 +141,7 @@ class Demand:
     total: float
     direction: float = 1.0
     at_work: FloatArray | None = None
+    held_back: float = 0.0
 
 
 def coefficients(curves: Sequence[CreepCurve]) -> FloatArray:
@@ -178,6 +181,7 @@ class Task:
     margins: FloatArray
     at_work: FloatArray
     how: Prediction
+    constants: tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,13 +300,18 @@ class CooperativeController:
                 break
         if not np.isfinite(cost):
             plan, solved = np.zeros_like(plan), False
-        self._plan = plan
+        self._plan = plan.copy()
         taken = perf_counter() - begun
         self.steps += 1
         self.unsolved += not solved
         self.late += taken > (self.tuning.deadline or self.tuning.period)
         self.worst = max(self.worst, taken)
         return np.asarray(plan[0].copy())
+
+    def restart(self) -> None:
+        """Forget the plan, as when traction turns to braking; the counts stay."""
+        self._plan[:] = 0.0
+        self._excess[:] = 0
 
     def demand(
         self,
@@ -383,7 +392,9 @@ class CooperativeController:
             float(self.tuning.period), int(self.tuning.substeps), float(self.tuning.lag),
             float(demand.direction), float(self.tuning.exact),
         )  # fmt: skip
-        return Task(state, demand, reference, weights, margins, at_work, how)
+        mass, rotating, ratio, r0, r1, r2 = self._constants
+        constants = (mass, rotating, ratio, r0 + float(demand.held_back), r1, r2)
+        return Task(state, demand, reference, weights, margins, at_work, how, constants)
 
     def _start(self, task: Task, shifted: FloatArray) -> tuple[FloatArray, float]:
         """The better of the shifted plan and the one that brings each axle to its slip speed."""
@@ -391,7 +402,7 @@ class CooperativeController:
         tracking = within(
             tracking_plan(
                 task.state, task.at_work, task.reference, task.demand.rail, self._loads,
-                self._constants, task.how, task.demand.limits, task.demand.total, len(shifted),
+                task.constants, task.how, task.demand.limits, task.demand.total, len(shifted),
             ),
             task.demand,
         )  # fmt: skip
@@ -401,7 +412,7 @@ class CooperativeController:
     def _cost(self, task: Task, plan: FloatArray) -> float:
         """Of a plan by the motion itself, eq. (16); infinite where that leaves the numbers."""
         slip, _ = predicted(
-            task.state, task.at_work, plan, task.demand.rail, self._loads, self._constants,
+            task.state, task.at_work, plan, task.demand.rail, self._loads, task.constants,
             task.how, False,
         )  # fmt: skip
         tuning = self.tuning
@@ -415,7 +426,7 @@ class CooperativeController:
 
     def _quadratic(self, task: Task, plan: FloatArray) -> Quadratic:
         slip, change = predicted(
-            task.state, task.at_work, plan, task.demand.rail, self._loads, self._constants,
+            task.state, task.at_work, plan, task.demand.rail, self._loads, task.constants,
             task.how, True,
         )  # fmt: skip
         scale = self.locomotive.torque_limit
@@ -460,7 +471,7 @@ class CooperativeController:
             if np.array_equal(found, outside):
                 break
             outside = found
-        self._excess = outside
+        self._excess = outside.copy()
         return change
 
     def _shortened(

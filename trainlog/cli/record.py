@@ -82,9 +82,20 @@ def simulate(
             " polach-dry or polach-wet; default: the curves of Zhao et al. (2025)."
         ),
     ] = None,
+    traction: Annotated[
+        Literal["own", "cooperative", "readhesion"],
+        typer.Option(
+            help="Who gives the axles their efforts: the plant's own slip protection, cooperative"
+            " control on the map, or re-adhesion control that knows no map."
+        ),
+    ] = "own",
     condition: Annotated[
         Path | None,
-        typer.Option("--map", help="With --trajectory: track-condition map that the train knows."),
+        typer.Option(
+            "--map",
+            help="With --trajectory or --traction cooperative: track-condition map that the train"
+            " knows.",
+        ),
     ] = None,
     risk: RiskOption = None,
     at: RunTimeOption = None,
@@ -117,7 +128,8 @@ def simulate(
     Loads, weather, running resistance, drivers and slippery spots vary with the seed; sensors
     have noise. With [bold]--trajectory[/bold] the trips follow it by model predictive control, one
     a configuration; the train does not know in which it is, and where it is and how fast it knows
-    from its own instruments.
+    from its own instruments. With [bold]--traction cooperative[/bold] the efforts of all powered
+    axles come from one program that knows the rail ahead from the map (Zhao et al., 2025).
 
     With [bold]--days[/bold] the rail lives through the days: its weather changes, slippery spots
     come and go, and what changes for good is said with [bold]--change[/bold]. The weather is
@@ -138,9 +150,18 @@ def simulate(
     )
 
     the_line, the_train = line_and_train(line, train)
+    the_map = None
+    if condition is not None and (trajectory is not None or traction == "cooperative"):
+        from trainlog.formats.condition import read_map
+
+        the_map = read_map(condition)
     over_days = None
     if trajectory is None:
-        following = {"configurations": configurations, "weather": weather, "map": condition}
+        following = {
+            "configurations": configurations,
+            "weather": weather,
+            "map": None if the_map else condition,
+        }
         _check_alone(following | {"late": late or None, "risk": risk, "at": at}, "trajectory")
     if days is None:
         _check_alone({"trips-per-day": trips_per_day, "start": start, "change": change}, "days")
@@ -163,7 +184,6 @@ def simulate(
         )
     else:
         from analysis.control.follow import following_scenarios
-        from trainlog.formats.condition import read_map
         from trainlog.formats.trajectory import read_trajectory
         from trainlog.spans import utc
 
@@ -174,12 +194,16 @@ def simulate(
         scenarios = following_scenarios(
             read_trajectory(trajectory), the_line, the_train,
             configurations=configurations or "hardest", weather=weather or "dry", late=late,
-            condition_map=None if condition is None else read_map(condition), seed=seed,
+            condition_map=the_map, seed=seed,
             risk=risk, time=None if at is None else utc(at),
         )  # fmt: skip
     if characteristic is not None:
         rail = read_characteristic(characteristic)
         scenarios = [replace(each, characteristic=rail) for each in scenarios]
+    if traction != "own":
+        from analysis.control.traction import with_traction
+
+        scenarios = with_traction(scenarios, traction, the_map)
     followed = []
     with output_folder(output), progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
@@ -188,6 +212,14 @@ def simulate(
             progress.console.print(
                 about(trip.metadata, trip.duration), highlight=False, markup=False
             )
+            if "traction_control" in trip.metadata:
+                known = trip.metadata
+                progress.console.print(
+                    f"    traction control {known['traction_control']}:"
+                    f" {known['traction_unsolved']} of {known['traction_decisions']} decisions"
+                    " unsolved",
+                    highlight=False,
+                )
             if trajectory is not None:
                 followed.append(trip)
     if over_days is not None:
@@ -205,9 +237,10 @@ def _check_alone(options: dict[str, object], needed: str) -> None:
     for option, given in options.items():
         if given is not None:
             what = "a trajectory" if needed == "trajectory" else f"--{needed}"
+            also = ", or drive with --traction cooperative" if option == "map" else ""
             raise InputError(
                 f"--{option} goes with --{needed}",
-                remedy=f"give {what}, or leave out --{option}",
+                remedy=f"give {what}, or leave out --{option}{also}",
             )
 
 

@@ -66,6 +66,11 @@ class TractionControl(Protocol):
         """Decisions so far for which it had to fall back on something simpler."""
         ...
 
+    @property
+    def late(self) -> int:
+        """Decisions so far that took longer than they may, by the clock on the wall."""
+        ...
+
     def efforts(self, reading: DriveReading) -> FloatArray:
         """Efforts of the axles until the next decision, (n,) [N], negative in braking."""
         ...

@@ -1,0 +1,360 @@
+"""What a traction controller knows of the rail under each axle: from a map, and learnt under way.
+
+Zhao et al. (2025) take the rail for known. `RailEstimator` learns it from slip speeds and adhesion
+in use: a hidden Markov model of the creep curve, of its maximum and of how its slip speeds are
+stretched against those of `trainlog.railway.adhesion.creep_coefficients`. A map gives the maximum
+that is likely before a wheel is there (`map_prior`), and the rail ahead: `rail_ahead`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.control.cooperative import Tuning
+from analysis.control.multi_motor import MultiMotorLocomotive
+from estimators.adhesion import AdhesionObserver
+from trainlog.errors import InputError
+from trainlog.railway import StepProfile
+from trainlog.railway.adhesion import creep_coefficients
+
+FloatArray = NDArray[np.float64]
+
+MAXIMA = np.geomspace(0.03, 0.45, 48)
+"""Maximum adhesion that is thought of."""
+
+STRETCHES = 2.0 ** np.arange(-5.0, 1.01, 0.375)
+"""Slip speeds of a rail over those of its like of the same maximum: measured curves peak at a tenth
+of the slip speeds of the paper's, and before."""
+
+STRETCH_STD = 1.0
+"""Of the logarithm of the stretch, before anything is measured."""
+
+SLIPS = np.linspace(0.05, 8.0, 160)
+"""Slip speeds of which one is sought [m/s]."""
+
+MAP_SPREAD = 0.15
+"""Of the logarithm of the maximum on one trip about the map's: passing spots, other wheels."""
+
+OTHER_RAIL = 0.2
+"""Probability that the rail is not as the map has it: any maximum is then as likely."""
+
+GRID_STEP = float(np.log(MAXIMA[1] / MAXIMA[0]))
+
+DIFFUSION = 0.05
+"""Share of the probability that moves to each neighbouring maximum from sample to sample."""
+
+ADHESION_RATE = 0.5
+"""How fast adhesion in use may wander, for the observer [1/s^0.5]: a wheel meets a wet rail at
+once."""
+
+CHANGE_RATE = 0.5
+"""How often the rail is expected to become another one altogether [1/s]."""
+
+MODEL_STD = 0.005, 0.05
+"""Of what a creep curve gives: absolute, and relative to adhesion."""
+
+SLOPE_STEP = 1e-3
+"""For the slope of a creep curve [m/s]."""
+
+
+@dataclass(frozen=True)
+class RailEstimate:
+    """What is known of the rail under each axle.
+
+    Attributes
+    ----------
+    maximum : (n,) array
+        Maximum adhesion, median.
+    low, high : (n,) arrays
+        Between which it lies with a probability of 0.68.
+    reference : (n,) array [m/s]
+        Slip speed at which most adhesion is expected, whatever the rail may be.
+    rail : (n, 3) array
+        Mean creep curves, for the prediction; see `CooperativeController.demand`.
+    adhesion : (n,) array
+        In use.
+    """
+
+    maximum: FloatArray
+    low: FloatArray
+    high: FloatArray
+    reference: FloatArray
+    rail: FloatArray
+    adhesion: FloatArray
+
+
+class RailEstimator:
+    """Creep curve under each axle, learnt sample by sample.
+
+    The force between wheel and rail comes from `estimators.adhesion.AdhesionObserver`. What it
+    says together with the slip speed is compared with many creep curves; from sample to sample the
+    rail wanders a little, and at times becomes any other. Far below the peak the maximum is known
+    by little but the rise of the curves: `low` and `high` are then far apart.
+
+    The reference is where most adhesion is expected over all curves that are still possible, not
+    the peak of the likeliest one: beyond the peak of a rail that is unlike its maximum suggests,
+    both a rail that gives little and a steep one explain what is seen, and only less slip decides.
+
+    Parameters
+    ----------
+    locomotive : MultiMotorLocomotive
+    tuning : Tuning
+    speed_std, wheel_speed_std : float [m/s]
+        Noise of the train speed and of the wheel speeds.
+
+    Raises
+    ------
+    InputError
+        If a noise is negative.
+    """
+
+    def __init__(
+        self,
+        locomotive: MultiMotorLocomotive,
+        tuning: Tuning,
+        speed_std: float,
+        wheel_speed_std: float,
+    ) -> None:
+        if not speed_std >= 0.0:
+            raise InputError(f"rail estimator: noise of the speed {speed_std} m/s is negative")
+        self._locomotive, self._period = locomotive, tuning.period
+        load = float(locomotive.loads.mean())
+        self._observer = AdhesionObserver(
+            locomotive.axles, locomotive.rotating_mass, wheel_speed_std, ADHESION_RATE * load
+        )
+        # Slip is the mean of two samples, so its noise is that of one over the root of two.
+        self._slip_variance = 0.5 * (speed_std**2 + wheel_speed_std**2)
+        curves = np.repeat(creep_coefficients(MAXIMA)[:, None], STRETCHES.size, axis=1)
+        curves[..., :2] /= STRETCHES[:, None]
+        self._curves = curves.reshape(-1, 3)
+        self._expected = _creep(SLIPS, self._curves[:, None])
+        likely = np.exp(-0.5 * (np.log(STRETCHES) / STRETCH_STD) ** 2)
+        self._stretches = likely / likely.sum()
+        self._prior = self._joint(np.full((locomotive.axles, MAXIMA.size), 1.0 / MAXIMA.size))
+        self._probability = self._prior.copy()
+        self._slip: FloatArray | None = None
+        self._mapped: FloatArray | None = None
+        self._time = 0.0
+
+    def _joint(self, maxima: FloatArray) -> FloatArray:
+        """Probability of maximum and stretch from that of the maximum, (n, maxima, stretches)."""
+        return np.ascontiguousarray(maxima[:, :, None] * self._stretches)
+
+    def expect(self, log_mean: ArrayLike, log_std: ArrayLike) -> None:
+        """Take over what a map makes likely where the axles are now.
+
+        What was learnt is kept relative to the map: where its maximum rises, that of the rail is
+        expected to rise.
+
+        Parameters
+        ----------
+        log_mean, log_std : (n,) arrays
+            Of the logarithm of the maximum adhesion.
+        """
+        mean = np.asarray(log_mean, dtype=np.float64)
+        if self._mapped is None:
+            self._probability = self._joint(map_prior(mean, log_std))
+        else:
+            moved = (mean - self._mapped) / GRID_STEP
+            if np.any(moved):
+                shift_maxima(self._probability, moved)
+        if self._mapped is None or np.any(mean != self._mapped):
+            self._prior = self._joint(map_prior(mean, log_std))
+        self._mapped = mean.copy()
+
+    def forget(self) -> None:
+        """Begin anew from the map, as after coasting, when nothing is learnt of the rail."""
+        self._observer.reset()
+        self._probability = self._prior.copy()
+        self._slip, self._time = None, 0.0
+
+    def update(
+        self,
+        speed: float,
+        wheel_speeds: ArrayLike,
+        torques: ArrayLike,
+        direction: float = 1.0,
+        *,
+        held: bool = True,
+    ) -> RailEstimate:
+        """Take a sample in.
+
+        Parameters
+        ----------
+        speed : float [m/s]
+            Of the train.
+        wheel_speeds : (n,) array [m/s]
+        torques : (n,) array [N m]
+            At work since the last sample, positive also in braking.
+        direction : float
+            -1 in braking.
+        held : bool
+            Whether the torques were the same since the last sample; else they changed evenly.
+
+        Raises
+        ------
+        InputError
+            If shapes do not fit.
+        """
+        wheels = np.asarray(wheel_speeds, dtype=np.float64)
+        effort = direction * self._locomotive.effort_per_torque * np.asarray(torques, dtype=float)
+        slip, last = direction * (wheels - speed), self._slip
+        if held and last is not None:
+            # The torque is held between two samples, which the observer takes for linear.
+            start = self._time - self._period * (1.0 - 1e-6)
+            self._observer.update(start, np.full(wheels.size, np.nan), effort)
+        force = self._observer.update(self._time, wheels, effort)
+        adhesion = direction * force.force[-1] / self._locomotive.loads
+        if last is not None:
+            noise = force.std[-1] / self._locomotive.loads
+            bayes_update(
+                self._probability, self._prior, CHANGE_RATE * self._period, self._curves,
+                0.5 * (slip + last), adhesion, noise, self._slip_variance,
+            )  # fmt: skip
+        self._slip, self._time = slip, self._time + self._period
+        return self._estimate(adhesion)
+
+    def estimate(self) -> RailEstimate:
+        """What is known without a further sample."""
+        return self._estimate(np.zeros(self._locomotive.axles))
+
+    def _estimate(self, adhesion: FloatArray) -> RailEstimate:
+        summed = np.cumsum(self._probability.sum(axis=2), axis=1)
+        low, middle, high = (
+            MAXIMA[np.minimum((summed < level).sum(axis=1), MAXIMA.size - 1)]
+            for level in (0.16, 0.5, 0.84)
+        )
+        flat = self._probability.reshape(adhesion.size, -1)
+        reference = SLIPS[np.argmax(flat @ self._expected, axis=1)]
+        # The likeliest curve jumps from sample to sample, and the torques with it.
+        rail = creep_coefficients(np.exp(self._probability.sum(axis=2) @ np.log(MAXIMA)))
+        rail[:, :2] /= np.exp(self._probability.sum(axis=1) @ np.log(STRETCHES))[:, None]
+        return RailEstimate(middle, low, high, reference, rail, adhesion)
+
+
+def map_prior(log_mean: ArrayLike, log_std: ArrayLike) -> FloatArray:
+    """Probability of each of `MAXIMA` where a map gives the maximum adhesion, (n, maxima).
+
+    Parameters
+    ----------
+    log_mean, log_std : (n,) arrays
+        Of its logarithm.
+
+    Raises
+    ------
+    InputError
+        If a mean is no number, or a deviation is negative.
+
+    Examples
+    --------
+    >>> likely = map_prior([np.log(0.15)], [0.1])
+    >>> bool(abs(MAXIMA[likely[0].argmax()] - 0.15) < 0.005), round(float(likely.sum()), 6)
+    (True, 1.0)
+    """
+    mean = np.atleast_1d(np.asarray(log_mean, dtype=np.float64))
+    std = np.atleast_1d(np.asarray(log_std, dtype=np.float64))
+    if not (np.all(np.isfinite(mean)) and np.all(std >= 0.0)):
+        raise InputError("rail estimator: the map gives no number for a maximum adhesion")
+    spread = np.hypot(np.where(np.isfinite(std), std, 10.0), MAP_SPREAD)[:, None]
+    found = np.exp(-0.5 * ((np.log(MAXIMA) - mean[:, None]) / spread) ** 2) + 1e-300
+    found /= found.sum(axis=1, keepdims=True)
+    return np.asarray((1.0 - OTHER_RAIL) * found + OTHER_RAIL / MAXIMA.size)
+
+
+@njit(cache=True)
+def shift_maxima(probability, moved):  # type: ignore[no-untyped-def]
+    """Move the probability of each axle along the maxima by so many steps of their grid."""
+    axles, size, stretches = probability.shape
+    before = np.empty(size)
+    for i in range(axles):
+        if moved[i] == 0.0:
+            continue
+        for k in range(stretches):
+            for m in range(size):
+                before[m] = probability[i, m, k]
+                probability[i, m, k] = 0.0
+            for m in range(size):
+                to = min(max(m + moved[i], 0.0), size - 1.0)
+                low = int(to)
+                part = to - low
+                probability[i, low, k] += (1.0 - part) * before[m]
+                probability[i, min(low + 1, size - 1), k] += part * before[m]
+
+
+@njit(cache=True)
+def bayes_update(probability, prior, change, curves, slip, adhesion, noise, slip_variance):  # type: ignore[no-untyped-def]
+    """Bayes' rule on the grid, in place: the rail's diffusion, then the measurement's likelihood.
+
+    Parameters
+    ----------
+    probability, prior : (n, maxima, stretches) arrays
+    change : float
+        Probability that the rail has become another one altogether.
+    curves : (maxima * stretches, 3) array
+    slip, adhesion, noise : (n,) arrays
+        Slip speed [m/s], adhesion in use and its standard deviation.
+    slip_variance : float [m²/s²]
+    """
+    axles, size, stretches = probability.shape
+    absolute, relative = MODEL_STD
+    logarithm = np.empty((size, stretches))
+    for i in range(axles):
+        x = abs(slip[i])
+        sign = 1.0 if slip[i] >= 0.0 else -1.0
+        largest = -np.inf
+        for m in range(size):
+            for k in range(stretches):
+                a, b, c = curves[m * stretches + k]
+                one, other = c * np.exp(-a * x), c * np.exp(-b * x)
+                expected, slope = sign * (one - other), b * other - a * one
+                variance = (
+                    noise[i] ** 2 + absolute**2 + (relative * expected) ** 2
+                    + slope * slope * slip_variance
+                )  # fmt: skip
+                missed = adhesion[i] - expected
+                logarithm[m, k] = -0.5 * (missed * missed / variance + np.log(variance))
+                largest = max(largest, logarithm[m, k])
+        total = 0.0
+        for k in range(stretches):
+            before = probability[i, 0, k]
+            for m in range(size):
+                here, after = probability[i, m, k], probability[i, min(m + 1, size - 1), k]
+                mixed = (1.0 - 2.0 * DIFFUSION) * here + DIFFUSION * (before + after)
+                mixed = (1.0 - change) * mixed + change * prior[i, m, k]
+                before = here
+                probability[i, m, k] = mixed * np.exp(logarithm[m, k] - largest)
+                total += probability[i, m, k]
+        for m in range(size):
+            for k in range(stretches):
+                probability[i, m, k] /= total
+
+
+def rail_ahead(
+    maximum_adhesion: StepProfile, position: float, speed: float, axles: ArrayLike, tuning: Tuning
+) -> FloatArray:
+    """Creep curves under each axle over the horizon, from a map; (horizon, n, 3) array.
+
+    Parameters
+    ----------
+    maximum_adhesion : StepProfile
+        By chainage in the direction of travel.
+    position, speed : float [m], [m/s]
+        Of the train's front.
+    axles : (n,) array [m]
+        How far behind the front each axle is.
+    tuning : Tuning
+    """
+    middles = tuning.period * (np.arange(tuning.horizon) + 0.5)
+    places = position + speed * middles[:, None] - np.asarray(axles, dtype=np.float64)
+    return creep_coefficients(maximum_adhesion(np.maximum(places, 0.0)))
+
+
+def _creep(slip: FloatArray, curves: FloatArray) -> FloatArray:
+    """Adhesion at slip speeds [m/s] on curves that broadcast with them."""
+    a, b, c = np.moveaxis(curves, -1, 0)
+    size = np.abs(slip)
+    return np.asarray(np.sign(slip) * c * (np.exp(-a * size) - np.exp(-b * size)))

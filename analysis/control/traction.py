@@ -1,0 +1,446 @@
+"""Traction controls that drive the simulated train: cooperative on a map, and plain re-adhesion.
+
+Both are a `trainlog.simulation.TractionControl`: they see what the drive of a train measures, and
+give each powered axle its effort, in traction and in dynamic braking. `CooperativeTraction` is the
+controller of Zhao et al. (2025) with the rail of a track-condition map ahead, corrected by what the
+wheels show; `ReadhesionControl` knows no map and no peak and takes effort off a wheel that begins
+to slip (after Kadowaki et al., 2007). Without either the plant's own slip protection works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.control.cooperative import CooperativeController, Tuning
+from analysis.control.multi_motor import MultiMotorLocomotive
+from analysis.control.rail_estimate import RailEstimate, RailEstimator
+from trainlog.errors import InputError
+from trainlog.railway import Line, TrackConditionMap, Train
+from trainlog.railway.adhesion import creep_coefficients
+from trainlog.simulation import Drive, DriveReading, DriveSensors, Scenario
+from trainlog.simulation.scenario import LARGEST_LOAD
+from trainlog.simulation.sensors import weighed_load
+
+FloatArray = NDArray[np.float64]
+TractionName = Literal["cooperative", "readhesion"]
+
+TUNING = Tuning(period=0.05, lag=Drive().motor_lag)
+"""Of the cooperative control: motors that lag, and a period in which no wheel races."""
+
+LEAST_SLIP = 0.05
+"""Slip speed [m/s] that is sought at least: less is lost in the noise of the wheel speeds."""
+
+
+def drive_model(train: Train, mass: float) -> MultiMotorLocomotive:
+    """The train as the cooperative control knows it, its torques those at the axles.
+
+    Parameters
+    ----------
+    train : Train
+    mass : float [kg]
+        Loaded, without the rotating part.
+    """
+    axles = train.axles
+    n, radius = axles.count, axles.wheel_radius
+    motor = max(train.max_tractive_effort, train.max_dynamic_braking_effort) / n
+    return MultiMotorLocomotive(
+        name=train.name,
+        mass=mass + train.rotating_mass - n * axles.rotating_mass,
+        axle_loads=(train.adhesive_weight(mass - train.mass) / n,) * n,
+        inertia=axles.rotating_mass * radius**2,
+        gear_ratio=1.0,
+        wheel_radius=radius,
+        resistance=train.resistance,
+        torque_limit=motor * radius,
+        total_torque=n * motor * radius,
+    )
+
+
+class CooperativeTraction:
+    """Cooperative maximum-adhesion control of a train on a line; Zhao et al. (2025).
+
+    The creep curve under each axle comes from the map, and from what slip speeds and efforts show
+    (`RailEstimator`): the map gives what is likely, the wheels show what is so. Ahead the rail is
+    as far from the map as it is here.
+
+    Parameters
+    ----------
+    train : Train
+    line : Line
+        In the direction of travel.
+    condition : TrackConditionMap, optional
+        None: the rail is learnt only.
+    layer : str
+        Rail condition to read from the map.
+    direction : {"forward", "reverse"}
+        Of travel against the map's chainage.
+    mass : float [kg], optional
+        As weighed, without the rotating part; default: the empty train.
+    tuning : Tuning, optional
+    sensors : DriveSensors, optional
+        How well it takes its speeds to be measured.
+    behind : (n,) array [m], optional
+        How far each axle is behind the train's front; default 0, as in the simulation, where the
+        rail under the front counts.
+
+    Attributes
+    ----------
+    controller : CooperativeController
+        Counts decisions that are not solved (`unsolved`) or late (`late`).
+
+    Raises
+    ------
+    InputError
+        If the map is of another line or has no such layer.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> control = CooperativeTraction(train, line, condition=track, layer="wet")
+    >>> reading = DriveReading(0.0, 500.0, 10.0, np.full(4, 10.2), np.full(4, 10e3), 60e3, 0.0)
+    >>> efforts = control.efforts(reading)
+    >>> efforts.shape, bool(efforts.sum() <= 60e3), control.unsolved
+    ((4,), True, 0)
+    """
+
+    name = "cooperative"
+
+    def __init__(
+        self,
+        train: Train,
+        line: Line,
+        *,
+        condition: TrackConditionMap | None = None,
+        layer: str = "wet",
+        direction: str = "forward",
+        mass: float | None = None,
+        tuning: Tuning | None = None,
+        sensors: DriveSensors | None = None,
+        behind: FloatArray | None = None,
+    ) -> None:
+        if condition is not None:
+            if condition.line != line.name:
+                raise InputError(
+                    f"cooperative control: the map is of line '{condition.line}', not of"
+                    f" '{line.name}'",
+                    remedy="give the map of the line that is driven",
+                )
+            condition.layer(layer)
+        self._train, self._line = train, line
+        self._map, self._layer, self._reverse = condition, layer, direction == "reverse"
+        mass = train.mass if mass is None else mass
+        self._mass = mass
+        self._model = drive_model(train, mass)
+        self._tuning = tuning or TUNING
+        seen = sensors or DriveSensors()
+        self.controller = CooperativeController(self._model, self._tuning)
+        # Wheels that differ in diameter differ in speed at 20 m/s as if by noise.
+        wheel = float(np.hypot(seen.wheel_speed_noise, 20.0 * seen.diameter_error))
+        self._estimator = RailEstimator(self._model, self._tuning, seen.speed_noise, wheel)
+        self._behind = np.zeros(train.axles.count) if behind is None else np.asarray(behind)
+        self._ahead = self._tuning.period * (np.arange(self._tuning.horizon) + 0.5)
+        self._direction = 0.0
+
+    @property
+    def period(self) -> float:
+        """Time from one decision to the next [s]."""
+        return self._tuning.period
+
+    @property
+    def unsolved(self) -> int:
+        """Decisions so far at which no program was solved."""
+        return self.controller.unsolved
+
+    @property
+    def late(self) -> int:
+        """Decisions so far that took longer than the deadline."""
+        return self.controller.late
+
+    def efforts(self, reading: DriveReading) -> FloatArray:
+        """Efforts of the axles until the next decision, (n,) [N], negative in braking."""
+        braking = reading.braking_effort > 0.0
+        wanted = reading.braking_effort if braking else reading.tractive_effort
+        if not wanted > 0.0:
+            self._direction = 0.0
+            return np.zeros(self._behind.size)
+        direction = -1.0 if braking else 1.0
+        here, ahead = self._mapped(reading)
+        if direction != self._direction:
+            self._direction = direction
+            self._estimator.forget()
+            self.controller.restart()
+        if here is not None:
+            self._estimator.expect(*here)
+        torques = np.maximum(direction * reading.efforts, 0.0) * self._model.wheel_radius
+        found = self._estimator.update(
+            reading.speed, reading.wheel_speeds, torques, direction, held=False
+        )
+        rail, reference = self._rail(found, here, ahead)
+        limits, total = self._limits(reading.speed, wanted, braking)
+        demand = replace(
+            self.controller.demand(rail, limits, total),
+            reference=reference,
+            direction=direction,
+            at_work=torques,
+            held_back=self._held_back(reading),
+        )
+        given = self.controller.torques(reading.speed, reading.wheel_speeds, demand)
+        return direction * given / self._model.wheel_radius
+
+    def _mapped(
+        self, reading: DriveReading
+    ) -> tuple[tuple[FloatArray, FloatArray] | None, FloatArray | None]:
+        """Mean and deviation of the log maximum under each axle now; ahead the mean."""
+        if self._map is None:
+            return None, None
+        places = reading.position - self._behind
+        ahead = places + reading.speed * self._ahead[:, None]
+        every = np.concatenate([places[None], ahead])
+        every = np.clip(every, 0.0, self._line.length)
+        own = self._line.length - every if self._reverse else every
+        mean = np.log(self._map.likely(self._layer, own, 0.0))
+        low = np.log(self._map.likely(self._layer, own[0], 1.0))
+        return (mean[0], mean[0] - low), mean[1:]
+
+    def _rail(
+        self,
+        found: RailEstimate,
+        here: tuple[FloatArray, FloatArray] | None,
+        ahead: FloatArray | None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Creep curves and slip speeds to be sought, over the horizon."""
+        horizon = self._tuning.horizon
+        reference = np.maximum(found.reference, LEAST_SLIP)
+        rail = np.tile(found.rail, (horizon, 1, 1))
+        slips = np.tile(reference, (horizon, 1))
+        if here is None or ahead is None or not np.any(ahead != here[0]):
+            return rail, slips
+        maxima = np.clip(found.maximum * np.exp(ahead - here[0]), 0.02, 0.9)
+        now, then = (
+            creep_coefficients(np.clip(found.maximum, 0.02, 0.9)),
+            creep_coefficients(maxima),
+        )
+        # As much steeper as the rail here is than a rail of its maximum.
+        rail *= then / now
+        slips *= _peak(then) / _peak(now)
+        return rail, slips
+
+    def _limits(self, speed: float, wanted: float, braking: bool) -> tuple[FloatArray, float]:
+        """The most of each motor, and of all together [N m]."""
+        n, radius = self._behind.size, self._model.wheel_radius
+        if braking:
+            most = float(self._train.dynamic_braking_effort_limit(speed)) / n
+        else:
+            most = float(self._train.tractive_effort_limit(speed)) / n
+        return np.full(n, most * radius), wanted * radius
+
+    def _held_back(self, reading: DriveReading) -> float:
+        """Force against the train besides running resistance and motors [N]."""
+        place = min(reading.position, self._line.length)
+        track = float(self._train.track_force(self._line, place, self._mass))
+        motors = max(-float(reading.efforts.sum()), 0.0)
+        return track + max(reading.braking_effort - motors, 0.0)
+
+
+def _peak(curves: FloatArray) -> FloatArray:
+    return np.asarray(np.log(curves[..., 1] / curves[..., 0]) / (curves[..., 1] - curves[..., 0]))
+
+
+@dataclass(frozen=True, slots=True)
+class ReadhesionTuning:
+    """Of `ReadhesionControl`.
+
+    Attributes
+    ----------
+    period : float [s]
+    filter_time : float [s]
+        Of the wheels' acceleration.
+    acceleration : float [m/s²]
+        Of a wheel against the train, from which on it begins to race, at `least_slip` or more.
+    least_slip, most_slip : float [m/s]
+        Below the one nothing is done, above the other always.
+    cut : float
+        Effort while the wheel comes back, over the adhesion that it used when it began to race.
+    restored : float
+        Effort once it is back, over the same.
+    patience : float [s]
+        In which the effort of a wheel that does not come back falls to a third.
+    pause : float [s]
+        For how long the restored effort is kept.
+    ramp : float [1/s]
+        How fast it then grows: share of the largest effort, a second.
+    """
+
+    period: float = 0.02
+    filter_time: float = 0.1
+    acceleration: float = 2.0
+    least_slip: float = 0.8
+    most_slip: float = 3.0
+    cut: float = 0.6
+    restored: float = 0.95
+    patience: float = 0.5
+    pause: float = 1.0
+    ramp: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
+                raise InputError(f"re-adhesion: {name} {getattr(self, name)} is not positive")
+
+
+class ReadhesionControl:
+    """Slip control of each axle for itself, that knows neither the rail nor its peak.
+
+    Each axle has an even share of the demand. One whose wheel runs away from the train gets less
+    than the adhesion that it used at that moment, by a disturbance observer: effort less what turns
+    the wheel faster. Once the wheel is back its effort is restored to most of that adhesion, kept
+    there, and raised slowly until the demand is met or the wheel races again; as Kadowaki et al.
+    (2007) on series 205-5000 of JR East.
+
+    Parameters
+    ----------
+    train : Train
+    tuning : ReadhesionTuning, optional
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> control = ReadhesionControl(train)
+    >>> reading = DriveReading(0.0, 0.0, 10.0, np.full(4, 10.2), np.full(4, 15e3), 60e3, 0.0)
+    >>> control.efforts(reading).tolist()
+    [15000.0, 15000.0, 15000.0, 15000.0]
+    """
+
+    name = "readhesion"
+    unsolved = 0
+    late = 0
+
+    def __init__(self, train: Train, tuning: ReadhesionTuning | None = None) -> None:
+        self._tuning = tuning or ReadhesionTuning()
+        self._train, self._inertia = train, train.axles.rotating_mass
+        n = train.axles.count
+        self._slip = np.full(n, np.nan)
+        self._rate, self._wheel_rate, self._wheels = np.zeros(n), np.zeros(n), np.full(n, np.nan)
+        self._cap, self._held = np.full(n, np.inf), np.zeros(n)
+        self._used, self._back = np.zeros(n), np.ones(n, dtype=bool)
+
+    @property
+    def period(self) -> float:
+        """Time from one decision to the next [s]."""
+        return self._tuning.period
+
+    def efforts(self, reading: DriveReading) -> FloatArray:
+        """Efforts of the axles until the next decision, (n,) [N], negative in braking."""
+        t, n = self._tuning, self._cap.size
+        braking = reading.braking_effort > 0.0
+        direction = -1.0 if braking else 1.0
+        if braking:
+            most = float(self._train.dynamic_braking_effort_limit(reading.speed))
+            wanted = min(reading.braking_effort, most) / n
+        else:
+            wanted = min(reading.tractive_effort, self._train.max_tractive_effort) / n
+        slip = direction * (reading.wheel_speeds - reading.speed)
+        self._differentiate(slip, direction * reading.wheel_speeds)
+        observed = np.maximum(direction * reading.efforts - self._inertia * self._wheel_rate, 0.0)
+        racing = self._back & (
+            ((self._rate > t.acceleration) & (slip > t.least_slip)) | (slip > t.most_slip)
+        )
+        self._used[racing] = observed[racing]
+        self._cap[racing], self._back[racing] = t.cut * observed[racing], False
+        # A wheel that does not come back used less than was observed.
+        self._used[~self._back] *= 1.0 - t.period / t.patience
+        self._cap[~self._back] *= 1.0 - t.period / t.patience
+        returned = ~self._back & (
+            (slip < t.least_slip) | ((self._rate < 0.0) & (slip < t.most_slip))
+        )
+        self._cap[returned] = t.restored * self._used[returned]
+        self._back[returned], self._held[returned] = True, 0.0
+        self._held += t.period
+        largest = self._train.max_tractive_effort / n
+        grows = self._back & (self._held > t.pause)
+        self._cap[grows] += t.ramp * t.period * largest
+        self._cap[grows & (self._cap >= wanted)] = np.inf
+        return np.asarray(direction * np.minimum(wanted, self._cap))
+
+    def _differentiate(self, slip: FloatArray, wheels: FloatArray) -> None:
+        """Filtered rates of slip and wheel speeds [m/s²]."""
+        t = self._tuning
+        share = t.period / (t.filter_time + t.period)
+        for rate, now, last in (
+            (self._rate, slip, self._slip), (self._wheel_rate, wheels, self._wheels),
+        ):  # fmt: skip
+            change = np.where(np.isnan(last), 0.0, (now - last) / t.period)
+            rate += share * (change - rate)
+        self._slip, self._wheels = slip, wheels
+
+
+def with_traction(
+    scenarios: Iterable[Scenario],
+    traction: TractionName,
+    condition: TrackConditionMap | None = None,
+    layer: str | None = None,
+) -> list[Scenario]:
+    """The same trips with a traction control in place of the plant's own slip protection.
+
+    Parameters
+    ----------
+    scenarios : iterable of Scenario
+    traction : {"cooperative", "readhesion"}
+    condition : TrackConditionMap, optional
+        That the cooperative control knows.
+    layer : str, optional
+        Of the map; default: the weather of each scenario.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, the map is of another line, or it has no layer of that name.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from trainlog.simulation import draw_scenarios
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> with_traction(draw_scenarios(line, train, 1), "readhesion")[0].traction().name
+    'readhesion'
+    """
+    if traction not in ("cooperative", "readhesion"):
+        raise InputError(
+            f"traction control '{traction}' is unknown",
+            remedy="one of cooperative, readhesion; none: the plant's own slip protection",
+        )
+    if traction == "readhesion":
+        return [
+            replace(each, traction=partial(ReadhesionControl, each.train)) for each in scenarios
+        ]
+    found = []
+    for each in scenarios:
+        load = 0.0
+        if each.sensors.load_error is not None:
+            largest = each.train.max_load or LARGEST_LOAD
+            load, _ = weighed_load(each.load, largest, each.sensors, each.seed)
+        make = partial(
+            CooperativeTraction,
+            each.train,
+            each.travelled,
+            condition=condition,
+            layer=layer or each.weather,
+            direction=each.direction,
+            mass=each.train.mass + load,
+        )
+        make()  # a map that does not fit is refused before anything is driven
+        found.append(replace(each, traction=make))
+    return found
