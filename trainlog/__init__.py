@@ -61,6 +61,10 @@ if TYPE_CHECKING:
         read_trajectory as read_trajectory,
         write_trajectory as write_trajectory,
     )
+    from trainlog.formats.weather import (
+        read_weather as read_weather,
+        write_weather as write_weather,
+    )
     from trainlog.identity import identity_of as identity_of
     from trainlog.ingest import (
         ingest as read_recording,
@@ -108,6 +112,7 @@ if TYPE_CHECKING:
         polach_curve as polach_curve,
     )
     from trainlog.railway.consist import Consist as Consist, Coupler as Coupler, Vehicle as Vehicle
+    from trainlog.railway.weather import Weather as Weather
     from trainlog.replay import (
         open_viewer as open_viewer,
         scalars as scalars,
@@ -117,9 +122,11 @@ if TYPE_CHECKING:
     )
     from trainlog.resampling import joined as joined, resampled as resampled
     from trainlog.simulation.consist import ConsistPlant as ConsistPlant
+    from trainlog.simulation.rail import Change as RailChange, Rail as Rail
     from trainlog.simulation.recording import simulate as simulate
     from trainlog.simulation.scenario import (
         Scenario as Scenario,
+        draw_days as draw_days,
         draw_scenarios as draw_scenarios,
         trajectory_scenarios as trajectory_scenarios,
     )
@@ -153,7 +160,10 @@ _NAMES = {
     "trainlog.formats.parameters": "read_parameters write_parameters",
     "trainlog.formats.trajectory": "read_trajectory write_trajectory",
     "trainlog.formats.samples": "DEFAULT_LINE DEFAULT_TRAIN sample",
-    "trainlog.simulation.scenario": "Scenario draw_scenarios trajectory_scenarios",
+    "trainlog.formats.weather": "read_weather write_weather",
+    "trainlog.railway.weather": "Weather",
+    "trainlog.simulation.rail": "Rail RailChange=Change",
+    "trainlog.simulation.scenario": "Scenario draw_days draw_scenarios trajectory_scenarios",
     "trainlog.simulation.recording": "simulate",
     "trainlog.simulation.consist": "ConsistPlant",
     "trainlog.replay": "open_viewer scalars take_picture write_layout write_replay",

@@ -15,7 +15,7 @@ prints what is drawn. Other benchmarks import it (``from trips import months, ad
 
 ``--cache FOLDER``: what slip analysis makes of each trip is kept there, by the contents of the
 modules that simulate and analyse, of line, trains and options: it is never stale, and a second run
-takes seconds. Keep the folder out of the repository. 100 trips take about 40 s without it.
+takes seconds. Keep the folder out of the repository. 100 trips take about a minute without it.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def optimise(
         Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
     ] = None,
     layer: Annotated[
-        Literal["dry", "wet"], typer.Option(help="Rail condition of the map.")
+        str, typer.Option(help="Rail condition of the map, such as dry, wet or leaves.")
     ] = "wet",
     assumed_adhesion: Annotated[
         float | None,
