@@ -1,6 +1,7 @@
 """What a recorder lacks, and what becomes of slip and the track-condition map.
 
     python benchmarks/map/defects.py [--trips 2] [--seed 5] [--only "load unknown" ...]
+    python benchmarks/map/defects.py --characteristics [--trips 6] [--seed 5]
 
 Wet trips of three trains over three lines are simulated with a drive, a creep curve, axle loads and
 a load that no analysis assumes; then what a recorder writes is spoilt, one defect a row. Printed
@@ -8,6 +9,9 @@ are trips used; slips found (recall) and falsely reported (precision), those wit
 threshold left out; and of the map, in the bins with onsets of slip: how far the maximum adhesion is
 off (mean of its logarithm), and the share within the 95 % band. "lowest" is the share of bins in
 which the adhesion counted as used without slip exceeds the true maximum by more than 5 %.
+
+With ``--characteristics`` nothing is spoilt: the same trips run on rails of other adhesion
+characteristics than the one with which the map was developed, one a row.
 """
 
 from __future__ import annotations
@@ -18,9 +22,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from characteristics import eurosprinter
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import SlipAnalysis, slip
@@ -32,6 +38,7 @@ from trainlog.formats.attached import with_passport
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.ttobench import read_track, read_train as read_foreign_train
+from trainlog.railway.adhesion import AdhesionCharacteristic, CreepCurve, polach_curve
 from trainlog.railway.passport import Quantity
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.plant import Plant
@@ -64,7 +71,7 @@ class OtherRail(Scenario):
         """The train on that rail."""
         found = super().plant()
         rail = found.rail.copy()
-        rail[:, 2:4] *= self.steeper
+        rail[:, 2:4] *= self.steeper  # without effect where there is a characteristic
         generator = np.random.default_rng(self.seed)
         weights = found.parameters.axle_weight * generator.uniform(0.95, 1.05, found.axles)
         weights *= found.weights.sum() / weights.sum()
@@ -96,18 +103,26 @@ def driven(scenario: Scenario) -> Driven:
     names = plant.columns
     speed = run.samples[:, names.index("speed")]
     wheels = run.samples[:, [i for i, n in enumerate(names) if n.startswith("wheel_speed_")]]
-    row = np.searchsorted(plant.rail[:, 0], run.samples[:, 0], side="right") - 1
-    a, b = plant.rail[np.maximum(row, 0), 2:4].T
+    if scenario.characteristic is not None:
+        speeds = np.linspace(0.0, speed.max(), 200)
+        best = scenario.characteristic.optimal_slip_speed(speeds)
+        peak_slip = np.interp(speed, speeds, best)
+    else:
+        row = np.searchsorted(plant.rail[:, 0], run.samples[:, 0], side="right") - 1
+        a, b = plant.rail[np.maximum(row, 0), 2:4].T
+        peak_slip = np.log(b / a) / (b - a)
     metadata = {**trip.metadata, "load": f"{scenario.load:.0f}"}
     return Driven(
         replace(trip, metadata=metadata),
         pd.DatetimeIndex(trip[AXLES].index),
         wheels - speed[:, None],
-        np.log(b / a) / (b - a),
+        peak_slip,
     )
 
 
-def scenarios(library: Path, trips: int, seed: int, **rail: float) -> list[OtherRail]:
+def scenarios(
+    library: Path, trips: int, seed: int, kind: type[Scenario] = OtherRail, **rail: Any
+) -> list[Scenario]:
     pairs = [
         (
             read_track(library / "tracks/CH_StGallen_Wil.json"),
@@ -131,7 +146,7 @@ def scenarios(library: Path, trips: int, seed: int, **rail: float) -> list[Other
             known = {name: getattr(each, name) for name in each.__dataclass_fields__}
             known |= {"mass": train.mass + load, "name": f"{train.name}-{each.name}"}
             known["habits"] = replace(each.habits, lever=1.0, deceleration=0.65)
-            found.append(OtherRail(**known, **rail))
+            found.append(kind(**{**known, **rail}))
     return found
 
 
@@ -214,6 +229,40 @@ def noisy(trip: Trip, std: float) -> Trip:
     return with_frame(with_frame(trip, AXLES, changed), STATE, changed)
 
 
+CHARACTERISTICS: dict[str, AdhesionCharacteristic | str | None] = {
+    "Zhao et al. (2025)": None,
+    "Polach (2005), dry": polach_curve("dry"),
+    "Polach (2005), wet": polach_curve("wet"),
+    "Polach, wet, friction falls to 0.7": replace(polach_curve("wet"), friction_ratio=0.7),
+    "Polach, wet, friction falls to 0.2": replace(polach_curve("wet"), friction_ratio=0.2),
+    "Ishikawa-Kawamura, peak at 2.2 %": CreepCurve(2.46, 203.0, 0.325, 0.325, "creepage"),
+    "Eurosprinter 1, flat beyond 1 %": "1",
+    "Eurosprinter 2, peak at 1.6 %": "2",
+}
+"""Rails on which the same trips run; a number is CONTACT's curve of the Eurosprinter."""
+
+
+def characteristic_rows(options: argparse.Namespace) -> None:
+    """Print a row for each characteristic, with the drive that is assumed and with another."""
+    for kind, words in ((Scenario, "drive as assumed"), (OtherRail, "another drive, other loads")):
+        print(words)
+        for name, curve in CHARACTERISTICS.items():
+            rail = eurosprinter(curve).table() if isinstance(curve, str) else curve
+            known: dict[str, Any] = {"characteristic": rail}
+            if kind is OtherRail:
+                known["steeper"] = 1.0
+            total = Counts()
+            grouped: dict[str, list[Driven]] = {}
+            for scenario in scenarios(options.library, options.trips, options.seed, kind, **known):
+                grouped.setdefault(scenario.train.name, []).append(driven(scenario))
+            for train, each in grouped.items():
+                found = row_of(each, lambda trip: trip)
+                if options.each:
+                    print(f"    {train:30s}{found.row()}", flush=True)
+                total += found
+            print(f"{name:34s}{total.row()}", flush=True)
+
+
 DEFECTS: dict[str, Callable[[Trip], Trip]] = {
     "clean, load stated": lambda trip: trip,
     "load unknown": unknown_load,
@@ -248,6 +297,8 @@ class Counts:
     bins: int = 0
     bias: float = 0.0
     square: float = 0.0
+    off: float = 0.0
+    """Sum of squared errors of the maximum adhesion itself."""
     inside: int = 0
     bounded: int = 0
     beyond: int = 0
@@ -264,9 +315,10 @@ class Counts:
         precision = 1.0 - self.false / self.reported if self.reported else np.nan
         n = max(self.bins, 1)
         adhesion = (
-            f"{self.bias / n:+7.3f}  {np.sqrt(self.square / n):6.3f}  {self.inside / n:7.3f}"
+            f"{self.bias / n:+7.3f}  {np.sqrt(self.square / n):6.3f}  {np.sqrt(self.off / n):6.4f}"
+            f"  {self.inside / n:7.3f}"
             if self.bins
-            else "      -       -        -"
+            else "      -       -       -        -"
         )
         return (
             f"{self.trips:4d}  {self.refused:4d}  {self.true:6d}  {recall:6.3f}  {precision:9.3f}"
@@ -276,8 +328,8 @@ class Counts:
 
 
 HEADER = (
-    f"{'':34s}used  none   slips  recall  precision   bins  bias ln    RMS  in band  lowest"
-    "  ms/trip"
+    f"{'':34s}used  none   slips  recall  precision   bins  bias ln  RMS ln     RMS  in band"
+    "  lowest  ms/trip"
 )
 
 
@@ -357,6 +409,7 @@ def map_of(trips: list[Trip]) -> Counts:
         counts.bins += error.size
         counts.bias += error.sum()
         counts.square += np.sum(error**2)
+        counts.off += np.sum((np.exp(layer.log_mean) - true)[seen] ** 2)
         counts.inside += np.count_nonzero(np.abs(error) < 1.96 * layer.log_std[seen])
         level = np.max(np.where(layer.evidence.censored > 0.0, track.levels, 0.0), axis=1)
         shown = (level > 0.0) & ~seen
@@ -371,8 +424,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--only", nargs="+", default=[*DEFECTS, "slip below 1.5 m/s"])
     parser.add_argument("--library", type=Path, default=LIBRARY)
+    parser.add_argument("--characteristics", action="store_true", help="other rails instead")
     parser.add_argument("--each", action="store_true", help="a row for each train, too")
     options = parser.parse_args()
+    if options.characteristics:
+        print(HEADER, flush=True)
+        characteristic_rows(options)
+        for reason in reasons:
+            print(f"  refused: {reason}")
+        return
     grouped: dict[tuple[str, bool], list[Driven]] = {}
     for low in (False, True):
         rail = {"steeper": 7.0, "threshold": 0.6, "delay": 0.0} if low else {}

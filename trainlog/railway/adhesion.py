@@ -143,18 +143,24 @@ class AdhesionCharacteristic(ABC):
         if speed is None and not self.needs_speed:
             given = 1.0  # the optimum is the same at any speed
         reference, _ = self._reference(given)
-        slips = np.geomspace(*_SEARCHED[self.variable], _SAMPLES)
+        # A few speeds at a time: each is looked at over many slips.
+        parts = np.array_split(np.ravel(reference), reference.size // 256 + 1)
+        slip, adhesion = np.concatenate([self._optima(part) for part in parts], axis=1)
+        return slip.reshape(reference.shape), adhesion.reshape(reference.shape)
+
+    def _optima(self, speeds: FloatArray) -> FloatArray:
+        """Least slips of the greatest adhesion, and that adhesion, at (n,) train speeds: (2, n)."""
+        slips = np.geomspace(*_SEARCHED[self.variable], _SAMPLES)[None, :]
         for _ in range(3):
-            found = self.adhesion_at(slips, reference[..., None])
+            found = self.adhesion_at(slips, speeds[:, None])
             # Where it stays at its maximum for good, where it first comes within rounding of it.
-            near = found >= found.max(axis=-1, keepdims=True) * (1.0 - 1e-12)
-            best = np.argmax(near, axis=-1)[..., None]
+            near = found >= found.max(axis=1, keepdims=True) * (1.0 - 1e-12)
+            best = np.argmax(near, axis=1)[:, None]
             grid = np.broadcast_to(slips, found.shape)
-            low = np.take_along_axis(grid, np.maximum(best - 1, 0), -1)
-            high = np.take_along_axis(grid, np.minimum(best + 1, _SAMPLES - 1), -1)
+            low = np.take_along_axis(grid, np.maximum(best - 1, 0), 1)
+            high = np.take_along_axis(grid, np.minimum(best + 1, _SAMPLES - 1), 1)
             slips = low + (high - low) * np.linspace(0.0, 1.0, _SAMPLES)
-        slip = np.take_along_axis(np.broadcast_to(grid, found.shape), best, -1)[..., 0]
-        return slip, np.take_along_axis(found, best, -1)[..., 0]
+        return np.stack([np.take_along_axis(each, best, 1)[:, 0] for each in (grid, found)])
 
 
 def _at_least(speed: ArrayLike | None, what: str) -> FloatArray:
