@@ -40,7 +40,7 @@ REPEATED = 3.0
 FEWEST = 5
 """Samples from which a curve is estimated."""
 
-FORM_STD = 0.002
+FORM_STD = 0.004
 """Standard deviation of the slope [s/m] between this family of curves and others."""
 
 LEAST_SLIP, LEAST_ADHESION = 0.05, 0.01
@@ -55,6 +55,10 @@ class CreepCurves:
     ----------
     maximum, maximum_std : array
         Maximum adhesion.
+    adhesion : array
+        In use, of the curve at the sample's slip speed.
+    optimum : array [m/s]
+        Slip speed of the maximum.
     slope, slope_std : array [s/m]
         Change of adhesion with slip speed at the sample's slip speed: positive below the maximum,
         negative beyond.
@@ -62,6 +66,8 @@ class CreepCurves:
 
     maximum: FloatArray
     maximum_std: FloatArray
+    adhesion: FloatArray
+    optimum: FloatArray
     slope: FloatArray
     slope_std: FloatArray
 
@@ -103,7 +109,7 @@ def estimate_creep_curve(
     >>> print(f"{found.maximum[9]:.2f} ± {found.maximum_std[9]:.2f}, {found.slope[9]:.3f} s/m")
     0.21 ± 0.01, -0.006 s/m
     """
-    found = CreepCurves(*np.full((4, time.size), np.nan))
+    found = CreepCurves(*np.full((6, time.size), np.nan))
     use = np.flatnonzero((slip_speed > LEAST_SLIP) & (adhesion > LEAST_ADHESION))
     if use.size < FEWEST:
         return found
@@ -116,6 +122,8 @@ def estimate_creep_curve(
         return found
     found.maximum[use] = np.exp(states[:, 0])
     found.maximum_std[use] = found.maximum[use] * np.sqrt(covariances[:, 0, 0])
+    found.adhesion[use] = _adhesion(states, slip_speed[use])
+    found.optimum[use] = np.exp(states[:, 1])
     found.slope[use] = _slope(states, slip_speed[use])
     # The slope's gradient, by central differences of its logarithmic states.
     small = 1e-4
@@ -168,8 +176,8 @@ def _shape(state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return np.exp(state[..., 0]), form, stiffness
 
 
-def _adhesion(state: FloatArray, slip: float) -> FloatArray:
-    """Adhesion at a slip speed, (1,)."""
+def _adhesion(state: FloatArray, slip: FloatArray | float) -> FloatArray:
+    """Adhesion of the curves of states (..., 3) at slip speeds, (1,) or (n,)."""
     maximum, form, stiffness = _shape(state)
     return np.atleast_1d(maximum * np.sin(form * np.arctan(stiffness * slip)))
 

@@ -182,7 +182,7 @@ class TestBounds:
         nothing = np.zeros(count)
         names = ("axle", "start", "end", "kind", "position", "speed", "peak_slip", "adhesion")
         events = pd.DataFrame(
-            {name: [] for name in (*names, "adhesion_std", "delay_std", "measured")}
+            {name: [] for name in (*names, "adhesion_std", "delay_std", "transfer_std", "measured")}
         )
         return SlipAnalysis(
             trip="made", time=clock, position=position, speed=nothing, speed_std=nothing,

@@ -85,6 +85,7 @@ if TYPE_CHECKING:
         write_log as write,
     )
     from trainlog.railway import (
+        AxleGeometry as AxleGeometry,
         Axles as Axles,
         Brake as Brake,
         Configuration as Configuration,
@@ -147,7 +148,7 @@ _NAMES = {
     "trainlog.railway": (
         "Configuration CurvatureProfile Geometry Journey Line LineReference ParameterSet "
         "RunningResistance Station StepProfile TimingPoint TrackConditionMap Train "
-        "Trajectory Tunnel Axles Brake"
+        "Trajectory Tunnel AxleGeometry Axles Brake"
     ),
     "trainlog.railway.adhesion": (
         "AdhesionCharacteristic AdhesionPoints AdhesionTable CreepCurve PolachCurve polach_curve"

@@ -273,7 +273,8 @@ class _Sums:
         spread = np.hypot(setting(track, "trip_std"), np.sqrt(1.0 / safe))
         weight = np.where(seen, _fixed(spread**-2), 0.0)
         # What all onsets of the trip err by alike does not become less with their number.
-        late = summed(precision * (onsets["delay_std"] / onsets["adhesion"]).to_numpy()) / safe
+        alike = np.hypot(onsets["delay_std"], onsets["transfer_std"]) / onsets["adhesion"]
+        shared = summed(precision * alike.to_numpy()) / safe
         mean = summed(precision * log_adhesion) / safe
         return DailyEvidence.of_bins(
             self.day,
@@ -282,7 +283,7 @@ class _Sums:
             _fixed(weight * mean),
             _censored(self.highest, track, seen),
             weighted_square=_fixed(weight * mean**2),
-            common=_fixed(weight**2 * (self.common_std**2 + late**2)),
+            common=_fixed(weight**2 * (self.common_std**2 + shared**2)),
         )
 
 

@@ -40,13 +40,14 @@ from estimators.slip import (
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
+from trainlog.railway.axle_loads import axle_loads
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans
 from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL
 from trainlog.trip import Trip, frame_of
-from trainlog.units import KMH, NANOSECONDS
+from trainlog.units import GRAVITY, KMH, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -209,15 +210,16 @@ class SlipAnalysis:
         )
 
     def creep_curves(self) -> pd.DataFrame:
-        """Adhesion characteristic of each slip event, by an unscented filter.
+        """Adhesion characteristic of each slip event, by an unscented filter and the observer.
 
         Returns
         -------
         DataFrame
             With the index of `events`: ``maximum`` and ``maximum_std``, the maximum adhesion at
-            the onset; ``slope`` and ``slope_std`` [s/m], the change of adhesion with slip speed at
-            the largest slip, negative where the maximum was passed. NaN where too few samples show
-            the curve.
+            the onset: the filter's and, where the event measured it, the observer's, weighted by
+            their precisions, as their errors are of either sign; ``slope`` and ``slope_std``
+            [s/m], the change of adhesion with slip speed at the largest slip, negative where the
+            maximum was passed. NaN where too few samples show the curve.
         """
         # filterpy takes half a second to import; the map does without it.
         from estimators.creep_curve import estimate_creep_curve
@@ -232,6 +234,8 @@ class SlipAnalysis:
         signs = np.sign(self.events["peak_slip"].to_numpy())
         places = self.events["position"].to_numpy()
         delayed = np.nan_to_num(self.events["delay_std"] / self.events["adhesion"].abs())
+        names = ("measured", "adhesion", "adhesion_std")
+        measured, levels, level_stds = (self.events[name].to_numpy() for name in names)
         starts, stops = (self.time.searchsorted(self.events[name]) for name in ("start", "release"))
         for number, (axle, sign, start, stop) in enumerate(
             zip(axles, signs, starts, stops, strict=True)
@@ -250,8 +254,10 @@ class SlipAnalysis:
                 continue
             onset_at = known[np.argmin(np.abs(self.position[part][known] - places[number]))]
             peak_at = known[np.argmax(slip[part][known])]
-            late = curve.maximum[onset_at] * delayed[number]
-            found[number, :2] = curve.maximum[onset_at], np.hypot(curve.maximum_std[onset_at], late)
+            top, std = float(curve.maximum[onset_at]), float(curve.maximum_std[onset_at])
+            if measured[number]:
+                top, std = _weighted((top, std), (levels[number], level_stds[number]))
+            found[number, :2] = top, np.hypot(std, top * delayed[number])
             found[number, 2:] = curve.slope[peak_at], curve.slope_std[peak_at]
         frame = pd.DataFrame(found, self.events.index, columns)
         frame.attrs["units"] = dict(zip(columns, ("1", "1", "s/m", "s/m"), strict=True))
@@ -271,6 +277,17 @@ class SlipAnalysis:
                 "name": ["slip"] * len(rows),
             },
         )
+
+
+def _weighted(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    """Mean of two values by their precisions, and its standard deviation.
+
+    They are of the same samples: their errors add up in full, and so does what they differ by.
+    """
+    share = other[1] ** 2 / (one[1] ** 2 + other[1] ** 2)
+    apart = np.sqrt(share * (1.0 - share)) * (one[0] - other[0])
+    mean, std = (share * a + (1.0 - share) * b for a, b in zip(one, other, strict=True))
+    return mean, float(np.hypot(std, apart))
 
 
 def _words(event: dict[Hashable, Any]) -> str:
@@ -339,33 +356,36 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     train, line = train_of(trip), line_of(trip)
     axles = powered_axles(trip, train, passport(trip) if known is None else known)
     noise = wheel_noise(axles.wheel_speed)
-    adhesion, adhesion_std = _adhesion(axles, train, noise)
+    force, force_std = _force(axles, train, noise)
+    loads = _loads(trip, train, axles, force)
+    adhesion, adhesion_std = force / loads, force_std / loads
     speed, factor = _train_speed(trip, train, axles, adhesion, noise)
     slip_speed = axles.wheel_speed / factor - speed.speed[:, None]
     travelled = _position(trip, axles.clock)
     backwards = trip.metadata.get("direction") == "reverse"
     position = line.length - travelled if backwards else travelled
     std = float(np.hypot(noise, np.median(speed.std)))
-    share = _share(axles, train.axles.rotating_mass)
+    share = _share(axles, train.axles.rotating_mass, loads)
     later = tuple(
-        (_adhesion(each, train, noise)[0], _share(each, train.axles.rotating_mass))
+        (_force(each, train, noise)[0] / loads, _share(each, train.axles.rotating_mass, loads))
         for each in axles.at_other_delays()
     )
     creep_std = 0.0 if _reference_is_known(trip) else UNSEEN_CREEP
     motion = Motion(
-        axles, position, speed.speed, speed.std, slip_speed, std, adhesion, creep_std, share, later
-    )
+        axles, position, speed.speed, speed.std, slip_speed, std, loads, adhesion,
+        train.axles.geometry is not None, creep_std, share, later,
+    )  # fmt: skip
     slipping = slipping_axles(motion)
     slipping |= small_slips(motion, slipping)
     least = least_slip(motion)
     events = event_rows(motion, slipping)
     adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
     if share is not None:
-        adhesion = _mean_adhesion(axles)
+        adhesion = _mean_force(axles) / loads
         # The effort of wheels that slip turns them, not the train.
         adhesion[slipping.any(axis=1)] = np.nan
         adhesion_std = SHARED_STD * np.abs(adhesion)
-        later = tuple((_mean_adhesion(each), None) for each in axles.at_other_delays())
+        later = tuple((_mean_force(each) / loads, None) for each in axles.at_other_delays())
     if later:
         squares = [(each - adhesion) ** 2 for each, _ in later]
         adhesion_std = np.sqrt(adhesion_std**2 + np.mean(squares, axis=0))
@@ -388,9 +408,9 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     )
 
 
-def _adhesion(axles: PoweredAxles, train: Train, noise: float) -> tuple[FloatArray, FloatArray]:
-    """Adhesion in use of the recorded axles and its standard deviation, (n, k)."""
-    force = smoothed_force(
+def _force(axles: PoweredAxles, train: Train, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Adhesion force of the recorded axles and its standard deviation [N], (n, k)."""
+    found = smoothed_force(
         axles.time,
         axles.wheel_speed,
         axles.wheel_effort,
@@ -398,13 +418,32 @@ def _adhesion(axles: PoweredAxles, train: Train, noise: float) -> tuple[FloatArr
         noise,
         ADHESION_RATE * axles.axle_load,
     )
-    return force.force / axles.axle_load, force.std / axles.axle_load
+    return found.force, found.std
 
 
-def _mean_adhesion(axles: PoweredAxles) -> FloatArray:
-    """Adhesion in use if the axles share the total effort evenly, (n, k)."""
-    mean = (axles.total_effort / axles.count)[:, None] / axles.axle_load
-    return np.repeat(mean, axles.numbers.size, axis=1)
+def _loads(trip: Trip, train: Train, axles: PoweredAxles, force: FloatArray) -> FloatArray:
+    """Weight on the recorded axles [N], (n, k), with the load transfer by their adhesion forces.
+
+    Axles that are not recorded are taken to pull as the mean of the others.
+    """
+    transfer = train.load_transfer(axles.mass - train.mass)
+    if transfer is None:
+        return np.full_like(force, axles.axle_load)
+    known = np.nan_to_num(force)
+    every = np.repeat(known.mean(axis=1)[:, None], axles.count, axis=1)
+    every[:, axles.numbers] = known
+    wheels = pd.DataFrame(axles.wheel_speed).interpolate(limit_direction="both").fillna(0.0)
+    held = _other_effort(trip, train, axles, wheels.to_numpy())
+    inertia = axles.mass + train.rotating_mass - axles.count * train.axles.rotating_mass
+    acceleration = np.where(held == -axles.total_effort, 0.0, (every.sum(axis=1) + held) / inertia)
+    place = pd.Series(_position(trip, axles.clock)).interpolate(limit_direction="both").to_numpy()
+    specific = acceleration + GRAVITY * line_of(trip).gradient(place)
+    return axle_loads(transfer, axles.axle_load, every, specific)[:, axles.numbers]
+
+
+def _mean_force(axles: PoweredAxles) -> FloatArray:
+    """Adhesion force if the axles share the total effort evenly [N], (n, k)."""
+    return np.repeat((axles.total_effort / axles.count)[:, None], axles.numbers.size, axis=1)
 
 
 def _delay_notes(axles: PoweredAxles, events: pd.DataFrame) -> list[str]:
@@ -474,14 +513,14 @@ def _train_speed(
     return speed, factor
 
 
-def _share(axles: PoweredAxles, rotating_mass: float) -> FloatArray | None:
+def _share(axles: PoweredAxles, rotating_mass: float, loads: FloatArray) -> FloatArray | None:
     """Adhesion of each axle by its share of the total effort, (n, k), where only that is known."""
     if axles.level != "shared":
         return None
     turning = rotating_mass * np.diff(axles.wheel_speed, axis=0) / np.diff(axles.time)[:, None]
     between = 0.5 * (axles.total_effort[1:] + axles.total_effort[:-1])[:, None] / axles.count
-    used = (between - turning) / axles.axle_load
-    return np.nan_to_num(np.concatenate((used[:1], used)))
+    used = between - turning
+    return np.nan_to_num(np.concatenate((used[:1], used)) / loads)
 
 
 def _other_effort(trip: Trip, train: Train, axles: PoweredAxles, wheels: FloatArray) -> FloatArray:

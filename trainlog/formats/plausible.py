@@ -112,6 +112,15 @@ AXLES = {
 }
 """By the field under ``axles``."""
 
+GEOMETRY = {
+    "wheelbase": Plausible(1.0, 6.0, "m", 1.0, "bogies have", _MILLIMETRES),
+    "pivot_distance": Plausible(3.0, 25.0, "m", 1.0, "vehicles have", _MILLIMETRES),
+    "link_height": Plausible(0.05, 2.0, "m", 1.0, "bodies are pulled at", _MILLIMETRES),
+    "coupler_height": Plausible(0.3, 2.0, "m", 1.0, "couplers are at", _MILLIMETRES),
+    "centre_height": Plausible(0.5, 3.0, "m", 1.0, "vehicles have their mass at", _MILLIMETRES),
+}
+"""By the field under ``axles.geometry``."""
+
 AXLE_LOAD = Plausible(2e3, 4e4, "t", 1e3, "an axle carries", _TONNES)
 """Mass on one powered axle."""
 
@@ -152,6 +161,11 @@ def implausible_train(values: Mapping[str, Any]) -> Iterator[InputError]:
     if axles is not None:
         for name, plausible in AXLES.items():
             problem = plausible.problem(getattr(axles, name), f"axles.{name}")
+            if problem is not None:
+                yield problem
+        geometry = axles.geometry
+        for name, plausible in GEOMETRY.items() if geometry is not None else ():
+            problem = plausible.problem(getattr(geometry, name), f"axles.geometry.{name}")
             if problem is not None:
                 yield problem
         problem = AXLE_LOAD.problem(axles.adhesive_mass / axles.count, "axles.adhesive_mass")

@@ -19,6 +19,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.plausible import implausible_train
 from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built, gathered
+from trainlog.railway.axle_loads import AxleGeometry
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.resistance import RunningResistance
@@ -65,11 +66,29 @@ class _Resistance(Part):
     r2: Quadratic
 
 
+class _AxleGeometry(Part):
+    wheelbase: Length
+    pivot_distance: Length
+    link_height: Length
+    coupler_height: Length
+    centre_height: Length
+    axles_per_bogie: int = Field(default=2, gt=1)
+    powered_bogies: int = Field(default=2, gt=0, lt=3)
+
+
 class _Axles(Part):
     count: int = Field(gt=0)
     adhesive_mass: Mass
     wheel_radius: Length
     rotating_mass: Mass
+    geometry: _AxleGeometry | None = None
+
+    def axles(self) -> Axles:
+        """The axles that the file describes."""
+        known = dict(self)
+        if self.geometry is not None:
+            known["geometry"] = AxleGeometry(**dict(self.geometry))
+        return Axles(**known)
 
 
 class _Brake(Part):
@@ -132,7 +151,7 @@ class _TrainFile(File):
                 assumed=tuple(self.assumed or ()),
                 resistance=RunningResistance(**dict(self.running_resistance)),
                 tunnel_resistance=pairs(self.tunnel_resistance),
-                axles=Axles(**dict(self.axles)),
+                axles=self.axles.axles(),
                 brake=Brake(**dict(self.brake)),
                 braking_curves=None
                 if curves is None
@@ -157,7 +176,12 @@ class _TrainFile(File):
             assumed=list(train.assumed) or None,
             running_resistance=_Resistance.holding(train.resistance),
             tunnel_resistance=columns(train.tunnel_resistance),
-            axles=_Axles.holding(train.axles),
+            axles=_Axles.holding(
+                train.axles,
+                geometry=None
+                if train.axles.geometry is None
+                else _AxleGeometry.holding(train.axles.geometry),
+            ),
             brake=_Brake.holding(train.brake),
             braking_curves=None
             if curves is None

@@ -4,6 +4,7 @@ Pure data and pure functions on arrays; no files.
 """
 
 from trainlog.railway.adhesion import CreepCurve
+from trainlog.railway.axle_loads import AxleGeometry
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.journey import Journey, TimingPoint
@@ -23,6 +24,7 @@ from trainlog.railway.train import Axles, Brake, BrakingCurves, Configuration, P
 from trainlog.railway.trajectory import Trajectory
 
 __all__ = [
+    "AxleGeometry",
     "Axles",
     "Brake",
     "BrakingCurves",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
+from trainlog.railway.axle_loads import AxleGeometry, load_transfer
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
@@ -32,6 +33,8 @@ class Axles:
     wheel_radius : float [m]
     rotating_mass : float [kg]
         Inertia of one powered axle with its motor, over the wheel radius squared.
+    geometry : AxleGeometry, optional
+        What the load transfer between the axles follows from; None: not known.
 
     Examples
     --------
@@ -44,6 +47,7 @@ class Axles:
     adhesive_mass: float = 64_000.0
     wheel_radius: float = 0.43
     rotating_mass: float = 2_000.0
+    geometry: AxleGeometry | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +195,13 @@ class Train:
                     f"{where}: {name} {getattr(self, name)} is not between 0 and 1",
                     remedy="give it as a share, for example 90 %",
                 )
+        try:
+            if self.axles.geometry is not None:
+                self.axles.geometry.vehicles(self.axles.count)
+        except InputError as error:
+            yield InputError(
+                f"{where}: {error.problem}", place="axles.geometry", remedy=error.remedy
+            )
         if self.traction_curve is not None and not self.traction_curve.efforts[0] > 0.0:
             yield InputError(
                 f"{where}: has no tractive effort at standstill",
@@ -310,6 +321,14 @@ class Train:
     def adhesive_weight(self, load: float = 0.0) -> float:
         """Weight on the powered axles [N] with `load` [kg] spread evenly over the train."""
         return GRAVITY * self.axles.adhesive_mass * (1.0 + load / self.mass)
+
+    def load_transfer(self, load: float = 0.0) -> NDArray[np.float64] | None:
+        """`trainlog.railway.axle_loads.load_transfer` with `load` [kg]; None: not known."""
+        axles = self.axles
+        if axles.geometry is None:
+            return None
+        adhesive_mass = axles.adhesive_mass * (1.0 + load / self.mass)
+        return load_transfer(axles.geometry, axles.count, adhesive_mass)
 
 
 def _points(curve: EffortCurve | None) -> str:

@@ -30,6 +30,7 @@ from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
+from trainlog.railway.axle_loads import LEAST_LOAD
 from trainlog.railway.resistance import CURVE_COEFFICIENT
 from trainlog.units import GRAVITY
 
@@ -61,6 +62,12 @@ RUNAWAY = 1.4
 
 QUICK_REAPPLICATION = 1.0
 """Quick re-application after a slip: share of the largest effort, a second."""
+
+SETTLING = 8
+"""Rounds in which the axle loads of a first step come to agree with the forces that they bear."""
+
+HEAVIEST = 1.4
+"""Load of an axle over its static load that steep characteristics are resolved for."""
 
 NORMAL, CUT, RECOVERING = 0, 1, 2
 """What the slip protection of an axle is doing."""
@@ -249,6 +256,40 @@ def net_force(
         pull += adhesion(y[3 + i] - v, rail, curve) * weights[i]
     resistance, along, friction = held_back(y, v, command, track, rail, p)
     return pull - resistance - along - friction
+
+
+@njit(cache=True, error_model="numpy")
+def shift_loads(
+    y: FloatArray,
+    command: FloatArray,
+    track: FloatArray,
+    rail: FloatArray,
+    curve: FloatArray,
+    weights: FloatArray,
+    transfer: FloatArray,
+    loads: FloatArray,
+    p: PlantParameters,
+) -> None:
+    """Loads of the axles under their present forces [N], times the adhesion of each.
+
+    The forces are those of the loads a step before: the suspension needs longer than that.
+    """
+    n = command.size
+    forces, total = np.empty(n), 0.0
+    for i in range(n):
+        forces[i] = adhesion(y[3 + i] - y[1], rail, curve) * loads[i]
+        total += forces[i]
+    resistance, along, friction = held_back(y, y[1], command, track, rail, p)
+    net = total - resistance - along - friction
+    # At rest the brakes hold what is left over.
+    acceleration = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
+    specific = acceleration + GRAVITY * track[1]
+    for i in range(n):
+        change = transfer[i, n] * specific
+        for j in range(n):
+            change += transfer[i, j] * forces[j]
+        share = 1.0 + change / p.axle_weight
+        loads[i] = weights[i] * max(share, LEAST_LOAD)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -531,6 +572,7 @@ def advance(
     curve_table: FloatArray,
     over_creepage: bool,
     weights: FloatArray,
+    transfer: FloatArray,
     memory: FloatArray,
     delay: FloatArray,
     places: IntArray,
@@ -555,6 +597,10 @@ def advance(
         table holds the curves.
     over_creepage : bool
         Whether its slips are creepages.
+    weights : (n,) array [N]
+        Static loads, each times the adhesion of its axle.
+    transfer : (n, n + 1) or (0, 1) array
+        Of `trainlog.railway.axle_loads.load_transfer`; without rows the loads stay.
     memory : (3, n) array
         Of the slip protection of each axle (see `protect`), changed in place.
     delay : (k,) array [N]
@@ -569,12 +615,14 @@ def advance(
     """
     p = PlantParameters(*to_fixed_tuple(constants, CONSTANTS))
     n = weights.size
+    loads = weights.copy()
     end, at = np.empty(y.size), np.empty(y.size)
     command, pieces = np.empty(n), np.zeros((4, n))
     for i in range(n):
         pieces[0, i] = pieces[2, i] = np.inf
     curve = np.empty(curve_table.shape[1] if curve_table.shape[0] > 0 else 0)
-    stiffness = weights.max() * (1.0 / p.axle_inertia + 1.0 / p.body_inertia)
+    heaviest = weights.max() * (1.0 if transfer.shape[0] == 0 else HEAVIEST)
+    stiffness = heaviest * (1.0 / p.axle_inertia + 1.0 / p.body_inertia)
     parts, part = 1, p.step
     traction = min(max(tractive_effort, 0.0) / n, p.axle_effort)
     braking = max(braking_effort, 0.0)
@@ -617,8 +665,11 @@ def advance(
             delay[head] = friction_demand
             places[2] = (head + 1) % delay.size
             friction_demand = delayed
+        for _ in range(SETTLING if k == 0 else 1):
+            if transfer.shape[0] > 0:
+                shift_loads(y, command, track, rail, curve, weights, transfer, loads, p)
         if k % every == 0:
             row = out[k // every]
-            sample(y, row, command, track, rail, curve, weights, places[3:], pieces, p)
+            sample(y, row, command, track, rail, curve, loads, places[3:], pieces, p)
         for _ in range(parts):
-            move(y, part, command, friction_demand, track, rail, curve, weights, pieces, p, end, at)
+            move(y, part, command, friction_demand, track, rail, curve, loads, pieces, p, end, at)

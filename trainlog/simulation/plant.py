@@ -24,6 +24,7 @@ from trainlog.railway.effort import EffortCurve, arrays_of
 from trainlog.simulation import dynamics
 from trainlog.simulation.dynamics import (
     CURVE,
+    HEAVIEST,
     LEAST_SLIP,
     SAMPLE,
     SLIP_STEP,
@@ -143,6 +144,7 @@ class Plant:
     braking_curve: FloatArray = field(default_factory=lambda: _axle_curve(None, 1))
     curves: FloatArray = field(default_factory=lambda: curve_table(None))
     over_creepage: bool = False
+    transfer: FloatArray = field(default_factory=lambda: np.empty((0, 1)))
 
     @cached_property
     def _constants(self) -> FloatArray:
@@ -247,6 +249,7 @@ class Plant:
             slip_ramp=drive.slip_ramp,
             step=step,
         )
+        transfer = train.load_transfer(mass - train.mass)
         plant = Plant(
             parameters,
             track_table(line, train),
@@ -257,6 +260,7 @@ class Plant:
             _axle_curve(train.dynamic_braking_curve, axles.count),
             curve_table(characteristic),
             characteristic is not None and characteristic.variable == "creepage",
+            transfer if transfer is not None else np.empty((0, 1)),
         )
         plant.check_step()
         return plant
@@ -285,7 +289,8 @@ class Plant:
             stiffness /= LEAST_SPEED if self.over_creepage else 1.0
             parts = MOST_PARTS
         p = self.parameters
-        rate = stiffness * float(self.weights.max()) * (1.0 / p.axle_inertia + 1.0 / p.body_inertia)
+        heaviest = float(self.weights.max()) * (HEAVIEST if self.transfer.size else 1.0)
+        rate = stiffness * heaviest * (1.0 / p.axle_inertia + 1.0 / p.body_inertia)
         rate /= parts
         if p.step * rate > 1.0:
             raise InputError(
@@ -368,6 +373,7 @@ class Plant:
             self.curves,
             self.over_creepage,
             self.weights,
+            self.transfer,
             state.slip_memory,
             state.friction_delay,
             state.places,

@@ -1,0 +1,246 @@
+"""Load transfer between the axles: moments, the plant that has it, and what analyses make of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from numpy.typing import NDArray
+from simulated_line import flirt, hilly_line, level_line
+from slip_truth import Seen, seen
+
+from analysis.adhesion.slip import slip
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
+from trainlog.railway import Axles, Train
+from trainlog.railway.axle_loads import AxleGeometry, axle_loads, load_transfer
+from trainlog.simulation import draw_scenarios
+from trainlog.simulation.plant import Plant
+from trainlog.trip import TRAIN_ATTACHMENT
+from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+GEOMETRY = AxleGeometry(2.6, 9.5, 0.6, 1.0, 1.6)
+
+
+def with_geometry(geometry: AxleGeometry | None = GEOMETRY, **axles: object) -> Train:
+    return flirt(axles=Axles(**{"geometry": geometry, **axles}))  # type: ignore[arg-type]
+
+
+lengths = st.floats(0.3, 3.0)
+
+
+class TestMoments:
+    @given(
+        st.builds(
+            AxleGeometry, st.floats(1.5, 4.0), st.floats(6.0, 14.0), lengths, lengths, lengths,
+            st.integers(2, 3),
+        ),
+        st.lists(st.floats(-60e3, 60e3), min_size=6, max_size=6),
+        st.floats(-2.0, 2.0),
+    )  # fmt: skip
+    def test_a_vehicle_is_in_equilibrium(
+        self, geometry: AxleGeometry, forces: list[float], specific: float
+    ) -> None:
+        """About the rail: loads times their places, coupler force and inertia at their heights."""
+        count = 2 * geometry.axles_per_bogie
+        pull, mass = np.array(forces[:count]), count * 18e3
+        transfer = load_transfer(geometry, count, mass)
+        change = transfer[:, :-1] @ pull + transfer[:, -1] * specific
+        assert change.sum() == pytest.approx(0.0, abs=1e-6)
+        inertia = mass * specific
+        coupler = pull.sum() - inertia
+        offsets = np.linspace(0.5, -0.5, geometry.axles_per_bogie) * geometry.wheelbase
+        middle = 0.5 * geometry.pivot_distance
+        places = np.concatenate([offsets + middle, offsets - middle])
+        moment = coupler * geometry.coupler_height + inertia * geometry.centre_height
+        assert -change @ places == pytest.approx(moment, abs=1e-3)
+
+    def test_a_locomotive_by_hand(self) -> None:
+        """240 kN at the rails, all of it at the coupler: 120 kN × 0.6 m / 2.6 m a bogie, and
+        240 kN × 0.4 m / 9.5 m of the body, shared by two axles."""
+        transfer = load_transfer(GEOMETRY, 4, 84e3)
+        bogie, body = 120e3 * 0.6 / 2.6, 240e3 * 0.4 / 9.5 / 2.0
+        expected = [-bogie - body, bogie - body, -bogie + body, bogie + body]
+        np.testing.assert_allclose(transfer[:, :4] @ np.full(4, 60e3), expected)
+
+    def test_braking_loads_the_leading_axle(self) -> None:
+        loads = axle_loads(load_transfer(GEOMETRY, 4, 84e3), 206e3, np.full(4, -30e3), -0.8)
+        assert loads[0] > loads[2] > loads[1] > loads[3]
+        assert loads.sum() == pytest.approx(4 * 206e3)
+
+    def test_a_train_that_rolls_freely_downhill_keeps_its_loads(self) -> None:
+        """It accelerates by as much as the gradient pulls: nothing acts on it but its weight."""
+        rolling = -GRAVITY * 0.02 + GRAVITY * 0.02
+        loads = axle_loads(load_transfer(GEOMETRY, 4, 84e3), 206e3, np.zeros(4), rolling)
+        np.testing.assert_allclose(loads, 206e3)
+
+    def test_one_that_its_other_brakes_hold_there_does_not(self) -> None:
+        loads = axle_loads(load_transfer(GEOMETRY, 4, 84e3), 206e3, np.zeros(4), GRAVITY * 0.03)
+        per_bogie = 84e3 * GRAVITY * 0.03 * (1.6 - 1.0) / 9.5
+        np.testing.assert_allclose(loads - 206e3, np.array([-1, -1, 1, 1]) * per_bogie / 2.0)
+
+    def test_outer_bogies_of_a_unit_mirror_each_other(self) -> None:
+        transfer = load_transfer(replace(GEOMETRY, powered_bogies=1), 4, 72e3)
+        change = transfer[:, :4] @ np.full(4, 40e3)
+        np.testing.assert_allclose(change, -change[::-1])
+        assert change[:2].sum() < 0.0 < change[2:].sum()
+
+    def test_a_wheel_does_not_lift_off(self) -> None:
+        loads = axle_loads(load_transfer(GEOMETRY, 4, 20e3), 49e3, np.full(4, 500e3), 5.0)
+        assert loads.min() == pytest.approx(0.05 * 49e3)
+
+
+class TestPlant:
+    def creep(self, plant: Plant) -> FloatArray:
+        """Slip speed of each axle under even efforts, in the end [m/s]."""
+        state = plant.at(50_000.0, 10.0)
+        rows = plant.advance(state, 150e3, 0.0, steps=2_000)
+        found = dict(zip(plant.columns, rows.T, strict=True))
+        wheels = np.column_stack([found[f"wheel_speed_{i}"] for i in range(1, 5)])
+        return np.asarray((wheels - found["speed"][:, None])[-1])
+
+    def test_without_geometry_all_axles_are_alike(self) -> None:
+        creep = self.creep(Plant.of(level_line(), flirt()))
+        np.testing.assert_allclose(creep, creep[0], rtol=1e-12)
+
+    def test_an_axle_that_carries_less_creeps_more(self) -> None:
+        train = with_geometry()
+        creep = self.creep(Plant.of(level_line(), train))
+        assert creep[0] > creep[2] > creep[1] > creep[3]
+
+    def test_the_loads_are_those_of_the_moments(self) -> None:
+        """On a rail at whose limit the axles pull: what each transmits is its load times that."""
+        train = with_geometry()
+        plant = Plant.of(level_line(), train, maximum_adhesion=None)
+        state = plant.at(50_000.0, 10.0)
+        rows = plant.advance(state, 190e3, 0.0, steps=400)
+        found = dict(zip(plant.columns, rows.T, strict=True))
+        seconds = plant.parameters.step * np.arange(400)
+        wheels = np.column_stack([found[f"wheel_speed_{i}"] for i in range(1, 5)])
+        efforts = np.column_stack([found[f"wheel_effort_{i}"] for i in range(1, 5)])
+        turning = train.axles.rotating_mass * np.gradient(wheels, seconds, axis=0)
+        force = (efforts - turning)[100:-1]
+        transfer = train.load_transfer()
+        assert transfer is not None
+        static = train.adhesive_weight() / 4
+        loads = axle_loads(transfer, static, force, found["acceleration"][100:-1])
+        a, b, scale = plant.rail[0, 2:]
+        slip_speed = (wheels - found["speed"][:, None])[100:-1]
+        adhesion = scale * (np.exp(-a * slip_speed) - np.exp(-b * slip_speed))
+        # Where an effort is cut the difference of wheel speeds takes no account of the kink.
+        off = np.abs(force / (adhesion * loads) - 1.0)
+        assert np.quantile(off, 0.9) < 2e-3
+        assert off.max() < 0.05
+        assert loads.min() < 0.93 * static
+
+    def test_energy_is_kept(self) -> None:
+        plant = Plant.of(hilly_line(), with_geometry())
+        state = plant.at(100.0, 5.0)
+        p, wheels = plant.parameters, state.wheel_speeds
+
+        def kinetic() -> float:
+            return 0.5 * (
+                p.body_inertia * state.speed**2
+                + p.axle_inertia * float(np.sum(state.wheel_speeds**2))
+            )
+
+        before = kinetic()
+        assert wheels.size == 4
+        plant.advance(state, 200e3, 0.0, steps=8_000)
+        works = state.works
+        gained = works["traction"] - sum(v for k, v in works.items() if k != "traction")
+        assert kinetic() - before == pytest.approx(gained, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def wet() -> Seen:
+    return seen(draw_scenarios(hilly_line(), with_geometry(), 3, seed=1)[2])
+
+
+@pytest.fixture(scope="module")
+def even() -> Seen:
+    """The same trip of a plant whose loads stay."""
+    return seen(draw_scenarios(hilly_line(), with_geometry(None), 3, seed=1)[2])
+
+
+class TestAnalysis:
+    def errors(self, each: Seen, geometry: AxleGeometry | None) -> tuple[FloatArray, ...]:
+        """Relative errors at measured onsets, their stated deviations, and the axles."""
+        train = train_to_bytes(with_geometry(geometry))
+        trip = replace(each.trip, attachments={**each.trip.attachments, TRAIN_ATTACHMENT: train})
+        events = slip(trip).events
+        events = events[events["measured"]]
+        truth = each.scenario.maximum_adhesion(events["position"].to_numpy())
+        used, std = events["adhesion"].to_numpy(), events["adhesion_std"].to_numpy()
+        whole = np.hypot(std, events["transfer_std"].to_numpy())
+        return used / truth - 1.0, std / truth, whole / truth, events["axle"].to_numpy()
+
+    def apart(self, error: FloatArray, axle: FloatArray) -> float:
+        """By how much the leading axle is known less right than the last."""
+        return float(np.median(error[axle == 4]) - np.median(error[axle == 1]))
+
+    def test_geometry_makes_it_as_good_as_without_transfer(self, wet: Seen, even: Seen) -> None:
+        error, std, whole, axle = self.errors(wet, GEOMETRY)
+        best, _, _, of_axle = self.errors(even, None)
+        assert error.size > 100
+        assert np.sqrt(np.mean(error**2)) < 1.1 * np.sqrt(np.mean(best**2))
+        assert abs(self.apart(error, axle) - self.apart(best, of_axle)) < 0.02
+        assert np.mean(np.abs(error) < 1.96 * std) > 0.95
+        np.testing.assert_array_equal(std, whole)
+
+    def test_without_it_the_band_allows_for_the_transfer(self, wet: Seen, even: Seen) -> None:
+        error, std, whole, axle = self.errors(wet, None)
+        best, _, _, of_axle = self.errors(even, None)
+        assert self.apart(error, axle) > self.apart(best, of_axle) + 0.05
+        assert np.sqrt(np.mean(error**2)) > 1.2 * np.sqrt(np.mean(best**2))
+        assert np.median(np.sqrt(whole**2 - std**2)) > 0.02
+        assert np.mean(np.abs(error) < 1.96 * whole) > 0.97
+
+    def test_geometry_a_tenth_off_is_better_than_none(self, wet: Seen) -> None:
+        rough = AxleGeometry(2.8, 9.0, 0.66, 1.05, 1.45)
+        known, _, _, _ = self.errors(wet, rough)
+        unknown, _, _, _ = self.errors(wet, None)
+        assert np.sqrt(np.mean(known**2)) < 0.85 * np.sqrt(np.mean(unknown**2))
+
+
+class TestFile:
+    def test_geometry_is_kept(self, tmp_path: Path) -> None:
+        train = with_geometry(replace(GEOMETRY, axles_per_bogie=4, powered_bogies=1))
+        write_train(train, tmp_path / "train.json")
+        assert read_train(tmp_path / "train.json").axles == train.axles
+
+    def test_a_file_without_it_is_as_before(self) -> None:
+        data = train_to_bytes(flirt())
+        assert b"geometry" not in data
+        assert train_from_bytes(data).axles.geometry is None
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ({"wheelbase": 0.0}, "wheelbase"),
+            ({"link_height": -0.1}, "link_height"),
+            ({"axles_per_bogie": 1}, "1 axles a bogie"),
+            ({"powered_bogies": 3}, "3 powered bogies"),
+            ({"pivot_distance": np.nan}, "pivot_distance"),
+        ],
+    )
+    def test_impossible_geometry_is_refused(self, change: dict[str, float], words: str) -> None:
+        with pytest.raises(InputError, match=words):
+            replace(GEOMETRY, **change)  # type: ignore[arg-type]
+
+    def test_axles_that_fill_no_vehicle_are_refused(self) -> None:
+        with pytest.raises(InputError, match="6 powered axles are not whole vehicles"):
+            with_geometry(count=6)
+
+    def test_millimetres_are_recognised(self, tmp_path: Path) -> None:
+        content = json.loads(train_to_bytes(with_geometry()))
+        content["axles"]["geometry"]["wheelbase"]["value"] = 2_600
+        (tmp_path / "train.json").write_text(json.dumps(content))
+        with pytest.raises(TrainlogError, match=r"wheelbase: 2600 m is not plausible.*mm meant"):
+            read_train(tmp_path / "train.json")
