@@ -51,10 +51,12 @@ class Errors:
     rows: dict[tuple[str, str], list[tuple[float, float]]] = field(default_factory=dict)
 
     def add(self, what: str, method: str, error: float, std: float = np.nan) -> None:
+        """Count one error that is known."""
         if np.isfinite(error):
             self.rows.setdefault((what, method), []).append((error, std))
 
     def line(self, what: str, method: str) -> str:
+        """The errors of one method, in words."""
         found = np.array(self.rows[what, method])
         error, std = found.T
         known = np.isfinite(std)
