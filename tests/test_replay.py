@@ -27,6 +27,8 @@ from rerun.chunk import RrdReader
 
 from trainlog import topics
 from trainlog.errors import InputError, LogError
+from trainlog.railway import TrackConditionMap
+from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
 from trainlog.replay import write_replay
 from trainlog.replay.clock import clock_of
 from trainlog.replay.curves import CURVES
@@ -512,3 +514,70 @@ def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
     assert "full.rrd: cannot be written to its end: is the disk full?; free some" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def spotted() -> TrackConditionMap:
+    """The map with three spots: there while it was met, gone, and likely there; and a forecast."""
+    condition = condition_of()
+    day = int(made_trip().start.timestamp() // 86_400)
+    spots = (
+        PassingSpot(300.0, 350.0, 0.07, 0.06, 0.08, day - 3, day + 1, day + 5, 0.0, 1.0),
+        PassingSpot(600.0, 650.0, 0.07, 0.06, 0.08, day - 40, day - 30, day - 30, 0.9, 2.0),
+        PassingSpot(1_500.0, 1_600.0, 0.09, 0.08, 0.1, day - 2, day - 1, day - 1, 0.8, 5.0),
+    )
+
+    class Layer(ConditionLayer):
+        def expected(self, time: pd.Timestamp | None = None) -> AdhesionEstimate:
+            assert time == pd.Timestamp(made_trip().start)
+            return AdhesionEstimate(self.log_mean + np.log(0.8), self.log_std, self.observed)
+
+    dry = condition.layers["dry"]
+    layer = Layer(dry.log_mean, dry.log_std, dry.observed, evidence=dry.evidence, spots=spots)
+    return replace(condition, layers={"dry": layer})
+
+
+def test_the_expected_condition_lies_beside_the_lasting_one(tmp_path: Path) -> None:
+    path, condition = tmp_path / "map.rrd", spotted()
+    write_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
+    for trip in ("up", "down"):
+        lasting = rows(path, f"/trips/{trip}/adhesion/map/dots")
+        expected = rows(path, f"/trips/{trip}/adhesion/expected/dots")
+        assert (expected["position_mm"] == lasting["position_mm"]).all()
+        assert expected["Scalars:scalars"] == pytest.approx(0.8 * lasting["Scalars:scalars"])
+    band = rows(path, "/trips/up/adhesion/expected/bins")
+    value, variance = band["Measurements:values"][:, 0], band["Measurements:variances"][:, 0]
+    shown = ~np.isnan(value)
+    assert np.sqrt(variance[shown]) / value[shown] == pytest.approx(np.sinh(0.05), rel=1e-5)
+    legend = static(path, "/trips/up/adhesion/expected/dots", "SeriesPoints:names")
+    assert legend == ["expected, dry"]
+    assert "/lines/hill/maximum_adhesion/dry/expected/dots" in entities(path)
+
+
+def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(tmp_path: Path) -> None:
+    path, condition = tmp_path / "map.rrd", spotted()
+    write_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
+    up = rows(path, "/trips/up/adhesion/spots/dots")
+    assert up["position_mm"].tolist() == [325_000, 1_550_000]
+    assert up["Scalars:scalars"][:, 0].tolist() == [0.07, 0.09]
+    down = rows(path, "/trips/down/adhesion/spots/dots")
+    assert down["position_mm"].tolist() == [(LENGTH - 1_550.0) * 1e3, (LENGTH - 325.0) * 1e3]
+    named = sorted(each.rsplit("/", 1)[1] for each in entities(path) if "/up/place/spots/" in each)
+    assert len(named) == 2
+    assert named[0].startswith("km\\ 0.300")
+    assert "100" in named[0]
+    places = [
+        static(path, next(each for each in entities(path) if f"/{trip}/place/spots/km\\ 0" in each),
+               "GeoLineStrings:line_strings")
+        for trip in ("up", "down")
+    ]  # fmt: skip
+    assert np.allclose(places[0], places[1])
+
+
+def test_another_forecast_is_another_recording(tmp_path: Path) -> None:
+    condition, ids = spotted(), set()
+    for number, spots in enumerate((condition.layers["dry"].spots, ())):
+        layers = {"dry": replace(condition.layers["dry"], spots=spots)}
+        path = tmp_path / f"{number}.rrd"
+        write_replay([made_trip()], path, condition_map=replace(condition, layers=layers))
+        ids.add(RrdReader(path).recordings()[0].recording_id)
+    assert len(ids) == 2

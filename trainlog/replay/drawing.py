@@ -7,16 +7,22 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import rerun as rr
-from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from trainlog.errors import InputError
-from trainlog.railway import Geometry, Line, TrackConditionMap, Trajectory
+from trainlog.railway import Line, TrackConditionMap, Trajectory
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds, nanoseconds
+from trainlog.replay.condition import (
+    Passage,
+    draw_bins_on_map,
+    draw_expected,
+    draw_lasting,
+    draw_spots,
+    draw_spots_on_map,
+    observed,
+)
 from trainlog.replay.curves import (
     PLANNED,
     SATELLITES,
-    TRUE,
     Colour,
     Curve,
     curves_of,
@@ -30,7 +36,6 @@ from trainlog.replay.samples import (
     path_of,
     phases,
     send_curve,
-    send_dots,
     send_places,
     send_points,
     send_rows,
@@ -45,25 +50,15 @@ from trainlog.units import KMH, NANOSECONDS
 
 TRACK: Colour = (95, 100, 115)
 STATION: Colour = (235, 235, 235)
-LAYERS: dict[str, Colour] = {"dry": (245, 205, 70), "wet": (90, 180, 240)}
-"""Colours of the layers of a track-condition map; others are white."""
-
 SECOND, OUTAGE = NANOSECONDS, 15_000_000_000
 """A second, and how long fixes are missing until the line along them is interrupted [ns]."""
 
-LOWEST, HIGHEST = 0.05, 0.40
-"""Maximum adhesion at the ends of the map's colour scale."""
-
-TRACK_WIDTH, STATION_SIZE, BIN_SIZE = 2.5, 6.0, 4.0
-"""Half width of the track, radius of a station and of a bin on the map, in points."""
+TRACK_WIDTH, STATION_SIZE = 2.5, 6.0
+"""Half width of the track and radius of a station on the map, in points."""
 
 
-def draw_line(recording: Any, line: Line, condition: TrackConditionMap | None) -> None:
-    """Draw a line in its own direction on the map; nothing without coordinates.
-
-    With a track-condition map each layer is one more entity: a dot for each observed bin, its
-    colour the maximum adhesion.
-    """
+def draw_line(recording: Any, line: Line) -> None:
+    """Draw a line in its own direction on the map; nothing without coordinates."""
     geometry = line.geometry
     if geometry is None:
         return
@@ -76,9 +71,6 @@ def draw_line(recording: Any, line: Line, condition: TrackConditionMap | None) -
             colors=np.array([TRACK], dtype=np.uint8),
         ),
     )
-    if condition is not None:
-        for name in condition.layers:
-            _draw_layer(recording, line.name, geometry, condition, name)
     for station in line.stations:
         latitude, longitude = geometry.at(station.position)
         send_static(
@@ -113,77 +105,6 @@ def draw_path(recording: Any, entity: str, time: Nanoseconds, fixes: FloatArray)
 def each_second(time: Nanoseconds) -> NDArray[np.int64]:
     """Index of the first instant [ns] of each second: often enough to see a train move."""
     return np.asarray(np.unique(time // SECOND, return_index=True)[1])
-
-
-def draw_condition(
-    recording: Any,
-    entity: str,
-    clock: Clock,
-    condition: TrackConditionMap,
-    layer: str,
-    *,
-    backwards: bool,
-    whole: bool,
-) -> bool:
-    """Draw the maximum adhesion under a trip: each bin when the train was there.
-
-    Parameters
-    ----------
-    backwards : bool
-        The trip runs against the line's own direction, in which the map is counted.
-    whole : bool
-        Bins that the trip did not reach too; they stand at the trip's ends in time.
-
-    Returns
-    -------
-    bool
-        Whether there was anything to draw.
-    """
-    chosen = condition.layer(layer)
-    edges = np.arange(condition.bins + 1) * condition.bin_length
-    value, deviation = chosen.maximum_adhesion, chosen.maximum_adhesion * chosen.log_std
-    if backwards:
-        edges, value, deviation = condition.length - edges[::-1], value[::-1], deviation[::-1]
-    reached = clock.position
-    shown = np.isfinite(value)
-    if not whole and reached.size:
-        shown &= (edges[1:] > reached[0]) & (edges[:-1] < reached[-1])
-    if reached.size == 0 or not shown.any():
-        return False
-    name, colour = f"map, {layer}", LAYERS.get(layer, TRUE)
-    # A bin is a stretch of the line: a level line from its start to its end, then a break. A dot
-    # in its middle is what can be seen of it when the whole line is shown.
-    start, end, value, deviation = (
-        edges[:-1][shown],
-        edges[1:][shown],
-        value[shown],
-        deviation[shown],
-    )
-    ends = np.column_stack((start, end, end)).ravel()
-    blank = np.full(value.size, np.nan)
-    time = _passing(clock, ends)
-    send_curve(
-        recording,
-        f"{entity}/bins",
-        Instants(clock.start, time, ends),
-        Samples(
-            time,
-            np.column_stack((value, value, blank)).reshape(-1, 1),
-            np.column_stack((deviation, deviation, blank)).reshape(-1, 1) ** 2,
-        ),
-        names=[name],
-        colours=[colour],
-    )
-    middle = 0.5 * (start + end)
-    send_dots(
-        recording,
-        f"{entity}/dots",
-        Instants(clock.start, _passing(clock, middle), middle),
-        value,
-        name=name,
-        colour=colour,
-    )
-    return True
 
 
 def draw_trajectory(recording: Any, trajectory: Trajectory, start: int) -> None:
@@ -229,47 +150,6 @@ def _send_span(
     )
 
 
-def check_line(condition: TrackConditionMap, line: Line, trip: str) -> None:
-    """Refuse a track-condition map of another line.
-
-    Raises
-    ------
-    InputError
-    """
-    if condition.line != line.name or abs(condition.length - line.length) > condition.bin_length:
-        raise InputError(
-            f"the track-condition map is of line '{condition.line}', {condition.length:.0f} m;"
-            f" trip '{trip}' ran on '{line.name}', {line.length:.0f} m",
-            remedy="give the map of that line, or none",
-        )
-
-
-def _passing(clock: Clock, position: FloatArray) -> Nanoseconds:
-    """When the train was at each position [ns]."""
-    seconds = np.interp(position, clock.position, (clock.time - clock.start) / NANOSECONDS)
-    return clock.start + np.round(seconds * NANOSECONDS).astype(np.int64)
-
-
-def _draw_layer(
-    recording: Any, line: str, geometry: Geometry, condition: TrackConditionMap, layer: str
-) -> None:
-    """The observed bins of a layer as dots, dark to light from low to high maximum adhesion."""
-    adhesion = condition.layer(layer).maximum_adhesion
-    seen = np.isfinite(adhesion)
-    if not seen.any():
-        return
-    share = np.clip((adhesion[seen] - LOWEST) / (HIGHEST - LOWEST), 0.0, 1.0)
-    send_static(
-        recording,
-        path_of("lines", line, "condition", layer),
-        rr.GeoPoints(
-            lat_lon=np.column_stack(geometry.at(condition.centres[seen])),
-            radii=rr.Radius.ui_points(BIN_SIZE),
-            colors=np.rint(255 * colormaps["plasma"](share)[:, :3]).astype(np.uint8),
-        ),
-    )
-
-
 LEVELS = {1: "DEBUG", 2: "INFO", 3: "WARN", 4: "ERROR", 5: "CRITICAL"}
 """Levels of foxglove.Log and their names in Rerun."""
 
@@ -289,6 +169,10 @@ SMALL, LARGE = 5.0, 9.0
 
 HEADROOM = 1.1
 """Top of a plot over nearly all of its values."""
+
+
+CONDITION = {"map": draw_lasting, "expected": draw_expected, "spots": draw_spots}
+"""What of the track condition is drawn under a trip, by its entity."""
 
 
 class Drawing:
@@ -336,13 +220,12 @@ class Drawing:
             self._entities.add("speed/trajectory")
         layer = "" if known.line is None else _layer(bare, condition)
         if layer and condition is not None:
-            entity, backwards = f"{root}/adhesion/map", _backwards(bare)
-            if draw_condition(
-                *(self._recording, entity, known.clock, condition, layer),
-                backwards=backwards,
-                whole=False,
-            ):
-                self._entities.add("adhesion/map")
+            passage = Passage(known.clock, condition, layer, _backwards(bare), whole=False)
+            for entity, draw in CONDITION.items():
+                if draw(self._recording, f"{root}/adhesion/{entity}", passage):
+                    self._entities.add(f"adhesion/{entity}")
+            if known.line is not None:
+                draw_spots_on_map(self._recording, f"{root}/place/spots", known.line, passage)
         extent = self._draw_places()
         about = rr.TextDocument(_about(bare, self._name), media_type="text/markdown")
         send_static(self._recording, f"{root}/about", about)
@@ -474,29 +357,21 @@ def draw_line_of(recording: Any, known: Survey, condition: TrackConditionMap | N
     line, backwards = known.line, _backwards(known.bare)
     if line is None:
         return
-    draw_line(recording, line.reversed() if backwards else line, condition)
+    own = line.reversed() if backwards else line
+    draw_line(recording, own)
     if condition is None:
         return
     for layer in observed(condition):
-        draw_condition(
-            recording,
-            path_of("lines", line.name, "maximum_adhesion", layer),
-            known.clock,
-            condition,
-            layer,
-            backwards=backwards,
-            whole=True,
-        )
+        passage = Passage(known.clock, condition, layer, backwards, whole=True)
+        if own.geometry is not None:
+            draw_bins_on_map(recording, own.name, own.geometry, passage)
+        for entity, draw in CONDITION.items():
+            path = path_of("lines", line.name, "maximum_adhesion", layer)
+            draw(recording, path if entity == "map" else f"{path}/{entity}", passage)
 
 
 def _backwards(trip: Trip) -> bool:
     return trip.metadata.get("direction") == "reverse"
-
-
-def observed(condition: TrackConditionMap | None) -> list[str]:
-    """Layers that have something to show."""
-    layers = {} if condition is None else condition.layers
-    return [name for name, layer in layers.items() if layer.observed.any()]
 
 
 def _layer(trip: Trip, condition: TrackConditionMap | None) -> str:

@@ -8,13 +8,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import pandas as pd
 import rerun as rr
 
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.railway import TrackConditionMap, Trajectory
+from trainlog.replay.condition import check_line, observed
 from trainlog.replay.curves import TRIPS
-from trainlog.replay.drawing import Drawing, check_line, draw_line_of, draw_trajectory, observed
+from trainlog.replay.drawing import Drawing, draw_line_of, draw_trajectory
 from trainlog.replay.layout import blueprint
 from trainlog.replay.survey import Pieces, Survey, neighboured, pieces_of, survey
 from trainlog.trip import Trip
@@ -132,12 +134,17 @@ def content_id(
 ) -> str:
     """The recording's id: a digest of all that is drawn, so that the viewer mixes no two."""
     digest = hashlib.sha256()
-    for each in surveys:
+    given = list(surveys)
+    for each in given:
         digest.update(each.digest)
     if trajectory is not None:
         digest.update(trajectory.speeds.tobytes() + trajectory.positions.tobytes())
     for name, layer in sorted(condition.layers.items()) if condition is not None else ():
         digest.update(name.encode() + layer.log_mean.tobytes() + layer.observed.tobytes())
+        digest.update(repr(layer.spots).encode())
+        for each in given:
+            expected = layer.expected(pd.Timestamp(each.clock.start, tz="UTC"))
+            digest.update(expected.log_mean.tobytes() + expected.log_std.tobytes())
     return digest.hexdigest()[:32]
 
 

@@ -1,0 +1,270 @@
+"""The track condition in a replay: lasting and expected maximum adhesion, and passing spots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import rerun as rr
+from matplotlib import colormaps
+
+from trainlog.errors import InputError
+from trainlog.railway import Geometry, Line, TrackConditionMap
+from trainlog.railway.condition import ConditionLayer, PassingSpot
+from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds
+from trainlog.replay.curves import LIMIT, PLANNED, TRUE, Colour
+from trainlog.replay.samples import Samples, path_of, send_curve, send_dots, send_static
+from trainlog.units import NANOSECONDS
+
+LAYERS: dict[str, Colour] = {"dry": (245, 205, 70), "wet": (90, 180, 240)}
+"""Colours of the layers of a track-condition map; others are white."""
+
+EXPECTED, SPOT = PLANNED, LIMIT
+"""Colours of the expected condition and of passing spots."""
+
+LIKELY = 0.05
+"""A spot is drawn if it lies there with this probability at least."""
+
+LOWEST, HIGHEST = 0.05, 0.40
+"""Maximum adhesion at the ends of the map's colour scale."""
+
+BIN_SIZE, SPOT_WIDTH = 4.0, 5.0
+"""Radius of a bin and half width of a spot on the map, in points."""
+
+DAY = 86_400 * NANOSECONDS
+"""A day [ns]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """A trip over a line of which a layer of the track condition is known.
+
+    Attributes
+    ----------
+    clock : Clock
+        Of the trip.
+    track : TrackConditionMap
+    layer : str
+    backwards : bool
+        The trip runs against the line's own direction, in which the map is counted.
+    whole : bool
+        Bins that the trip did not reach count, too; they stand at the trip's ends in time.
+    """
+
+    clock: Clock
+    track: TrackConditionMap
+    layer: str
+    backwards: bool
+    whole: bool
+
+    @property
+    def known(self) -> ConditionLayer:
+        """The layer."""
+        return self.track.layer(self.layer)
+
+    @property
+    def time(self) -> pd.Timestamp:
+        """When the trip began, UTC."""
+        return pd.Timestamp(self.clock.start, tz="UTC")
+
+    @property
+    def spots(self) -> list[tuple[PassingSpot, float]]:
+        """The spots that lay there then, each with its probability."""
+        chances = [(spot, chance_of(spot, self.clock.start)) for spot in self.known.spots]
+        return [each for each in chances if each[1] >= LIKELY]
+
+
+def chance_of(spot: PassingSpot, time: int) -> float:
+    """Probability that a spot lay there at a time [ns since 1970 UTC].
+
+    While trips met it, it did; before the first of them nothing is known of it.
+    """
+    day = time // DAY
+    if day <= spot.last:
+        return float(day >= spot.first)
+    return spot.alive(pd.Timestamp(time, tz="UTC"))
+
+
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """Maximum adhesion over pieces of the line, in its own direction; (n,) arrays.
+
+    Attributes
+    ----------
+    start, end : [m]
+    value, std : [1]
+    """
+
+    start: FloatArray
+    end: FloatArray
+    value: FloatArray
+    std: FloatArray
+
+
+def draw_lasting(recording: Any, entity: str, passage: Passage) -> bool:
+    """Draw the lasting condition under a trip: each bin when the train was there.
+
+    Returns
+    -------
+    bool
+        Whether there was anything to draw.
+    """
+    known, track = passage.known, passage.track
+    value = known.maximum_adhesion
+    edges = np.arange(track.bins + 1, dtype=np.float64) * track.bin_length
+    levels = _Levels(edges[:-1], edges[1:], value, value * known.log_std)
+    colour = LAYERS.get(passage.layer, TRUE)
+    return _draw(recording, entity, passage, levels, f"map, {passage.layer}", colour)
+
+
+def draw_expected(recording: Any, entity: str, passage: Passage) -> bool:
+    """Draw the condition expected at the time of a trip, in the same way."""
+    expected, track = passage.known.expected(passage.time), passage.track
+    # Half of what lies between the quantiles that are one deviation off in a normal distribution.
+    low, high = (expected.quantile(share) for share in (0.158655, 0.841345))
+    edges = np.arange(track.bins + 1, dtype=np.float64) * track.bin_length
+    levels = _Levels(edges[:-1], edges[1:], expected.maximum_adhesion, 0.5 * (high - low))
+    return _draw(recording, entity, passage, levels, f"expected, {passage.layer}", EXPECTED)
+
+
+def draw_spots(recording: Any, entity: str, passage: Passage) -> bool:
+    """Draw the passing spots that lay under a trip, in the same way."""
+    spots = [spot for spot, _ in passage.spots]
+    levels = _Levels(
+        np.array([spot.start for spot in spots]),
+        np.array([spot.end for spot in spots]),
+        np.array([spot.adhesion for spot in spots]),
+        np.array([(spot.high - spot.low) / (2.0 * 1.96) for spot in spots]),
+    )
+    return _draw(recording, entity, passage, levels, f"spots, {passage.layer}", SPOT)
+
+
+def _draw(
+    recording: Any, entity: str, passage: Passage, levels: _Levels, name: str, colour: Colour
+) -> bool:
+    start, end, value, std = levels.start, levels.end, levels.value, levels.std
+    if passage.backwards:
+        length = passage.track.length
+        start, end, value, std = length - end[::-1], length - start[::-1], value[::-1], std[::-1]
+    clock, reached = passage.clock, passage.clock.position
+    shown = np.isfinite(value)
+    if not passage.whole and reached.size:
+        shown &= (end > reached[0]) & (start < reached[-1])
+    if reached.size == 0 or not shown.any():
+        return False
+    start, end, value, std = start[shown], end[shown], value[shown], std[shown]
+    # A piece of the line: a level line from its start to its end, then a break. A dot in its
+    # middle is what can be seen of it when the whole line is shown.
+    ends = np.column_stack((start, end, end)).ravel()
+    blank = np.full(value.size, np.nan)
+    time = _passing(clock, ends)
+    send_curve(
+        recording,
+        f"{entity}/bins",
+        Instants(clock.start, time, ends),
+        Samples(
+            time,
+            np.column_stack((value, value, blank)).reshape(-1, 1),
+            np.column_stack((std, std, blank)).reshape(-1, 1) ** 2,
+        ),
+        names=[name],
+        colours=[colour],
+    )
+    middle = 0.5 * (start + end)
+    send_dots(
+        recording,
+        f"{entity}/dots",
+        Instants(clock.start, _passing(clock, middle), middle),
+        value,
+        name=name,
+        colour=colour,
+    )
+    return True
+
+
+def _passing(clock: Clock, position: FloatArray) -> Nanoseconds:
+    """When the train was at each position [ns]."""
+    seconds = np.interp(position, clock.position, (clock.time - clock.start) / NANOSECONDS)
+    return clock.start + np.round(seconds * NANOSECONDS).astype(np.int64)
+
+
+def draw_spots_on_map(recording: Any, entity: str, line: Line, passage: Passage) -> None:
+    """Draw the spots that lay there when a trip began as pieces of the line.
+
+    Nothing without coordinates. The name of a spot states where it is, when it was last met and
+    how likely it lay there.
+
+    Parameters
+    ----------
+    line : Line
+        As the trip met it.
+    """
+    if line.geometry is None:
+        return
+    own = line.reversed() if passage.backwards else line
+    assert own.geometry is not None
+    for spot, chance in passage.spots:
+        name = f"km {float(own.kilometre(spot.start)) / 1e3:.3f}, {_date(spot.last)}, {chance:.0%}"
+        at = np.linspace(spot.start, spot.end, 5)
+        send_static(
+            recording,
+            f"{entity}{path_of(name)}",
+            rr.GeoLineStrings(
+                lat_lon=[np.column_stack(own.geometry.at(at))],
+                radii=rr.Radius.ui_points(SPOT_WIDTH),
+                colors=np.array([SPOT], dtype=np.uint8),
+            ),
+        )
+
+
+def _date(day: int) -> str:
+    return str(np.datetime64(day, "D"))
+
+
+def draw_bins_on_map(recording: Any, line: str, geometry: Geometry, passage: Passage) -> None:
+    """Draw the observed bins of a layer as dots, dark to light from low to high adhesion.
+
+    Parameters
+    ----------
+    line : str
+    geometry : Geometry
+        Of the line in its own direction.
+    """
+    track = passage.track
+    adhesion = passage.known.maximum_adhesion
+    seen = np.isfinite(adhesion)
+    if not seen.any():
+        return
+    share = np.clip((adhesion[seen] - LOWEST) / (HIGHEST - LOWEST), 0.0, 1.0)
+    send_static(
+        recording,
+        path_of("lines", line, "condition", passage.layer),
+        rr.GeoPoints(
+            lat_lon=np.column_stack(geometry.at(track.centres[seen])),
+            radii=rr.Radius.ui_points(BIN_SIZE),
+            colors=np.rint(255 * colormaps["plasma"](share)[:, :3]).astype(np.uint8),
+        ),
+    )
+
+
+def observed(condition: TrackConditionMap | None) -> list[str]:
+    """Layers that have something to show."""
+    layers = {} if condition is None else condition.layers
+    return [name for name, layer in layers.items() if layer.observed.any()]
+
+
+def check_line(condition: TrackConditionMap, line: Line, trip: str) -> None:
+    """Refuse a track-condition map of another line.
+
+    Raises
+    ------
+    InputError
+    """
+    if condition.line != line.name or abs(condition.length - line.length) > condition.bin_length:
+        raise InputError(
+            f"the track-condition map is of line '{condition.line}', {condition.length:.0f} m;"
+            f" trip '{trip}' ran on '{line.name}', {line.length:.0f} m",
+            remedy="give the map of that line, or none",
+        )
