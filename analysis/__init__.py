@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from analysis.adhesion.map_history import map_history as map_history
     from analysis.adhesion.map_state import map_state as map_state
     from analysis.adhesion.slip import slip as slip
+    from analysis.adhesion.updating import update_map as update_map
     from analysis.comparison.cost import compare as compare
     from analysis.control.follow import Follower as Follower, follow as follow
     from analysis.control.traction import (
@@ -71,6 +72,7 @@ _NAMES = {
     "analysis.adhesion.map_difference": "map_difference",
     "analysis.adhesion.map_history": "map_history",
     "analysis.adhesion.map_state": "map_state",
+    "analysis.adhesion.updating": "update_map",
     "analysis.trajectory.optimiser": "optimise energy_against_time",
     "analysis.trajectory.problem": "TrajectoryProblem OptimiserOptions",
     "analysis.trajectory.journey": "optimise_journey",

@@ -57,7 +57,7 @@ def report(folder: str | Path) -> Report:
     ----------
     folder : path
         As ``trainlog demo`` leaves it: logs in ``trips`` and ``driven``, ``parameters.json``,
-        ``map.json``, ``trajectory.json``; whatever there is of them. Parameter sets, maps,
+        ``wil.map``, ``trajectory.json``; whatever there is of them. Parameter sets, maps,
         trajectories, results of coast-down and lines may have any names: their format names them.
 
     Raises
@@ -68,7 +68,7 @@ def report(folder: str | Path) -> Report:
     Examples
     --------
     >>> import shutil
-    >>> _ = shutil.copy("sample_logs/CH_StGallen_Wil.map.json", "map.json")
+    >>> _ = shutil.copy("sample_logs/CH_StGallen_Wil.map", "wil.map")
     >>> print(report(".").rows[0][0])
     track condition
     """
@@ -87,7 +87,7 @@ def report(folder: str | Path) -> Report:
         _recorded(folder, logs),
         *(_fitted(path, truths) for path in _of_format(folder, "parameters", "parameters.json")),
         *(_coasted(path) for path in _of_format(folder, "coast-down")),
-        *(_mapped(path, truths) for path in _of_format(folder, "condition", "map.json")),
+        *(_mapped(path, truths) for path in sorted(folder.glob("*.map"))),
         *(_drawn(path) for path in _of_format(folder, "line")),
         *(
             row
@@ -103,7 +103,7 @@ def report(folder: str | Path) -> Report:
             "holds no results",
             file=folder,
             remedy="they are looked for as 'trainlog demo' leaves them: logs in trips/ and driven/,"
-            " parameters.json, map.json, trajectory.json; or by any other name",
+            " parameters.json, a map (.map), trajectory.json; or by any other name",
         )
     return Report(folder, tuple(found))
 

@@ -45,7 +45,7 @@ def make(output: Path) -> None:
             write_recorder_csv(trip, output / "recorder.csv")
             write_ublox_csv(trip, output / "gnss.csv")
     track = adhesion_map(logs).track
-    write_map(track, output / "CH_StGallen_Wil.map.json")
+    write_map(track, output / "CH_StGallen_Wil.map")
     for log in logs:
         if log.name not in LOGS.values():
             log.unlink()

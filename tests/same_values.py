@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 import trainlog
+from trainlog.railway import TrackConditionMap
 from trainlog.trip import Trip
 
 TOLERANCE = 1e-9
@@ -35,6 +37,8 @@ def first_difference(found: Path, kept: Path, tolerance: float = TOLERANCE) -> s
         return _of_trips(trainlog.read(found), trainlog.read(kept), tolerance)
     if kept.suffix == ".json":
         return _of_json(json.loads(found.read_bytes()), json.loads(kept.read_bytes()), tolerance)
+    if kept.suffix == ".map":
+        return _of_maps(trainlog.read_map(found), trainlog.read_map(kept), tolerance)
     if kept.suffix == ".csv":
         return _of_csv(found, kept)
     return None if found.read_bytes() == kept.read_bytes() else "the bytes differ"
@@ -57,6 +61,26 @@ def _of_trips(found: Trip, kept: Trip, tolerance: float) -> str | None:
         if difference := _of_json(json.loads(found.attachments[name]), json.loads(data), tolerance):
             return f"attachment {name}{difference}"
     return None
+
+
+def _of_maps(found: TrackConditionMap, kept: TrackConditionMap, tolerance: float) -> str | None:
+    """Every number of the evidence and of the estimate, and the trips."""
+
+    def values(track: TrackConditionMap) -> dict[str, Any]:
+        layers = {
+            name: {
+                each.name: np.asarray(getattr(part, each.name)).tolist()
+                for part in (layer, layer.evidence)
+                for each in fields(part)
+                if each.name in ("log_mean", "log_std", "observed") or part is layer.evidence
+            }
+            for name, layer in track.layers.items()
+        }
+        facts = {name: getattr(track, name) for name in ("line", "length", "settings")}
+        return {**facts, "levels": track.levels.tolist(), "layers": layers, "trips": track.trips}
+
+    plain = [json.loads(json.dumps(values(track))) for track in (found, kept)]
+    return _of_json(plain[0], plain[1], tolerance)
 
 
 def _of_frames(found: pd.DataFrame, kept: pd.DataFrame, tolerance: float) -> str | None:

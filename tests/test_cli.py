@@ -50,7 +50,7 @@ COMMANDS: dict[str, list[str]] = {
     "fit": ["fit", "BAD", "-o", "OUT.json"],
     "fit --per-trip": ["fit", "BAD", "-o", "OUT.json", "--per-trip", "OUT"],
     "estimate": ["estimate", "BAD", "-o", "OUT"],
-    "map update": ["map", "update", "BAD", "--map", "OUT.json"],
+    "map update": ["map", "update", "BAD", "--map", "OUT.map"],
     "map diff": ["map", "diff", "BAD", "--from", "2026-01-01", "--picture", "OUT.png"],
     "map history": ["map", "history", "BAD", "--km", "1", "--picture", "OUT.png"],
     "map export": ["map", "export", "BAD", "-o", "OUT.csv"],
@@ -187,14 +187,14 @@ def test_a_timetable_that_cannot_be_kept_is_explained(
 def test_a_log_is_counted_into_a_map_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    track = tmp_path / "map.json"
+    track = tmp_path / "wil.map"
     run(monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track)
     first = track.read_bytes()
     status, shown, _ = run(
         monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track
     )
     assert status == 0
-    assert "not counted again" in shown
+    assert shown == "0 trips added, 1 held already; the map holds 1 trip of 1 day\n"
     assert track.read_bytes() == first
 
 
@@ -276,7 +276,7 @@ def test_a_damaged_log_is_reported_once_a_command(
     half.write_bytes(log[: len(log) // 2])
     for words in (
         ("fit", half, "-o", tmp_path / "fit.json"),
-        ("map", "update", half, "--layer", "dry", "--map", tmp_path / "map.json"),
+        ("map", "update", half, "--layer", "dry", "--map", tmp_path / "wil.map"),
         ("replay", half, "-o", tmp_path / "half.rrd", "--no-viewer"),
     ):
         status, _, complaint = run(monkeypatch, capsys, *words)
@@ -342,7 +342,7 @@ def test_a_recorded_trip_can_be_fitted_and_mapped(
     run(monkeypatch, capsys, "ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path)
     status, _, complaint = run(monkeypatch, capsys, "fit", log, "-o", tmp_path / "fit.json")
     assert (status, complaint) == (0, "")
-    update = ("map", "update", log, "--map", tmp_path / "map.json")
+    update = ("map", "update", log, "--map", tmp_path / "wil.map")
     status, _, complaint = run(monkeypatch, capsys, *update)
     assert status == 2
     assert "dry or wet" in complaint
@@ -504,7 +504,7 @@ def test_outputs_are_checked_before_any_work(
         ["fit", log, "-o", tmp_path / "fit.png"],
         ["fit", log, "-o", tmp_path / "missing" / "fit.json"],
         ["map", "update", log, "--map", tmp_path / "map"],
-        ["map", "show", sample("CH_StGallen_Wil.map.json"), "--picture", tmp_path],
+        ["map", "show", sample("CH_StGallen_Wil.map"), "--picture", tmp_path],
         ["optimise", tmp_path / "p.json", "-o", tmp_path],
         ["estimate", log, "-o", tmp_path],
         ["simulate", "-o", log],
@@ -532,7 +532,7 @@ def test_parameters_of_another_train_are_refused(
 
 @pytest.mark.parametrize(
     "words",
-    [("--weather", "wet"), ("--configurations", "all"), ("--map", "m.json"), ("--late", "9")],
+    [("--weather", "wet"), ("--configurations", "all"), ("--map", "m.map"), ("--late", "9")],
 )
 def test_options_that_contradict_are_refused(
     words: tuple[str, str],

@@ -111,7 +111,7 @@ def test_the_observed_set_holds_the_truth(results: Path) -> None:
 
 
 def test_the_map_is_right_where_wheels_slipped_and_silent_elsewhere(results: Path) -> None:
-    track = read_map(results / "map.json")
+    track = read_map(results / "wil.map")
     truths = [truth_of(trainlog.read(log)) for log in (results / "trips").glob("*.mcap")]
     error, bins = map_error(track, [truth for truth in truths if truth is not None])
     assert bins >= 30
@@ -171,7 +171,7 @@ def test_every_result_says_what_it_was_made_from(results: Path) -> None:
     for name in ("parameters.json", "trajectory.json"):
         provenance = json.loads((results / name).read_text("utf-8"))["provenance"]
         assert provenance
-    assert len(read_map(results / "map.json").trips) == 12
+    assert len(read_map(results / "wil.map").trips) == 12
     for log in logs(results):
         assert describe(log).provenance
 
@@ -196,7 +196,7 @@ def test_the_demo_can_be_repeated(tmp_path: Path) -> None:
 
 
 def test_pictures_and_the_replay_are_there(results: Path) -> None:
-    for name in ("parameters.png", "map.png", "trajectory.png"):
+    for name in ("parameters.png", "wil.png", "trajectory.png"):
         assert (results / name).read_bytes().startswith(b"\x89PNG")
     assert (results / "replay.rrd").read_bytes()[:4] == b"RRF2"
 

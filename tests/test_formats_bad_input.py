@@ -12,7 +12,6 @@ import pytest
 from test_formats_roundtrip import simple_line, simple_train
 
 from trainlog.errors import InputError
-from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.formats.files import read_bytes
 from trainlog.formats.line import (
     journey_from_bytes,
@@ -30,21 +29,11 @@ from trainlog.railway import (
     Configuration,
     ParameterSet,
     RunningResistance,
-    TrackConditionMap,
     Trajectory,
 )
-from trainlog.railway.condition import ConditionLayer
-from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.journey import Journey, TimingPoint
 
 CONFIGURATION = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
-LAYER = ConditionLayer(
-    *(np.zeros(2) for _ in range(2)),
-    np.array([True, False]),
-    evidence=DailyEvidence.of_bins(
-        0, np.ones(2), np.ones(2), np.zeros(2), np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
-    ),
-)
 GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
     "line": (line_to_bytes(simple_line()), line_from_bytes),
     "train": (train_to_bytes(simple_train()), train_from_bytes),
@@ -74,10 +63,6 @@ GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
             )
         ),
         trajectory_from_bytes,
-    ),
-    "map": (
-        map_to_bytes(TrackConditionMap("L", 50.0, 25.0, np.array([0.1, 0.2, 0.3]), {"dry": LAYER})),
-        map_from_bytes,
     ),
 }
 
@@ -298,20 +283,6 @@ OTHER_CASES = [
     ("trajectory", "speeds.values.0.1", -3, "f.json, speeds.values: must not be negative"),
     ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times: rows differ in length"),
     ("trajectory", "configurations", [], "f.json, configurations: has too few entries; give at le"),
-    ("map", "layers.dry.log_std.values", [1], "f.json, layers.dry.log_std: has 1 values, needs 2;"),
-    (
-        "map",
-        "layers.dry.observed",
-        [1, True],
-        "f.json, layers.dry.observed[0]: must be a vali",
-    ),
-    ("map", "bin_length.value", 0, "f.json, bin_length: must be positive"),
-    (
-        "map",
-        "length.value",
-        1e15,
-        "f.json, layers.dry.log_mean: has 2 values, needs 40000000000000",
-    ),
 ]
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sqlite3
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from pydantic import BaseModel
 
-from trainlog.formats.condition import _Evidence, _Layer, _MapFile
 from trainlog.formats.line import _Geometry, _JourneyFile, _LineFile, _Reference
 from trainlog.formats.parameters import (
     ConfigurationPart,
@@ -17,6 +18,7 @@ from trainlog.formats.parameters import (
     _ParametersFile,
     _QuantityPart,
 )
+from trainlog.formats.samples import sample
 from trainlog.formats.schema import File
 from trainlog.formats.train import (
     BRAKING_PARAMETERS,
@@ -30,6 +32,7 @@ from trainlog.formats.train import (
     _Vehicle,
 )
 from trainlog.formats.trajectory import _TrajectoryFile
+from trainlog.railway.evidence import DailyEvidence
 
 TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
 SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
@@ -43,7 +46,6 @@ SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
     ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
     ("## Trajectory", (_TrajectoryFile,)),
     ("## Coast-down", (_CoastDownFile, _QuantityPart, _CurvePart)),
-    ("## Track-condition map", (_MapFile, _Layer, _Evidence)),
 ]
 
 
@@ -64,3 +66,18 @@ def test_every_format_is_in_the_list() -> None:
         assert issubclass(model, File)
         assert f"`{model.FORMAT}`" in TEXT
         assert model.VERSION == 1
+
+
+def test_every_table_and_column_of_a_map_is_described() -> None:
+    section = TEXT.split("## Track-condition map\n")[1].split("\n## ")[0]
+    database = sqlite3.connect(sample("CH_StGallen_Wil.map"))
+    tables = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    assert len(tables) == 6
+    for (table,) in tables:
+        assert f"`{table}`" in section, table
+        for _, column, *_others in database.execute(f"PRAGMA table_info({table})"):
+            assert f"`{column}`" in section, (table, column)
+    for (key,) in database.execute("SELECT key FROM header"):
+        assert f"`{key}`" in section, key
+    for name in (each.name for each in fields(DailyEvidence)):
+        assert f"`{name}`" in section, name

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +22,8 @@ from hypothesis import HealthCheck, given, settings
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
-from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
-from trainlog.formats.files import read_json
+from trainlog.formats.condition import read_map, write_map
+from trainlog.formats.files import plain, read_json
 from trainlog.formats.line import (
     journey_from_bytes,
     journey_to_bytes,
@@ -32,12 +34,14 @@ from trainlog.formats.line import (
     write_journey,
     write_line,
 )
+from trainlog.formats.mapfile import MapFile, whole_file
 from trainlog.formats.parameters import (
     parameters_from_bytes,
     parameters_to_bytes,
     read_parameters,
     write_parameters,
 )
+from trainlog.formats.samples import sample
 from trainlog.formats.train import (
     consist_from_bytes,
     consist_to_bytes,
@@ -63,6 +67,7 @@ from trainlog.railway import (
     Train,
     Trajectory,
 )
+from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.consist import Consist
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.trip import Trip
@@ -128,13 +133,30 @@ def test_trajectories_survive_to_the_last_bit(trajectory: Trajectory) -> None:
 
 @quick
 @given(maps())
-def test_maps_survive_to_the_last_bit(condition: TrackConditionMap) -> None:
-    data = map_to_bytes(condition)
-    found = map_from_bytes(data)
-    assert_same(found, condition)
-    assert map_to_bytes(found) == data
-    for layer in found.layers.values():
-        assert layer.observed.dtype == np.bool_
+def test_the_evidence_of_maps_survives_to_the_last_bit(condition: TrackConditionMap) -> None:
+    """Any numbers at all: the estimate is not made of them."""
+    data = whole_file(condition)
+    with MapFile.of_bytes(data, "track.map") as file:
+        trips = file.trips()
+        empty, layers = file.empty, file.layers(trips)
+    entries = tuple(row.entry_whole for row in trips)
+    assert_same(empty, replace(condition, layers={}, trips=()))
+    expected = [json.dumps(trip, sort_keys=True) for trip in plain(condition.trips, "trips")]
+    assert sorted(json.dumps(entry, sort_keys=True) for entry in entries) == sorted(expected)
+    assert {name: known for name, (known, _) in layers.items()} == {
+        name: layer.evidence for name, layer in condition.layers.items()
+    }
+    again = {name: ConditionLayer.unestimated(known) for name, (known, _) in layers.items()}
+    assert whole_file(replace(empty, layers=again, trips=entries)) == data
+
+
+def test_an_estimate_that_the_evidence_does_not_give_is_not_written(tmp_path: Path) -> None:
+    track = read_map(sample("CH_StGallen_Wil.map"))
+    layer = track.layer("wet")
+    other = replace(layer, log_mean=layer.log_mean - 0.01)
+    with pytest.raises(InputError, match="estimate of layer 'wet' is not that of its evidence"):
+        write_map(replace(track, layers={"wet": other}), tmp_path / "other.map")
+    assert not list(tmp_path.iterdir())
 
 
 def simple_line() -> Line:
@@ -210,8 +232,8 @@ def test_files_and_bytes_agree(tmp_path: Path) -> None:
     assert read_parameters(tmp_path / "p.json").configurations == (configuration,)
     write_trajectory(trajectory, tmp_path / "t.json")
     assert_same(read_trajectory(tmp_path / "t.json"), trajectory)
-    write_map(condition, tmp_path / "m.json")
-    assert_same(read_map(tmp_path / "m.json"), condition)
+    write_map(condition, tmp_path / "m.map")
+    assert_same(read_map(tmp_path / "m.map"), condition)
     write_journey(journey, tmp_path / "j.json")
     assert read_journey(tmp_path / "j.json") == journey
     write_line(simple_line(), tmp_path / "l.json")

@@ -40,7 +40,7 @@ def line() -> Line:
 
 @pytest.fixture
 def track() -> TrackConditionMap:
-    found = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map.json"))
+    found = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map"))
     wet = replace(found.layer("wet"), spots=(SPOT,), changes=(CHANGE,))
     return replace(found, layers={**found.layers, "wet": wet})
 
@@ -262,7 +262,7 @@ def test_pieces_beyond_the_known_course_have_no_geometry(
 def test_the_command_takes_the_line_from_a_file_a_log_or_the_samples(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    condition = str(trainlog.sample("CH_StGallen_Wil.map.json"))
+    condition = str(trainlog.sample("CH_StGallen_Wil.map"))
     at = ["--at", "2024-10-09T08:00", "--zone", "Europe/Zurich"]
     written = []
     for number, given in enumerate(([], ["--line", "CH_StGallen_Wil.line.json"],

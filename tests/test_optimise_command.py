@@ -20,7 +20,7 @@ from trainlog.railway import Trajectory
 from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH
 
-MAP = ("--map", sample("CH_StGallen_Wil.map.json"))
+MAP = ("--map", sample("CH_StGallen_Wil.map"))
 
 
 @pytest.fixture(scope="module")

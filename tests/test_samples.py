@@ -21,7 +21,7 @@ MADE = (
     "stopping.mcap",
     "recorder.csv",
     "gnss.csv",
-    "CH_StGallen_Wil.map.json",
+    "CH_StGallen_Wil.map",
 )
 
 

@@ -29,7 +29,7 @@ def estimated(track: TrackConditionMap) -> TrackConditionMap:
     Examples
     --------
     >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> sorted(estimated(track).layers)
     ['dry', 'wet']
     """

@@ -22,6 +22,7 @@ from analysis.adhesion.evidence import (
     Evidence,
     check_line,
     condition_of,
+    evidence,
     evidence_of_parts,
 )
 from analysis.adhesion.slip import TOPICS, SlipAnalysis, slip
@@ -34,6 +35,7 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
 from trainlog.formats.files import sha256_of
 from trainlog.identity import (
+    COLUMNS,
     Known,
     TripIdentity,
     identity_from_text,
@@ -155,20 +157,23 @@ def update(
     for number, piece in enumerate(given):
         if number in left_out:
             continue
-        trips.append(
-            {
-                "trip": piece.trip,
-                "sha256": piece.sha256,
-                "layer": piece.layer,
-                **({"further_layers": list(piece.further)} if piece.further else {}),
-                "software": f"trainlog {__version__}",
-                "identity": text_of(piece.recorded),
-                **piece.details,
-            }
-        )
+        trips.append(entry_of(piece))
         for name, daily in piece.layers.items():
             sums.setdefault(name, []).append(daily)
     return _solved(track, sums, trips), tuple(given[number].trip for number in left_out)
+
+
+def entry_of(piece: Evidence) -> dict[str, Any]:
+    """What a map keeps of a trip."""
+    return {
+        "trip": piece.trip,
+        "sha256": piece.sha256,
+        "layer": piece.layer,
+        **({"further_layers": list(piece.further)} if piece.further else {}),
+        "software": f"trainlog {__version__}",
+        "identity": text_of(piece.recorded),
+        **piece.details,
+    }
 
 
 class _Log(NamedTuple):
@@ -235,15 +240,11 @@ class UpdatedMap:
         of the same drive was given.
     reasons : tuple of str
         Why each was not counted.
-    doubts : tuple of str
-        Trips that the map holds under the name of one that was counted now, and of which the drive
-        is not known, in words.
     """
 
     track: TrackConditionMap
     skipped: tuple[str, ...]
     reasons: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         skipped = ", ".join(self.skipped[:4]) + (" and more" if len(self.skipped) > 4 else "")
@@ -305,19 +306,18 @@ def adhesion_map(
         trip = given if isinstance(given, Trip) else read_log(given, topics=COVARIATE_TOPICS)
         try:
             if track is None:
-                track = empty_map(_own_line(trip))
-            condition = condition_of(trip, track, layer, weather)
+                track = empty_map(own_line(trip))
+            condition_of(trip, track, layer, weather)
             digest = "" if path is None else sha256_of(path)
             recorded = identity_of(trip) if path is None else identity_of_log(path)
             why = _left_out(track, [_Log(trip.name, digest, recorded)])
             if why:
                 held.append((trip.name, why[0]))
                 continue
-            parts = [slip(trip)] if path is None else _analysed(path)
-            piece = evidence_of_parts(parts, track, condition, sha256=digest)
-            details = piece.details | covariates(trip, piece.span, weather)
             pieces.append(
-                replace(piece, recorded=recorded, steps=len(trip.provenance), details=details)
+                evidence(trip, track, layer=layer, weather=weather)
+                if path is None
+                else evidence_of_log(path, track, layer, weather, sha256=digest)
             )
         except TrainlogError as error:
             if path is None:
@@ -332,28 +332,47 @@ def adhesion_map(
         update(track, used)[0],
         tuple(name for name, _ in held),
         tuple(why for _, why in held),
-        _doubts(track, used),
     )
 
 
-def _doubts(track: TrackConditionMap, used: Sequence[Evidence]) -> tuple[str, ...]:
-    names = {piece.trip for piece in used}
-    return tuple(
-        f"trip '{name}': the map holds another log of that name, made before drives were known by"
-        " what was recorded; if it is the same drive, build the map anew from the logs"
-        for name, _, identity, _ in _logs(track)
-        if identity is None and name in names
-    )
+def evidence_of_log(
+    path: Path,
+    track: TrackConditionMap,
+    layer: str | None = None,
+    weather: Weather | None = None,
+    *,
+    sha256: str = "",
+) -> Evidence:
+    """What the trip of a log says of the maximum adhesion; a long log is analysed in stretches.
+
+    Parameters and errors are those of `analysis.adhesion.evidence.evidence`, for a log.
+    """
+    trip = read_log(path, topics=COVARIATE_TOPICS)
+    condition = condition_of(trip, track, layer, weather)
+    recorded: list[TripIdentity | None] = []
+
+    def analysed() -> Iterator[SlipAnalysis]:
+        for stretch in stretches(path, TOPICS):
+            if stretch.count == 1 and _decides(stretch.trip):
+                recorded.append(identity_of(stretch.trip))
+            # A stretch in which the axles were not recorded has no slip.
+            if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
+                yield slip(stretch.trip).part(stretch.span)
+
+    piece = evidence_of_parts(analysed(), track, condition, sha256=sha256)
+    found = recorded[0] if recorded else identity_of_log(path)
+    details = piece.details | covariates(trip, piece.span, weather)
+    return replace(piece, recorded=found, steps=len(trip.provenance), details=details)
 
 
-def _analysed(path: Path) -> Iterator[SlipAnalysis]:
-    """Slip over a log, stretch by stretch; one in which the axles were not recorded has none."""
-    for stretch in stretches(path, TOPICS):
-        if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
-            yield slip(stretch.trip).part(stretch.span)
+def _decides(trip: Trip) -> bool:
+    """Whether the topics that slip needs hold the column that identifies the drive."""
+    topic, column, _ = COLUMNS[0]
+    frame = trip.topics.get(topic)
+    return frame is not None and column in frame and bool(frame[column].notna().any())
 
 
-def _own_line(trip: Trip) -> Line:
+def own_line(trip: Trip) -> Line:
     """The line of a trip in its own direction."""
     line = line_of(trip)
     return line.reversed() if trip.metadata.get("direction") == "reverse" else line

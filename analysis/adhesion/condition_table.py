@@ -41,7 +41,7 @@ def last_evidence(track: TrackConditionMap) -> pd.Timestamp | None:
     Examples
     --------
     >>> import trainlog
-    >>> last_evidence(trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")).isoformat()
+    >>> last_evidence(trainlog.read_map("sample_logs/CH_StGallen_Wil.map")).isoformat()
     '2024-10-08T00:00:00+00:00'
     """
     days = [layer.evidence.days[-1:] for layer in track.layers.values()]
@@ -123,7 +123,7 @@ def bins_table(
     Examples
     --------
     >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> table = bins_table(track, layers=["wet"])
     >>> len(table), int(table["adhesion"].notna().sum())
     (1183, 39)
@@ -162,7 +162,7 @@ def sections_table(
     Examples
     --------
     >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> sections = sections_table(track, layers=["wet"])
     >>> bool(sections["end_m"].iloc[-1] == track.length), bool(len(sections) < track.bins)
     (True, True)

@@ -149,7 +149,7 @@ def export_map(
     --------
     >>> import tempfile
     >>> import pandas, trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     export_map(track, Path(folder) / "map.csv", layers=["wet"])
     ...     int(pandas.read_csv(Path(folder) / "map.csv")["adhesion"].notna().sum())

@@ -51,7 +51,7 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
     --------
     >>> import trainlog
     >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> table = line_table(line, track)
     >>> table.loc[400, ["gradient", "curve_radius", "speed_limit"]].astype(float).round(1).tolist()
     [-3.3, 1694.8, 125.0]

@@ -71,7 +71,7 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
             "--as-fast-as", str(log),
         ],
         "fit": ["fit", str(log), "-o", str(folder / "parameters.json")],
-        "map update": ["map", "update", str(log), "--map", str(folder / "map.json")],
+        "map update": ["map", "update", str(log), "--map", str(folder / "wil.map")],
         "estimate": ["estimate", str(log), "-o", str(folder / "estimated")],
         "replay a stretch": [
             "replay", str(folder / "min.mcap"), "-o", str(folder / "replay.rrd"), "--no-viewer",

@@ -79,7 +79,7 @@ COMMANDS = {
         "update",
         "sample_logs/stopping.mcap",
         "--map",
-        "{folder}/m.json",
+        "{folder}/m.map",
     ],
     "optimise": ["optimise", "{folder}/fit.json", "-o", "{folder}/trajectory.json"],
     "replay": ["replay", "sample_logs/stopping.mcap", "-o", "{folder}/r.rrd", "--no-viewer"],

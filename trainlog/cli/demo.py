@@ -23,7 +23,7 @@ def commands(output: Path) -> list[list[str]]:
     """The commands of the demo, without the leading ``trainlog``; results go to `output`."""
     samples, trips, recorded = output / "sample_logs", output / "trips", output / "recorded"
     driven, blind = output / "driven", output / "driven-blind"
-    parameters, condition = output / "parameters.json", output / "map.json"
+    parameters, condition = output / "parameters.json", output / "wil.map"
     trajectory = output / "trajectory.json"
     known: list[str | Path] = ["--line", samples / DEFAULT_LINE, "--train", samples / DEFAULT_TRAIN]
     facts = ["--set", "weather=dry", "--set", "load=24000"]
@@ -40,10 +40,11 @@ def commands(output: Path) -> list[list[str]]:
         ["ingest", samples / "gnss.csv", *known, "-o", recorded],
         ["info", recorded / "recorder.mcap"],
         ["fit", recorded / "recorder.mcap", "-o", recorded / "parameters.json"],
-        ["map", "update", recorded / "recorder.mcap", "--map", recorded / "map.json"],
+        ["map", "update", recorded / "recorder.mcap", "--map", recorded / "wil.map"],
         ["replay", recorded, "-o", recorded / "replay.rrd"],
         ["fit", trips, "-o", parameters],
         ["map", "update", trips, "--map", condition],
+        ["map", "show", condition, "--picture", output / "wil.png"],
         ["optimise", parameters, *rail, "--as-fast-as", trips, "-o", trajectory],
         ["simulate", *plan, *known_rail, *every, *wet, "-o", driven],
         ["simulate", *plan, *every, *wet, "-o", blind],

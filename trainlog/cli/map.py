@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trainlog.cli.options import Logs, destination, logs_in
-from trainlog.cli.terminal import console, progress_bar, wrote
+from trainlog.cli.terminal import console, print_error, progress_bar, wrote
+from trainlog.display import counted
+from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    from analysis.adhesion.updating import LogOutcome
 
 app = typer.Typer()
 map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
@@ -18,7 +23,9 @@ app.add_typer(map_app, name="map", rich_help_panel="Learn")
 @map_app.command("update")
 def map_update(
     logs: Logs,
-    condition: Annotated[Path, typer.Option("--map", help="Map file; made if it is not there.")],
+    condition: Annotated[
+        Path, typer.Option("--map", help="Map file (.map); made if it is not there.")
+    ],
     layer: Annotated[
         str | None,
         typer.Option(help="Rail condition, such as wet or leaves; default: what each log states."),
@@ -30,27 +37,84 @@ def map_update(
             " logs that state none, and what is kept with each trip."
         ),
     ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="State the outcome as JSON.")] = False,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
 
-    A drive that the map already holds is not counted again, whatever file it comes in.
+    A drive that the map already holds is not counted again, whatever file it comes in; a fuller
+    recording of it counts in place of a poorer one. Each trip is on the disk when its line appears,
+    and several processes may add to one map.
 
-    Example: trainlog map update results/trips --map results/map.json
+    Exit status 1 if some logs could not be used, 2 if none could.
+
+    Example: trainlog map update results/trips --map results/wil.map
     """
-    from analysis.adhesion.condition_map import adhesion_map, map_table
-    from analysis.adhesion.map_plot import draw_map
-    from trainlog.formats.condition import read_map, write_map
+    import json
+
+    from analysis.adhesion.updating import update_map
     from trainlog.formats.weather import read_weather
 
-    destination(condition, ".json")
-    known = read_map(condition) if condition.exists() else None
+    destination(condition, ".map")
     stated = None if weather is None else read_weather(weather)
+    found = logs_in(logs)
     with progress_bar() as progress:
-        every = progress.track(logs_in(logs), description="mapping")
-        found = adhesion_map(every, known, layer, stated)
-    for words in (*found.reasons, *found.doubts):
-        console.print(f"  {words}", highlight=False, markup=False)
-    write_map(found.track, condition)
-    draw_map(found.track, condition.with_suffix(".png"))
-    console.print(map_table(found.track))
-    wrote(condition, condition.with_suffix(".png"))
+        every = progress.track(found, description="mapping")
+
+        def report(outcome: LogOutcome) -> None:
+            if outcome.outcome == "refused":
+                print_error(outcome.reason)
+            elif not as_json and outcome.outcome != "held":
+                progress.console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
+
+        result = update_map(every, condition, layer, stated, report=report)
+    if as_json:
+        typer.echo(json.dumps(result.details(), ensure_ascii=False))
+    else:
+        console.print(result.sentence, highlight=False, soft_wrap=True)
+    if result.refused:
+        raise typer.Exit(2 if len(result.refused) == len(result.logs) else 1)
+
+
+@map_app.command("merge")
+def map_merge(
+    maps: Annotated[list[Path], typer.Argument(help="Map files of one line.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="New map file.")],
+) -> None:
+    """Make one map of several; a trip that more than one of them holds is counted once.
+
+    Example: trainlog map merge monday.map tuesday.map -o both.map
+    """
+    from trainlog.formats.mapfile import merge_files
+
+    destination(output, ".map")
+    trips, days = merge_files(maps, output)
+    console.print(f"the map holds {counted(trips, 'trip')} of {counted(days, 'day')}")
+    wrote(output)
+
+
+@map_app.command("compact")
+def map_compact(
+    condition: Annotated[Path, typer.Argument(help="Map file.")],
+    before: Annotated[
+        str, typer.Option(help="Day (2026-01-31); of trips before it sums are kept.")
+    ],
+) -> None:
+    """Replace what each older trip has shown by sums of days: the map stays the same.
+
+    Which recordings of these drives count is then decided: a fuller one that comes later does not
+    replace any.
+
+    Example: trainlog map compact results/wil.map --before 2026-01-01
+    """
+    from datetime import date
+
+    from trainlog.formats.mapfile import MapFile
+
+    try:
+        day = (date.fromisoformat(before) - date(1970, 1, 1)).days
+    except ValueError as error:
+        raise InputError(f"'{before}' is no day", remedy="write it as 2026-01-31") from error
+    with MapFile(condition) as file:
+        number = file.compact(day)
+    console.print(f"{counted(number, 'recording')} compacted")
+    wrote(condition)

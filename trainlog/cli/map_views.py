@@ -221,7 +221,7 @@ def map_export(
     stations; Parquet and CSV have the bins by chainage; JSON has the sections of one layer as
     TTOBench lays out a track. What was not observed is empty.
 
-    Example: trainlog map export results/map.json -o results/map.geojson
+    Example: trainlog map export results/wil.map -o results/map.geojson
     """
     from analysis.adhesion.export import export_map
     from trainlog.formats.condition import read_map

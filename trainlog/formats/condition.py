@@ -1,138 +1,39 @@
-"""The track-condition map's format, ``"trainlog/condition"``; docs/formats.md has its keys."""
+"""The track-condition map's file; docs/formats.md has its tables.
+
+It holds evidence. The estimate is a function of evidence and settings (`trainlog.condition`): it is
+made on reading, or taken from the file where an earlier reader kept it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
+from trainlog.condition import estimated
 from trainlog.errors import InputError
-from trainlog.formats.files import check_written, plain, read_bytes, write_bytes
-from trainlog.formats.parameters import Details
-from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
-from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.formats.files import check_written, write_bytes
+from trainlog.formats.mapfile import MapFile, place_of, whole_file
+from trainlog.formats.packed import pack, unpack
+from trainlog.railway.condition import (
+    ConditionChange,
+    ConditionLayer,
+    ConditionModel,
+    ModelParameter,
+    PassingSpot,
+    TrackConditionMap,
+)
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.version import code_version
 
-_Length = Annotated[float, Quantity("m", "m")]
-_Bins = Annotated[FloatArray, Array("1")]
-_Estimates = Annotated[FloatArray, Array("1", gaps=True)]
-
-
-class _Evidence(Part):
-    day: list[int]
-    bin: list[int]
-    trips: _Bins
-    events: _Bins
-    weight: _Bins
-    weighted_log: _Bins
-    weighted_square: _Bins
-    common: _Bins
-    used_day: list[int]
-    used_bin: list[int]
-    used_level: list[int]
-    used_trips: _Bins
-
-    def evidence(self, place: str, bins: int, levels: int) -> DailyEvidence:
-        """The evidence that the part describes."""
-        columns: dict[str, Any] = {
-            name: np.asarray(value, dtype=np.int64) if isinstance(value, list) else value
-            for name in type(self).model_fields
-            for value in [getattr(self, name)]
-        }
-        for name, values in columns.items():
-            rows = columns["used_day" if name.startswith("used") else "day"].size
-            if values.size != rows:
-                raise InputError(
-                    f"has {values.size} values, needs {rows}",
-                    place=f"{place}.{name}",
-                    remedy="one a row",
-                )
-        for name, end in (("bin", bins), ("used_bin", bins), ("used_level", levels)):
-            values = columns[name]
-            if values.size and not (values.min() >= 0 and values.max() < end):
-                raise InputError(
-                    f"has a number that is not from 0 to {end - 1}",
-                    place=f"{place}.{name}",
-                    remedy="correct it, or begin a new map from the logs",
-                )
-        return DailyEvidence(bins, levels, **columns)
+_LISTED = {"spots": PassingSpot, "changes": ConditionChange}
 
 
-class _Layer(Part):
-    log_mean: _Estimates
-    log_std: _Estimates
-    observed: list[bool]
-    evidence: _Evidence
-
-    def layer(self, place: str, bins: int, levels: int) -> ConditionLayer:
-        """The layer that the part describes."""
-        fields = {name: getattr(self, name) for name in ("log_mean", "log_std")}
-        fields["observed"] = np.array(self.observed, dtype=np.bool_)
-        for name, values in fields.items():
-            if values.shape != (bins,):
-                raise InputError(
-                    f"has {' by '.join(map(str, values.shape))} values, needs {bins}",
-                    place=f"{place}.{name}",
-                    remedy="one row a bin of the line",
-                )
-        known = self.evidence.evidence(f"{place}.evidence", bins, levels)
-        return ConditionLayer(**fields, evidence=known)
-
-    @staticmethod
-    def of(layer: ConditionLayer) -> _Layer:
-        """The part that describes a layer."""
-        whole = ("day", "bin", "used_day", "used_bin", "used_level")
-        known = layer.evidence
-        rows = {name: getattr(known, name).tolist() for name in whole}
-        return _Layer.holding(
-            layer, observed=layer.observed.tolist(), evidence=_Evidence.holding(known, **rows)
-        )
-
-
-class _MapFile(File):
-    FORMAT: ClassVar[str] = "trainlog/condition"
-
-    line: str
-    length: _Length
-    bin_length: _Length
-    levels: _Bins
-    layers: dict[str, _Layer]
-    settings: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = Field(default_factory=dict)
-    trips: list[Details] = Field(default_factory=list)
-
-    def map(self) -> TrackConditionMap:
-        """The map that the file describes."""
-        for name in ("length", "bin_length"):
-            if not getattr(self, name) > 0.0:
-                raise InputError("must be positive", place=name, remedy="correct it")
-        empty = TrackConditionMap(
-            line=self.line,
-            length=self.length,
-            bin_length=self.bin_length,
-            levels=self.levels,
-            layers={},
-            trips=tuple(self.trips),
-            settings=self.settings,
-        )
-        bins, levels = empty.bins, self.levels.size
-        layers = {n: part.layer(f"layers.{n}", bins, levels) for n, part in self.layers.items()}
-        return replace(empty, layers=layers)
-
-    @staticmethod
-    def of(condition: TrackConditionMap) -> _MapFile:
-        """The file that describes a map."""
-        return _MapFile.holding(
-            condition,
-            layers={name: _Layer.of(layer) for name, layer in condition.layers.items()},
-            settings=plain(condition.settings, "settings"),
-            trips=plain(condition.trips, "trips"),
-        )
-
-
-def map_from_bytes(data: bytes, *, file: str | Path = "map.json") -> TrackConditionMap:
+def map_from_bytes(data: bytes, *, file: str | Path = "track.map") -> TrackConditionMap:
     """The track-condition map in the bytes of a map file; `file` is what errors call it.
 
     Raises
@@ -142,22 +43,30 @@ def map_from_bytes(data: bytes, *, file: str | Path = "map.json") -> TrackCondit
 
     Examples
     --------
-    >>> map_from_bytes(read_bytes("sample_logs/CH_StGallen_Wil.map.json")).bins
+    >>> from trainlog.formats.files import read_bytes
+    >>> map_from_bytes(read_bytes("sample_logs/CH_StGallen_Wil.map")).bins
     1183
     """
-    return built(_MapFile.from_bytes(data, file).map, file)
+    with MapFile.of_bytes(data, file) as opened:
+        return _read(opened)
 
 
 def map_to_bytes(condition: TrackConditionMap) -> bytes:
-    """The bytes of the map's file: doubles exact, the same map gives the same bytes.
+    """The bytes of a file with the map's evidence, added up by day: equal for equal maps.
+
+    Raises
+    ------
+    InputError
+        If an estimate of the map is not that of its evidence: the file could not hold it.
 
     Examples
     --------
-    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> map_to_bytes(map_from_bytes(map_to_bytes(condition))) == map_to_bytes(condition)
     True
     """
-    return _MapFile.of(condition).to_bytes()
+    _check_estimates(condition)
+    return whole_file(condition)
 
 
 def read_map(path: str | Path) -> TrackConditionMap:
@@ -165,24 +74,105 @@ def read_map(path: str | Path) -> TrackConditionMap:
 
     Examples
     --------
-    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> condition.line, list(condition.layers)
     ('CH_StGallen_Wil', ['dry', 'wet'])
     """
-    return map_from_bytes(read_bytes(path), file=path)
+    with MapFile(path) as opened:
+        return _read(opened)
 
 
 def write_map(condition: TrackConditionMap, path: str | Path) -> None:
-    """Write a track-condition map, whole or not at all.
+    """Write a track-condition map, whole or not at all; errors as `map_to_bytes`.
+
+    A file that is there is replaced, with what other processes add to it at that moment: trips are
+    added to a file by `analysis.update_map`.
 
     Examples
     --------
     >>> import tempfile
-    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_map(condition, Path(folder) / "copy.map.json")
-    ...     read_map(Path(folder) / "copy.map.json").bins
+    ...     write_map(condition, Path(folder) / "copy.map")
+    ...     read_map(Path(folder) / "copy.map").bins
     1183
     """
     check_written(condition, TrackConditionMap)
     write_bytes(path, map_to_bytes(condition))
+
+
+def _read(opened: MapFile) -> TrackConditionMap:
+    with opened.unchanging():
+        trips = opened.trips()
+        entries = sorted((row.entry_whole for row in trips if row.counted), key=place_of)
+        track = replace(opened.empty, trips=tuple(entries))
+        known = opened.layers(trips)
+        made_from = {name: f"{digest} {code_version()}" for name, (_, digest) in known.items()}
+        kept = {name: opened.estimate(name, each) for name, each in made_from.items()}
+    for name, (evidence, _) in known.items():
+        if (evidence.bins, evidence.levels) != (track.bins, track.levels.size):
+            raise InputError(
+                f"has evidence of {evidence.bins} bins and {evidence.levels} levels for a line of"
+                f" {track.bins} and {track.levels.size}",
+                file=opened.path,
+                place=f"layer '{name}'",
+                remedy="build the map anew from the logs",
+            )
+    layers = {
+        name: _layer_of(evidence, kept[name]) or ConditionLayer.unestimated(evidence)
+        for name, (evidence, _) in known.items()
+    }
+    if all(kept.values()) and all(np.isfinite(each.log_mean).all() for each in layers.values()):
+        return replace(track, layers=layers)
+    found = estimated(replace(track, layers=layers))
+    with suppress(TypeError, ValueError, InputError):
+        new = {name: (made_from[name], _packed(layer)) for name, layer in found.layers.items()}
+        opened.keep_estimates(new)
+    return found
+
+
+def _packed(layer: ConditionLayer) -> bytes:
+    """The estimate of a layer, as `_layer_of` reads it."""
+    values = {each.name: getattr(layer, each.name) for each in fields(layer)}
+    del values["evidence"]
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    facts: dict[str, Any] = {name: [asdict(each) for each in values[name]] for name in _LISTED} | {
+        "model": asdict(layer.model)["parameters"]
+    }
+    return pack(facts, arrays)
+
+
+def _layer_of(evidence: DailyEvidence, data: bytes | None) -> ConditionLayer | None:
+    """A layer with the estimate that the file keeps; None if it keeps none."""
+    if data is None:
+        return None
+    try:
+        facts, arrays = unpack(data)
+        more: Mapping[str, Any] = {
+            name: tuple(kind(**each) for each in facts[name]) for name, kind in _LISTED.items()
+        }
+        model = ConditionModel(tuple(ModelParameter(**each) for each in facts["model"]))
+        return ConditionLayer(evidence=evidence, model=model, **more, **arrays)
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _check_estimates(condition: TrackConditionMap) -> None:
+    """Refuse a map with an estimate that its evidence does not give."""
+    given = {n: each for n, each in condition.layers.items() if np.isfinite(each.log_mean).any()}
+    if not given:
+        return
+    found = estimated(replace(condition, layers=given))
+    for name, layer in given.items():
+        own = found.layers[name]
+        if not (
+            np.allclose(layer.log_mean, own.log_mean, rtol=0.0, atol=1e-6)
+            and np.allclose(layer.log_std, own.log_std, rtol=1e-6, atol=1e-9)
+            and np.array_equal(layer.observed, own.observed)
+        ):
+            raise InputError(
+                f"map of line '{condition.line}': the estimate of layer '{name}' is not that of its"
+                " evidence, and a map's file holds evidence alone",
+                remedy="change the evidence or the settings, and make the estimate of them"
+                " (trainlog.condition.estimated)",
+            )

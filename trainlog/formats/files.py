@@ -36,6 +36,7 @@ _FILE_SUFFIXES = frozenset(
         ".gpx",
         ".html",
         ".json",
+        ".map",
         ".mcap",
         ".mf4",
         ".nmea",
@@ -595,6 +596,8 @@ def mistaken_log(start: bytes) -> tuple[str, str]:
     """
     if not start:
         return "is empty", "give another log; was the recorder stopped at once?"
+    if is_map(start):
+        return "is not an MCAP file but a track-condition map", "give the logs of the trips"
     for beginning, what, remedy in _BEGINNINGS:
         if start.startswith(beginning):
             return f"is not an MCAP file but {what}", remedy
@@ -612,7 +615,37 @@ def mistaken_json(start: bytes) -> str | None:
     """What a file is that was given for JSON, from its beginning; None if that does not show it."""
     if start.startswith(_MCAP):
         return "a log (MCAP)"
+    if is_map(start):
+        return "a track-condition map"
     return next((what for beginning, what, _ in _BEGINNINGS if start.startswith(beginning)), None)
+
+
+_MAP = b"tlmp"
+"""SQLite's application_id of a track-condition map."""
+
+
+def is_map(start: bytes) -> bool:
+    """Whether a file with this beginning is a track-condition map."""
+    return start.startswith(b"SQLite format 3\0") and start[68:72] == _MAP
+
+
+def mistaken_map(start: bytes) -> tuple[str, str]:
+    """What a file is that was given for a map and is none, from its beginning, and the remedy.
+
+    Examples
+    --------
+    >>> mistaken_map(b'{"format": "trainlog/condition", "version": 1}')[0]
+    'is a track-condition map of an earlier version (JSON)'
+    """
+    anew = "build the map anew from the logs: trainlog map update LOGS --map NAME.map"
+    ours = _FORMAT.search(start)
+    if not start:
+        return "is empty", anew
+    if ours and ours[1] == b"trainlog/condition":
+        return "is a track-condition map of an earlier version (JSON)", anew
+    found = f"a {ours[1].decode()} file" if ours else mistaken_json(start)
+    what = f"is not a track-condition map but {found}" if found else "is not a track-condition map"
+    return what, "name a map that 'trainlog map update' made"
 
 
 def _is_text(start: bytes) -> bool:

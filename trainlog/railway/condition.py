@@ -387,7 +387,7 @@ class TrackConditionMap:
     Examples
     --------
     >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> track.bins, sorted(track.layers)
     (1183, ['dry', 'wet'])
     >>> track.lower_bound("wet", [5_000.0]).shape
@@ -495,7 +495,7 @@ class TrackConditionMap:
         Examples
         --------
         >>> from trainlog.formats.condition import read_map
-        >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+        >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
         >>> seen = track.centres[track.layer("wet").observed][:2]
         >>> track.lower_bound("wet", seen).round(3).tolist()
         [0.127, 0.126]

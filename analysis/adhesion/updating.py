@@ -1,0 +1,293 @@
+"""Adding trips to the file of a track-condition map, one after the other, as they come.
+
+Each trip is on the disk when it is reported. Logs are known by their content, so that the same
+folder can be given again and again: what the map holds is neither read nor counted again.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from os import stat_result
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from trainlog.display import as_text, counted
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.files import logs_of, refuse_reading, sha256_of
+from trainlog.formats.mapfile import MapFile, Recording
+
+if TYPE_CHECKING:
+    from analysis.adhesion.evidence import Evidence
+    from trainlog.railway.condition import TrackConditionMap
+
+# What analyses logs is imported with the first one that the map does not hold: most of the time of
+# an update that finds nothing new would be spent on it.
+
+_SETTLED = 2_000_000_000
+"""A file that was changed so shortly before [ns] may change again within one step of its clock."""
+
+Outcome = Literal["added", "held", "same drive", "refused"]
+
+
+@dataclass(frozen=True, slots=True)
+class LogOutcome:
+    """What became of a log that was given to a map.
+
+    Attributes
+    ----------
+    log : str
+        Its path.
+    outcome : {"added", "held", "same drive", "refused"}
+        Counted from now on; this very log was there already; kept, but a fuller recording of the
+        drive counts; not usable.
+    trip, layer : str
+        Empty where that is not known.
+    reason : str
+        Why it does not count, or is held under another layer than the one given.
+    replaced : tuple of str
+        Trips that counted until now, of which this is a fuller recording.
+    damage : str
+        What of the log is lost; empty if it is whole.
+    """
+
+    log: str
+    outcome: Outcome
+    trip: str = ""
+    layer: str = ""
+    reason: str = ""
+    replaced: tuple[str, ...] = ()
+    damage: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """It in words."""
+        name = f"trip '{self.trip}'"
+        if self.outcome == "added":
+            more = f", in place of {', '.join(self.replaced)}" if self.replaced else ""
+            lost = f"; the log {self.damage}" if self.damage else ""
+            return f"{name} added to '{self.layer}'{more}{lost}"
+        if self.outcome == "held":
+            return f"{name}: in the map already, not counted again" + (
+                f"; {self.reason}" if self.reason else ""
+            )
+        return self.reason
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapUpdate:
+    """What became of the logs that were given to a map, and what the map holds now.
+
+    Attributes
+    ----------
+    path : Path
+    logs : tuple of LogOutcome
+    trips, days : int
+        That the map counts, and the days on which they ran.
+    """
+
+    path: Path
+    logs: tuple[LogOutcome, ...]
+    trips: int
+    days: int
+
+    def __repr__(self) -> str:
+        rows = {each.outcome: each.sentence for each in self.refused[:1]}
+        return as_text(f"Update of {self.path}: {self.sentence}", rows)
+
+    def of(self, outcome: Outcome) -> tuple[LogOutcome, ...]:
+        """The logs with an outcome."""
+        return tuple(each for each in self.logs if each.outcome == outcome)
+
+    @property
+    def added(self) -> tuple[LogOutcome, ...]:
+        """The logs whose trips count from now on."""
+        return self.of("added")
+
+    @property
+    def refused(self) -> tuple[LogOutcome, ...]:
+        """The logs that could not be used."""
+        return self.of("refused")
+
+    @property
+    def sentence(self) -> str:
+        """The update in one sentence."""
+        parts = [f"{counted(len(self.added), 'trip')} added"]
+        for outcome, words in (
+            ("held", "held already"),
+            ("same drive", "of a drive that counts already"),
+            ("refused", "refused"),
+        ):
+            number = len(self.of(outcome))  # type: ignore[arg-type]
+            parts += [f"{number} {words}"] if number else []
+        held = f"the map holds {counted(self.trips, 'trip')} of {counted(self.days, 'day')}"
+        return f"{', '.join(parts)}; {held}"
+
+    def details(self) -> dict[str, Any]:
+        """The update as JSON."""
+        numbers = {
+            "added": len(self.added),
+            "held": len(self.of("held")),
+            "same_drive": len(self.of("same drive")),
+            "refused": len(self.refused),
+        }
+        return {
+            "map": str(self.path),
+            **numbers,
+            "trips": self.trips,
+            "days": self.days,
+            "logs": [asdict(each) for each in self.logs],
+        }
+
+
+def update_map(
+    logs: str | Path | Iterable[str | Path],
+    path: str | Path,
+    layer: str | None = None,
+    *,
+    report: Callable[[LogOutcome], None] | None = None,
+) -> MapUpdate:
+    """Add the trips of logs to the file of a track-condition map.
+
+    Several processes may do so at once. A trip is on the disk, once, when it is reported; whatever
+    interrupts the update afterwards, giving the same logs again adds the others. What counts does
+    not depend on the order in which logs come: of several recordings of one drive the fullest, in
+    place of a poorer one that was there (see `trainlog.identity`). A log that cannot be used is
+    reported and does not keep the others from being added.
+
+    Parameters
+    ----------
+    logs : path or iterable of paths
+        Logs, and folders of logs.
+    path : path
+        The map's file (``.map``); begun on the line of the first log if it does not exist.
+    layer : str, optional
+        Rail condition of all trips; default: what each states (metadata ``weather``).
+    report : callable, optional
+        Is given the outcome of each log.
+
+    Returns
+    -------
+    MapUpdate
+
+    Raises
+    ------
+    InputError
+        If the map cannot be read or written, or no log was given.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     first = update_map("sample_logs", Path(folder) / "wil.map")
+    ...     again = update_map("sample_logs/nonstop.mcap", Path(folder) / "wil.map")
+    >>> first.sentence
+    '2 trips added; the map holds 2 trips of 1 day'
+    >>> again.sentence
+    '0 trips added, 1 held already; the map holds 2 trips of 1 day'
+    """
+    target = Path(path)
+    outcomes: list[LogOutcome] = []
+    file = MapFile(target) if target.exists() else None
+    try:
+        given = [logs] if isinstance(logs, str | Path) else logs
+        for log in (log for each in given for log in logs_of(Path(each))):
+            try:
+                state = _state(log)
+                known = file.digest_of(log, state) if file else ""
+                digest = known or sha256_of(log)
+            except TrainlogError as error:
+                outcome = LogOutcome(str(log), "refused", reason=str(error))
+            else:
+                found = _held(file, log, digest, layer) or _analysed(file, log, digest, layer)
+                if isinstance(found, LogOutcome):
+                    outcome = found
+                else:
+                    piece, track, damage = found
+                    if _has_changed(log, state):
+                        outcome = _refused(log, "changed while it was read", piece)
+                    else:
+                        file = file or MapFile(target, track)
+                        outcome = _added(file, log, piece, damage)
+                if file and not known and outcome.outcome != "refused" and _is_settled(state):
+                    file.remember(log, state, digest)
+            outcomes.append(outcome)
+            if report is not None:
+                report(outcome)
+        if not outcomes:
+            raise InputError("no log was given", remedy="name logs, or folders of logs")
+        trips, days = file.amount() if file else (0, 0)
+    finally:
+        if file is not None:
+            file.close()
+    return MapUpdate(target, tuple(outcomes), trips, days)
+
+
+def _state(log: Path) -> stat_result:
+    try:
+        return log.stat()
+    except OSError as error:
+        refuse_reading(log, error)
+
+
+def _has_changed(log: Path, before: stat_result) -> bool:
+    now = _state(log)
+    return (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns)
+
+
+def _is_settled(state: stat_result) -> bool:
+    """Whether a later change of the file would show in the time of its last one."""
+    return time.time_ns() - state.st_mtime_ns > _SETTLED
+
+
+def _held(file: MapFile | None, log: Path, digest: str, layer: str | None) -> LogOutcome | None:
+    """The outcome of a log that the map holds; None if it does not."""
+    row = file.held(digest) if file else None
+    if row is None:
+        return None
+    known = row.known
+    other = f"as '{row.layer}': to count it as '{layer}', build the map anew"
+    reason = other if layer is not None and layer != row.layer else ""
+    return LogOutcome(str(log), "held", known.name, row.layer, reason)
+
+
+def _refused(log: Path, problem: str, piece: Evidence) -> LogOutcome:
+    error = InputError(problem, file=log, remedy="give it again when its recording has ended")
+    return LogOutcome(str(log), "refused", piece.trip, piece.layer, str(error))
+
+
+def _analysed(
+    file: MapFile | None, log: Path, digest: str, layer: str | None
+) -> LogOutcome | tuple[Evidence, TrackConditionMap, str]:
+    """The evidence of a log, the map that it is for, without trips, and what of the log is lost."""
+    from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
+    from trainlog.mcap import DamageWarning, read_log
+
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            track = file.empty if file else empty_map(own_line(read_log(log, topics=[])))
+            piece = evidence_of_log(log, track, layer, sha256=digest)
+    except TrainlogError as error:
+        problem = error if error.file else type(error)(error.problem, file=log, remedy=error.remedy)
+        return LogOutcome(str(log), "refused", reason=str(problem))
+    losses = ""
+    for each in caught:
+        warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+        if isinstance(each.message, DamageWarning):
+            losses = each.message.account.sentence
+    return piece, track, losses
+
+
+def _added(file: MapFile, log: Path, piece: Evidence, damage: str) -> LogOutcome:
+    from analysis.adhesion.condition_map import entry_of
+
+    details = {"damage": damage} if damage else {}
+    entry = entry_of(replace(piece, details={**piece.details, **details}))
+    found = file.append(Recording(piece.layer, entry, piece.recorded, piece.steps, piece.daily))
+    outcome: Outcome = "held" if found.held else "added" if found.counted else "same drive"
+    return LogOutcome(
+        str(log), outcome, piece.trip, piece.layer, found.reason, found.replaced, damage
+    )

@@ -1,0 +1,392 @@
+"""The file of a map: what it keeps, which recordings of a drive count, and damage to it."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from dataclasses import replace
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings, strategies as st
+from test_traction_map import LINE, piece
+
+import trainlog
+from analysis.adhesion.condition_map import empty_map, entry_of, update
+from analysis.adhesion.evidence import Evidence
+from trainlog.errors import InputError
+from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
+from trainlog.formats.mapfile import MapFile, Recording, merge_files
+from trainlog.formats.packed import pack, unpack
+from trainlog.formats.samples import sample
+from trainlog.identity import TripIdentity
+
+SAMPLE = sample("CH_StGallen_Wil.map")
+
+
+def recording(found: Evidence) -> Recording:
+    return Recording(found.layer, entry_of(found), found.recorded, found.steps, found.daily)
+
+
+def drive(first: int, last: int) -> TripIdentity:
+    """A recording of the minutes from `first` to `last` of one drive."""
+    start, end = (pd.Timestamp(60 * n, unit="s", tz="UTC") for n in (first, last + 1))
+    return TripIdentity(
+        start, end, 600 * (last - first + 1), np.arange(first, last + 1).astype("u8")
+    )
+
+
+def part(seed: int, first: int, last: int) -> Evidence:
+    """A recording of a part of one drive."""
+    return replace(piece(seed, "wet"), recorded=drive(first, last))
+
+
+def given_to(path: Path, pieces: list[Evidence]) -> None:
+    for each in pieces:
+        with MapFile(path, empty_map(LINE)) as file:
+            file.append(recording(each))
+
+
+def merged(folder: Path, paths: list[Path]) -> bytes:
+    """The bytes of the maps' files merged."""
+    folder.mkdir(exist_ok=True)
+    output = folder / f"merged-{len(list(folder.iterdir()))}.map"
+    merge_files(paths, output)
+    return output.read_bytes()
+
+
+class TestSet:
+    @settings(max_examples=8, deadline=None)
+    @given(
+        order=st.permutations(range(9)), cuts=st.lists(st.integers(0, 9), min_size=2, max_size=2)
+    )
+    def test_any_order_grouping_and_division_into_files_gives_the_same_bytes(
+        self, order: list[int], cuts: list[int], tmp_path_factory: pytest.TempPathFactory
+    ) -> None:
+        """Recordings of one drive among them, of which some replace others."""
+        folder = tmp_path_factory.mktemp("maps")
+        pieces = [piece(i, ("dry", "wet")[i % 2]) for i in range(4)]
+        pieces += [
+            part(10 + i, *ends)
+            for i, ends in enumerate([(0, 9), (5, 20), (12, 40), (0, 2), (41, 60)])
+        ]
+        given_to(folder / "all.map", pieces)
+        expected = merged(folder, [folder / "all.map"])
+        a, b = sorted(cuts)
+        shuffled = [pieces[i] for i in order]
+        paths = []
+        for number, group in enumerate((shuffled[:a], shuffled[a:b], shuffled[b:])):
+            # A recording may be given to several files.
+            paths.append(folder / f"{number}.map")
+            given_to(paths[-1], [*group, shuffled[0]])
+        assert merged(folder, paths) == expected
+        assert merged(folder, paths[::-1]) == expected
+        pair = folder / "pair.map"
+        merge_files(paths[:2], pair)
+        assert merged(folder, [pair, paths[2]]) == expected
+        assert map_to_bytes(read_map(folder / "all.map")) == map_to_bytes(map_from_bytes(expected))
+
+    def test_the_file_gives_the_map_that_is_made_in_memory(self, tmp_path: Path) -> None:
+        pieces = [piece(i, ("dry", "wet")[i % 2]) for i in range(6)]
+        given_to(tmp_path / "a.map", pieces)
+        known, _ = update(empty_map(LINE), pieces)
+        assert map_to_bytes(read_map(tmp_path / "a.map")) == map_to_bytes(known)
+        again = read_map(tmp_path / "a.map")
+        assert map_to_bytes(again) == map_to_bytes(known), "with the estimate that was kept"
+        np.testing.assert_array_equal(again.layer("wet").log_mean, known.layer("wet").log_mean)
+
+    def test_which_recordings_of_a_drive_count_does_not_depend_on_their_order(
+        self, tmp_path: Path
+    ) -> None:
+        """The second replaces the first, the third the second: then the first counts again."""
+        pieces = [part(1, 0, 9), part(2, 5, 20), part(3, 12, 40)]
+        found = set()
+        for number, order in enumerate(permutations(pieces)):
+            path = tmp_path / f"{number}.map"
+            given_to(path, list(order))
+            track = read_map(path)
+            assert [trip["trip"] for trip in track.trips] == ["trip-1", "trip-3"]
+            found.add(map_to_bytes(track))
+        assert len(found) == 1
+
+    def test_what_became_of_a_recording_is_stated(self, tmp_path: Path) -> None:
+        with MapFile(tmp_path / "a.map", empty_map(LINE)) as file:
+            first = file.append(recording(part(1, 0, 9)))
+            fuller = file.append(recording(part(2, 0, 20)))
+            poorer = file.append(recording(part(3, 3, 8)))
+            again = file.append(recording(part(2, 0, 20)))
+            assert file.amount() == (1, 1)
+        assert (first.counted, first.replaced) == (True, ())
+        assert (fuller.counted, fuller.replaced) == (True, ("trip-1",))
+        assert (poorer.counted, poorer.held) == (False, False)
+        assert poorer.reason == "trip 'trip-3' is the same drive as 'trip-2', which is used"
+        assert again.held
+
+    def test_a_log_in_two_layers_is_refused(self, tmp_path: Path) -> None:
+        given_to(tmp_path / "a.map", [piece(1, "dry")])
+        given_to(tmp_path / "b.map", [piece(1, "wet")])
+        with pytest.raises(InputError, match=r"counts trip 'trip-1' as 'wet', another .* as 'dry'"):
+            merged(tmp_path, [tmp_path / "a.map", tmp_path / "b.map"])
+
+    def test_maps_that_differ_are_not_merged_and_files_are_not_replaced(
+        self, tmp_path: Path
+    ) -> None:
+        given_to(tmp_path / "a.map", [piece(1)])
+        with MapFile(tmp_path / "b.map", empty_map(LINE, settings={"trip_std": 0.2})):
+            pass
+        with pytest.raises(InputError, match=r"b\.map: .* differ in settings"):
+            merge_files([tmp_path / "a.map", tmp_path / "b.map"], tmp_path / "c.map")
+        with pytest.raises(InputError, match=r"a\.map: exists already"):
+            merge_files([tmp_path / "b.map"], tmp_path / "a.map")
+        with pytest.raises(InputError, match="no map was given"):
+            merge_files([], tmp_path / "c.map")
+        assert not (tmp_path / "c.map").exists()
+
+    def test_a_map_without_trips_is_a_map(self, tmp_path: Path) -> None:
+        with MapFile(tmp_path / "a.map", empty_map(LINE)) as file:
+            assert file.amount() == (0, 0)
+        track = read_map(tmp_path / "a.map")
+        assert (track.line, track.layers, track.trips) == (LINE.name, {}, ())
+
+
+class TestCompaction:
+    def test_the_map_stays_the_same(self, tmp_path: Path) -> None:
+        pieces = [piece(i, ("dry", "wet")[i % 2]) for i in range(8)]
+        path = tmp_path / "a.map"
+        given_to(path, pieces[:6])
+        before = map_to_bytes(read_map(path))
+        with MapFile(path) as file:
+            assert file.compact(20_002) == 4
+            assert file.compact(20_002) == 0
+            assert file.amount() == (6, 3)
+        assert map_to_bytes(read_map(path)) == before
+        given_to(path, pieces[6:])
+        with MapFile(path) as file:
+            assert file.compact(99_999) == 4
+        assert map_to_bytes(read_map(path)) == map_to_bytes(update(empty_map(LINE), pieces)[0])
+
+    def test_a_log_is_still_known_and_its_drive_decided(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        given_to(path, [part(1, 0, 9), part(2, 0, 20)])
+        with MapFile(path) as file:
+            file.compact(99_999)
+            assert file.append(recording(part(1, 0, 9))).held
+            assert file.append(recording(part(2, 0, 20))).held
+            fuller = file.append(recording(part(3, 0, 40)))
+        assert not fuller.counted
+        assert "which is counted already" in fuller.reason
+        assert [trip["trip"] for trip in read_map(path).trips] == ["trip-2"]
+
+    def test_sums_that_share_a_drive_are_not_merged(self, tmp_path: Path) -> None:
+        for name, found in (("a", part(1, 0, 9)), ("b", part(1, 0, 9)), ("c", part(2, 0, 20))):
+            given_to(tmp_path / f"{name}.map", [found])
+            with MapFile(tmp_path / f"{name}.map") as file:
+                file.compact(99_999)
+        given_to(tmp_path / "d.map", [part(1, 0, 9), part(3, 0, 30)])
+        a, b, c, d = (tmp_path / f"{name}.map" for name in "abcd")
+        with pytest.raises(InputError, match="trip 'trip-1' in its sums, and so has another"):
+            merged(tmp_path, [a, b])
+        with pytest.raises(InputError, match="the sums of several maps hold one drive"):
+            merged(tmp_path, [a, c])
+        both = map_from_bytes(merged(tmp_path / "out", [a, d]))
+        assert [trip["trip"] for trip in both.trips] == ["trip-1"]
+        assert merged(tmp_path / "out", [d, a]) == merged(tmp_path / "out", [a, d])
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The bytes of a file that processes add to, with the estimate that a reader kept."""
+    path = tmp_path_factory.mktemp("good") / "a.map"
+    given_to(path, [piece(i, ("dry", "wet")[i % 2]) for i in range(6)] + [part(9, 0, 9)])
+    read_map(path)
+    return path.read_bytes()
+
+
+class TestDamage:
+    """Never another map, and never a traceback: the same map, or one line that names the file."""
+
+    def check(self, data: bytes, good: bytes) -> bool:
+        """Whether the data are refused; else they must give the good map."""
+        try:
+            found = map_to_bytes(map_from_bytes(data, file="f.map"))
+        except InputError as error:
+            message = str(error)
+        else:
+            assert found == map_to_bytes(map_from_bytes(good))
+            return False
+        assert message.startswith("f.map")
+        assert "\n" not in message
+        return True
+
+    def test_changed_bytes(self, good: bytes) -> None:
+        rng = np.random.default_rng(1)
+        refused = 0
+        for place in rng.choice(len(good), 400, replace=False):
+            data = bytearray(good)
+            data[place] ^= 1 << int(rng.integers(8))
+            refused += self.check(bytes(data), good)
+        assert refused > 30
+
+    def test_truncation(self, good: bytes) -> None:
+        for end in range(0, len(good) - 1, 1_021):
+            assert self.check(good[:end], good)
+
+    def test_pages_of_zeros_and_of_another_place(self, good: bytes) -> None:
+        for start in range(0, len(good), 4_096):
+            assert self.check(good[:start] + bytes(4_096) + good[start + 4_096 :], good) or start
+            data = good[:start] + good[:4_096] + good[start + 4_096 :]
+            assert self.check(data, good) or data == good or start
+
+    def test_rows_that_were_changed_or_removed_by_hand(self, good: bytes, tmp_path: Path) -> None:
+        for number, (words, message) in enumerate((
+            ("DELETE FROM trips WHERE key LIKE '%3'", "entries are missing"),
+            ("DELETE FROM trips", "entries are missing"),
+            ("UPDATE trips SET layer = 'leaves' WHERE layer = 'wet'", "its entry was changed"),
+            ("UPDATE trips SET counted = 0", "its entry was changed"),
+            ("UPDATE header SET value = '\"far\"' WHERE key = 'line'", "its header was changed"),
+            ("DELETE FROM header WHERE key = 'levels'", "database: is damaged"),
+            ("DELETE FROM evidence", r"evidence [0-9a-f]{16}: is damaged"),
+            ("UPDATE evidence SET data = (SELECT max(data) FROM evidence)", "its checksum fails"),
+            ("DROP TABLE trips", "no such table: trips"),
+        )):  # fmt: skip
+            path = tmp_path / f"{number}.map"
+            path.write_bytes(good)
+            database = sqlite3.connect(path)
+            database.execute(words)
+            database.commit()
+            database.close()
+            with pytest.raises(InputError, match=message) as caught:
+                read_map(path)
+            assert "build the map anew from the logs" in str(caught.value)
+
+    def test_an_estimate_that_was_changed_is_made_again(self, good: bytes, tmp_path: Path) -> None:
+        for number, data in enumerate((b"", b"x" * 40)):
+            path = tmp_path / f"{number}.map"
+            path.write_bytes(good)
+            database = sqlite3.connect(path)
+            assert database.execute("SELECT count(*) FROM estimates").fetchone() == (2,)
+            database.execute("UPDATE estimates SET data = ?", (data,))
+            database.commit()
+            database.close()
+            found = read_map(path).layer("wet")
+            np.testing.assert_array_equal(
+                found.log_mean, map_from_bytes(good).layer("wet").log_mean
+            )
+
+
+class TestOtherFiles:
+    def refused(self, path: Path) -> str:
+        with pytest.raises(InputError) as caught:
+            read_map(path)
+        assert str(caught.value).startswith(str(path))
+        return str(caught.value)
+
+    def test_each_is_named_with_the_remedy(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        assert "does not exist" in self.refused(path)
+        for data, message in (
+            (b"", "is empty; build the map anew from the logs: trainlog map update LOGS"),
+            (
+                b'{"format": "trainlog/condition", "version": 1}',
+                "of an earlier version (JSON); buil",
+            ),
+            (
+                b'{"format": "trainlog/line"}',
+                "is not a track-condition map but a trainlog/line file",
+            ),
+            (b"\x89MCAP0\r\n", "is not a track-condition map but a log (MCAP)"),
+            (b"PAR1", "but a Parquet file"),
+            (b"anything", "is not a track-condition map; name a map that"),
+        ):
+            path.write_bytes(data)
+            assert message in self.refused(path)
+        path.unlink()
+        path.mkdir()
+        assert "is a folder" in self.refused(path)
+
+    def test_a_database_of_something_else(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        database = sqlite3.connect(path)
+        database.execute("CREATE TABLE messages (data BLOB)")
+        database.close()
+        before = path.read_bytes()
+        assert "is an SQLite database, but holds no track-condition map" in self.refused(path)
+        with pytest.raises(InputError, match="holds no track-condition map"):
+            MapFile(path, empty_map(LINE))
+        assert path.read_bytes() == before
+
+    def test_a_newer_version(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        path.write_bytes(SAMPLE.read_bytes())
+        database = sqlite3.connect(path)
+        database.execute("PRAGMA user_version = 2")
+        database.close()
+        assert self.refused(path).endswith(
+            "follows version 2 of the format of maps, this trainlog knows 1; update trainlog"
+        )
+
+    def test_a_map_given_for_a_log_or_for_json_is_named(self) -> None:
+        with pytest.raises(trainlog.LogError, match="not an MCAP file but a track-condition map"):
+            trainlog.read(SAMPLE)
+        with pytest.raises(InputError, match="is not JSON but a track-condition map"):
+            trainlog.read_line(SAMPLE)
+
+    def test_a_map_that_may_only_be_read_is_read(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        given_to(path, [piece(1)])
+        before = path.read_bytes()
+        path.chmod(0o444)
+        tmp_path.chmod(0o555)
+        try:
+            assert len(read_map(path).trips) == 1
+        finally:
+            tmp_path.chmod(0o755)
+        assert path.stat().st_size == len(before)
+
+    def test_reading_changes_no_file_that_was_written_whole(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        write_map(update(empty_map(LINE), [piece(1)])[0], path)
+        before = path.read_bytes()
+        read_map(path)
+        assert path.read_bytes() == before
+        given_to(path, [piece(2)])
+        read_map(path)
+        size = path.stat().st_mtime_ns
+        read_map(path)
+        assert path.stat().st_mtime_ns == size, "the estimate is kept once"
+
+
+class TestPacked:
+    @given(
+        st.lists(st.integers(-(2**62), 2**62), max_size=20),
+        st.lists(st.floats(), max_size=20),
+        st.lists(st.booleans(), max_size=20),
+    )
+    def test_arrays_survive_to_the_last_bit(
+        self, whole: list[int], real: list[float], true: list[bool]
+    ) -> None:
+        arrays = {
+            "whole": np.array(whole, dtype=np.int64),
+            "real": np.array(real, dtype=np.float64),
+            "true": np.array(true, dtype=np.bool_),
+            "rows": np.array([real, real], dtype=np.float64),
+        }
+        facts, found = unpack(pack({"a": [1, "b"]}, arrays))
+        assert facts == {"a": [1, "b"]}
+        for name, array in arrays.items():
+            assert found[name].dtype == array.dtype
+            assert found[name].shape == array.shape
+            assert found[name].tobytes() == array.tobytes()
+
+    def test_numbers_in_order_take_a_byte_each(self) -> None:
+        data = pack({}, {"bin": np.arange(0, 30_000, 3), "day": np.full(10_000, 20_000)})
+        assert len(data) < 10_200
+
+    @pytest.mark.parametrize("data", [b"", b"\xff\xff\xff\xff", b"\x02\x00\x00\x00{}", b"junk" * 9])
+    def test_other_bytes_are_refused(self, data: bytes) -> None:
+        with pytest.raises(ValueError):  # noqa: PT011 - of several makers
+            unpack(data)
+        assert json.dumps({})

@@ -1,0 +1,888 @@
+"""The file of a track-condition map: an SQLite database to which several processes add trips.
+
+Every recording that was given is kept with its evidence; which of them count is decided anew among
+the recordings of a drive whenever one comes. What a file holds is therefore a set that only grows,
+and the map a function of that set: it does not depend on the order in which trips came, nor on how
+they were divided between files that were merged.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import sqlite3
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, NoReturn, Self
+
+import numpy as np
+
+from trainlog.errors import InputError
+from trainlog.formats.files import (
+    mistaken_map,
+    plain,
+    refuse_reading,
+    sha256,
+    write_bytes,
+    writing_error,
+)
+from trainlog.formats.packed import pack, unpack
+from trainlog.identity import (
+    Known,
+    TripIdentity,
+    identity_from_text,
+    overlapping,
+    same_drives,
+)
+from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
+
+SUFFIX = ".map"
+
+APPLICATION = 0x746C6D70
+"""SQLite's application_id of a map: "tlmp"."""
+
+VERSION = 1
+"""Of the format; SQLite's user_version."""
+
+PATIENCE = 60.0
+"""How long another process that is writing is waited for [s]."""
+
+_TABLES = """
+CREATE TABLE header (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE trips (
+    key TEXT PRIMARY KEY, layer TEXT NOT NULL, start INTEGER, end INTEGER, first_day INTEGER,
+    last_day INTEGER, steps INTEGER NOT NULL, entry TEXT NOT NULL, identity TEXT, evidence TEXT,
+    counted INTEGER NOT NULL, digest TEXT NOT NULL
+) WITHOUT ROWID;
+CREATE INDEX trips_by_time ON trips (start, end);
+CREATE TABLE evidence (digest TEXT PRIMARY KEY, data BLOB NOT NULL);
+CREATE TABLE sums (layer TEXT PRIMARY KEY, digest TEXT NOT NULL, data BLOB NOT NULL);
+CREATE TABLE estimates (layer TEXT PRIMARY KEY, made_from TEXT NOT NULL, data BLOB NOT NULL);
+CREATE TABLE files (
+    path TEXT PRIMARY KEY, size INTEGER NOT NULL, changed INTEGER NOT NULL, sha256 TEXT NOT NULL
+);
+"""
+_COLUMNS = (
+    "key", "layer", "start", "end", "first_day", "last_day", "steps", "entry", "identity",
+    "evidence", "counted",
+)  # fmt: skip
+_SELECT = f"SELECT {', '.join((*_COLUMNS, 'digest'))} FROM trips"
+_INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(_COLUMNS) + 1))})"
+_EVIDENCE = tuple(
+    each.name for each in fields(DailyEvidence) if each.name not in ("bins", "levels")
+)
+_SORTED_BY = ("layer", "trip", "sha256", "identity")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording of a drive, as the file of a map keeps it.
+
+    Attributes
+    ----------
+    layer : str
+    entry : dict
+        What the map keeps of the trip: ``trip`` (its name), ``sha256`` of its log (empty where
+        there is none), ``layer``, ``software`` and what else is known.
+    identity : TripIdentity or None
+        Which drive it is; None: not known.
+    steps : int
+        Of processing since it was recorded.
+    evidence : DailyEvidence or None
+        None: in the sums of its layer, or, if it does not count, not kept.
+    counted : bool
+        Whether it counts; a fuller recording of the same drive may do in its place.
+    days : (int, int) or None
+        First and last day with evidence; None if it has none.
+    """
+
+    layer: str
+    entry: dict[str, Any]
+    identity: TripIdentity | None = None
+    steps: int = 0
+    evidence: DailyEvidence | None = None
+    counted: bool = True
+    days: tuple[int, int] | None = None
+
+    @property
+    def trip(self) -> str:
+        """Name of the trip."""
+        return str(self.entry.get("trip", ""))
+
+    @property
+    def key(self) -> str:
+        """What identifies the recording: SHA-256 of the log, else the drive, else the name."""
+        return key_of(str(self.entry.get("sha256") or ""), self.identity, self.trip)
+
+
+def key_of(digest: str, identity: TripIdentity | None, trip: str) -> str:
+    """What identifies a recording in the file of a map."""
+    if digest:
+        return digest
+    if identity is not None:
+        return f"drive {sha256(identity.text.encode())}"
+    return f"trip {trip}"
+
+
+@dataclass(frozen=True, slots=True)
+class Appended:
+    """What became of a recording that was given to a map.
+
+    Attributes
+    ----------
+    counted : bool
+    held : bool
+        Whether the map held this very recording already.
+    reason : str
+        Why it does not count, in words.
+    replaced : tuple of str
+        Names of the trips that counted before, and do no more: this is a fuller recording.
+    """
+
+    counted: bool
+    held: bool = False
+    reason: str = ""
+    replaced: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A row of the table of trips, as it stands in the file."""
+
+    key: str
+    layer: str
+    start: int | None
+    end: int | None
+    first_day: int | None
+    last_day: int | None
+    steps: int
+    entry: str
+    identity: str | None
+    evidence: str | None
+    counted: int
+
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """The columns."""
+        return tuple(getattr(self, name) for name in _COLUMNS)
+
+    @property
+    def full(self) -> tuple[Any, ...]:
+        """The columns and their digest."""
+        return (*self.values, _sealed(self.values))
+
+    @property
+    def entry_whole(self) -> dict[str, Any]:
+        """The entry of the trip as a map at hand has it."""
+        entry: dict[str, Any] = json.loads(self.entry)
+        return entry if self.identity is None else {**entry, "identity": self.identity}
+
+    @property
+    def known(self) -> Known:
+        """The recording, to be compared with others of the drive."""
+        entry = json.loads(self.entry)
+        name, digest = str(entry.get("trip", "")), str(entry.get("sha256") or "")
+        fixed = self.evidence is None
+        # What is in the sums is counted for good, what was left out of them never is.
+        identity = None if fixed and not self.counted else identity_from_text(self.identity or "")
+        order = (self.steps, digest, name)
+        return Known(name, identity, order, held=fixed and bool(self.counted), digest=digest)
+
+
+def _sealed(values: Sequence[Any]) -> str:
+    return sha256(repr(tuple(values)).encode())[:16]
+
+
+class MapFile:
+    """A map's file that is open; close it, or use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    path : path
+    empty : TrackConditionMap, optional
+        What to begin the file with if it does not exist: the line, the bins and the settings.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist and `empty` is not given, cannot be read or written, is of
+        another kind or a later version, or is damaged.
+    """
+
+    def __init__(self, path: str | Path, empty: TrackConditionMap | None = None) -> None:
+        self.path = Path(path)
+        if empty is not None and not self.path.exists():
+            _begin(self.path, empty)
+        try:
+            with self.path.open("rb") as stream:
+                start = stream.read(4096)
+        except OSError as error:
+            refuse_reading(self.path, error)
+        _check_start(start, self.path)
+        with _refusing(self.path):
+            name = f"{self.path.absolute().as_uri()}?mode=rw"
+            self._database = sqlite3.connect(
+                name, timeout=PATIENCE, isolation_level=None, uri=True, check_same_thread=False
+            )
+            # Durable when a trip is acknowledged, also after a power cut.
+            self._database.execute("PRAGMA synchronous = EXTRA")
+            _check_kind(self._database, self.path)
+
+    @classmethod
+    def of_bytes(cls, data: bytes, file: str | Path) -> Self:
+        """A copy in memory of the bytes of a file; `file` is what errors call it."""
+        _check_start(data[:4096], file)
+        found = cls.__new__(cls)
+        found.path = Path(file)
+        found._database = sqlite3.connect(":memory:", isolation_level=None)
+        with _refusing(file):
+            found._database.deserialize(data)
+            _check_kind(found._database, file)
+        return found
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; what was not committed is undone."""
+        self._database.close()
+
+    # ------------------------------------------------------------------------------ reading
+
+    @property
+    def empty(self) -> TrackConditionMap:
+        """The map without its layers and trips."""
+        with _refusing(self.path):
+            return _header_of(dict(self._database.execute("SELECT key, value FROM header")))
+
+    @contextmanager
+    def unchanging(self) -> Iterator[None]:
+        """What is read within is of one moment, whatever other processes add."""
+        with _refusing(self.path):
+            self._database.execute("BEGIN")
+            try:
+                yield
+            finally:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+
+    def rows(self, where: str = "", values: Sequence[Any] = ()) -> list[_Row]:
+        """Rows of the trips; each is verified."""
+        found = []
+        with _refusing(self.path):
+            for row in self._database.execute(f"{_SELECT} {where}", tuple(values)):
+                if _sealed(row[:-1]) != row[-1]:
+                    raise _damaged(self.path, f"trip {str(row[0])[:16]}", "its entry was changed")
+                found.append(_Row(*row[:-1]))
+        return found
+
+    def held(self, key: str) -> _Row | None:
+        """The recording of a key."""
+        return next(iter(self.rows("WHERE key = ?", (key,))), None)
+
+    def evidence(self, digest: str) -> DailyEvidence:
+        """The evidence of a digest."""
+        with _refusing(self.path):
+            found = self._database.execute("SELECT data FROM evidence WHERE digest = ?", (digest,))
+            data = found.fetchone()
+        return self._unpacked(data[0] if data else b"", digest)
+
+    def _unpacked(self, data: bytes, digest: str, layer: str = "") -> DailyEvidence:
+        try:
+            raw = zlib.decompress(data)
+            if sha256(layer.encode() + raw) != digest:
+                raise ValueError("its checksum fails")
+            facts, arrays = unpack(raw)
+            return DailyEvidence(facts["bins"], facts["levels"], **arrays)
+        except (zlib.error, ValueError, TypeError, KeyError) as error:
+            raise _damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
+
+    def trips(self) -> list[_Row]:
+        """All recordings; that none is missing is verified."""
+        found = self.rows("ORDER BY layer, first_day, key")
+        with _refusing(self.path):
+            sums = [digest for (digest,) in self._database.execute("SELECT digest FROM sums")]
+            total = self._database.execute("SELECT value FROM header WHERE key = 'total'")
+            known = total.fetchone()
+            if known is None or int(known[0], 16) != _total(found, sums):
+                raise _damaged(self.path, "table of trips", "entries are missing")
+        return found
+
+    def layers(self, trips: Sequence[_Row]) -> dict[str, tuple[DailyEvidence, str]]:
+        """Evidence of the trips by layer, added up, and a digest of what it was added up from."""
+        with _refusing(self.path):
+            sums = self._database.execute("SELECT layer, digest, data FROM sums").fetchall()
+            known = {layer: self._unpacked(data, digest, layer) for layer, digest, data in sums}
+            digests = {layer: digest for layer, digest, _ in sums}
+        pieces: dict[str, list[str]] = {layer: [] for layer in known}
+        for row in trips:
+            if row.counted and row.evidence is not None:
+                pieces.setdefault(row.layer, []).append(row.evidence)
+        found = {}
+        for layer in sorted(pieces):
+            made_from = [digests.get(layer, ""), *sorted(pieces[layer])]
+            total = DailyEvidence.total(
+                [
+                    *([known[layer]] if layer in known else []),
+                    *_subtotals(self.evidence(each) for each in pieces[layer]),
+                ]
+            )
+            found[layer] = total, sha256("\n".join(made_from).encode())
+        return found
+
+    def amount(self) -> tuple[int, int]:
+        """How many trips count, and of how many days."""
+        with _refusing(self.path):
+            (trips,) = self._database.execute("SELECT count(*) FROM trips WHERE counted").fetchone()
+            days = self._database.execute(
+                "SELECT DISTINCT first_day, last_day FROM trips"
+                " WHERE counted AND first_day IS NOT NULL"
+            ).fetchall()
+        return int(trips), len({day for first, last in days for day in range(first, last + 1)})
+
+    def estimate(self, layer: str, made_from: str) -> bytes | None:
+        """The estimate of a layer that was kept, if it was made from this; else None."""
+        with _refusing(self.path):
+            found = self._database.execute(
+                "SELECT data FROM estimates WHERE layer = ? AND made_from = ?", (layer, made_from)
+            ).fetchone()
+        with suppress(zlib.error, TypeError):
+            return None if found is None else zlib.decompress(found[0])
+        return None
+
+    # ------------------------------------------------------------------------------ writing
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """A transaction: what is done within is there whole, or not at all."""
+        with _refusing(self.path):
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._database
+                self._database.execute("COMMIT")
+            finally:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+
+    def append(self, recording: Recording) -> Appended:
+        """Add a recording, and decide which recordings of its drive count.
+
+        When this returns, the recording is on the disk.
+        """
+        with self._writing() as database:
+            before = self.held(recording.key)
+            if before is not None:
+                return Appended(bool(before.counted), held=True)
+            row = self._insert(recording)
+            together = self._of_the_drive(row)
+            reasons = _reasons(together)
+            replaced: list[str] = []
+            changed = [row]
+            for each in together:
+                counts = each.key not in reasons
+                if each.key != row.key and each.counted and not counts:
+                    replaced.append(each.known.name)
+                if bool(each.counted) != counts and each.evidence is not None:
+                    changed += [each, _replaced(database, each, counted=int(counts))]
+            _add_to_total(database, changed)
+            database.execute("INSERT OR IGNORE INTO header VALUES ('live', '1')")
+        reason = reasons.get(row.key, "")
+        return Appended(not reason, reason=reason, replaced=tuple(replaced))
+
+    def _insert(self, recording: Recording) -> _Row:
+        """Insert a recording and its evidence; the row."""
+        digest = None
+        if recording.evidence is not None:
+            raw = packed_evidence(recording.evidence)
+            digest = sha256(raw)
+            self._database.execute(
+                "INSERT OR IGNORE INTO evidence VALUES (?, ?)", (digest, zlib.compress(raw))
+            )
+        row = _row_of(recording, digest)
+        self._database.execute(_INSERT, row.full)
+        return row
+
+    def _of_the_drive(self, row: _Row) -> list[_Row]:
+        """The row and all others that share something recorded with it, or with one that does."""
+        found = {row.key: row}
+        waiting = [row]
+        while waiting:
+            one = waiting.pop()
+            identity = identity_from_text(one.identity or "")
+            if identity is None:
+                continue
+            near = self.rows("WHERE start <= ? AND end >= ?", (one.end, one.start))
+            for other in near:
+                theirs = None if other.key in found else identity_from_text(other.identity or "")
+                if theirs is not None and identity.shared(theirs) > 0.0:
+                    found[other.key] = other
+                    waiting.append(other)
+        return [found[key] for key in sorted(found)]
+
+    def keep_estimates(self, estimates: Mapping[str, tuple[str, bytes]]) -> None:
+        """Keep estimates for later readers, by layer with what they were made from, if possible.
+
+        A map that was written whole is not changed by reading it: only one that trips are added to.
+        """
+        live = "SELECT 1 FROM header WHERE key = 'live'"
+        with suppress(InputError):
+            self._database.execute("PRAGMA busy_timeout = 200")
+            with self._writing() as database:
+                if database.execute(live).fetchone():
+                    _insert_estimates(database, estimates)
+
+    def digest_of(self, path: Path, state: os.stat_result) -> str:
+        """SHA-256 of a log that has not changed since it was read; empty if that is not known."""
+        with _refusing(self.path):
+            found = self._database.execute(
+                "SELECT sha256 FROM files WHERE path = ? AND size = ? AND changed = ?",
+                (str(path.resolve()), state.st_size, state.st_mtime_ns),
+            ).fetchone()
+        return str(found[0]) if found else ""
+
+    def remember(self, path: Path, state: os.stat_result, digest: str) -> None:
+        """Keep the SHA-256 of a log, with its size and the time of its last change."""
+        with self._writing() as database:
+            database.execute(
+                "INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?)",
+                (str(path.resolve()), state.st_size, state.st_mtime_ns, digest),
+            )
+
+    def compact(self, before: int) -> int:
+        """Replace the evidence of trips by sums of days; returns of how many trips.
+
+        Which recordings of these drives count is then decided: a fuller one that comes later does
+        not replace any.
+
+        Parameters
+        ----------
+        before : int
+            Day, counted from 1970-01-01 in UTC: of trips whose evidence is all of earlier days.
+        """
+        with self._writing() as database:
+            rows = self.rows("WHERE evidence IS NOT NULL AND ifnull(last_day, -1) < ?", (before,))
+            for layer in sorted({row.layer for row in rows if row.counted}):
+                pieces = [row for row in rows if row.layer == layer and row.counted]
+                known = database.execute(
+                    "SELECT data, digest, layer FROM sums WHERE layer = ?", (layer,)
+                ).fetchone()
+                start = [] if known is None else [self._unpacked(*known)]
+                more = _subtotals(self.evidence(str(row.evidence)) for row in pieces)
+                _insert_sums(database, layer, DailyEvidence.total([*start, *more]))
+            for row in rows:
+                _replaced(database, row, evidence=None)
+            database.execute(
+                "DELETE FROM evidence WHERE digest NOT IN"
+                " (SELECT evidence FROM trips WHERE evidence IS NOT NULL)"
+            )
+            _set_total(database)
+        with _refusing(self.path):
+            self._database.execute("VACUUM")
+        return len(rows)
+
+
+# ------------------------------------------------------------------------------- whole files
+
+
+def whole_file(track: TrackConditionMap) -> bytes:
+    """The bytes of the file of a map at hand: sums by day; the same map gives the same bytes."""
+    with _new_database(track) as database:
+        used: set[str] = set()
+        for number, entry in enumerate(sorted(track.trips, key=place_of)):
+            known = dict(entry)
+            identity = identity_from_text(str(known.get("identity") or ""))
+            row = _row_of(Recording(str(known.get("layer", "")), known, identity), None)
+            if row.key in used:
+                row = _with(row, key=f"{row.key} {number}")
+            used.add(row.key)
+            database.execute(_INSERT, row.full)
+        for layer in sorted(track.layers):
+            _insert_sums(database, layer, track.layers[layer].evidence)
+        return _serialized(database)
+
+
+def merge_files(paths: Sequence[str | Path], output: str | Path) -> tuple[int, int]:
+    """One file from the files of several maps of one line; trips that several hold count once.
+
+    The same recordings give the same bytes, however they are divided between the files. Which
+    recording of a drive counts is decided anew among all.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        At least one.
+    output : path
+        A new file.
+
+    Returns
+    -------
+    trips, days : int
+        How many trips the new map counts, and of how many days.
+
+    Raises
+    ------
+    InputError
+        If the maps differ in line, bins or settings, have sums of one drive in common, count a
+        log in different layers, or the output exists.
+    """
+    if not paths:
+        raise InputError("no map was given", remedy="name the files to merge")
+    if Path(output).exists():
+        raise InputError(
+            "exists already",
+            file=output,
+            remedy="name a new file: processes may be adding to this one",
+        )
+    empty: TrackConditionMap | None = None
+    rows: dict[str, _Row] = {}
+    blobs: dict[str, bytes] = {}
+    sums: dict[str, list[DailyEvidence]] = {}
+    for path in paths:
+        with MapFile(path) as file, file.unchanging():
+            _check_alike(empty, file.empty, path)
+            empty = file.empty
+            for row in file.trips():
+                rows[row.key] = _chosen(rows.get(row.key), row, path)
+            blobs.update(file._database.execute("SELECT digest, data FROM evidence"))
+            for layer, digest, data in file._database.execute("SELECT * FROM sums"):
+                sums.setdefault(layer, []).append(file._unpacked(data, digest, layer))
+    assert empty is not None
+    decided = _decided([rows[key] for key in sorted(rows)])
+    with _new_database(empty) as database:
+        database.executemany(_INSERT, (row.full for row in decided))
+        used = sorted({row.evidence for row in decided if row.evidence is not None})
+        database.executemany("INSERT INTO evidence VALUES (?, ?)", ((d, blobs[d]) for d in used))
+        for layer in sorted(sums):
+            _insert_sums(database, layer, DailyEvidence.total(sums[layer]))
+        data = _serialized(database)
+    write_bytes(output, data)
+    with MapFile.of_bytes(data, output) as merged:
+        return merged.amount()
+
+
+def _chosen(first: _Row | None, second: _Row, path: str | Path) -> _Row:
+    """Which of two rows of one recording is used, whatever their order."""
+    if first is None:
+        return second
+    name = str(json.loads(second.entry).get("trip", ""))
+    if first.layer != second.layer:
+        raise InputError(
+            f"counts trip '{name}' as '{second.layer}', another of the maps as '{first.layer}'",
+            file=path,
+            remedy="build one map from the logs instead",
+        )
+    fixed = [row for row in (first, second) if row.evidence is None and row.counted]
+    if len(fixed) == 2:
+        raise InputError(
+            f"has trip '{name}' in its sums, and so has another of the maps",
+            file=path,
+            remedy="build one map from the logs instead",
+        )
+    if fixed:
+        return fixed[0]
+    kept = [row for row in (first, second) if row.evidence is not None] or [first, second]
+    return min(kept, key=lambda row: (str(row.evidence), row.entry))
+
+
+def _decided(rows: Sequence[_Row]) -> list[_Row]:
+    """The rows, each with whether it counts."""
+    known = [row for row in rows if row.identity]
+    several = [known[number] for number in overlapping([str(row.identity) for row in known])]
+    sums = [row for row in several if row.evidence is None and row.counted]
+    apart = same_drives([row.known._replace(held=False) for row in sums])
+    if apart:
+        raise InputError(
+            f"the sums of several maps hold one drive: {apart[0].sentence}",
+            remedy="build one map from the logs instead",
+        )
+    reasons = _reasons(several)
+    alone = {row.key for row in rows} - {row.key for row in several}
+    found = []
+    for row in rows:
+        counts = row.key in alone or row.key not in reasons
+        changes = row.evidence is not None and bool(row.counted) != counts
+        found.append(_with(row, counted=int(counts)) if changes else row)
+    return found
+
+
+def _reasons(rows: Sequence[_Row]) -> dict[str, str]:
+    """Why recordings do not count, by key: each is of a drive of which another does."""
+    same = same_drives([row.known for row in rows])
+    return {rows[each.number].key: each.sentence for each in same}
+
+
+def _check_alike(first: TrackConditionMap | None, second: TrackConditionMap, path: object) -> None:
+    """Refuse to merge maps that differ in more than their trips."""
+    for name in ("line", "length", "bin_length", "settings", "levels"):
+        if first is not None and not np.array_equal(getattr(first, name), getattr(second, name)):
+            raise InputError(
+                f"track-condition maps differ in {name}:"
+                f" {getattr(first, name)} and {getattr(second, name)}",
+                file=str(path),
+                remedy="merge maps of one line that were made with the same settings",
+            )
+
+
+# ----------------------------------------------------------------------------------- rows
+
+
+def packed_evidence(evidence: DailyEvidence) -> bytes:
+    """Evidence as bytes; its digest is that of these."""
+    facts = {"bins": evidence.bins, "levels": evidence.levels}
+    return pack(facts, {name: getattr(evidence, name) for name in _EVIDENCE})
+
+
+def _subtotals(pieces: Iterable[DailyEvidence], rows: int = 1_000_000) -> Iterator[DailyEvidence]:
+    """The pieces, some of them added up, so that few rows are in memory at once."""
+    waiting: list[DailyEvidence] = []
+    held = 0
+    for piece in pieces:
+        waiting.append(piece)
+        held += piece.day.size + piece.used_day.size
+        if held >= rows:
+            yield DailyEvidence.total(waiting)
+            waiting, held = [], 0
+    if waiting:
+        yield DailyEvidence.total(waiting)
+
+
+def _row_of(recording: Recording, digest: str | None) -> _Row:
+    identity = recording.identity
+    days = recording.days
+    if recording.evidence is not None and recording.evidence.days.size:
+        days = int(recording.evidence.days[0]), int(recording.evidence.days[-1])
+    entry = plain({name: v for name, v in recording.entry.items() if name != "identity"}, "trips")
+    return _Row(
+        recording.key,
+        recording.layer,
+        None if identity is None else int(identity.start.value),
+        None if identity is None else int(identity.end.value),
+        None if days is None else days[0],
+        None if days is None else days[1],
+        recording.steps,
+        json.dumps(entry, sort_keys=True, ensure_ascii=False, separators=(",", ":")),
+        recording.entry.get("identity"),
+        digest,
+        int(recording.counted),
+    )
+
+
+def place_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    """By what the trips of a map are sorted."""
+    return (*(str(entry.get(name, "")) for name in _SORTED_BY), repr(sorted(entry.items())))
+
+
+def _with(row: _Row, **changes: Any) -> _Row:
+    return _Row(*(changes.get(name, getattr(row, name)) for name in _COLUMNS))
+
+
+def _replaced(database: sqlite3.Connection, row: _Row, **changes: Any) -> _Row:
+    """Change a row; the new one."""
+    new = _with(row, **changes)
+    database.execute(
+        "UPDATE trips SET evidence = ?, counted = ?, digest = ? WHERE key = ?",
+        (new.evidence, new.counted, new.full[-1], new.key),
+    )
+    return new
+
+
+def _total(rows: Iterable[_Row], sums: Iterable[str]) -> int:
+    """A number for all rows, whatever their order, to which more can be added or taken away."""
+    total = 0
+    for digest in (*(row.full[-1] for row in rows), *sums):
+        total ^= int(digest[:16], 16)
+    return total
+
+
+def _add_to_total(database: sqlite3.Connection, rows: Sequence[_Row]) -> None:
+    """Add rows to the number that stands for all, or take away those that are part of it."""
+    (known,) = database.execute("SELECT value FROM header WHERE key = 'total'").fetchone()
+    total = f"{int(known, 16) ^ _total(rows, ()):016x}"
+    database.execute("UPDATE header SET value = ? WHERE key = 'total'", (total,))
+
+
+def _set_total(database: sqlite3.Connection) -> None:
+    rows = (_Row(*row[:-1]) for row in database.execute(_SELECT))
+    sums = (digest for (digest,) in database.execute("SELECT digest FROM sums"))
+    database.execute(
+        "INSERT OR REPLACE INTO header VALUES ('total', ?)", (f"{_total(rows, sums):016x}",)
+    )
+
+
+def _insert_sums(database: sqlite3.Connection, layer: str, evidence: DailyEvidence) -> None:
+    raw = packed_evidence(evidence)
+    values = (layer, sha256(layer.encode() + raw), zlib.compress(raw))
+    database.execute("INSERT OR REPLACE INTO sums VALUES (?, ?, ?)", values)
+
+
+def _insert_estimates(
+    database: sqlite3.Connection, estimates: Mapping[str, tuple[str, bytes]]
+) -> None:
+    for layer in sorted(estimates):
+        made_from, data = estimates[layer]
+        values = (layer, made_from, zlib.compress(data))
+        database.execute("INSERT OR REPLACE INTO estimates VALUES (?, ?, ?)", values)
+
+
+# ------------------------------------------------------------------------------ the database
+
+
+def _begin(path: Path, empty: TrackConditionMap) -> None:
+    """Begin a file, unless another process has just done so."""
+    with _new_database(empty) as database:
+        data = _serialized(database)
+    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+    try:
+        with temporary.open("xb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        try:
+            os.link(temporary, path)
+        except FileExistsError:
+            return
+        except OSError:
+            # A file system without links.
+            if not path.exists():
+                temporary.rename(path)
+    except OSError as error:
+        raise writing_error(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _new_database(empty: TrackConditionMap) -> Iterator[sqlite3.Connection]:
+    """A database in memory with the header of a map, in a transaction."""
+    database = sqlite3.connect(":memory:", isolation_level=None)
+    try:
+        database.execute(f"PRAGMA application_id = {APPLICATION}")
+        database.execute(f"PRAGMA user_version = {VERSION}")
+        database.executescript(_TABLES)
+        database.execute("BEGIN")
+        header = {
+            "line": empty.line,
+            "length": empty.length,
+            "bin_length": empty.bin_length,
+            "levels": plain(empty.levels, "levels"),
+            "settings": plain(empty.settings, "settings"),
+        }
+        for key in sorted(header):
+            text = json.dumps(header[key], sort_keys=True, ensure_ascii=False, allow_nan=False)
+            database.execute("INSERT INTO header VALUES (?, ?)", (key, text))
+        stated = dict(database.execute("SELECT key, value FROM header"))
+        database.execute("INSERT INTO header VALUES ('digest', ?)", (_digest_of_header(stated),))
+        yield database
+    finally:
+        database.close()
+
+
+def _serialized(database: sqlite3.Connection) -> bytes:
+    """The bytes of a database; which release of SQLite wrote them is left out."""
+    _set_total(database)
+    database.execute("COMMIT")
+    database.execute("VACUUM")
+    data = bytearray(database.serialize())
+    data[96:100] = bytes(4)
+    return bytes(data)
+
+
+_HEADER = ("bin_length", "length", "levels", "line", "settings")
+
+
+def _digest_of_header(known: Mapping[str, str]) -> str:
+    return _sealed([known[key] for key in _HEADER])
+
+
+def _header_of(known: Mapping[str, str]) -> TrackConditionMap:
+    if _digest_of_header(known) != known["digest"]:
+        raise ValueError("its header was changed")
+    values = {key: json.loads(known[key]) for key in _HEADER}
+    return TrackConditionMap(
+        line=values["line"],
+        length=float(values["length"]),
+        bin_length=float(values["bin_length"]),
+        levels=np.asarray(values["levels"], dtype=np.float64),
+        layers={},
+        settings=values["settings"],
+    )
+
+
+# --------------------------------------------------------------------------------- refusals
+
+
+def _check_start(start: bytes, file: str | Path) -> None:
+    """Refuse what is no SQLite database."""
+    if not start.startswith(b"SQLite format 3\0"):
+        problem, remedy = mistaken_map(start)
+        raise InputError(problem, file=file, remedy=remedy)
+
+
+def _check_kind(database: sqlite3.Connection, file: str | Path) -> None:
+    (application,) = database.execute("PRAGMA application_id").fetchone()
+    (version,) = database.execute("PRAGMA user_version").fetchone()
+    if application != APPLICATION:
+        raise InputError(
+            "is an SQLite database, but holds no track-condition map",
+            file=file,
+            remedy="name a map that 'trainlog map update' made",
+        )
+    if version != VERSION:
+        raise InputError(
+            f"follows version {version} of the format of maps, this trainlog knows {VERSION}",
+            file=file,
+            remedy="update trainlog" if version > VERSION else "build the map anew from the logs",
+        )
+
+
+@contextmanager
+def _refusing(file: str | Path) -> Iterator[None]:
+    """Errors of SQLite as what a user can do about them."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        _refuse(file, error)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        # A value is not what the table says that it is.
+        raise _damaged(file, "database", str(error)) from error
+
+
+def _refuse(file: str | Path, error: sqlite3.Error) -> NoReturn:
+    words = str(error)
+    if "locked" in words or "busy" in words:
+        raise InputError(
+            f"is being written by another process for more than {PATIENCE:g} s",
+            file=file,
+            remedy="try again when it has ended",
+        ) from error
+    if "readonly" in words or "unable to open" in words:
+        raise InputError(
+            f"cannot be written: {words}",
+            file=file,
+            remedy="choose a folder you may write to; what an interrupted update left must be"
+            " undone by one who may",
+        ) from error
+    if "full" in words or "disk I/O" in words:
+        raise InputError(
+            f"cannot be written: {words}",
+            file=file,
+            remedy="free some space on the disk and try again; what was acknowledged is kept",
+        ) from error
+    raise _damaged(file, "database", words) from error
+
+
+def _damaged(file: str | Path, place: str, what: str) -> InputError:
+    return InputError(
+        f"is damaged: {' '.join(what.split())[:120]}",
+        file=file,
+        place=place,
+        remedy="take a copy of it, or build the map anew from the logs (trainlog map update)",
+    )
