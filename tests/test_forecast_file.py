@@ -23,7 +23,7 @@ NOON = pd.Timestamp("2026-11-22T12:00Z")
 
 @pytest.fixture(scope="module")
 def track() -> TrackConditionMap:
-    return read_map(sample("CH_StGallen_Wil.map.json"))
+    return read_map(sample("CH_StGallen_Wil.map"))
 
 
 def written(folder: Path, *rows: str, header: str = HEADER) -> Path:

@@ -28,7 +28,7 @@ SAMPLE = sample("CH_StGallen_Wil.map")
 
 
 def recording(found: Evidence) -> Recording:
-    return Recording(found.layer, entry_of(found), found.recorded, found.steps, found.daily)
+    return Recording(found.layer, entry_of(found), found.recorded, found.steps, found.layers)
 
 
 def drive(first: int, last: int) -> TripIdentity:
@@ -208,14 +208,21 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 class TestDamage:
     """Never another map, and never a traceback: the same map, or one line that names the file."""
 
+    def content(self, data: bytes) -> object:
+        """All that a map is made from."""
+        with MapFile.of_bytes(data, "f.map") as file:
+            trips = file.trips()
+            layers = file.layers(trips)
+            return repr(file.empty), trips, {name: known for name, (known, _) in layers.items()}
+
     def check(self, data: bytes, good: bytes) -> bool:
         """Whether the data are refused; else they must give the good map."""
         try:
-            found = map_to_bytes(map_from_bytes(data, file="f.map"))
+            found = self.content(data)
         except InputError as error:
             message = str(error)
         else:
-            assert found == map_to_bytes(map_from_bytes(good))
+            assert found == self.content(good)
             return False
         assert message.startswith("f.map")
         assert "\n" not in message
@@ -232,7 +239,8 @@ class TestDamage:
 
     def test_truncation(self, good: bytes) -> None:
         for end in range(0, len(good) - 1, 1_021):
-            assert self.check(good[:end], good)
+            # Of the last page an end that holds nothing may be missing.
+            assert self.check(good[:end], good) or end > len(good) - 4_096
 
     def test_pages_of_zeros_and_of_another_place(self, good: bytes) -> None:
         for start in range(0, len(good), 4_096):

@@ -54,7 +54,7 @@ def line() -> Line:
 
 @pytest.fixture
 def track() -> TrackConditionMap:
-    found = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map.json"))
+    found = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map"))
     wet = found.layer("wet")
     mine = Layer(
         wet.log_mean,
@@ -170,7 +170,7 @@ def test_a_long_line_labels_its_likeliest_spots_without_overlap(
 def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    condition = str(trainlog.sample("CH_StGallen_Wil.map.json"))
+    condition = str(trainlog.sample("CH_StGallen_Wil.map"))
     words = ["map", "show", condition, "--layer", "wet", "--at", "2024-10-09T08:00"]
     assert run([*words, "--zone", "Europe/Zurich", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

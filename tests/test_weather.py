@@ -292,11 +292,12 @@ class TestTrips:
 
 def test_the_command_takes_a_weather_file(trip: Trip, tmp_path: Path) -> None:
     write_log(trip, tmp_path / "trip.mcap")
-    weather, condition = tmp_path / "weather.csv", tmp_path / "map.json"
+    weather, condition = tmp_path / "weather.csv", tmp_path / "wil.map"
     write_weather(changing(trip, (-1.0, 0.4, "leaves"), (0.4, 2.0, "dry")), weather)
     given = ["map", "update", str(tmp_path / "trip.mcap"), "--map", str(condition)]
     refused = CliRunner().invoke(app, given)
-    assert "does not state the rail's condition" in str(refused.exception)
+    assert refused.exit_code == 2
+    assert "does not state the rail's condition" in refused.output
     assert not condition.exists()
     result = CliRunner().invoke(app, [*given, "--weather", str(weather)])
     assert result.exit_code == 0, result.output

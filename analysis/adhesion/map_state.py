@@ -114,7 +114,7 @@ def map_state(
     Examples
     --------
     >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> state = map_state(track, line=trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json"))
     >>> state.lowest.query("layer == 'wet'")["near"].tolist()[:2]
     ['0.4 km after Gossau SG', '0.9 km after Uzwil']

@@ -22,6 +22,7 @@ from trainlog.formats.mapfile import MapFile, Recording
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
     from trainlog.railway.condition import TrackConditionMap
+    from trainlog.railway.weather import Weather
 
 # What analyses logs is imported with the first one that the map does not hold: most of the time of
 # an update that finds nothing new would be spent on it.
@@ -146,6 +147,7 @@ def update_map(
     logs: str | Path | Iterable[str | Path],
     path: str | Path,
     layer: str | None = None,
+    weather: Weather | None = None,
     *,
     report: Callable[[LogOutcome], None] | None = None,
 ) -> MapUpdate:
@@ -165,6 +167,9 @@ def update_map(
         The map's file (``.map``); begun on the line of the first log if it does not exist.
     layer : str, optional
         Rail condition of all trips; default: what each states (metadata ``weather``).
+    weather : Weather, optional
+        At the line: the rail's condition where neither the call nor the trip states it, and what
+        is kept with each trip.
     report : callable, optional
         Is given the outcome of each log.
 
@@ -201,7 +206,9 @@ def update_map(
             except TrainlogError as error:
                 outcome = LogOutcome(str(log), "refused", reason=str(error))
             else:
-                found = _held(file, log, digest, layer) or _analysed(file, log, digest, layer)
+                found = _held(file, log, digest, layer) or _analysed(
+                    file, log, digest, layer, weather
+                )
                 if isinstance(found, LogOutcome):
                     outcome = found
                 else:
@@ -259,7 +266,7 @@ def _refused(log: Path, problem: str, piece: Evidence) -> LogOutcome:
 
 
 def _analysed(
-    file: MapFile | None, log: Path, digest: str, layer: str | None
+    file: MapFile | None, log: Path, digest: str, layer: str | None, weather: Weather | None
 ) -> LogOutcome | tuple[Evidence, TrackConditionMap, str]:
     """The evidence of a log, the map that it is for, without trips, and what of the log is lost."""
     from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
@@ -268,8 +275,8 @@ def _analysed(
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            track = file.empty if file else empty_map(own_line(read_log(log, topics=[])))
-            piece = evidence_of_log(log, track, layer, sha256=digest)
+            track = file.without_evidence if file else empty_map(own_line(read_log(log, topics=[])))
+            piece = evidence_of_log(log, track, layer, weather, sha256=digest)
     except TrainlogError as error:
         problem = error if error.file else type(error)(error.problem, file=log, remedy=error.remedy)
         return LogOutcome(str(log), "refused", reason=str(problem))
@@ -286,7 +293,7 @@ def _added(file: MapFile, log: Path, piece: Evidence, damage: str) -> LogOutcome
 
     details = {"damage": damage} if damage else {}
     entry = entry_of(replace(piece, details={**piece.details, **details}))
-    found = file.append(Recording(piece.layer, entry, piece.recorded, piece.steps, piece.daily))
+    found = file.append(Recording(piece.layer, entry, piece.recorded, piece.steps, piece.layers))
     outcome: Outcome = "held" if found.held else "added" if found.counted else "same drive"
     return LogOutcome(
         str(log), outcome, piece.trip, piece.layer, found.reason, found.replaced, damage

@@ -147,7 +147,7 @@ def before(track: TrackConditionMap, day: int) -> TrackConditionMap:
     Examples
     --------
     >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> before(track, 0).layers
     {}
     """
@@ -190,7 +190,7 @@ def forecast_of(
     Examples
     --------
     >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> found = forecast_of(track, pd.Timestamp("2026-11-22T06:00Z"), layer="wet")
     >>> found.start.size == track.bins, bool(found.end[-1] == track.length)
     (True, True)

@@ -34,7 +34,7 @@ def climatology(track: TrackConditionMap, layer: str) -> AdhesionEstimate:
     Examples
     --------
     >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> climatology(track, "wet").quantile(0.5)[:1].round(3).tolist()
     [0.147]
     """

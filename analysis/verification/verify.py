@@ -359,7 +359,7 @@ def verify(
 
     >>> from analysis.verification.passages import passages_of
     >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> known = track.layer("wet").evidence
     >>> days = list(passages_of("wet", known))
     >>> found = verify(

@@ -67,7 +67,7 @@ def map_show(
     probability that they still lie there, changes of the lasting condition with their dates, and
     the numbers of the model with their uncertainty.
 
-    Example: trainlog map show results/map.json --at 2026-11-22T06:00+01:00 --picture map.png
+    Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
     """
     from analysis.adhesion.map_plot import draw_map
     from analysis.adhesion.map_state import map_state, state_table

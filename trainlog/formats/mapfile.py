@@ -15,7 +15,7 @@ import sqlite3
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
@@ -38,7 +38,7 @@ from trainlog.identity import (
     overlapping,
     same_drives,
 )
-from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
 SUFFIX = ".map"
@@ -86,6 +86,7 @@ class Recording:
     Attributes
     ----------
     layer : str
+        Rail condition; where it changed on the way the one that held longest.
     entry : dict
         What the map keeps of the trip: ``trip`` (its name), ``sha256`` of its log (empty where
         there is none), ``layer``, ``software`` and what else is known.
@@ -93,21 +94,24 @@ class Recording:
         Which drive it is; None: not known.
     steps : int
         Of processing since it was recorded.
-    evidence : DailyEvidence or None
-        None: in the sums of its layer, or, if it does not count, not kept.
+    evidence : dict of str to DailyEvidence, optional
+        By rail condition. None: in the sums of its layers, or, if it does not count, not kept.
     counted : bool
         Whether it counts; a fuller recording of the same drive may do in its place.
-    days : (int, int) or None
-        First and last day with evidence; None if it has none.
     """
 
     layer: str
     entry: dict[str, Any]
     identity: TripIdentity | None = None
     steps: int = 0
-    evidence: DailyEvidence | None = None
+    evidence: dict[str, DailyEvidence] | None = None
     counted: bool = True
-    days: tuple[int, int] | None = None
+
+    @property
+    def days(self) -> list[int]:
+        """Days with evidence."""
+        pieces = (self.evidence or {}).values()
+        return sorted({day for piece in pieces for day in piece.days.tolist()})
 
     @property
     def trip(self) -> str:
@@ -175,6 +179,12 @@ class _Row:
     def full(self) -> tuple[Any, ...]:
         """The columns and their digest."""
         return (*self.values, _sealed(self.values))
+
+    @property
+    def pieces(self) -> dict[str, str]:
+        """Digests of the evidence by layer; none if it is in the sums."""
+        found: dict[str, str] = json.loads(self.evidence) if self.evidence else {}
+        return found
 
     @property
     def entry_whole(self) -> dict[str, Any]:
@@ -263,6 +273,15 @@ class MapFile:
         with _refusing(self.path):
             return _header_of(dict(self._database.execute("SELECT key, value FROM header")))
 
+    @property
+    def without_evidence(self) -> TrackConditionMap:
+        """The map with its layers, in which nothing is."""
+        track = self.empty
+        with _refusing(self.path):
+            names = self._database.execute("SELECT layer FROM trips UNION SELECT layer FROM sums")
+            none = ConditionLayer.unestimated(DailyEvidence.none(track.bins, track.levels.size))
+            return replace(track, layers={name: none for (name,) in names})
+
     @contextmanager
     def unchanging(self) -> Iterator[None]:
         """What is read within is of one moment, whatever other processes add."""
@@ -324,8 +343,8 @@ class MapFile:
             digests = {layer: digest for layer, digest, _ in sums}
         pieces: dict[str, list[str]] = {layer: [] for layer in known}
         for row in trips:
-            if row.counted and row.evidence is not None:
-                pieces.setdefault(row.layer, []).append(row.evidence)
+            for layer, digest in row.pieces.items() if row.counted else ():
+                pieces.setdefault(layer, []).append(digest)
         found = {}
         for layer in sorted(pieces):
             made_from = [digests.get(layer, ""), *sorted(pieces[layer])]
@@ -399,14 +418,14 @@ class MapFile:
 
     def _insert(self, recording: Recording) -> _Row:
         """Insert a recording and its evidence; the row."""
-        digest = None
-        if recording.evidence is not None:
-            raw = packed_evidence(recording.evidence)
-            digest = sha256(raw)
+        digests: dict[str, str] | None = None if recording.evidence is None else {}
+        for layer, piece in sorted((recording.evidence or {}).items()):
+            raw = packed_evidence(piece)
+            digests = {**(digests or {}), layer: sha256(raw)}
             self._database.execute(
-                "INSERT OR IGNORE INTO evidence VALUES (?, ?)", (digest, zlib.compress(raw))
+                "INSERT OR IGNORE INTO evidence VALUES (?, ?)", (sha256(raw), zlib.compress(raw))
             )
-        row = _row_of(recording, digest)
+        row = _row_of(recording, digests)
         self._database.execute(_INSERT, row.full)
         return row
 
@@ -469,20 +488,23 @@ class MapFile:
         """
         with self._writing() as database:
             rows = self.rows("WHERE evidence IS NOT NULL AND ifnull(last_day, -1) < ?", (before,))
-            for layer in sorted({row.layer for row in rows if row.counted}):
-                pieces = [row for row in rows if row.layer == layer and row.counted]
+            added: dict[str, list[str]] = {}
+            for row in rows:
+                for layer, digest in row.pieces.items() if row.counted else ():
+                    added.setdefault(layer, []).append(digest)
+            for layer in sorted(added):
                 known = database.execute(
                     "SELECT data, digest, layer FROM sums WHERE layer = ?", (layer,)
                 ).fetchone()
                 start = [] if known is None else [self._unpacked(*known)]
-                more = _subtotals(self.evidence(str(row.evidence)) for row in pieces)
+                more = _subtotals(self.evidence(digest) for digest in added[layer])
                 _insert_sums(database, layer, DailyEvidence.total([*start, *more]))
             for row in rows:
                 _replaced(database, row, evidence=None)
-            database.execute(
-                "DELETE FROM evidence WHERE digest NOT IN"
-                " (SELECT evidence FROM trips WHERE evidence IS NOT NULL)"
-            )
+            kept = {digest for row in self.rows() for digest in row.pieces.values()}
+            every = database.execute("SELECT digest FROM evidence").fetchall()
+            gone = [each for each in every if each[0] not in kept]
+            database.executemany("DELETE FROM evidence WHERE digest = ?", gone)
             _set_total(database)
         with _refusing(self.path):
             self._database.execute("VACUUM")
@@ -558,7 +580,7 @@ def merge_files(paths: Sequence[str | Path], output: str | Path) -> tuple[int, i
     decided = _decided([rows[key] for key in sorted(rows)])
     with _new_database(empty) as database:
         database.executemany(_INSERT, (row.full for row in decided))
-        used = sorted({row.evidence for row in decided if row.evidence is not None})
+        used = sorted({digest for row in decided for digest in row.pieces.values()})
         database.executemany("INSERT INTO evidence VALUES (?, ?)", ((d, blobs[d]) for d in used))
         for layer in sorted(sums):
             _insert_sums(database, layer, DailyEvidence.total(sums[layer]))
@@ -654,25 +676,26 @@ def _subtotals(pieces: Iterable[DailyEvidence], rows: int = 1_000_000) -> Iterat
         yield DailyEvidence.total(waiting)
 
 
-def _row_of(recording: Recording, digest: str | None) -> _Row:
-    identity = recording.identity
-    days = recording.days
-    if recording.evidence is not None and recording.evidence.days.size:
-        days = int(recording.evidence.days[0]), int(recording.evidence.days[-1])
+def _row_of(recording: Recording, digests: Mapping[str, str] | None) -> _Row:
+    identity, days = recording.identity, recording.days
     entry = plain({name: v for name, v in recording.entry.items() if name != "identity"}, "trips")
     return _Row(
         recording.key,
         recording.layer,
         None if identity is None else int(identity.start.value),
         None if identity is None else int(identity.end.value),
-        None if days is None else days[0],
-        None if days is None else days[1],
+        days[0] if days else None,
+        days[-1] if days else None,
         recording.steps,
-        json.dumps(entry, sort_keys=True, ensure_ascii=False, separators=(",", ":")),
+        _compact(entry),
         recording.entry.get("identity"),
-        digest,
+        None if digests is None else _compact(digests),
         int(recording.counted),
     )
+
+
+def _compact(value: Mapping[str, Any]) -> str:
+    return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
 
 def place_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
