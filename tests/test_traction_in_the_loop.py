@@ -32,7 +32,7 @@ from trainlog.simulation import DriveReading, Plant, TractionLoop, draw_scenario
 
 LINE = read_line("sample_logs/CH_StGallen_Wil.line.json")
 TRAIN = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
-MAP = read_map("sample_logs/CH_StGallen_Wil.map.json")
+MAP = read_map("sample_logs/CH_StGallen_Wil.map")
 MASS = 130e3
 
 

@@ -160,7 +160,7 @@ def map_difference(
     Examples
     --------
     >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> map_difference(track, track)
     Traceback (most recent call last):
     trainlog.errors.InputError: both maps count the same trips; give two maps of different trips

@@ -136,7 +136,7 @@ def map_history(
     Examples
     --------
     >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> found = map_history(track, 9_680.0, "wet")
     >>> [str(day.date()) for day in found.onsets["day"]], found.onsets["adhesion"].round(2).tolist()
     (['2024-10-07'], [0.07])

@@ -105,7 +105,7 @@ class CooperativeTraction:
     >>> import trainlog
     >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> control = CooperativeTraction(train, line, condition=track, layer="wet")
     >>> reading = DriveReading(0.0, 500.0, 10.0, np.full(4, 10.2), np.full(4, 10e3), 60e3, 0.0)
     >>> efforts = control.efforts(reading)

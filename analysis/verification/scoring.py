@@ -115,7 +115,7 @@ def score_rolling(track: TrackConditionMap, layers: Sequence[str] | None = None)
     Examples
     --------
     >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> try:
     ...     score_rolling(track)
     ... except InputError as error:

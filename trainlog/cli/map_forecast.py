@@ -36,7 +36,7 @@ def map_forecast(
     Where the map was not observed the forecast states nothing. Without --at it holds from the day
     after the last evidence.
 
-    Example: trainlog map forecast results/map.json --at 2026-11-22T06:00Z -o results/forecast.csv
+    Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
     """
     from analysis.verification.forecasts import first_free, forecast_of
     from trainlog.formats.condition import read_map
@@ -73,7 +73,7 @@ def map_score(
     bootstrap over days. Where the forecast is unknown it is counted as unknown. What each figure
     means: docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
 
-    Example: trainlog map score results/map.json results/later-trips --picture results/score.png
+    Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
     from analysis.verification.plot import draw_score
     from analysis.verification.table import score_table

@@ -118,7 +118,7 @@ def map_diff(
     What only the second one counts is compared with the first, bin by bin. Exit status 0: nothing
     changed significantly; 1: something did; 2: the comparison could not be made.
 
-    Example: trainlog map diff results/map.json --from 2026-10-31 --picture diff.png
+    Example: trainlog map diff results/wil.map --from 2026-10-31 --picture diff.png
     """
     from analysis.adhesion.map_difference import difference_table, map_difference
     from analysis.adhesion.map_plot import draw_difference
@@ -166,7 +166,7 @@ def map_history(
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day.
 
-    Example: trainlog map history results/map.json --km 12.3 --layer wet --picture place.png
+    Example: trainlog map history results/wil.map --km 12.3 --layer wet --picture place.png
     """
     from analysis.adhesion.map_history import history_table, map_history, position_of
     from analysis.adhesion.map_plot import draw_history
