@@ -212,7 +212,7 @@ def test_a_place_is_named_by_the_operators_kilometre(whole: TrackConditionMap) -
 def test_the_commands_draw_list_and_end_as_diff_does(
     whole: TrackConditionMap, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, line = tmp_path / "wet.map.json", tmp_path / "A-B.line.json"
+    path, line = tmp_path / "wet.map", tmp_path / "A-B.line.json"
     trainlog.write_map(whole, path)
     trainlog.write_line(LINE, line)
     words = ["map", "diff", str(path), "--from", "2026-06-25", "--line", str(line)]

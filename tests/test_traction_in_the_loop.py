@@ -213,11 +213,11 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
     write_line(line, tmp_path / "short.line.json")
     scenario = draw_scenarios(line, TRAIN, 1)[0]
     track = adhesion_map([simulate(scenario)]).track
-    write_map(track, tmp_path / "short.map.json")
+    write_map(track, tmp_path / "short.map")
     command = ["simulate", "--count", "1", "-o", str(tmp_path / "out"), "--traction", "cooperative"]
     command += ["--line", str(tmp_path / "short.line.json")]
     command += ["--train", "sample_logs/CH_Stadler_FLIRT_TPF.train.json"]
-    result = CliRunner().invoke(app, [*command, "--map", str(tmp_path / "short.map.json")])
+    result = CliRunner().invoke(app, [*command, "--map", str(tmp_path / "short.map")])
     assert result.exit_code == 0, result.output
     assert "traction control cooperative: 0 of" in result.output
     trip = read_log(tmp_path / "out" / "trip-01.mcap")
@@ -227,7 +227,7 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
 
 
 def test_a_map_without_a_use_is_refused(tmp_path: Path) -> None:
-    command = ["simulate", "-o", str(tmp_path / "out"), "--map", "sample_logs/no.map.json"]
+    command = ["simulate", "-o", str(tmp_path / "out"), "--map", "sample_logs/no.map"]
     result = CliRunner().invoke(app, [*command, "--traction", "readhesion"])
     assert isinstance(result.exception, InputError)
     assert "--map goes with --trajectory" in str(result.exception)

@@ -95,7 +95,7 @@ class MapUpdate:
     days: int
 
     def __repr__(self) -> str:
-        rows = {each.outcome: each.sentence for each in self.refused[:1]}
+        rows: dict[str, str] = {each.outcome: each.sentence for each in self.refused[:1]}
         return as_text(f"Update of {self.path}: {self.sentence}", rows)
 
     def of(self, outcome: Outcome) -> tuple[LogOutcome, ...]:

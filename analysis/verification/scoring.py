@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from analysis.adhesion.condition_map import _analysed, _own_line, empty_map
-from analysis.adhesion.evidence import Evidence, condition_of, evidence_of_parts
+from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
+from analysis.adhesion.evidence import Evidence
 from analysis.verification.forecasts import map_forecast, rolling_forecast, stated_forecast
 from analysis.verification.passages import NOON, Demand, Passages, passages_of, time_of
 from analysis.verification.verify import Forecaster, History, Verification, verify
@@ -18,7 +18,6 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
 from trainlog.mcap import read_log
-from trainlog.mcap.reader import identity_of_log
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.forecast import AdhesionForecast
@@ -245,8 +244,8 @@ def _trips(
             if digest in digests:
                 continue
             if track is None:
-                track = empty_map(_own_line(read_log(path, topics=[])))
-            found.append(_evidence(path, track, layer, digest))
+                track = empty_map(own_line(read_log(path, topics=[])))
+            found.append(evidence_of_log(path, track, layer, sha256=digest))
             digests.add(digest)
         except TrainlogError as error:
             refused.append(str(type(error)(error.problem, file=path, remedy=error.remedy)))
@@ -262,10 +261,3 @@ def _trips(
     same = {each.number: each.sentence for each in same_drives(known)}
     pieces = [each for number, each in enumerate(found) if number not in same]
     return _Trips(track, pieces, list(same.values()), refused)
-
-
-def _evidence(path: Path, track: TrackConditionMap, layer: str | None, digest: str) -> Evidence:
-    trip = read_log(path, topics=[])
-    condition = condition_of(trip, track, layer)
-    piece = evidence_of_parts(_analysed(path), track, condition, sha256=digest)
-    return replace(piece, recorded=identity_of_log(path), steps=len(trip.provenance))

@@ -6,7 +6,6 @@ made on reading, or taken from the file where an earlier reader kept it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -30,7 +29,7 @@ from trainlog.railway.condition import (
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.version import code_version
 
-_LISTED = {"spots": PassingSpot, "changes": ConditionChange}
+_LISTED: dict[str, Any] = {"spots": PassingSpot, "changes": ConditionChange}
 
 
 def map_from_bytes(data: bytes, *, file: str | Path = "track.map") -> TrackConditionMap:
@@ -148,11 +147,12 @@ def _layer_of(evidence: DailyEvidence, data: bytes | None) -> ConditionLayer | N
         return None
     try:
         facts, arrays = unpack(data)
-        more: Mapping[str, Any] = {
+        kept: dict[str, Any] = {**arrays}
+        kept |= {
             name: tuple(kind(**each) for each in facts[name]) for name, kind in _LISTED.items()
         }
-        model = ConditionModel(tuple(ModelParameter(**each) for each in facts["model"]))
-        return ConditionLayer(evidence=evidence, model=model, **more, **arrays)
+        kept["model"] = ConditionModel(tuple(ModelParameter(**each) for each in facts["model"]))
+        return ConditionLayer(evidence=evidence, **kept)
     except (ValueError, KeyError, TypeError):
         return None
 
