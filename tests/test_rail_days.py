@@ -19,7 +19,7 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.formats.weather import read_weather
-from trainlog.railway import Line
+from trainlog.railway import Line, StepProfile
 from trainlog.simulation import Change, Rail, draw_days, simulate
 from trainlog.simulation.rail import KINDS
 from trainlog.simulation.weather import DAY, HOUR
@@ -286,6 +286,24 @@ class TestCommand:
             there = weather.at(pd.Timestamp(trip.metadata["start"]).value)
             assert there is not None
             assert there.condition == trip.metadata["weather"]
+
+    def test_a_train_that_is_stopped_for_good_does_not_end_the_month(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        slippery = Rail.lasting
+
+        def met(rail: Rail, condition: str, time: int) -> StepProfile:
+            found = slippery(rail, condition, time)
+            evening = time % DAY > 12 * HOUR
+            return StepProfile(found.positions, found.values * (0.02 if evening else 1.0))
+
+        monkeypatch.setattr(Rail, "lasting", met)
+        given = ["simulate", "--days", "1", "--trips-per-day", "2", "-o", str(tmp_path)]
+        result = CliRunner().invoke(app, given)
+        assert result.exit_code == 1
+        assert "the train does not arrive" in result.output
+        assert len(list(tmp_path.glob("*.mcap"))) == 1
+        assert (tmp_path / "weather.csv").exists()
 
     @pytest.mark.parametrize(
         ("words", "message"),

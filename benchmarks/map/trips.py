@@ -13,6 +13,8 @@ prints what is drawn. Other benchmarks import it (``from trips import months, ad
 - `months(options)`: one a line, with the trains taking turns on it; `add_options(parser)` adds
   ``--days --trips-per-day --seed --start --library --cache --change``.
 
+A heavy train that a slippery climb stops for good is skipped and listed.
+
 ``--cache FOLDER``: what slip analysis makes of each trip is kept there, by the contents of the
 modules that simulate and analyse, of line, trains and options: it is never stale, and a second run
 takes seconds. Keep the folder out of the repository. 100 trips take about a minute without it.
@@ -37,6 +39,7 @@ import estimators
 import trainlog
 from analysis.adhesion.evidence import Evidence, evidence_of
 from analysis.adhesion.slip import SlipAnalysis, slip
+from trainlog.errors import InfeasibleError
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train, train_to_bytes
@@ -118,7 +121,13 @@ def month(
     rail = Rail.draw(line, days, start, seed, changes)
     scenarios = draw_days(rail, trains, trips_a_day)
     code = _code()
-    return Month(rail, tuple(_driven(scenario, code, cache) for scenario in scenarios))
+    drives = []
+    for scenario in scenarios:
+        try:
+            drives.append(_driven(scenario, code, cache))
+        except InfeasibleError as error:
+            print(f"skipped: {line.name}, {scenario.train.name}: {error.problem}")
+    return Month(rail, tuple(drives))
 
 
 def _driven(scenario: Scenario, code: bytes, cache: Path | None) -> Drive:

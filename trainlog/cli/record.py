@@ -43,7 +43,7 @@ from trainlog.cli.terminal import (
     working,
     wrote,
 )
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InfeasibleError, InputError, LogError
 from trainlog.formats.files import output_folder
 
 if TYPE_CHECKING:
@@ -132,8 +132,9 @@ def simulate(
     axles come from one program that knows the rail ahead from the map (Zhao et al., 2025).
 
     With [bold]--days[/bold] the rail lives through the days: its weather changes, slippery spots
-    come and go, and what changes for good is said with [bold]--change[/bold]. The weather is
-    written beside the logs.
+    come and go, and what changes for good is given with [bold]--change[/bold]. The weather is
+    written beside the logs. A train that a slippery climb stops for good is listed; the exit status
+    is then 1.
 
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
 
@@ -204,10 +205,18 @@ def simulate(
         from analysis.control.traction import with_traction
 
         scenarios = with_traction(scenarios, traction, the_map)
-    followed = []
+    followed, stuck = [], 0
     with output_folder(output), progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
-            trip = drive(scenario)
+            try:
+                trip = drive(scenario)
+            except InfeasibleError as error:
+                # Of a month one train may be stopped for good by a slippery climb.
+                if over_days is None:
+                    raise
+                stuck += 1
+                print_error(str(error))
+                continue
             write_log(trip, output / f"{trip.name}.mcap")
             progress.console.print(
                 about(trip.metadata, trip.duration), highlight=False, markup=False
@@ -230,6 +239,8 @@ def simulate(
 
         draw_following(followed, output / "following.png")
         wrote(output / "following.png")
+    if stuck:
+        raise typer.Exit(1)
 
 
 def _check_alone(options: dict[str, object], needed: str) -> None:
