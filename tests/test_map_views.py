@@ -133,6 +133,16 @@ def test_the_default_time_is_right_after_the_last_evidence(track: TrackCondition
     assert "expected at 2024-10-09 06:00 UTC" in repr(naive)
 
 
+def test_a_map_states_spots_changes_and_its_last_day(track: TrackConditionMap) -> None:
+    shown = repr(track)
+    assert "1 passing spot, 1 lasting change" in shown
+    assert "evidence  up to 2024-10-07" in shown
+    assert "passing" not in repr(replace(track, layers={"dry": track.layer("dry")}))
+    page = track._repr_html_()
+    assert "wet, lasting" in page
+    assert "wet, expected" in page
+
+
 def test_the_picture_names_stations_and_dates_and_shades_what_is_unknown(
     track: TrackConditionMap, line: Line, tmp_path: Path, drawn: list[Figure]
 ) -> None:

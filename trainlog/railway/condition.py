@@ -406,8 +406,11 @@ class TrackConditionMap:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        layers = {name: each.maximum_adhesion.round(3) for name, each in self.layers.items()}
-        return as_html(self._title, self._summary(), picture(self.centres, layers))
+        curves = {}
+        for name, layer in self.layers.items():
+            curves[f"{name}, lasting"] = layer.maximum_adhesion.round(3)
+            curves[f"{name}, expected"] = layer.expected().maximum_adhesion.round(3)
+        return as_html(self._title, self._summary(), picture(self.centres, curves))
 
     @property
     def _title(self) -> str:
@@ -424,9 +427,14 @@ class TrackConditionMap:
             rows[name] = f"{counted(known.size, 'bin')} observed, {slips}" + (
                 f", maximum adhesion {span(known, 1.0, 3)}" if known.size else ""
             )
+            rows[name] += f", {counted(len(layer.spots), 'passing spot')}" * bool(layer.spots)
+            rows[name] += f", {counted(len(layer.changes), 'lasting change')}" * bool(layer.changes)
         lacking = sum(bool(trip.get("notes")) for trip in self.trips)
         if lacking:
             rows["recorders"] = f"of {counted(lacking, 'trip')} lack something of what is needed"
+        days = [int(day) for each in self.layers.values() for day in each.evidence.days[-1:]]
+        if days:
+            rows["evidence"] = f"up to {np.datetime64(max(days), 'D')}"
         return rows or {"layers": "none"}
 
     @property
