@@ -21,13 +21,14 @@ from analysis.control.rail_estimate import RailEstimator, rail_ahead
 from analysis.estimates import with_estimates
 from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.controller import NonlinearReferee
-from analysis.studies.zhao_2025.plot import draw_rail, draw_study
+from analysis.studies.zhao_2025.plot import draw_rail, draw_start, draw_study
 from analysis.studies.zhao_2025.rail import STEEP, driven
 from analysis.studies.zhao_2025.run import trip_of
 from analysis.studies.zhao_2025.table import (
     gain_table,
     knowledge_table,
     published_table,
+    start_table,
     torque_table,
 )
 from trainlog.errors import InputError
@@ -69,6 +70,25 @@ def test_case_1_every_motor_gives_its_share_on_dry_rail_and_tracks_the_peak_on_w
         assert np.all((used >= 0.2675) & (used <= 0.2765))
     assert run.mean(run.torque, *WET_AT_REST) == pytest.approx(2_138.0, abs=2.0)
     assert run.mean(run.adhesion, *WET_AT_REST) == pytest.approx(0.1471, abs=1e-4)
+
+
+def test_case_1_begins_as_in_the_paper_where_the_first_torque_is_assumed(
+    literal: dict[int, study.Run],
+) -> None:
+    """Eq. (19): u(0) is assumed, and the program is solved from the second sample on."""
+    run = study.run(study.CASES[0], integration="euler", first=study.FIRST_TORQUE)
+    assert run.torque[0] == pytest.approx([1_500.0] * 4)
+    assert run.torque[1:50] == pytest.approx(4_125.0, abs=1.0)
+    assert literal[1].torque[0] == pytest.approx([4_125.0] * 4, abs=1.0)
+    assert run.mean(run.torque, *WET_AT_REST) == pytest.approx(2_138.0, abs=2.0)
+    # It is no local optimum that a solver stops at: IPOPT finds the same share at a stand.
+    controller = CooperativeController(LOCOMOTIVE, study.PAPER.tuning)
+    demand = controller.demand(study.CASES[0].rail(0.0))
+    referee = NonlinearReferee(LOCOMOTIVE, study.PAPER.tuning)
+    best = referee.plan(0.0, np.zeros(4), np.full((5, 4), 1_500.0), demand)
+    assert best[0] == pytest.approx([4_125.0] * 4, abs=1.0)
+    with pytest.raises(InputError, match="first torque"):
+        study.run(study.CASES[0], first=6_000.0)
 
 
 def test_case_2_axles_1_to_3_give_more_than_axle_4_which_is_wet(
@@ -317,6 +337,8 @@ def test_a_run_becomes_a_log_that_the_estimators_read(
     again = read_log(tmp_path / "run.mcap")
     np.testing.assert_array_equal(again["/truth"]["speed"], run.speed)
     assert again.provenance[-1]["case"] == 3
+    assert again.metadata["traction_unsolved"] == "0"
+    assert again.metadata["traction_decisions"] == "300"
     estimated, _ = with_estimates(again)
     adhesion = estimated["/estimates/adhesion"]
     for axle in (1, 4):
@@ -333,6 +355,9 @@ def test_tables_and_pictures_are_made(
     assert all(picture.stat().st_size > 10_000 for picture in pictures)
     assert published_table().row_count == 4
     assert torque_table([exact[2]]).row_count == 4
+    assert start_table(literal[1], literal[1]).row_count == 2
+    draw_start(literal[1], literal[1], tmp_path / "start.png")
+    assert (tmp_path / "start.png").stat().st_size > 10_000
     assert gain_table(compared).row_count == 1
     assert knowledge_table({"known": [exact[2]], "map": [None]}).row_count == 1
     draw_rail([exact[2]], tmp_path / "rail.png")

@@ -1,26 +1,25 @@
 """Traction controls in the loop: cooperative on a map, plain re-adhesion, the plant's protection.
 
-    python benchmarks/control/benchmark_traction.py [--published ../shared/data/ttobench] [--runs 6]
+    python benchmarks/control/benchmark_traction.py [--places 8]
 
-Three lines with three trains. A driver demands all tractive effort up to a speed, then full service
-braking to a stop, over and over along the line (`FullEffort`); the lever is always at its end, so
-that the rail decides. The map is made by the package's own way from trips with ordinary drivers on
-the same lasting rail (`adhesion_map`), each of which met other passing spots; no controller knows
-the rail of its run.
+Three lines with three trains. At places along the line, the same for all controls, the train starts
+with all tractive effort and runs up for 400 m, and is stopped from 80 km/h by full service braking:
+the lever is at its end, so that the rail decides. The map is made by the package's own way from
+trips with ordinary drivers on the same lasting rail (`adhesion_map`), each of which met other
+passing spots; no controller knows the rail of its run.
 
 Each rail is driven by each control: dry; wet; changing (wet, with dry stretches where the map says
 wet); another than the map says (wet, at 70 per cent of the maximum on which the map was made); and
 wheels and rail of another characteristic, Polach's with falling friction, which none of the
-controls knows. Per run: work at the wheel rims and work lost in creep, over the way; mean
-acceleration while traction is demanded; way from the brake application to the stop, per speed
-squared, as the way from 80 km/h; decisions that were not solved or late.
+controls knows. Means over the places: work at the wheel rims and work lost in creep of a start; its
+mean acceleration over the way; way of a stop; decisions that were not solved or late.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +32,8 @@ from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Line, StepProfile, Train
 from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.condition import TrackConditionMap
-from trainlog.simulation import Demand, Observation, Scenario, draw_scenarios, drive, simulate
-from trainlog.simulation.drivers import AT_REST
+from trainlog.simulation import Scenario, draw_scenarios, simulate
+from trainlog.simulation.drivers import AT_REST, PERIOD
 from trainlog.units import KMH
 
 PAIRS = (
@@ -50,121 +49,88 @@ KWH = 3.6e6
 """A kilowatt-hour [J]."""
 
 FASTEST = 80.0 / KMH
-"""From which the driver brakes [m/s]."""
+"""From which the train is stopped [m/s]."""
+
+RUN_UP = 400.0
+"""Over which it starts [m]."""
+
+PATIENCE = 3_000
+"""Periods after which a start or a stop is given up."""
 
 LEARNT_FROM = 16
 """Trips of ordinary drivers, half of them wet, of which the map is made."""
 
 
-@dataclass
-class FullEffort:
-    """Demands all effort up to a speed, then full braking to a stop, over and over.
-
-    Attributes
-    ----------
-    line : Line
-        In the direction of travel.
-    train : Train
-    mass : float [kg]
-    starts : int
-        How often.
-    """
-
-    line: Line
-    train: Train
-    mass: float
-    starts: int
-    done: int = 0
-    braking: bool = False
-
-    def demand(self, observation: Observation) -> Demand:
-        """Full traction or full braking."""
-        place, speed = observation.position, observation.speed
-        ahead = self.line.length - place
-        most = min(FASTEST, float(self.line.limits_over(self.train.length)(place)))
-        if self.braking and speed < AT_REST:
-            self.done += 1
-            self.braking = False
-        if speed >= most or ahead < 1_500.0:
-            self.braking = True
-        effort = self.train.max_deceleration * (self.mass + self.train.rotating_mass)
-        if self.finished or self.braking:
-            return Demand(0.0, effort)
-        return Demand(float(self.train.tractive_effort_limit(speed)), 0.0)
-
-    @property
-    def finished(self) -> bool:
-        """Whether all starts are done."""
-        return self.done >= self.starts
-
-
 @dataclass(frozen=True)
 class Found:
-    """Of one run; see the head of this file."""
+    """Of all starts and stops on one rail by one control; see the head of this file."""
 
     control: str
     tractive: float
     creep: float
     acceleration: float
     stopping: float
-    adhesion: float
     unsolved: int
-    decisions: int
     late: int
+    decisions: int
 
 
-@dataclass(frozen=True, eq=False)
-class Demanding(Scenario):
-    """A scenario whose driver demands all, so many times."""
+class Trial:
+    """One start or stop of a scenario's train, by its own traction control."""
 
-    starts: int = 6
+    def __init__(self, scenario: Scenario, position: float, speed: float) -> None:
+        self.plant = scenario.plant()
+        self.state = self.plant.at(position, speed)
+        self.loop = scenario.traction_loop(self.plant)
+        self._scenario, self._begin = scenario, position
+        self._steps = round(PERIOD / self.plant.parameters.step)
 
-    def driver(self) -> FullEffort:
-        """Who drives."""
-        return FullEffort(self.travelled, self.train, self.mass, self.starts)
+    def advance(self, tractive: float, braking: float) -> None:
+        """Let a driver's period pass."""
+        if self.loop is None:
+            self.plant.advance(self.state, tractive, braking, self._steps, self._steps)
+        else:
+            self.loop.advance(self.state, (tractive, braking), self._steps, self._steps)
+
+    def start(self) -> None:
+        """All effort, for `RUN_UP`."""
+        train, ticks = self._scenario.train, 0
+        while self.way < RUN_UP and ticks < PATIENCE:
+            self.advance(float(train.tractive_effort_limit(self.state.speed)), 0.0)
+            ticks += 1
+
+    def stop(self) -> None:
+        """Full service braking to a stand."""
+        train, ticks = self._scenario.train, 0
+        effort = train.max_deceleration * (self._scenario.mass + train.rotating_mass)
+        while self.state.speed > AT_REST and ticks < PATIENCE:
+            self.advance(0.0, effort)
+            ticks += 1
+
+    @property
+    def way(self) -> float:
+        """Since the beginning [m]."""
+        return self.state.position - self._begin
 
 
-def full_effort(scenario: Scenario, starts: int) -> Demanding:
-    """The scenario with the driver who demands all."""
-    known = {each.name: getattr(scenario, each.name) for each in fields(Scenario)}
-    first, last = scenario.stops[0], scenario.stops[-1]
-    known["stops"] = (first, replace(last, arrival=3_600.0, departure=3_600.0))
-    known["sensors"] = replace(scenario.sensors, rate=50)
-    return Demanding(**known, starts=starts)
-
-
-def measured(scenario: Demanding, control: TractionName | None) -> Found:
-    """Drive one scenario and read the figures from what truly happened."""
-    run = drive(scenario)
-    columns = dict(zip(scenario.plant().columns, run.samples.T, strict=True))
-    speed, place = columns["speed"], columns["position"]
-    numbers = range(1, scenario.train.axles.count + 1)
-    wheels = np.column_stack([columns[f"wheel_speed_{i}"] for i in numbers])
-    efforts = np.column_stack([columns[f"wheel_effort_{i}"] for i in numbers])
-    step = float(run.seconds[1] - run.seconds[0])
-    contact = efforts - scenario.train.axles.rotating_mass * np.gradient(wheels, step, axis=0)
-    creep = float(np.sum(contact * (wheels - speed[:, None])) * step)
-    pulling, braking = run.demands.T > 0.0
-    gained = np.diff(speed)[pulling[:-1] & pulling[1:]]
-    ways, squares = 0.0, 0.0
-    for begin in np.flatnonzero(np.diff(braking.astype(np.int8)) > 0) + 1:
-        stopped = np.flatnonzero(speed[begin:] < AT_REST)
-        if stopped.size and speed[begin] > 5.0:
-            ways += float(place[begin + stopped[0]] - place[begin])
-            squares += float(speed[begin] ** 2)
-    way = float(place[-1] - place[0]) / 1e3
-    weight = scenario.train.adhesive_weight(scenario.load)
-    loop = run.traction
+def measured(scenario: Scenario, control: TractionName | None, places: np.ndarray) -> Found:
+    """Start and stop at each place, and read the figures from what truly happened."""
+    starts = [Trial(scenario, float(place), 0.0) for place in places]
+    stops = [Trial(scenario, float(place), FASTEST) for place in places]
+    for trial in starts:
+        trial.start()
+    for trial in stops:
+        trial.stop()
+    loops = [trial.loop for trial in starts + stops if trial.loop is not None]
     return Found(
         control or "plant's own",
-        float(columns["energy"][-1]) / KWH / way,
-        creep / KWH / way,
-        float(np.mean(gained)) / step,
-        ways / squares * FASTEST**2 if squares else np.nan,
-        float(np.mean(contact[pulling].sum(axis=1))) / weight,
-        0 if loop is None else len(loop.unsolved),
-        0 if loop is None else loop.steps,
-        0 if loop is None else loop.control.late,
+        float(np.mean([trial.state.works["traction"] for trial in starts])) / KWH,
+        float(np.mean([trial.state.works["slip"] for trial in starts])) / KWH,
+        float(np.mean([trial.state.speed**2 / (2.0 * trial.way) for trial in starts])),
+        float(np.mean([trial.way for trial in stops])),
+        sum(len(loop.unsolved) for loop in loops),
+        sum(loop.control.late for loop in loops),
+        sum(loop.steps for loop in loops),
     )
 
 
@@ -207,40 +173,41 @@ def learnt(line: Line, train: Train) -> TrackConditionMap:
 
 
 def driven(
-    line: Line, train: Train, starts: int, rails: tuple[Rail, ...], controls: tuple
+    line: Line, train: Train, count: int, rails: tuple[Rail, ...], controls: tuple
 ) -> Iterator[tuple[str, Found]]:
     """Every rail by every control."""
     track = learnt(line, train)
     drawn = draw_scenarios(line, train, LEARNT_FROM + 4, seed=5)[LEARNT_FROM:]
     dry, wet = drawn[0], drawn[2]
+    places = np.linspace(0.06, 0.94, count) * (line.length - 1_500.0)
     for name, layer, make in rails:
-        scenario = full_effort(make(dry, wet), starts)
+        scenario = make(dry, wet)
         for control in controls:
             each = scenario
             if control is not None:
                 each = with_traction([scenario], control, track, layer)[0]
-            yield name, measured(each, control)
+            yield name, measured(each, control, places)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--published", type=Path, default=Path("../shared/data/ttobench"))
-    parser.add_argument("--starts", type=int, default=6)
+    parser.add_argument("--places", type=int, default=8)
     parser.add_argument("--pairs", type=int, default=len(PAIRS))
     parser.add_argument("--rails", type=int, default=len(RAILS))
     options = parser.parse_args()
     table = new_table(
-        "Traction controls in the loop", "line, train", "rail", "control", "tractive kWh/km",
-        "creep kWh/km", "m/s² in traction", "adhesion used", "stop from 80 km/h, m",
+        "Traction controls in the loop", "line, train", "rail", "control", "tractive kWh",
+        "creep kWh", "m/s²", "stop from 80 km/h, m",
         "unsolved / late",
     )  # fmt: skip
     for line_name, train_name in PAIRS[: options.pairs]:
         line = read_track(options.published / "tracks" / f"{line_name}.json")
         train = read_train(options.published / "trains" / f"{train_name}.json")
-        for rail, found in driven(line, train, options.starts, RAILS[: options.rails], CONTROLS):
+        for rail, found in driven(line, train, options.places, RAILS[: options.rails], CONTROLS):
             row = (
                 f"{line_name}, {train_name}", rail, found.control, f"{found.tractive:.2f}",
-                f"{found.creep:.3f}", f"{found.acceleration:.3f}", f"{found.adhesion:.3f}",
+                f"{found.creep:.3f}", f"{found.acceleration:.3f}",
                 f"{found.stopping:.0f}",
                 f"{found.unsolved} / {found.late} of {found.decisions}" if found.decisions else "",
             )  # fmt: skip

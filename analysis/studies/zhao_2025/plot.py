@@ -139,6 +139,32 @@ def _draw_case(run: Run, stepped: Run | None, path: Path) -> None:
     write_figure(figure, path)
 
 
+def draw_start(solved: Run, assumed: Run, path: Path) -> None:
+    """Draw how case 1 begins, as solved from the first sample and with an assumed first torque.
+
+    Parameters
+    ----------
+    solved, assumed : Run
+        See `analysis.studies.zhao_2025.table.start_table`.
+    path : path
+    """
+    figure = new_figure(9.0, 3.4)
+    torques, slips = figure.subplots(1, 2)
+    for run, colour, name in (
+        (assumed, ORANGE, "first torque assumed, eq. (19)"), (solved, BLUE, "solved from 0 s on"),
+    ):  # fmt: skip
+        torques.plot(run.time, run.torque[:, 0], color=colour, drawstyle="steps-post", label=name)
+        slips.plot(run.time, run.slip[:, 0], ".-", color=colour)
+    for axes in (torques, slips):
+        axes.set_xlim(-0.05, 2.0)
+    torques.set_ylim(bottom=0.0)
+    slips.set_ylim(0.0, 1.0)
+    torques.legend(frameon=False, fontsize=8, loc="lower right")
+    dress(torques, x=SECONDS, y="N m", title="Start of case 1: torque of a motor")
+    dress(slips, x=SECONDS, y="m/s", title="Slip speed")
+    write_figure(figure, path)
+
+
 def draw_rail(runs: Sequence[Run], path: Path) -> None:
     """Draw what the controller took the rail under an axle to be, beside the rail as it was.
 

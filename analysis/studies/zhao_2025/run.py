@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from analysis.studies.report import START, StudyReport, study_trip
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.plot import draw_rail, draw_study
+from analysis.studies.zhao_2025.plot import draw_rail, draw_start, draw_study
 from analysis.studies.zhao_2025.rail import RAIL_SOURCES, by_knowledge
 from analysis.studies.zhao_2025.simulation import DURATION, RESTORED, WET_SPAN, Case, Preset, Run
 from analysis.studies.zhao_2025.table import (
     gain_table,
     knowledge_table,
     published_table,
+    start_table,
     torque_table,
 )
 from trainlog.formats.train import train_to_bytes
@@ -56,6 +57,8 @@ def main(report: StudyReport, seed: int) -> None:
     ]
     for run in runs:
         report.log(trip_of(run))
+    assumed = study.run(study.CASES[0], integration="euler", first=study.FIRST_TORQUE)
+    draw_start(runs[0], assumed, report.picture("figure-03-start.png"))
     compared = {
         strategy: [study.run(*plan, strategy=strategy) for plan in study.COMPARED]
         for strategy in report.track(study.STRATEGIES, "comparing")
@@ -67,7 +70,10 @@ def main(report: StudyReport, seed: int) -> None:
     report.keep(*draw_study(runs, compared, report.folder))
     learnt = [run for run in known["learnt"] if run is not None]
     draw_rail(learnt[:4], report.picture("rail-learnt.png"))
-    report.show(published_table(), torque_table(runs), gain_table(compared), knowledge_table(known))
+    report.show(
+        published_table(), start_table(runs[0], assumed), torque_table(runs), gain_table(compared),
+        knowledge_table(known),
+    )  # fmt: skip
 
 
 def trip_of(run: Run) -> Trip:
@@ -147,7 +153,13 @@ def trip_of(run: Run) -> Trip:
             },
         ),
         attachments={TRAIN_ATTACHMENT: train_to_bytes(train(run.preset))},
-        metadata={"load": "0", "study": "Zhao et al. (2025), section 4"},
+        metadata={
+            "load": "0",
+            "traction_control": run.strategy,
+            "traction_decisions": str(run.decisions),
+            "traction_unsolved": str(run.unsolved),
+            "study": "Zhao et al. (2025), section 4",
+        },
     )
 
 

@@ -251,6 +251,9 @@ PLANS: tuple[tuple[Case, Preset, Integration], ...] = (
 )
 """The paper's cases, as they are run."""
 
+FIRST_TORQUE = 1_500.0
+"""From which the torques of the paper's case 1 rise [N m]: the assumed u(0) of its eq. (19)."""
+
 COMPARED: tuple[tuple[Case, Preset, float], ...] = (
     *((case, PAPER, PUBLISHED_LOCOMOTIVE.total_torque) for case in CASES),
     *((case, SENSIBLE, LOCOMOTIVE_85_T.total_torque) for case in CASES),
@@ -281,6 +284,9 @@ class Run:
         What the controller took the maximum adhesion to be.
     adhesion, maximum_adhesion : (m, 4) arrays
         In use, and the most that the rail under the axle gives.
+    decisions, unsolved, late : int
+        Samples at which the controller decided, at which its program was not solved, and at which
+        it took longer than its deadline by the clock on the wall.
     """
 
     case: Case
@@ -297,6 +303,9 @@ class Run:
     assumed: FloatArray
     adhesion: FloatArray
     maximum_adhesion: FloatArray
+    decisions: int = 0
+    unsolved: int = 0
+    late: int = 0
 
     @property
     def slip(self) -> FloatArray:
@@ -342,6 +351,7 @@ def run(
     knowledge: RailSource | None = None,
     noise: Noise | None = None,
     seed: int = 1,
+    first: float | None = None,
 ) -> Run:
     """Drive one case from a stand.
 
@@ -361,16 +371,23 @@ def run(
         Of the speeds that are seen; default: none.
     seed : int
         Of the noise.
+    first : float [N m], optional
+        Torque of every motor in the first period, u(0) of eq. (19): the paper's algorithm assumes
+        it and solves from the second sample on. Default: solved from the first.
 
     Raises
     ------
     InputError
-        If the strategy is unknown.
+        If the strategy is unknown, or the first torque is beyond the limits.
     """
     if strategy not in STRATEGIES:
         raise InputError(f"strategy '{strategy}' is unknown", remedy=f"one of {list(STRATEGIES)}")
     locomotive, period = preset.locomotive, preset.tuning.period
     asked = locomotive.total_torque if total is None else total
+    if first is not None and not 0.0 <= first <= min(
+        locomotive.torque_limit, asked / locomotive.axles
+    ):
+        raise InputError(f"first torque {first} N m is not within the limits of the motors")
     known, errors = knowledge or KnownRail(case), noise or Noise()
     random = np.random.default_rng(seed)
     controller = STRATEGIES[strategy](preset)
@@ -383,8 +400,16 @@ def run(
         limits = case.limits(measured.time, preset)
         demand = asking.demand(assumed.rail, limits, asked, assumed.reference)
         torques = controller.torques(measured.speed, measured.wheel_speeds, demand)
+        if k == 0 and first is not None:
+            torques = np.full(locomotive.axles, first)
         plant.advance(measured.time, torques, demand.reference[0], assumed.maximum)
-    return Run(case, preset, strategy, integration, asked, **_columns(np.array(plant.rows)))
+    return Run(
+        case, preset, strategy, integration, asked,
+        decisions=k + 1,
+        unsolved=getattr(controller, "unsolved", 0),
+        late=getattr(controller, "late", 0),
+        **_columns(np.array(plant.rows)),
+    )  # fmt: skip
 
 
 class _Plant:

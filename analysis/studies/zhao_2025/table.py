@@ -14,6 +14,10 @@ SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
 """In which the axles have come to rest at their slip speeds [s]."""
 
 
+STARTING = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""At which the start of case 1 is listed [s]."""
+
+
 def published_table() -> Table:
     """What Zhao et al. (2025) states of its cases."""
     table = new_table("Published; torques in N m", "case", "", "reached there")
@@ -39,6 +43,7 @@ def torque_table(runs: Sequence[Run]) -> Table:
         "slip m/s",
         "adhesion",
         "train m/s²",
+        "unsolved",
     )
     for run in runs:
         plant = "Euler" if run.integration == "euler" else "RK4"
@@ -51,7 +56,27 @@ def torque_table(runs: Sequence[Run]) -> Table:
                 _axles(run.mean(run.slip, start, end), ".2f"),
                 _axles(run.mean(run.adhesion, start, end), ".4f"),
                 f"{run.mean(run.acceleration, start, end):.2f}",
+                f"{run.unsolved} of {run.decisions}" if number == 0 else "",
             )
+    return table
+
+
+def start_table(solved: Run, assumed: Run) -> Table:
+    """How case 1 begins: solved from the first sample, and with the torque that is assumed there.
+
+    Parameters
+    ----------
+    solved, assumed : Run
+        Of case 1 in the paper's steps; see `first` of `simulation.run`.
+    """
+    table = new_table(
+        "Start of case 1; torque of each motor N m / slip m/s",
+        "",
+        *(f"{when:g} s" for when in STARTING),
+    )
+    for name, run in (("solved from 0 s on", solved), ("u(0) assumed, eq. (19)", assumed)):
+        rows = np.searchsorted(run.time, np.array(STARTING) - 1e-9)
+        table.add_row(name, *(f"{run.torque[k, 0]:.0f} / {run.slip[k, 0]:.2f}" for k in rows))
     return table
 
 
