@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
@@ -10,16 +10,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.adhesion.slip import slip
+from analysis.adhesion.slip import TOPICS, slip
 from analysis.resistance.fit import estimated_resistance, fit_trip
 from analysis.resistance.logs import fit_log
 from analysis.resistance.recording import LARGEST_SCALE, speed_scale
 from estimators.motion import smooth_motion
 from trainlog import __version__
 from trainlog.errors import LogError, TrainlogError
+from trainlog.formats.files import write_bytes
 from trainlog.mcap import LogWriter
 from trainlog.mcap.reader import stretches
-from trainlog.topics import ESTIMATED_STATE
+from trainlog.topics import ESTIMATED_STATE, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of, seconds
 
 FloatArray = NDArray[np.float64]
@@ -255,6 +256,60 @@ def without_wheel_error(
     result = position.copy()
     result[known] = balise + (s - balise) / ratio
     return result
+
+
+def slip_table(logs: Iterable[str | Path]) -> pd.DataFrame:
+    """The slip events of logs, one row each, as `trainlog estimate --slips` writes them.
+
+    Returns
+    -------
+    DataFrame
+        ``trip``; the columns of `analysis.adhesion.slip.SlipAnalysis.events` and of
+        `SlipAnalysis.creep_curves`, those with a unit named with it (``peak_slip_m/s``).
+
+    Raises
+    ------
+    LogError, InputError
+        As `analysis.slip`, for a log that cannot be analysed.
+
+    Examples
+    --------
+    >>> table = slip_table(["sample_logs/nonstop.mcap"])
+    >>> len(table), table["kind"].unique().tolist(), f"{table['energy_J'].sum() / 1e6:.1f} MJ"
+    (25, ['traction', 'braking'], '3.9 MJ')
+    """
+    found = []
+    for log in logs:
+        for stretch in stretches(log, TOPICS):
+            if stretch.count > 1 and TRAIN_AXLES.name not in stretch.trip:
+                continue
+            part = slip(stretch.trip).part(stretch.span)
+            curves = part.creep_curves()
+            units = {**part.events.attrs["units"], **curves.attrs["units"]}
+            rows = part.events.join(curves).sort_values(["start", "axle"])
+            rows.columns = [
+                name if units.get(name, "1") == "1" else f"{name}_{units[name]}" for name in rows
+            ]
+            rows.insert(0, "trip", part.trip)
+            found.append(rows)
+    return pd.concat(found, ignore_index=True)
+
+
+def write_slip_table(logs: Iterable[str | Path], path: str | Path) -> int:
+    """Write `slip_table` as CSV, whole or not at all, and return the number of events.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     write_slip_table(["sample_logs/nonstop.mcap"], Path(folder) / "slips.csv")
+    25
+    """
+    table = slip_table(logs)
+    text = table.to_csv(index=False, lineterminator="\n", float_format="%.8g")
+    write_bytes(path, text.encode())
+    return len(table)
 
 
 def _adhesion(trip: Trip, result: Trip) -> Trip:

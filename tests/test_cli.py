@@ -7,8 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
+import analysis
 from analysis.tables import new_table
 from trainlog.cli import demo, main as cli, terminal
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
@@ -623,3 +626,26 @@ def test_a_log_that_cannot_be_estimated_does_not_stop_the_others(
     assert status == 2
     assert "a.mcap" in complaint
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["b.mcap"]
+
+
+def test_slip_events_of_all_logs_are_tabled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One row an event, with units in the names; a log that cannot be analysed is left out."""
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.mcap").write_bytes(b"no log")
+    (tmp_path / "logs" / "b.mcap").write_bytes(sample("nonstop.mcap").read_bytes())
+    table = tmp_path / "slips.csv"
+    words = ("estimate", tmp_path / "logs", "-o", tmp_path / "out", "--slips", table)
+    status, out, _ = run(monkeypatch, capsys, *words)
+    assert status == 2
+    assert "25 slip events" in out
+    found = pd.read_csv(table, parse_dates=["onset", "peak", "release"])
+    events = analysis.slip(sample("nonstop.mcap")).events.sort_values(["start", "axle"])
+    assert found["axle"].tolist() == events["axle"].tolist()
+    assert (found["peak"] < found["release"]).all()
+    np.testing.assert_allclose(found["energy_J"], events["energy"], rtol=1e-6)
+    np.testing.assert_allclose(found["creepage"], events["creepage"], rtol=1e-6)
+    status, _, complaint = run(monkeypatch, capsys, *words[:-1], tmp_path / "slips.txt")
+    assert status == 2
+    assert "not the name of a .csv file" in complaint

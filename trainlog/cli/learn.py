@@ -10,6 +10,7 @@ import typer
 
 from trainlog.cli.options import Logs, destination, logs_in
 from trainlog.cli.terminal import console, print_error, progress_bar, wrote
+from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
 from trainlog.units import KMH
@@ -93,14 +94,19 @@ def fit(
 def estimate(
     logs: Logs,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+    slips: Annotated[
+        Path | None,
+        typer.Option(help="Table of the slip events of all logs (CSV): axle, creepage, energy ..."),
+    ] = None,
 ) -> None:
     """Add estimates to logs: smoothed motion, running resistance as it is learnt, adhesion, slip.
 
     Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
     """
-    from analysis.estimates import estimate_log
+    from analysis.estimates import estimate_log, write_slip_table
 
-    found, refused = logs_in(logs), 0
+    found, refused, analysed = logs_in(logs), 0, list[Path]()
+    table = None if slips is None else destination(slips, ".csv")
     with output_folder(output), progress_bar() as progress:
         for log in progress.track(found, description="estimating"):
             if (output / log.name).resolve() == log.resolve():
@@ -118,6 +124,13 @@ def estimate(
                 words = f"  not estimated: {refusal}"
                 progress.console.print(words, highlight=False, markup=False, soft_wrap=True)
             wrote(output / log.name)
+            if not any(refusal.partition(": ")[0] == "adhesion" for refusal in refusals):
+                analysed.append(log)
+    if table is not None:
+        if not analysed:
+            raise LogError("no log shows slip", remedy="give logs with /train/axles")
+        console.print(f"{counted(write_slip_table(analysed, table), 'slip event')}")
+        wrote(table)
     if refused:
         raise typer.Exit(2)
 
