@@ -198,7 +198,7 @@ def test_what_is_no_characteristic_is_refused(make, message: str) -> None:  # ty
 
 
 @family
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(
     efforts=st.lists(st.floats(-250e3, 250e3), min_size=3, max_size=6), peak=st.floats(0.05, 0.4)
 )

@@ -78,7 +78,7 @@ def drawn(seed: int) -> tuple[AdhesionPoints, float, float, float]:
 
 def test_bands_hold_the_truth_of_curves_of_another_form() -> None:
     held, found, refused = [], [], 0
-    for seed in range(24):
+    for seed in range(16):
         points, maximum, optimum, speed = drawn(seed)
         try:
             fit = fit_adhesion_characteristic(points, speed=speed)
@@ -163,6 +163,11 @@ class TestRefused:
 
     def test_too_few_points(self) -> None:
         assert "4 points do not determine" in self.refusal(np.arange(25) < 4)
+
+    def test_of_a_file_with_its_name(self, tmp_path: Path) -> None:
+        path = written(tmp_path, "creepage [%];adhesion\n0.1;0.1\n0.2;0.15\n")
+        with pytest.raises(NotIdentifiableError, match=r"curve\.csv: 2 points do not determine"):
+            fit_adhesion_characteristic(path)
 
     def test_an_end_at_the_maximum_is_stated(self) -> None:
         slips = np.linspace(0.001, 0.021, 30)

@@ -65,6 +65,8 @@ COMMANDS: dict[str, list[str]] = {
     "optimise": ["optimise", "BAD", "-o", "OUT.json"],
     "simulate --line": ["simulate", "--line", "BAD", "-o", "OUT"],
     "simulate --train": ["simulate", "--train", "BAD", "-o", "OUT"],
+    "simulate --characteristic": ["simulate", "--characteristic", "BAD", "-o", "OUT"],
+    "adhesion fit": ["adhesion", "fit", "BAD", "-o", "OUT.json"],
     "simulate --trajectory": ["simulate", "--trajectory", "BAD", "-o", "OUT"],
     "report": ["report", "BAD"],
 }

@@ -174,7 +174,21 @@ def fit_adhesion_characteristic(
     >>> print(f"{fit.maximum:.3f} at {100.0 * fit.optimal_slip:.1f} %")
     0.299 at 2.5 %
     """
-    given = points if isinstance(points, AdhesionPoints) else read_adhesion_points(points)
+    if isinstance(points, AdhesionPoints):
+        return _fitted(points, family, speed, clean_stiffness)
+    try:
+        return _fitted(read_adhesion_points(points), family, speed, clean_stiffness)
+    except NotIdentifiableError as error:
+        raise NotIdentifiableError(error.problem, file=points, remedy=error.remedy) from error
+
+
+def _fitted(
+    given: AdhesionPoints,
+    family: Family | None,
+    speed: float | None,
+    clean_stiffness: float | None,
+) -> CharacteristicFit:
+    """The fit of points, or the reason why there is none."""
     if given.speeds is None and speed is not None:
         if not 0.0 < speed < 200.0:
             raise InputError(f"train speed {speed} m/s is not between 0 and 200")
@@ -206,7 +220,8 @@ def _check_points(points: AdhesionPoints) -> None:
     """Refuse points that cannot show a maximum whatever the family."""
     if points.slips.size < 5:
         raise NotIdentifiableError(
-            f"{points.slips.size} points do not determine a characteristic; give five at least"
+            f"{points.slips.size} points do not determine a characteristic",
+            remedy="give five at least",
         )
     if not np.max(points.adhesions) > 0.0:
         raise InputError("points of adhesion: none is positive")
@@ -363,12 +378,13 @@ def _judged(
     if beyond > (1.0 + RISING) * maximum:
         raise NotIdentifiableError(
             f"adhesion still rises at the largest {points.variable}, {end}: the maximum is not"
-            " shown; measure further into slip"
+            " shown",
+            remedy="measure further into slip",
         )
     if np.count_nonzero(points.slips < 0.8 * slip) < 2:
         raise NotIdentifiableError(
-            f"fewer than two points lie below the maximum: they do not show how adhesion rises"
-            f" to it; measure at less {points.variable}"
+            "fewer than two points lie below the maximum: the rise to it is not shown",
+            remedy=f"measure at less {points.variable}",
         )
     std, band = _uncertainty(solution, points.variable, grid, speed)
     if band[1] >= largest:
