@@ -21,9 +21,11 @@ from analysis.adhesion.condition_table import (
 )
 from trainlog.cli.main import run
 from trainlog.errors import InputError, MissingExtraError
+from trainlog.formats.line import line_to_bytes
 from trainlog.formats.ttobench_adhesion import read_adhesion
 from trainlog.railway import Line, LineReference, TrackConditionMap
 from trainlog.railway.condition import ConditionChange, PassingSpot
+from trainlog.trip import LINE_ATTACHMENT
 
 AT = pd.Timestamp("2024-10-09T06:00", tz="UTC")
 SPOT = PassingSpot(9_675.0, 9_750.0, 0.07, 0.06, 0.08, 20_003, 20_003, 20_003, 0.9, 2.0)
@@ -283,3 +285,22 @@ def test_the_command_takes_the_line_from_a_file_a_log_or_the_samples(
         with pytest.raises(InputError, match=message):
             run(["map", "export", condition, "-o", str(tmp_path / "no.csv"), *wrong])
         assert not (tmp_path / "no.csv").exists()
+
+
+def test_the_line_is_taken_from_a_log_that_the_map_was_made_from(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = replace(line, name="own")
+    trip = trainlog.read(trainlog.sample("nonstop.mcap"))
+    carried = {**trip.attachments, LINE_ATTACHMENT: line_to_bytes(own)}
+    known = {**trip.metadata, "line": "own"}
+    log, condition = tmp_path / "own.mcap", tmp_path / "own.map"
+    trainlog.write(replace(trip, attachments=carried, metadata=known), log)
+    assert run(["map", "update", str(log), "--map", str(condition)]) == 0
+    words = ["map", "export", str(condition), "-o", str(tmp_path / "own.geojson")]
+    assert run(words) == 0
+    content = json.loads((tmp_path / "own.geojson").read_text("utf-8"))
+    assert content["trainlog"]["operators_line"] == "850"
+    log.unlink()
+    with pytest.raises(InputError, match=r"needs the coordinates of line 'own'.*--line"):
+        run(words)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +13,7 @@ import typer
 from trainlog.cli.map import map_app
 from trainlog.cli.options import destination
 from trainlog.cli.terminal import console, wrote
-from trainlog.errors import InputError
+from trainlog.errors import InputError, TrainlogError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,7 +29,7 @@ CourseOption = Annotated[
     typer.Option(
         "--line",
         help="Line file, or a log that carries it: stations, the operator's kilometres,"
-        " coordinates. Default: the sample line of the map's name, if there is one.",
+        " coordinates. Default: a sample line of the map's name, or that of its logs.",
     ),
 ]
 LayersOption = Annotated[
@@ -76,7 +77,7 @@ def map_show(
     if picture is not None:
         destination(picture, ".png")
     track = read_map(condition)
-    when, known = moment(at, zone), course(track, line)
+    when, known = moment(at, zone), course(track, line, condition)
     state = map_state(track, when, line=known, layers=layer)
     if picture is not None:
         shown = (
@@ -129,7 +130,7 @@ def map_diff(
     if len(maps) > 2:
         raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
     first, *second = [read_map(each) for each in maps]
-    known = course(first, line)
+    known = course(first, line, maps[0])
     found = map_difference(
         first,
         second[0] if second else None,
@@ -175,7 +176,7 @@ def map_history(
     if picture is not None:
         destination(picture, ".png")
     track = read_map(condition)
-    known = course(track, line)
+    known = course(track, line, condition)
     position = position_of(track, known, km)
     names = list(track.layers) if layer is None else layer
     found = [map_history(track, position, name, line=known) for name in names]
@@ -227,12 +228,16 @@ def map_export(
     from trainlog.formats.condition import read_map
 
     track = read_map(condition)
-    export_map(track, output, line=course(track, line), at=moment(at, zone), layers=layer)
+    export_map(
+        track, output, line=course(track, line, condition), at=moment(at, zone), layers=layer
+    )
     wrote(output)
 
 
-def course(track: TrackConditionMap, given: Path | None) -> Line | None:
-    """The line of a map: the one given, or the sample of that name and length; else None.
+def course(track: TrackConditionMap, given: Path | None, condition: Path) -> Line | None:
+    """The line of a map: the one given, a sample, or that of a log the map was made from.
+
+    None if there is none of these, or no such log is where it was.
 
     Raises
     ------
@@ -240,26 +245,36 @@ def course(track: TrackConditionMap, given: Path | None) -> Line | None:
         If what is given is no line, or another than the map's.
     """
     from analysis.adhesion.condition_table import check_course
-    from trainlog.formats.attached import line_of
     from trainlog.formats.line import read_line
+    from trainlog.formats.mapfile import MapFile
     from trainlog.formats.samples import names, sample
+
+    if given is not None:
+        line = _line_of_log(given) if given.suffix == ".mcap" else read_line(given)
+        check_course(track, line)
+        return line
+    for name in names():
+        if name.endswith(".line.json"):
+            line = read_line(sample(name))
+            if (line.name, line.length) == (track.line, track.length):
+                return line
+    with MapFile(condition) as opened:
+        for log in opened.unchanged_logs():
+            with suppress(TrainlogError):
+                line = _line_of_log(log)
+                check_course(track, line)
+                return line
+    return None
+
+
+def _line_of_log(log: Path) -> Line:
+    """The line that a log carries, in its own direction."""
+    from trainlog.formats.attached import line_of
     from trainlog.mcap import read_log
 
-    if given is None:
-        for name in names():
-            if name.endswith(".line.json"):
-                known = read_line(sample(name))
-                if known.name == track.line and known.length == track.length:
-                    return known
-        return None
-    if given.suffix == ".mcap":
-        trip = read_log(given, topics=[])
-        line = line_of(trip)
-        line = line.reversed() if trip.metadata.get("direction") == "reverse" else line
-    else:
-        line = read_line(given)
-    check_course(track, line)
-    return line
+    trip = read_log(log, topics=[])
+    line = line_of(trip)
+    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
 
 
 def moment(at: str | None, zone: str | None) -> pd.Timestamp | None:

@@ -467,6 +467,17 @@ class MapFile:
             ).fetchone()
         return str(found[0]) if found else ""
 
+    def unchanged_logs(self) -> Iterator[Path]:
+        """The logs that trips were added from and that are still where they were, unchanged."""
+        with _refusing(self.path):
+            known = self._database.execute("SELECT path, size, changed FROM files ORDER BY path")
+            rows = known.fetchall()
+        for path, size, changed in rows:
+            with suppress(OSError):
+                state = Path(path).stat()
+                if (state.st_size, state.st_mtime_ns) == (size, changed):
+                    yield Path(path)
+
     def remember(self, path: Path, state: os.stat_result, digest: str) -> None:
         """Keep the SHA-256 of a log, with its size and the time of its last change."""
         with self._writing() as database:
