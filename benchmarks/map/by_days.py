@@ -62,7 +62,7 @@ def caution(known: study.Setup, sigmas: Sequence[float], folder: Path) -> None:
     for level, met in rails.items():
         reported("no map", level, run("day 2", blind, met, PUBLISHED_TRAIN.mass))
     for each in sigmas:
-        counted = cautious_policy(track, each)
+        counted = cautious_policy(track, sigmas=each)
         above = np.count_nonzero(counted.values > rail(track.centres))
         print(
             f"{each:g} sigmas: {counted.values[counted.assumed].max():.3f} assumed;"

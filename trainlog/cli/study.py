@@ -94,6 +94,14 @@ def map_mpc(
             " guard, lead and learning of the mass; no days.",
         ),
     ] = False,
+    risk: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Drive only the days, on a rail that changes, without a map, with its lasting"
+            " estimate, and with what it expects of each day at this risk; may be given several"
+            " times."
+        ),
+    ] = None,
     seed: Seed = 1,
 ) -> None:
     """Follow a timetable with a map of the rail, and without one (Hauck et al., 2023).
@@ -108,9 +116,17 @@ def map_mpc(
     Example: trainlog study map-mpc -o results/map-mpc
     """
     from analysis.studies.hauck_2023.run import MapOptions, main
+    from trainlog.errors import InputError
+    from trainlog.railway.condition import check_risk
 
+    risks = tuple(check_risk(each) for each in risk or ())
+    if risks and as_published:
+        raise InputError(
+            "--risk cannot be taken with --as-published: the paper has no map that is learnt",
+            remedy="leave one out",
+        )
     with _reported(output) as report:
-        main(report, MapOptions(sections, days, seed, as_published))
+        main(report, MapOptions(sections, days, seed, as_published, risks))
 
 
 @study_app.command("robust-minimax")

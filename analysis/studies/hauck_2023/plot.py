@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,11 @@ from analysis.plotting import (
     GREY,
     ORANGE,
     PALE,
+    PURPLE,
     RED,
+    SKY,
     dress,
+    legend,
     new_figure,
     write_figure,
 )
@@ -346,3 +349,38 @@ def slips_along(day: Day) -> tuple[FloatArray, FloatArray]:
         begun = np.diff(each.slipping.astype(np.int8), axis=0, prepend=0) > 0
         counts += np.histogram(each.position, edges, weights=begun.sum(axis=1))[0]
     return edges, counts
+
+
+def draw_risks(driven: Mapping[str, Days], path: Path) -> None:
+    """Draw slips, work of creep and lateness day by day, by how the map was read.
+
+    Parameters
+    ----------
+    driven : mapping of str to Days
+    path : path
+        PNG file.
+    """
+    figure = new_figure(9.0, 8.0)
+    places = figure.subplots(3, 1, sharex=True)
+    colours = (GREY, ORANGE, GREEN, BLUE, RED, PURPLE, SKY)
+    for (name, days), colour in zip(driven.items(), colours, strict=False):
+        number = [day.number for day in days.days]
+        rows = (
+            [day.slip_events for day in days.days],
+            [day.slip_energy / 1e6 for day in days.days],
+            [days.late(day).max() for day in days.days],
+        )
+        for axes, values in zip(places, rows, strict=True):
+            axes.plot(number, values, ".-", color=colour, label=name, linewidth=1.0)
+    titles = (
+        ("axles", "Axles that begin to skid or slide, all trips of the day"),
+        ("MJ", "All work of creep"),
+        ("s", "Latest arrival at any stop"),
+    )
+    for axes, (y, title) in zip(places, titles, strict=True):
+        dress(axes, x="", y=y, title=title)
+    places[0].set_ylim(bottom=0.0)
+    legend(places[0], "upper right", ncols=3)
+    places[-1].set_xlabel("day; the first is driven without a map")
+    places[-1].xaxis.get_major_locator().set_params(integer=True)
+    write_figure(figure, path)

@@ -8,17 +8,25 @@ from functools import partial
 
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED, EXTENDED
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.plot import draw_days, draw_study
+from analysis.studies.hauck_2023.plot import draw_days, draw_risks, draw_study
 from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.scenarios import (
     SCENARIOS,
+    SIGMAS,
+    AdhesionPolicy,
     Days,
     Outcome,
     Setup,
+    cautious_policy,
+    changing_rails,
     day_by_day,
     drawn_masses,
+    first_day,
+    line,
     outcome,
     prepared,
+    risk_policy,
+    without_map,
 )
 from analysis.studies.hauck_2023.simulation import trip_of
 from analysis.studies.hauck_2023.table import (
@@ -29,6 +37,7 @@ from analysis.studies.hauck_2023.table import (
     lateness_table,
     published_table,
     references_table,
+    risks_table,
     tracking_table,
 )
 from analysis.studies.report import StudyReport
@@ -52,12 +61,16 @@ class MapOptions:
         Of rails, masses and sensors.
     as_published : bool
         By eqs. (9) to (11) alone; see `analysis.studies.hauck_2023.controller.Method`.
+    risks : tuple of float
+        Drive only the days, on a rail that changes from day to day: without a map, with the lasting
+        estimate less a deviation, and with what is expected of each day at each of these risks.
     """
 
     sections: int | None = None
     days: int = 2
     seed: int = 1
     as_published: bool = False
+    risks: tuple[float, ...] = ()
 
 
 def main(report: StudyReport, options: MapOptions) -> None:
@@ -65,6 +78,9 @@ def main(report: StudyReport, options: MapOptions) -> None:
     known = prepared(
         options.seed, options.sections, partial(report.track, description="references")
     )
+    if options.risks:
+        _drive_risks(report, known, options)
+        return
     report.show(published_table(), references_table(known.plan))
     method = AS_PUBLISHED if options.as_published else EXTENDED
     drawn = drawn_masses(options.seed, TRIPS).tolist()
@@ -120,3 +136,28 @@ def _drive_days(
     if len(driven.days) > 1:
         report.show(counted_on(driven))
     draw_days(driven, report.picture("two-days.png"))
+
+
+def _drive_risks(report: StudyReport, known: Setup, options: MapOptions) -> None:
+    """Days on a changing rail, by how the map is read; after each way of reading its table."""
+    rails = changing_rails(line(), known.rails["bad"], options.days, options.seed)
+    masses = drawn_masses(options.seed, TRIPS).tolist()
+    watch = _watched(report, "days")
+    first = first_day(known.plan, rails[0], masses, report.folder, options.seed, watch)
+    report.keep(*first.logs)
+    driven = {"no map": without_map(known.plan, rails, masses, first, watch)}
+    policies: dict[str, AdhesionPolicy] = {f"{SIGMAS:g} deviation": cautious_policy}
+    policies |= {f"risk {each:g}": partial(risk_policy, risk=each) for each in options.risks}
+    for name, policy in report.track(policies.items(), "policies"):
+        folder = report.folder / name.replace(" ", "-")
+        folder.mkdir(exist_ok=True)
+        days = day_by_day(known.plan, rails, masses, folder, options.seed, policy, watch, first)
+        try:
+            for driven[name] in days:
+                pass
+        except InputError as error:
+            report.show(f"{name}: a day was not driven: {error}")
+        report.keep(*driven[name].logs[len(first.logs) :])
+        report.show(days_table(driven[name]))
+    report.show(risks_table(driven))
+    draw_risks(driven, report.picture("risks.png"))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pandas import Timestamp
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.demonstrated import UsableAdhesion, typical_adhesion, usable_adhesion
@@ -51,6 +52,7 @@ from trainlog.railway import Line, StepProfile, TrackConditionMap
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.simulation.drivers import Stop
 from trainlog.simulation.rail import (
+    Rail,
     base_map,
     bin_centres,
     likely_places,
@@ -362,6 +364,9 @@ SPARE = 0.01
 CHANGED = 0.02
 """A reference is made anew where more than this share of the adhesion counted on has changed."""
 
+DAILY_SPREAD = 0.02
+"""Standard deviation of the logarithm of a changing rail between days."""
+
 DAY, APART = 86_400 * 10**9, 2 * 3_600 * 10**9
 """Of the logs: from day to day, and from trip to trip [ns]."""
 
@@ -447,12 +452,16 @@ class Days:
         return np.array([each.late for each in day.runs])
 
 
-AdhesionPolicy = Callable[[TrackConditionMap], UsableAdhesion]
-"""What a day's controllers count on when they have a map."""
+AdhesionPolicy = Callable[[TrackConditionMap, Timestamp], UsableAdhesion]
+"""What the controllers of a day that begins at a time count on when they have a map."""
 
 
-def cautious_policy(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion:
-    """The map's cautious estimate; elsewhere what was demonstrated, or what is typical of the line.
+def cautious_policy(
+    track: TrackConditionMap,
+    time: Timestamp | None = None,  # noqa: ARG001
+    sigmas: float = SIGMAS,
+) -> UsableAdhesion:
+    """The map's cautious estimate of what lasts; elsewhere what was demonstrated, or is typical.
 
     Raises
     ------
@@ -463,9 +472,61 @@ def cautious_policy(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableA
     return usable_adhesion(track, LAYER, sigmas=sigmas, assumed=typical)
 
 
-def exploring_policy(track: TrackConditionMap) -> UsableAdhesion:
+def risk_policy(track: TrackConditionMap, time: Timestamp, risk: float) -> UsableAdhesion:
+    """What a trip at that time finds at a place with probability ``1 - risk``.
+
+    Elsewhere what was demonstrated or is typical, as cautiously.
+
+    Raises
+    ------
+    InputError
+        If no maximum was seen anywhere.
+    """
+    typical = typical_adhesion(track, LAYER, risk=risk, time=time)
+    return usable_adhesion(track, LAYER, risk=risk, time=time, assumed=typical)
+
+
+def exploring_policy(
+    track: TrackConditionMap,
+    time: Timestamp | None = None,  # noqa: ARG001
+) -> UsableAdhesion:
     """The map's cautious estimate; elsewhere whatever the train can use, to see what holds."""
     return usable_adhesion(track, LAYER, sigmas=SIGMAS, assumed=float(NO_MAP.values[0]))
+
+
+def changing_rails(track: Line, rail: StepProfile, days: int, seed: int) -> list[StepProfile]:
+    """A rail on several days, with the passing spots of `trainlog.simulation.rail.Rail` on it.
+
+    Parameters
+    ----------
+    track : Line
+    rail : StepProfile
+        What lasts.
+    days : int
+    seed : int
+        Of the spots.
+
+    Returns
+    -------
+    list of StepProfile
+        As it is at noon of each day, the first that of the first day's logs.
+    """
+    drawn = Rail.draw(track, days, Timestamp(START, tz="UTC"), seed)
+    centres = bin_centres(rail.values.size)
+    shapes = [
+        spot(centres, start, length, lowest)
+        for start, length, lowest in drawn.spots[["start", "length", "wet"]].to_numpy(np.float64)
+    ]
+    found = []
+    for day in range(days):
+        generator = np.random.default_rng([seed, 17, day])
+        logarithm = np.log(rail(centres)) + DAILY_SPREAD * smooth_variation(centres.size, generator)
+        left = drawn.left(drawn.start + day * DAY + DAY // 2)
+        for share, bound in zip(left, shapes, strict=True):
+            if share > 0.0:
+                logarithm = logarithm - share * np.maximum(logarithm - bound, 0.0)
+        found.append(_profile(np.exp(logarithm)))
+    return found
 
 
 def first_day(
@@ -514,7 +575,7 @@ def next_day(
     """
     number = before.number + 1
     learnt = adhesion_map(before.logs, before.track, LAYER).track
-    known = policy(learnt)
+    known = policy(learnt, Timestamp(START + (number - 1) * DAY, tz="UTC"))
     made = replanned(plan, known.profile, before.plan if before.known else ())
     asked = timetable_of(plan)
     runs = tuple(
@@ -533,8 +594,11 @@ def day_by_day(
     seed: int,
     policy: AdhesionPolicy = cautious_policy,
     track: Track = iter,
+    first: Day | None = None,
 ) -> Iterator[Days]:
     """After each day the days so far; arguments as for `first_day` and `next_day`.
+
+    A `first` day that was driven already is not driven again.
 
     Raises
     ------
@@ -542,11 +606,26 @@ def day_by_day(
         Before a day whose map shows no maximum adhesion anywhere.
     """
     stops = timetable_of(plan)
-    days = [first_day(plan, rails[0], masses, folder, seed, track)]
+    days = [first or first_day(plan, rails[0], masses, folder, seed, track)]
     yield Days(tuple(days), stops)
     for rail in rails[1:]:
         days.append(next_day(days[-1], plan, rail, folder, seed, policy, track))
         yield Days(tuple(days), stops)
+
+
+def without_map(
+    plan: Plan,
+    rails: Sequence[StepProfile],
+    masses: Sequence[float],
+    first: Day,
+    track: Track = iter,
+) -> Days:
+    """The same days, all driven as the first one, without a map; nothing is logged."""
+    blind, days = with_map(plan, NO_MAP), [first]
+    for number, rail in enumerate(rails[1:], start=2):
+        runs = tuple(run(_name(number, mass), blind, rail, mass, track=track) for mass in masses)
+        days.append(Day(number, None, None, plan, rail, runs, ()))
+    return Days(tuple(days), timetable_of(plan))
 
 
 def timetable_of(plan: Plan) -> tuple[Stop, ...]:

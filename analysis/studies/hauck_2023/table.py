@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from rich.table import Table
@@ -249,6 +249,55 @@ def days_table(days: Days) -> Table:
             _errors(day),
         )
     return table
+
+
+def risks_table(driven: Mapping[str, Days]) -> Table:
+    """What each way of reading the map cost and saved, on the days that had one.
+
+    Parameters
+    ----------
+    driven : mapping of str to Days
+        By how the map was read; the first day is that of all.
+    """
+    count = max(len(each.days) for each in driven.values())
+    halves = [(2, min(3, count)), (4, count)] if count > 3 else [(2, count)]
+    table = new_table(
+        f"Changing rail, {len(next(iter(driven.values())).days[0].runs)} trips a day, by how the"
+        " map is read",
+        "map read with",
+        *(f"slips, days {a} to {b}" for a, b in halves),
+        "work beyond the peak MJ",
+        "all work of creep MJ",
+        "latest s",
+        "mean s",
+        "bins seen that held less than counted on %",
+    )
+    for name, days in driven.items():
+        later = days.days[1:]
+        late = np.array([days.late(day) for day in later])
+        table.add_row(
+            name,
+            *(
+                f"{sum(day.slip_events for day in later if a <= day.number <= b)}"
+                for a, b in halves
+            ),
+            f"{sum(day.skid_energy for day in later) / 1e6:.2f}",
+            f"{sum(day.slip_energy for day in later) / 1e6:.1f}",
+            f"{late.max():.1f}" if late.size else "-",
+            f"{late.mean():.2f}" if late.size else "-",
+            _short(days),
+        )
+    return table
+
+
+def _short(days: Days) -> str:
+    """Share of the bins whose maximum was seen that held less than was counted on."""
+    found = [
+        day.rail(day.track.centres[day.known.seen]) < day.known.values[day.known.seen]
+        for day in days.days
+        if day.track is not None and day.known is not None
+    ]
+    return f"{100.0 * float(np.mean(np.concatenate(found))):.1f}" if found else "-"
 
 
 def counted_on(days: Days) -> str:
