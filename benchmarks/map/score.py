@@ -1,0 +1,186 @@
+"""How well the track-condition map forecasts: a rolling month, three lines, changing weather.
+
+    python benchmarks/map/score.py [--days 30] [--trips-per-day 4] [--cache FOLDER] [--picture DIR]
+
+Each day is forecast from the days before alone, in the rail condition that came, by
+
+- ``the map``: `ConditionLayer.expected` at noon of the day;
+- ``lasting estimate``: the same maps' lasting condition, as if no spot passed;
+- ``pooled``: one Gaussian field for all days, as maps were estimated before they had two time
+  scales; its deviations are those it published.
+
+All are scored on the same passages: where every one of them is known. ``of the map`` rows count
+what the map alone leaves unknown. The trips, the rail with its spots and the weather are those of
+`benchmarks/map/trips.py`; the definitions are in docs/adhesion-forecast-verification.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from pooled import pooled_estimate
+from trips import Month, add_options, months
+
+from analysis.adhesion.condition_map import empty_map, update
+from analysis.tables import new_table
+from analysis.verification.forecasts import before, rolling_forecast
+from analysis.verification.passages import Demand, passages_of
+from analysis.verification.plot import draw_score
+from analysis.verification.scoring import score_rolling
+from analysis.verification.verify import Forecaster, Verification, verify
+from trainlog.cli.terminal import console
+from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
+from trainlog.units import NANOSECONDS
+
+DAY = 86_400 * NANOSECONDS
+
+
+def lasting(track: TrackConditionMap) -> Forecaster:
+    """The lasting estimate of the days before."""
+    made: dict[int, TrackConditionMap] = {}
+
+    def expected(layer, time):
+        day = int(time.value // DAY)
+        if day not in made:
+            made.clear()
+            made[day] = before(track, day)
+        return made[day].layers.get(layer)
+
+    return expected
+
+
+def pooled(track: TrackConditionMap) -> Forecaster:
+    """One field for all days before."""
+
+    def expected(layer, time):
+        known = track.layer(layer).evidence.between(-1, int(time.value // DAY) - 1)
+        return pooled_estimate(track, layer, known) if known.days.size else None
+
+    return expected
+
+
+def in_common(forecasters: Mapping[str, Forecaster]) -> dict[str, Forecaster]:
+    """The same forecasts, unknown where one of them is."""
+    made: dict[tuple[str, int], dict[str, AdhesionEstimate | None]] = {}
+
+    def limited(name: str) -> Forecaster:
+        def expected(layer, time):
+            if (layer, time.value) not in made:
+                made[layer, time.value] = {
+                    each: forecaster(layer, time) for each, forecaster in forecasters.items()
+                }
+            every = made[layer, time.value]
+            if any(each is None for each in every.values()):
+                return None
+            known = np.all([each.observed for each in every.values()], axis=0)
+            own = every[name]
+            return AdhesionEstimate(
+                own.log_mean, own.log_std, known, own.log_levels, own.probability
+            )
+
+        return expected
+
+    return {name: limited(name) for name in forecasters}
+
+
+def scored(track: TrackConditionMap) -> dict[str, Verification]:
+    """All layers together, by forecaster."""
+    known = {name: layer.evidence for name, layer in track.layers.items()}
+    first = min(int(each.days[0]) for each in known.values())
+    met = [
+        each
+        for name, evidence in known.items()
+        for each in passages_of(name, evidence)
+        if each.day > first
+    ]
+    demand = Demand(known.values(), track.levels)
+    several = in_common(
+        {
+            "pooled": pooled(track),
+            "lasting estimate": lasting(track),
+            "the map": rolling_forecast(track),
+        }
+    )
+    return {
+        name: Verification.together(
+            verify(
+                name,
+                track,
+                met,
+                forecaster,
+                lambda layer, day: known[layer].between(first, day - 1),
+                demand,
+            )
+        )
+        for name, forecaster in several.items()
+    }
+
+
+def row(name: str, found: Verification) -> list[str]:
+    gain = [found.log_score("onsets", over=other) for other in ("prior", "persistence")]
+    every = [found.log_score("all", over=other) for other in ("prior", "persistence")]
+    foreseen, false = found.alarm()
+    return [
+        name,
+        f"{found.onsets}",
+        figure(found.log_score("onsets")),
+        *(figure(each) for each in gain),
+        *(figure(each, 3) for each in every),
+        f"{found.crps().value:.3f}",
+        f"{found.coverage.value:.3f}",
+        f"{found.brier_figure('score').value:.4f}",
+        f"{found.brier_gain('persistence').value:+.3f}",
+        f"{foreseen.value:.3f} / {false.value:.2f}",
+    ]
+
+
+def figure(value, digits: int = 2) -> str:
+    return f"{value.value:+.{digits}f} ({value.low:+.{digits}f}, {value.high:+.{digits}f})"
+
+
+def report(month: Month, picture: Path | None) -> None:
+    empty = empty_map(month.line)
+    track, _ = update(empty, [drive.evidence(empty) for drive in month.drives])
+    table = new_table(
+        f"{month.line.name}: {len(month.drives)} trips in {month.rail.days} days",
+        "forecast",
+        "onsets",
+        "log score of onsets",
+        "over the prior",
+        "over persistence",
+        "all passages: over the prior",
+        "over persistence",
+        "CRPS",
+        "coverage of 95 %",
+        "Brier score",
+        "skill over persistence",
+        "slips foreseen / false alarms per train-km at 10 %",
+    )
+    for name, found in scored(track).items():
+        table.add_row(*row(name, found))
+    whole = score_rolling(track)
+    table.add_row(*row("the map, all it knows", whole.layers["all"]))
+    console.print(table)
+    found = whole.layers["all"]
+    share = found.unknown_onsets / max(found.onsets + found.unknown_onsets, 1)
+    console.print(
+        f"  of {found.onsets + found.unknown_onsets} onsets {share:.1%} where the map is unknown"
+    )
+    if picture is not None:
+        draw_score(whole, picture / f"score-{month.line.name}.png")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_options(parser)
+    parser.add_argument("--picture", type=Path, help="folder for a picture of each line")
+    options = parser.parse_args()
+    for month in months(options):
+        report(month, options.picture)
+
+
+if __name__ == "__main__":
+    main()
