@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pandas import Timestamp
 
 from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.plot import draw_days, draw_study
+from analysis.studies.hauck_2023.plot import draw_days, draw_risks, draw_study
 from analysis.studies.hauck_2023.scenarios import Days, day_by_day, least_lateness, replanned
 from analysis.studies.hauck_2023.simulation import trip_of
 from analysis.studies.hauck_2023.table import (
@@ -20,6 +22,7 @@ from analysis.studies.hauck_2023.table import (
     gain_table,
     lateness_table,
     references_table,
+    risks_table,
     tracking_table,
 )
 from trainlog.cli.main import run as command
@@ -212,6 +215,53 @@ def test_tables_and_pictures_are_made(
     pictures = draw_study(known, three, tmp_path)
     draw_days(days, tmp_path / "days.png")
     assert all(path.stat().st_size > 10_000 for path in (*pictures, tmp_path / "days.png"))
+
+
+def test_a_changing_rail_has_spots_that_come_and_go(known: study.Setup) -> None:
+    whole = study.line()
+    rails = study.changing_rails(whole, study.bad_rail(whole), 8, seed=2)
+    values = np.array([rail.values for rail in rails])
+    lasting = study.bad_rail(whole).values
+    slippery = values < 0.85 * lasting
+    assert slippery.any(axis=0).sum() > 10
+    # A spot is there on some of the days, and what lasts stays.
+    assert np.count_nonzero(slippery.all(axis=0)) < 0.3 * slippery.any(axis=0).sum()
+    usual = np.median(np.log(values / lasting), axis=0)
+    assert np.quantile(np.abs(usual), 0.9) < 0.05
+    again = study.changing_rails(whole, study.bad_rail(whole), 8, seed=2)
+    assert all(np.array_equal(a.values, b.values) for a, b in zip(rails, again, strict=True))
+
+
+def test_less_risk_counts_on_less_where_slip_was_seen_and_explores_elsewhere(days: Days) -> None:
+    track = days.days[1].track
+    assert track is not None
+    noon = Timestamp("2024-10-08T12:00Z")
+    bold, careful = (study.risk_policy(track, noon, risk) for risk in (0.2, 0.01))
+    assert np.all(careful.values[careful.seen] < bold.values[bold.seen])
+    assert np.all(careful.values[~careful.seen] == driving.NO_MAP.values[0])
+
+
+def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days, tmp_path: Path) -> None:
+    blind = Days((days.days[0], replace(days.days[0], number=2)), days.stops)
+    driven = {"no map": blind, "risk 0.05": days}
+    table = risks_table(driven)
+    columns = [list(column.cells) for column in table.columns]
+    assert columns[0] == ["no map", "risk 0.05"]
+    assert [int(cell) for cell in columns[1]] == [
+        days.days[0].slip_events,
+        days.days[1].slip_events,
+    ]
+    draw_risks(driven, tmp_path / "risks.png")
+    assert (tmp_path / "risks.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_risk_that_is_none_and_one_as_published_are_refused(tmp_path: Path) -> None:
+    for words, message in (
+        (("--risk", "5"), "a risk must be between 0 and 1"),
+        (("--risk", "0.05", "--as-published"), "leave one out"),
+    ):
+        with pytest.raises(InputError, match=message):
+            command(["study", "map-mpc", "-o", str(tmp_path), *words])
 
 
 @pytest.mark.long

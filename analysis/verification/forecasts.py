@@ -122,42 +122,40 @@ def map_forecast(track: TrackConditionMap) -> Forecaster:
 
 def rolling_forecast(track: TrackConditionMap) -> Forecaster:
     """What the map would have expected of each day from the evidence of the days before alone."""
-    made: dict[int, TrackConditionMap] = {}
+    made: dict[tuple[str, int], ConditionLayer | None] = {}
 
     def expected(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
         day = int(time.value // _DAY)
-        if day not in made:
-            made.clear()
-            made[day] = before(track, day)
-        known = made[day].layers.get(layer)
+        if (layer, day) not in made:
+            made[layer, day] = before(track, day, layer)
+        known = made[layer, day]
         return None if known is None else known.expected(time)
 
     return expected
 
 
-def before(track: TrackConditionMap, day: int) -> TrackConditionMap:
-    """The map as it was before a day; layers without evidence until then are left out.
+def before(track: TrackConditionMap, day: int, layer: str) -> ConditionLayer | None:
+    """A layer of the map as it was before a day; None if there was no evidence until then.
 
     Parameters
     ----------
     track : TrackConditionMap
     day : int
         Counted from 1970-01-01 in UTC.
+    layer : str
 
     Examples
     --------
     >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
-    >>> before(track, 0).layers
-    {}
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> before(track, 0, "wet") is None
+    True
     """
-    layers = {
-        name: ConditionLayer.unestimated(known)
-        for name, layer in track.layers.items()
-        for known in [layer.evidence.between(-1, day - 1)]
-        if known.days.size
-    }
-    return estimated(replace(track, layers=layers, trips=()))
+    known = track.layer(layer).evidence.between(-1, day - 1)
+    if not known.days.size:
+        return None
+    alone = replace(track, layers={layer: ConditionLayer.unestimated(known)}, trips=())
+    return estimated(alone).layer(layer)
 
 
 def forecast_of(

@@ -26,30 +26,34 @@ from trips import Month, add_options, months
 
 from analysis.adhesion.condition_map import empty_map, update
 from analysis.tables import new_table
-from analysis.verification.forecasts import before, rolling_forecast
+from analysis.verification.forecasts import before
 from analysis.verification.passages import Demand, passages_of
 from analysis.verification.plot import draw_score
-from analysis.verification.scoring import score_rolling
+from analysis.verification.scoring import Score
+from analysis.verification.table import ROWS
 from analysis.verification.verify import Forecaster, Verification, verify
 from trainlog.cli.terminal import console
-from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
+from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.units import NANOSECONDS
 
 DAY = 86_400 * NANOSECONDS
 
 
-def lasting(track: TrackConditionMap) -> Forecaster:
-    """The lasting estimate of the days before."""
-    made: dict[int, TrackConditionMap] = {}
+def by_map(track: TrackConditionMap) -> tuple[Forecaster, Forecaster]:
+    """What lasts by the map of the days before, and what that map expects of the day."""
+    made: dict[tuple[str, int], ConditionLayer | None] = {}
+
+    def known(layer, time):
+        day = int(time.value // DAY)
+        if (layer, day) not in made:
+            made[layer, day] = before(track, day, layer)
+        return made[layer, day]
 
     def expected(layer, time):
-        day = int(time.value // DAY)
-        if day not in made:
-            made.clear()
-            made[day] = before(track, day)
-        return made[day].layers.get(layer)
+        layer_then = known(layer, time)
+        return None if layer_then is None else layer_then.expected(time)
 
-    return expected
+    return known, expected
 
 
 def pooled(track: TrackConditionMap) -> Forecaster:
@@ -87,7 +91,7 @@ def in_common(forecasters: Mapping[str, Forecaster]) -> dict[str, Forecaster]:
 
 
 def scored(track: TrackConditionMap) -> dict[str, Verification]:
-    """All layers together, by forecaster."""
+    """All rail conditions together, by forecaster."""
     known = {name: layer.evidence for name, layer in track.layers.items()}
     first = min(int(each.days[0]) for each in known.values())
     met = [
@@ -97,13 +101,9 @@ def scored(track: TrackConditionMap) -> dict[str, Verification]:
         if each.day > first
     ]
     demand = Demand(known.values(), track.levels)
-    several = in_common(
-        {
-            "pooled": pooled(track),
-            "lasting estimate": lasting(track),
-            "the map": rolling_forecast(track),
-        }
-    )
+    lasting, expected = by_map(track)
+    several = in_common({"pooled": pooled(track), "lasting estimate": lasting, "the map": expected})
+    several["the map, all it knows"] = expected
     return {
         name: Verification.together(
             verify(
@@ -119,58 +119,23 @@ def scored(track: TrackConditionMap) -> dict[str, Verification]:
     }
 
 
-def row(name: str, found: Verification) -> list[str]:
-    gain = [found.log_score("onsets", over=other) for other in ("prior", "persistence")]
-    every = [found.log_score("all", over=other) for other in ("prior", "persistence")]
-    foreseen, false = found.alarm()
-    return [
-        name,
-        f"{found.onsets}",
-        figure(found.log_score("onsets")),
-        *(figure(each) for each in gain),
-        *(figure(each, 3) for each in every),
-        f"{found.crps().value:.3f}",
-        f"{found.coverage.value:.3f}",
-        f"{found.brier_figure('score').value:.4f}",
-        f"{found.brier_gain('persistence').value:+.3f}",
-        f"{foreseen.value:.3f} / {false.value:.2f}",
-    ]
-
-
-def figure(value, digits: int = 2) -> str:
-    return f"{value.value:+.{digits}f} ({value.low:+.{digits}f}, {value.high:+.{digits}f})"
-
-
 def report(month: Month, picture: Path | None) -> None:
     empty = empty_map(month.line)
     track, _ = update(empty, [drive.evidence(empty) for drive in month.drives])
-    table = new_table(
-        f"{month.line.name}: {len(month.drives)} trips in {month.rail.days} days",
-        "forecast",
-        "onsets",
-        "log score of onsets",
-        "over the prior",
-        "over persistence",
-        "all passages: over the prior",
-        "over persistence",
-        "CRPS",
-        "coverage of 95 %",
-        "Brier score",
-        "skill over persistence",
-        "slips foreseen / false alarms per train-km at 10 %",
-    )
-    for name, found in scored(track).items():
-        table.add_row(*row(name, found))
-    whole = score_rolling(track)
-    table.add_row(*row("the map, all it knows", whole.layers["all"]))
+    every = scored(track)
+    title = f"{month.line.name}: {len(month.drives)} trips in {month.rail.days} days"
+    table = new_table(title, "", *every)
+    for words, figure in ROWS:
+        table.add_row(words, *(figure(each) for each in every.values()))
     console.print(table)
-    found = whole.layers["all"]
+    found = every["the map, all it knows"]
     share = found.unknown_onsets / max(found.onsets + found.unknown_onsets, 1)
     console.print(
         f"  of {found.onsets + found.unknown_onsets} onsets {share:.1%} where the map is unknown"
     )
     if picture is not None:
-        draw_score(whole, picture / f"score-{month.line.name}.png")
+        score = Score(month.line.name, "the map, day by day", {"all": found})
+        draw_score(score, picture / f"score-{month.line.name}.png")
 
 
 def main() -> None:

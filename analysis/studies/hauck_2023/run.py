@@ -17,10 +17,10 @@ from analysis.studies.hauck_2023.scenarios import (
     Days,
     Outcome,
     Setup,
-    cautious_policy,
     changing_rails,
     day_by_day,
     drawn_masses,
+    exploring_policy,
     first_day,
     line,
     outcome,
@@ -64,6 +64,7 @@ class MapOptions:
     risks : tuple of float
         Drive only the days, on a rail that changes from day to day: without a map, with the lasting
         estimate less a deviation, and with what is expected of each day at each of these risks.
+        Where the map was not observed, the trains ask for all they want: only so does it learn.
     """
 
     sections: int | None = None
@@ -146,7 +147,7 @@ def _drive_risks(report: StudyReport, known: Setup, options: MapOptions) -> None
     first = first_day(known.plan, rails[0], masses, report.folder, options.seed, watch)
     report.keep(*first.logs)
     driven = {"no map": without_map(known.plan, rails, masses, first, watch)}
-    policies: dict[str, AdhesionPolicy] = {f"{SIGMAS:g} deviation": cautious_policy}
+    policies: dict[str, AdhesionPolicy] = {f"{SIGMAS:g} deviation": exploring_policy}
     policies |= {f"risk {each:g}": partial(risk_policy, risk=each) for each in options.risks}
     for name, policy in report.track(policies.items(), "policies"):
         folder = report.folder / name.replace(" ", "-")

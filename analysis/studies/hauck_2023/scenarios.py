@@ -52,6 +52,7 @@ from trainlog.railway import Line, StepProfile, TrackConditionMap
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.simulation.drivers import Stop
 from trainlog.simulation.rail import (
+    LASTING,
     Rail,
     base_map,
     bin_centres,
@@ -475,15 +476,9 @@ def cautious_policy(
 def risk_policy(track: TrackConditionMap, time: Timestamp, risk: float) -> UsableAdhesion:
     """What a trip at that time finds at a place with probability ``1 - risk``.
 
-    Elsewhere what was demonstrated or is typical, as cautiously.
-
-    Raises
-    ------
-    InputError
-        If no maximum was seen anywhere.
+    Elsewhere whatever the train can use, as `exploring_policy`.
     """
-    typical = typical_adhesion(track, LAYER, risk=risk, time=time)
-    return usable_adhesion(track, LAYER, risk=risk, time=time, assumed=typical)
+    return usable_adhesion(track, LAYER, risk=risk, time=time, assumed=float(NO_MAP.values[0]))
 
 
 def exploring_policy(
@@ -496,6 +491,8 @@ def exploring_policy(
 
 def changing_rails(track: Line, rail: StepProfile, days: int, seed: int) -> list[StepProfile]:
     """A rail on several days, with the passing spots of `trainlog.simulation.rail.Rail` on it.
+
+    A spot takes the part of the rail's median that it takes of a wet rail's.
 
     Parameters
     ----------
@@ -514,7 +511,7 @@ def changing_rails(track: Line, rail: StepProfile, days: int, seed: int) -> list
     drawn = Rail.draw(track, days, Timestamp(START, tz="UTC"), seed)
     centres = bin_centres(rail.values.size)
     shapes = [
-        spot(centres, start, length, lowest)
+        spot(centres, start, length, lowest / LASTING["wet"][0] * BAD_MEDIAN)
         for start, length, lowest in drawn.spots[["start", "length", "wet"]].to_numpy(np.float64)
     ]
     found = []
