@@ -44,14 +44,14 @@ def month() -> TrackConditionMap:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("score")
     copy_samples(made)
-    write_map(month(), made / "month.json")
+    write_map(month(), made / "month.map")
     known = read_map(next(made.glob("CH_StGallen_Wil.map*")))
     layers = {}
     for name, layer in known.layers.items():
         one = layer.evidence
         earlier = replace(one, day=one.day - 3, used_day=one.used_day - 3)
         layers[name] = ConditionLayer.unestimated(earlier)
-    write_map(estimated(replace(known, layers=layers, trips=())), made / "earlier.json")
+    write_map(estimated(replace(known, layers=layers, trips=())), made / "earlier.map")
     return made
 
 
@@ -83,19 +83,19 @@ def test_each_day_is_forecast_from_the_days_before_alone() -> None:
 
 def test_a_map_is_scored_day_by_day(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = folder / "score.png"
-    found = scored(capsys, folder / "month.json", "--rolling", "--picture", picture)
+    found = scored(capsys, folder / "month.map", "--rolling", "--picture", picture)
     assert picture.exists()
     wet = found["layers"]["wet"]
     assert wet["days"] == 11
     assert wet["log_score"]["onsets"]["gain_over_prior"]["low"] > 0.0
-    assert run(["map", "score", str(folder / "month.json"), "--rolling"]) == 0
+    assert run(["map", "score", str(folder / "month.map"), "--rolling"]) == 0
     printed = capsys.readouterr().out
     for words in ("gain over persistence", "slips foreseen", "Reliability", "false alarms"):
         assert words in printed
 
 
 def test_a_map_is_scored_on_later_trips(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = scored(capsys, folder / "earlier.json", folder / "stopping.mcap")
+    found = scored(capsys, folder / "earlier.map", folder / "stopping.mcap")
     assert found["left_out"] == []
     onsets = found["layers"]["all"]["onsets"]
     assert onsets["known"] + onsets["unknown"] > 0
@@ -122,7 +122,7 @@ def test_the_forecast_of_anyone_is_scored(folder: Path, capsys: pytest.CaptureFi
 def test_a_maps_forecast_in_a_file_scores_as_the_map(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, known = folder / "own.csv", str(folder / "earlier.json")
+    path, known = folder / "own.csv", str(folder / "earlier.map")
     words = ["map", "forecast", known, "--at", "2024-10-07", "--hours", "24", "-o", str(path)]
     assert run(words) == 0
     own = scored(capsys, known, folder / "stopping.mcap")["layers"]["all"]
@@ -152,11 +152,11 @@ def test_one_bad_log_does_not_stop_the_others(
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        (("month.json",), "nothing to compare the forecast with"),
-        (("month.json", "stopping.mcap", "--rolling"), "scores a map on its own days"),
+        (("month.map",), "nothing to compare the forecast with"),
+        (("month.map", "stopping.mcap", "--rolling"), "scores a map on its own days"),
         (("forecast.csv", "--rolling"), "scores a map on its own days"),
-        (("month.json", "--rolling", "--layer", "dry"), "no layer 'dry'"),
-        (("month.json", "stopping.mcap"), "no trip|ran on line"),
+        (("month.map", "--rolling", "--layer", "dry"), "no layer 'dry'"),
+        (("month.map", "stopping.mcap"), "no trip|ran on line"),
     ],
 )
 def test_what_cannot_be_scored_is_refused(

@@ -147,7 +147,7 @@ def before(track: TrackConditionMap, day: int, layer: str) -> ConditionLayer | N
     Examples
     --------
     >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map.json")
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> before(track, 0, "wet") is None
     True
     """
