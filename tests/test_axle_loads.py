@@ -97,10 +97,10 @@ class TestMoments:
 
 
 class TestPlant:
-    def creep(self, plant: Plant) -> FloatArray:
+    def creep(self, plant: Plant, effort: float = 150e3) -> FloatArray:
         """Slip speed of each axle under even efforts, in the end [m/s]."""
         state = plant.at(50_000.0, 10.0)
-        rows = plant.advance(state, 150e3, 0.0, steps=2_000)
+        rows = plant.advance(state, effort, 0.0, steps=600)
         found = dict(zip(plant.columns, rows.T, strict=True))
         wheels = np.column_stack([found[f"wheel_speed_{i}"] for i in range(1, 5)])
         return np.asarray((wheels - found["speed"][:, None])[-1])
@@ -113,6 +113,19 @@ class TestPlant:
         train = with_geometry()
         creep = self.creep(Plant.of(level_line(), train))
         assert creep[0] > creep[2] > creep[1] > creep[3]
+
+    def test_a_climb_does_what_acceleration_does(self) -> None:
+        """The same force at the rails lifts a train or speeds it up: its loads are the same.
+
+        On the level some effort turns the axles faster besides.
+        """
+        tall = with_geometry(replace(GEOMETRY, centre_height=2.9))
+        level, climb = Plant.of(level_line(), tall), Plant.of(level_line(gradient=0.04), tall)
+        p, turned = level.parameters, 4 * level.parameters.axle_inertia
+        effort = 150e3 - turned * p.mass * GRAVITY * 0.04 / p.body_inertia
+        np.testing.assert_allclose(self.creep(climb, effort), self.creep(level), rtol=0.01)
+        lower = Plant.of(level_line(gradient=0.04), with_geometry())
+        assert self.creep(climb, effort)[0] > 1.05 * self.creep(lower, effort)[0]
 
     def test_the_loads_are_those_of_the_moments(self) -> None:
         """On a rail at whose limit the axles pull: what each transmits is its load times that."""
