@@ -19,8 +19,10 @@ from analysis.adhesion.condition_map import empty_map, entry_of, update
 from analysis.adhesion.evidence import Evidence
 from trainlog.errors import InputError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
-from trainlog.formats.mapfile import MapFile, Recording, merge_files
+from trainlog.formats.mapfile import MapFile
+from trainlog.formats.mapmerge import merge_files
 from trainlog.formats.packed import pack, unpack
+from trainlog.formats.recordings import Recording
 from trainlog.formats.samples import sample
 from trainlog.identity import TripIdentity
 

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import logs_of, refuse_reading, sha256_of
-from trainlog.formats.mapfile import MapFile, Recording
+from trainlog.formats.mapfile import MapFile
+from trainlog.formats.recordings import Recording
 
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence

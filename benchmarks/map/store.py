@@ -13,12 +13,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
 from dataclasses import fields, replace
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 import pandas as pd
@@ -26,7 +27,9 @@ import pandas as pd
 from analysis import update_map
 from analysis.adhesion.condition_map import LEVELS, empty_map
 from trainlog.formats.line import read_line
-from trainlog.formats.mapfile import MapFile, Recording, merge_files
+from trainlog.formats.mapfile import MapFile
+from trainlog.formats.mapmerge import merge_files
+from trainlog.formats.recordings import Recording
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.mcap import write_log
@@ -84,10 +87,12 @@ def one_update(folder: Path) -> None:
     for number in range(5):
         copy = folder / f"copy-{number}.map"
         copy.write_bytes(path.read_bytes())
-        begin = perf_counter()
+        begin, used = perf_counter(), process_time()
         assert len(update_map(logs[1], copy).added) == 1
-        times.append(perf_counter() - begin)
-    print(f"update with one trip, function: {min(times):.3f} s (median {np.median(times):.3f} s)")
+        times.append((perf_counter() - begin, process_time() - used))
+    (wall, processor), load = np.min(times, axis=0), os.getloadavg()[0]
+    print(f"update with one trip, function: {wall:.2f} s, processor {processor:.2f} s")
+    print(f"(load of the machine: {load:.1f} on {os.cpu_count()} processors)")
     words = [sys.executable, "-m", "trainlog", "map", "update", str(logs[1]), "--map", str(path)]
     for what in ("one new trip", "nothing new"):
         begin = perf_counter()
@@ -109,15 +114,21 @@ def many_trips(folder: Path, count: int) -> None:
                 file.append(each)
     each = (perf_counter() - begin) / count
     print(f"{count} trips appended: {1e3 * each:.1f} ms each without waiting for the disk")
-    begin = perf_counter()
+    begin, used = perf_counter(), process_time()
     merge_files([folder / "0.map", folder / "1.map"], folder / "both.map")
-    merging = perf_counter() - begin
+    merging, processor = perf_counter() - begin, process_time() - used
     size = (folder / "both.map").stat().st_size / 1e6
-    print(f"two files of {count // 2} trips merged into one of {size:.0f} MB: {merging:.2f} s")
-    begin = perf_counter()
+    print(
+        f"two files of {count // 2} trips merged into one of {size:.0f} MB: {merging:.2f} s,"
+        f" processor {processor:.2f} s"
+    )
+    begin, used = perf_counter(), process_time()
     with MapFile(folder / "both.map") as file:
         total = file.layers(file.trips())["wet"][0]
-    print(f"all added up from the file, {total.used_day.size} rows: {perf_counter() - begin:.2f} s")
+    print(
+        f"all added up from the file, {total.used_day.size} rows: {perf_counter() - begin:.2f} s,"
+        f" processor {process_time() - used:.2f} s"
+    )
     part = recordings[: min(count, 1000)]
     for number, one in enumerate(part):
         used = (one.evidence or {})["wet"]

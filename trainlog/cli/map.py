@@ -84,7 +84,7 @@ def map_merge(
 
     Example: trainlog map merge monday.map tuesday.map -o both.map
     """
-    from trainlog.formats.mapfile import merge_files
+    from trainlog.formats.mapmerge import merge_files
 
     destination(output, ".map")
     trips, days = merge_files(maps, output)

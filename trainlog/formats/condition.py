@@ -16,8 +16,9 @@ import numpy as np
 from trainlog.condition import estimated
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, write_bytes
-from trainlog.formats.mapfile import MapFile, place_of, whole_file
+from trainlog.formats.mapfile import MapFile, whole_file
 from trainlog.formats.packed import pack, unpack
+from trainlog.formats.recordings import place_of
 from trainlog.railway.condition import (
     ConditionChange,
     ConditionLayer,

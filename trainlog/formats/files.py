@@ -597,7 +597,7 @@ def mistaken_log(start: bytes) -> tuple[str, str]:
     if not start:
         return "is empty", "give another log; was the recorder stopped at once?"
     if is_map(start):
-        return "is not an MCAP file but a track-condition map", "give the logs of the trips"
+        return "is not an MCAP file but a track-condition map", "'trainlog map show' shows it"
     for beginning, what, remedy in _BEGINNINGS:
         if start.startswith(beginning):
             return f"is not an MCAP file but {what}", remedy

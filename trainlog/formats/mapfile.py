@@ -15,7 +15,7 @@ import sqlite3
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
@@ -27,15 +27,23 @@ from trainlog.formats.files import (
     plain,
     refuse_reading,
     sha256,
-    write_bytes,
     writing_error,
 )
-from trainlog.formats.packed import pack, unpack
+from trainlog.formats.packed import unpack
+from trainlog.formats.recordings import (
+    COLUMNS,
+    Appended,
+    Recording,
+    Row,
+    changed_row,
+    packed_evidence,
+    place_of,
+    row_of,
+    sealed,
+    total_of,
+)
 from trainlog.identity import (
-    Known,
-    TripIdentity,
     identity_from_text,
-    overlapping,
     same_drives,
 )
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
@@ -67,145 +75,8 @@ CREATE TABLE files (
     path TEXT PRIMARY KEY, size INTEGER NOT NULL, changed INTEGER NOT NULL, sha256 TEXT NOT NULL
 );
 """
-_COLUMNS = (
-    "key", "layer", "start", "end", "first_day", "last_day", "steps", "entry", "identity",
-    "evidence", "counted",
-)  # fmt: skip
-_SELECT = f"SELECT {', '.join((*_COLUMNS, 'digest'))} FROM trips"
-_INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(_COLUMNS) + 1))})"
-_EVIDENCE = tuple(
-    each.name for each in fields(DailyEvidence) if each.name not in ("bins", "levels")
-)
-_SORTED_BY = ("layer", "trip", "sha256", "identity")
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A recording of a drive, as the file of a map keeps it.
-
-    Attributes
-    ----------
-    layer : str
-        Rail condition; where it changed on the way the one that held longest.
-    entry : dict
-        What the map keeps of the trip: ``trip`` (its name), ``sha256`` of its log (empty where
-        there is none), ``layer``, ``software`` and what else is known.
-    identity : TripIdentity or None
-        Which drive it is; None: not known.
-    steps : int
-        Of processing since it was recorded.
-    evidence : dict of str to DailyEvidence, optional
-        By rail condition. None: in the sums of its layers, or, if it does not count, not kept.
-    counted : bool
-        Whether it counts; a fuller recording of the same drive may do in its place.
-    """
-
-    layer: str
-    entry: dict[str, Any]
-    identity: TripIdentity | None = None
-    steps: int = 0
-    evidence: dict[str, DailyEvidence] | None = None
-    counted: bool = True
-
-    @property
-    def days(self) -> list[int]:
-        """Days with evidence."""
-        pieces = (self.evidence or {}).values()
-        return sorted({day for piece in pieces for day in piece.days.tolist()})
-
-    @property
-    def trip(self) -> str:
-        """Name of the trip."""
-        return str(self.entry.get("trip", ""))
-
-    @property
-    def key(self) -> str:
-        """What identifies the recording: SHA-256 of the log, else the drive, else the name."""
-        return key_of(str(self.entry.get("sha256") or ""), self.identity, self.trip)
-
-
-def key_of(digest: str, identity: TripIdentity | None, trip: str) -> str:
-    """What identifies a recording in the file of a map."""
-    if digest:
-        return digest
-    if identity is not None:
-        return f"drive {sha256(identity.text.encode())}"
-    return f"trip {trip}"
-
-
-@dataclass(frozen=True, slots=True)
-class Appended:
-    """What became of a recording that was given to a map.
-
-    Attributes
-    ----------
-    counted : bool
-    held : bool
-        Whether the map held this very recording already.
-    reason : str
-        Why it does not count, in words.
-    replaced : tuple of str
-        Names of the trips that counted before, and do no more: this is a fuller recording.
-    """
-
-    counted: bool
-    held: bool = False
-    reason: str = ""
-    replaced: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """A row of the table of trips, as it stands in the file."""
-
-    key: str
-    layer: str
-    start: int | None
-    end: int | None
-    first_day: int | None
-    last_day: int | None
-    steps: int
-    entry: str
-    identity: str | None
-    evidence: str | None
-    counted: int
-
-    @property
-    def values(self) -> tuple[Any, ...]:
-        """The columns."""
-        return tuple(getattr(self, name) for name in _COLUMNS)
-
-    @property
-    def full(self) -> tuple[Any, ...]:
-        """The columns and their digest."""
-        return (*self.values, _sealed(self.values))
-
-    @property
-    def pieces(self) -> dict[str, str]:
-        """Digests of the evidence by layer; none if it is in the sums."""
-        found: dict[str, str] = json.loads(self.evidence) if self.evidence else {}
-        return found
-
-    @property
-    def entry_whole(self) -> dict[str, Any]:
-        """The entry of the trip as a map at hand has it."""
-        entry: dict[str, Any] = json.loads(self.entry)
-        return entry if self.identity is None else {**entry, "identity": self.identity}
-
-    @property
-    def known(self) -> Known:
-        """The recording, to be compared with others of the drive."""
-        entry = json.loads(self.entry)
-        name, digest = str(entry.get("trip", "")), str(entry.get("sha256") or "")
-        fixed = self.evidence is None
-        # What is in the sums is counted for good, what was left out of them never is.
-        identity = None if fixed and not self.counted else identity_from_text(self.identity or "")
-        order = (self.steps, digest, name)
-        return Known(name, identity, order, held=fixed and bool(self.counted), digest=digest)
-
-
-def _sealed(values: Sequence[Any]) -> str:
-    return sha256(repr(tuple(values)).encode())[:16]
+_SELECT = f"SELECT {', '.join((*COLUMNS, 'digest'))} FROM trips"
+INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(COLUMNS) + 1))})"
 
 
 class MapFile:
@@ -293,17 +164,17 @@ class MapFile:
                 if self._database.in_transaction:
                     self._database.execute("ROLLBACK")
 
-    def rows(self, where: str = "", values: Sequence[Any] = ()) -> list[_Row]:
+    def rows(self, where: str = "", values: Sequence[Any] = ()) -> list[Row]:
         """Rows of the trips; each is verified."""
         found = []
         with _refusing(self.path):
             for row in self._database.execute(f"{_SELECT} {where}", tuple(values)):
-                if _sealed(row[:-1]) != row[-1]:
+                if sealed(row[:-1]) != row[-1]:
                     raise _damaged(self.path, f"trip {str(row[0])[:16]}", "its entry was changed")
-                found.append(_Row(*row[:-1]))
+                found.append(Row(*row[:-1]))
         return found
 
-    def held(self, key: str) -> _Row | None:
+    def held(self, key: str) -> Row | None:
         """The recording of a key."""
         return next(iter(self.rows("WHERE key = ?", (key,))), None)
 
@@ -313,6 +184,17 @@ class MapFile:
             found = self._database.execute("SELECT data FROM evidence WHERE digest = ?", (digest,))
             data = found.fetchone()
         return self._unpacked(data[0] if data else b"", digest)
+
+    def blobs(self) -> dict[str, bytes]:
+        """All evidence of single trips, compressed, by digest."""
+        with _refusing(self.path):
+            return dict(self._database.execute("SELECT digest, data FROM evidence"))
+
+    def sums(self) -> dict[str, DailyEvidence]:
+        """The evidence that was added up, by layer."""
+        with _refusing(self.path):
+            rows = self._database.execute("SELECT layer, digest, data FROM sums").fetchall()
+            return {layer: self._unpacked(data, digest, layer) for layer, digest, data in rows}
 
     def _unpacked(self, data: bytes, digest: str, layer: str = "") -> DailyEvidence:
         try:
@@ -324,18 +206,18 @@ class MapFile:
         except (zlib.error, ValueError, TypeError, KeyError) as error:
             raise _damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
 
-    def trips(self) -> list[_Row]:
+    def trips(self) -> list[Row]:
         """All recordings; that none is missing is verified."""
         found = self.rows("ORDER BY layer, first_day, key")
         with _refusing(self.path):
             sums = [digest for (digest,) in self._database.execute("SELECT digest FROM sums")]
             total = self._database.execute("SELECT value FROM header WHERE key = 'total'")
             known = total.fetchone()
-            if known is None or int(known[0], 16) != _total(found, sums):
+            if known is None or int(known[0], 16) != total_of(found, sums):
                 raise _damaged(self.path, "table of trips", "entries are missing")
         return found
 
-    def layers(self, trips: Sequence[_Row]) -> dict[str, tuple[DailyEvidence, str]]:
+    def layers(self, trips: Sequence[Row]) -> dict[str, tuple[DailyEvidence, str]]:
         """Evidence of the trips by layer, added up, and a digest of what it was added up from."""
         with _refusing(self.path):
             sums = self._database.execute("SELECT layer, digest, data FROM sums").fetchall()
@@ -402,7 +284,7 @@ class MapFile:
                 return Appended(bool(before.counted), held=True)
             row = self._insert(recording)
             together = self._of_the_drive(row)
-            reasons = _reasons(together)
+            reasons = reasons_of(together)
             replaced: list[str] = []
             changed = [row]
             for each in together:
@@ -416,7 +298,7 @@ class MapFile:
         reason = reasons.get(row.key, "")
         return Appended(not reason, reason=reason, replaced=tuple(replaced))
 
-    def _insert(self, recording: Recording) -> _Row:
+    def _insert(self, recording: Recording) -> Row:
         """Insert a recording and its evidence; the row."""
         digests: dict[str, str] | None = None if recording.evidence is None else {}
         for layer, piece in sorted((recording.evidence or {}).items()):
@@ -425,11 +307,11 @@ class MapFile:
             self._database.execute(
                 "INSERT OR IGNORE INTO evidence VALUES (?, ?)", (sha256(raw), zlib.compress(raw))
             )
-        row = _row_of(recording, digests)
-        self._database.execute(_INSERT, row.full)
+        row = row_of(recording, digests)
+        self._database.execute(INSERT, row.full)
         return row
 
-    def _of_the_drive(self, row: _Row) -> list[_Row]:
+    def _of_the_drive(self, row: Row) -> list[Row]:
         """The row and all others that share something recorded with it, or with one that does."""
         found = {row.key: row}
         waiting = [row]
@@ -509,7 +391,7 @@ class MapFile:
                 ).fetchone()
                 start = [] if known is None else [self._unpacked(*known)]
                 more = _subtotals(self.evidence(digest) for digest in added[layer])
-                _insert_sums(database, layer, DailyEvidence.total([*start, *more]))
+                insert_sums(database, layer, DailyEvidence.total([*start, *more]))
             for row in rows:
                 _replaced(database, row, evidence=None)
             kept = {digest for row in self.rows() for digest in row.pieces.values()}
@@ -527,150 +409,28 @@ class MapFile:
 
 def whole_file(track: TrackConditionMap) -> bytes:
     """The bytes of the file of a map at hand: sums by day; the same map gives the same bytes."""
-    with _new_database(track) as database:
+    with new_database(track) as database:
         used: set[str] = set()
         for number, entry in enumerate(sorted(track.trips, key=place_of)):
             known = dict(entry)
             identity = identity_from_text(str(known.get("identity") or ""))
-            row = _row_of(Recording(str(known.get("layer", "")), known, identity), None)
+            row = row_of(Recording(str(known.get("layer", "")), known, identity), None)
             if row.key in used:
-                row = _with(row, key=f"{row.key} {number}")
+                row = changed_row(row, key=f"{row.key} {number}")
             used.add(row.key)
-            database.execute(_INSERT, row.full)
+            database.execute(INSERT, row.full)
         for layer in sorted(track.layers):
-            _insert_sums(database, layer, track.layers[layer].evidence)
-        return _serialized(database)
+            insert_sums(database, layer, track.layers[layer].evidence)
+        return serialized(database)
 
 
-def merge_files(paths: Sequence[str | Path], output: str | Path) -> tuple[int, int]:
-    """One file from the files of several maps of one line; trips that several hold count once.
-
-    The same recordings give the same bytes, however they are divided between the files. Which
-    recording of a drive counts is decided anew among all.
-
-    Parameters
-    ----------
-    paths : sequence of path
-        At least one.
-    output : path
-        A new file.
-
-    Returns
-    -------
-    trips, days : int
-        How many trips the new map counts, and of how many days.
-
-    Raises
-    ------
-    InputError
-        If the maps differ in line, bins or settings, have sums of one drive in common, count a
-        log in different layers, or the output exists.
-    """
-    if not paths:
-        raise InputError("no map was given", remedy="name the files to merge")
-    if Path(output).exists():
-        raise InputError(
-            "exists already",
-            file=output,
-            remedy="name a new file: processes may be adding to this one",
-        )
-    empty: TrackConditionMap | None = None
-    rows: dict[str, _Row] = {}
-    blobs: dict[str, bytes] = {}
-    sums: dict[str, list[DailyEvidence]] = {}
-    for path in paths:
-        with MapFile(path) as file, file.unchanging():
-            _check_alike(empty, file.empty, path)
-            empty = file.empty
-            for row in file.trips():
-                rows[row.key] = _chosen(rows.get(row.key), row, path)
-            blobs.update(file._database.execute("SELECT digest, data FROM evidence"))
-            for layer, digest, data in file._database.execute("SELECT * FROM sums"):
-                sums.setdefault(layer, []).append(file._unpacked(data, digest, layer))
-    assert empty is not None
-    decided = _decided([rows[key] for key in sorted(rows)])
-    with _new_database(empty) as database:
-        database.executemany(_INSERT, (row.full for row in decided))
-        used = sorted({digest for row in decided for digest in row.pieces.values()})
-        database.executemany("INSERT INTO evidence VALUES (?, ?)", ((d, blobs[d]) for d in used))
-        for layer in sorted(sums):
-            _insert_sums(database, layer, DailyEvidence.total(sums[layer]))
-        data = _serialized(database)
-    write_bytes(output, data)
-    with MapFile.of_bytes(data, output) as merged:
-        return merged.amount()
-
-
-def _chosen(first: _Row | None, second: _Row, path: str | Path) -> _Row:
-    """Which of two rows of one recording is used, whatever their order."""
-    if first is None:
-        return second
-    name = str(json.loads(second.entry).get("trip", ""))
-    if first.layer != second.layer:
-        raise InputError(
-            f"counts trip '{name}' as '{second.layer}', another of the maps as '{first.layer}'",
-            file=path,
-            remedy="build one map from the logs instead",
-        )
-    fixed = [row for row in (first, second) if row.evidence is None and row.counted]
-    if len(fixed) == 2:
-        raise InputError(
-            f"has trip '{name}' in its sums, and so has another of the maps",
-            file=path,
-            remedy="build one map from the logs instead",
-        )
-    if fixed:
-        return fixed[0]
-    kept = [row for row in (first, second) if row.evidence is not None] or [first, second]
-    return min(kept, key=lambda row: (str(row.evidence), row.entry))
-
-
-def _decided(rows: Sequence[_Row]) -> list[_Row]:
-    """The rows, each with whether it counts."""
-    known = [row for row in rows if row.identity]
-    several = [known[number] for number in overlapping([str(row.identity) for row in known])]
-    sums = [row for row in several if row.evidence is None and row.counted]
-    apart = same_drives([row.known._replace(held=False) for row in sums])
-    if apart:
-        raise InputError(
-            f"the sums of several maps hold one drive: {apart[0].sentence}",
-            remedy="build one map from the logs instead",
-        )
-    reasons = _reasons(several)
-    alone = {row.key for row in rows} - {row.key for row in several}
-    found = []
-    for row in rows:
-        counts = row.key in alone or row.key not in reasons
-        changes = row.evidence is not None and bool(row.counted) != counts
-        found.append(_with(row, counted=int(counts)) if changes else row)
-    return found
-
-
-def _reasons(rows: Sequence[_Row]) -> dict[str, str]:
+def reasons_of(rows: Sequence[Row]) -> dict[str, str]:
     """Why recordings do not count, by key: each is of a drive of which another does."""
     same = same_drives([row.known for row in rows])
     return {rows[each.number].key: each.sentence for each in same}
 
 
-def _check_alike(first: TrackConditionMap | None, second: TrackConditionMap, path: object) -> None:
-    """Refuse to merge maps that differ in more than their trips."""
-    for name in ("line", "length", "bin_length", "settings", "levels"):
-        if first is not None and not np.array_equal(getattr(first, name), getattr(second, name)):
-            raise InputError(
-                f"track-condition maps differ in {name}:"
-                f" {getattr(first, name)} and {getattr(second, name)}",
-                file=str(path),
-                remedy="merge maps of one line that were made with the same settings",
-            )
-
-
 # ----------------------------------------------------------------------------------- rows
-
-
-def packed_evidence(evidence: DailyEvidence) -> bytes:
-    """Evidence as bytes; its digest is that of these."""
-    facts = {"bins": evidence.bins, "levels": evidence.levels}
-    return pack(facts, {name: getattr(evidence, name) for name in _EVIDENCE})
 
 
 def _subtotals(pieces: Iterable[DailyEvidence], rows: int = 1_000_000) -> Iterator[DailyEvidence]:
@@ -687,40 +447,9 @@ def _subtotals(pieces: Iterable[DailyEvidence], rows: int = 1_000_000) -> Iterat
         yield DailyEvidence.total(waiting)
 
 
-def _row_of(recording: Recording, digests: Mapping[str, str] | None) -> _Row:
-    identity, days = recording.identity, recording.days
-    entry = plain({name: v for name, v in recording.entry.items() if name != "identity"}, "trips")
-    return _Row(
-        recording.key,
-        recording.layer,
-        None if identity is None else int(identity.start.value),
-        None if identity is None else int(identity.end.value),
-        days[0] if days else None,
-        days[-1] if days else None,
-        recording.steps,
-        _compact(entry),
-        recording.entry.get("identity"),
-        None if digests is None else _compact(digests),
-        int(recording.counted),
-    )
-
-
-def _compact(value: Mapping[str, Any]) -> str:
-    return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
-
-
-def place_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
-    """By what the trips of a map are sorted."""
-    return (*(str(entry.get(name, "")) for name in _SORTED_BY), repr(sorted(entry.items())))
-
-
-def _with(row: _Row, **changes: Any) -> _Row:
-    return _Row(*(changes.get(name, getattr(row, name)) for name in _COLUMNS))
-
-
-def _replaced(database: sqlite3.Connection, row: _Row, **changes: Any) -> _Row:
+def _replaced(database: sqlite3.Connection, row: Row, **changes: Any) -> Row:
     """Change a row; the new one."""
-    new = _with(row, **changes)
+    new = changed_row(row, **changes)
     database.execute(
         "UPDATE trips SET evidence = ?, counted = ?, digest = ? WHERE key = ?",
         (new.evidence, new.counted, new.full[-1], new.key),
@@ -728,30 +457,23 @@ def _replaced(database: sqlite3.Connection, row: _Row, **changes: Any) -> _Row:
     return new
 
 
-def _total(rows: Iterable[_Row], sums: Iterable[str]) -> int:
-    """A number for all rows, whatever their order, to which more can be added or taken away."""
-    total = 0
-    for digest in (*(row.full[-1] for row in rows), *sums):
-        total ^= int(digest[:16], 16)
-    return total
-
-
-def _add_to_total(database: sqlite3.Connection, rows: Sequence[_Row]) -> None:
+def _add_to_total(database: sqlite3.Connection, rows: Sequence[Row]) -> None:
     """Add rows to the number that stands for all, or take away those that are part of it."""
     (known,) = database.execute("SELECT value FROM header WHERE key = 'total'").fetchone()
-    total = f"{int(known, 16) ^ _total(rows, ()):016x}"
+    total = f"{int(known, 16) ^ total_of(rows, ()):016x}"
     database.execute("UPDATE header SET value = ? WHERE key = 'total'", (total,))
 
 
 def _set_total(database: sqlite3.Connection) -> None:
-    rows = (_Row(*row[:-1]) for row in database.execute(_SELECT))
+    rows = (Row(*row[:-1]) for row in database.execute(_SELECT))
     sums = (digest for (digest,) in database.execute("SELECT digest FROM sums"))
     database.execute(
-        "INSERT OR REPLACE INTO header VALUES ('total', ?)", (f"{_total(rows, sums):016x}",)
+        "INSERT OR REPLACE INTO header VALUES ('total', ?)", (f"{total_of(rows, sums):016x}",)
     )
 
 
-def _insert_sums(database: sqlite3.Connection, layer: str, evidence: DailyEvidence) -> None:
+def insert_sums(database: sqlite3.Connection, layer: str, evidence: DailyEvidence) -> None:
+    """Put the sums of a layer in the place of those that are there."""
     raw = packed_evidence(evidence)
     values = (layer, sha256(layer.encode() + raw), zlib.compress(raw))
     database.execute("INSERT OR REPLACE INTO sums VALUES (?, ?, ?)", values)
@@ -771,8 +493,8 @@ def _insert_estimates(
 
 def _begin(path: Path, empty: TrackConditionMap) -> None:
     """Begin a file, unless another process has just done so."""
-    with _new_database(empty) as database:
-        data = _serialized(database)
+    with new_database(empty) as database:
+        data = serialized(database)
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
     try:
         with temporary.open("xb") as stream:
@@ -794,7 +516,7 @@ def _begin(path: Path, empty: TrackConditionMap) -> None:
 
 
 @contextmanager
-def _new_database(empty: TrackConditionMap) -> Iterator[sqlite3.Connection]:
+def new_database(empty: TrackConditionMap) -> Iterator[sqlite3.Connection]:
     """A database in memory with the header of a map, in a transaction."""
     database = sqlite3.connect(":memory:", isolation_level=None)
     try:
@@ -819,7 +541,7 @@ def _new_database(empty: TrackConditionMap) -> Iterator[sqlite3.Connection]:
         database.close()
 
 
-def _serialized(database: sqlite3.Connection) -> bytes:
+def serialized(database: sqlite3.Connection) -> bytes:
     """The bytes of a database; which release of SQLite wrote them is left out."""
     _set_total(database)
     database.execute("COMMIT")
@@ -833,7 +555,7 @@ _HEADER = ("bin_length", "length", "levels", "line", "settings")
 
 
 def _digest_of_header(known: Mapping[str, str]) -> str:
-    return _sealed([known[key] for key in _HEADER])
+    return sealed([known[key] for key in _HEADER])
 
 
 def _header_of(known: Mapping[str, str]) -> TrackConditionMap:
