@@ -58,6 +58,11 @@ if TYPE_CHECKING:
         OptimiserOptions as OptimiserOptions,
         TrajectoryProblem as TrajectoryProblem,
     )
+    from analysis.verification.scoring import (
+        score_forecast as score_forecast,
+        score_map as score_map,
+        score_rolling as score_rolling,
+    )
 
 _NAMES = {
     "analysis.resistance.logs": "fit",
@@ -84,6 +89,7 @@ _NAMES = {
     "analysis.reporting": "report",
     "analysis.estimates": "with_estimates",
     "analysis.geometry.centre_line": "geometry_of line_of",
+    "analysis.verification.scoring": "score_forecast score_map score_rolling",
 }
 """Public names by the module that defines them."""
 

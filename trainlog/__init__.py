@@ -32,6 +32,10 @@ if TYPE_CHECKING:
         write_characteristic as write_characteristic,
     )
     from trainlog.formats.condition import read_map as read_map, write_map as write_map
+    from trainlog.formats.forecast import (
+        read_forecast as read_forecast,
+        write_forecast as write_forecast,
+    )
     from trainlog.formats.line import (
         read_journey as read_journey,
         read_line as read_line,
@@ -158,6 +162,7 @@ _NAMES = {
     "trainlog.formats.train": "read_train write_train read_consist write_consist",
     "trainlog.formats.characteristic": "read_characteristic write_characteristic",
     "trainlog.formats.condition": "read_map write_map",
+    "trainlog.formats.forecast": "read_forecast write_forecast",
     "trainlog.formats.parameters": "read_parameters write_parameters",
     "trainlog.formats.trajectory": "read_trajectory write_trajectory",
     "trainlog.formats.samples": "DEFAULT_LINE DEFAULT_TRAIN sample",

@@ -153,6 +153,16 @@ def score_map(
     ------
     InputError
         If there is no later trip.
+
+    Examples
+    --------
+    >>> from trainlog.formats.condition import read_map
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> try:
+    ...     score_map(track, ["sample_logs/stopping.mcap"])
+    ... except InputError as error:
+    ...     print(error.problem.partition(": ")[2])
+    trip 'trip-03': ran on a day of which the map holds evidence, or before: not scored
     """
     last = max(
         (
@@ -196,6 +206,17 @@ def score_forecast(
     ------
     InputError
         If the forecast is for another line.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from analysis.verification.forecasts import forecast_of
+    >>> from trainlog.formats.condition import read_map
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> forecast = forecast_of(track, pd.Timestamp("2024-10-07T00:00Z"), layer="wet")
+    >>> day = score_forecast(forecast, ["sample_logs/stopping.mcap"]).layers["wet"]
+    >>> day.onsets > 0, day.log_score("onsets", over="prior").value > 0.0
+    (True, True)
     """
     trips = _trips(logs, None, layer)
     track = trips.track

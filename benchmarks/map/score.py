@@ -1,8 +1,9 @@
 """How well the track-condition map forecasts: a rolling month, three lines, changing weather.
 
-    python benchmarks/map/score.py [--days 30] [--trips-per-day 4] [--cache FOLDER] [--picture DIR]
+    python benchmarks/map/score.py [--days 30] [--every 3] [--cache FOLDER] [--picture DIR]
 
-Each day is forecast from the days before alone, in the rail condition that came, by
+Each day (``--every 3``: each third) is forecast from the days before alone, in the rail condition
+that came, by
 
 - ``the map``: `ConditionLayer.expected` at noon of the day;
 - ``lasting estimate``: the same maps' lasting condition, as if no spot passed;
@@ -90,7 +91,7 @@ def in_common(forecasters: Mapping[str, Forecaster]) -> dict[str, Forecaster]:
     return {name: limited(name) for name in forecasters}
 
 
-def scored(track: TrackConditionMap) -> dict[str, Verification]:
+def scored(track: TrackConditionMap, every: int) -> dict[str, Verification]:
     """All rail conditions together, by forecaster."""
     known = {name: layer.evidence for name, layer in track.layers.items()}
     first = min(int(each.days[0]) for each in known.values())
@@ -98,7 +99,7 @@ def scored(track: TrackConditionMap) -> dict[str, Verification]:
         each
         for name, evidence in known.items()
         for each in passages_of(name, evidence)
-        if each.day > first
+        if each.day > first and (each.day - first) % every == 0
     ]
     demand = Demand(known.values(), track.levels)
     lasting, expected = by_map(track)
@@ -119,32 +120,33 @@ def scored(track: TrackConditionMap) -> dict[str, Verification]:
     }
 
 
-def report(month: Month, picture: Path | None) -> None:
+def report(month: Month, every: int, picture: Path | None) -> None:
     empty = empty_map(month.line)
     track, _ = update(empty, [drive.evidence(empty) for drive in month.drives])
-    every = scored(track)
+    found = scored(track, every)
     title = f"{month.line.name}: {len(month.drives)} trips in {month.rail.days} days"
-    table = new_table(title, "", *every)
+    table = new_table(title, "", *found)
     for words, figure in ROWS:
-        table.add_row(words, *(figure(each) for each in every.values()))
+        table.add_row(words, *(figure(each) for each in found.values()))
     console.print(table)
-    found = every["the map, all it knows"]
-    share = found.unknown_onsets / max(found.onsets + found.unknown_onsets, 1)
+    whole = found["the map, all it knows"]
+    share = whole.unknown_onsets / max(whole.onsets + whole.unknown_onsets, 1)
     console.print(
-        f"  of {found.onsets + found.unknown_onsets} onsets {share:.1%} where the map is unknown"
+        f"  of {whole.onsets + whole.unknown_onsets} onsets {share:.1%} where the map is unknown"
     )
     if picture is not None:
-        score = Score(month.line.name, "the map, day by day", {"all": found})
+        score = Score(month.line.name, "the map, day by day", {"all": whole})
         draw_score(score, picture / f"score-{month.line.name}.png")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_options(parser)
+    parser.add_argument("--every", type=int, default=1, help="forecast only every so many days")
     parser.add_argument("--picture", type=Path, help="folder for a picture of each line")
     options = parser.parse_args()
     for month in months(options):
-        report(month, options.picture)
+        report(month, options.every, options.picture)
 
 
 if __name__ == "__main__":
