@@ -1,6 +1,8 @@
 """The estimate of a track-condition map, from its evidence and settings alone.
 
-The same evidence gives the same estimate, byte for byte, in whatever order trips were counted.
+Two time scales: the lasting condition of each bin, and spots that pass
+(`estimators.condition_field`). The same evidence gives the same estimate, byte for byte, in
+whatever order trips were counted.
 """
 
 from __future__ import annotations
@@ -8,10 +10,60 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estimators.condition import Prior, solve_field
+from estimators.condition import Prior, common_std, onset_std
+from estimators.condition_field import (
+    LEVELS,
+    SPOT_CELLS,
+    FieldChange,
+    FieldEvidence,
+    FieldParameters,
+    FieldPosterior,
+    solve,
+)
+from estimators.condition_passes import blurred
 from trainlog.errors import InputError
-from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.condition import (
+    ConditionChange,
+    ConditionLayer,
+    ConditionModel,
+    ModelParameter,
+    PassingSpot,
+    TrackConditionMap,
+    band_of,
+)
+from trainlog.railway.evidence import DailyEvidence
+
+FloatArray = NDArray[np.float64]
+
+POSITION_STD = 10.0
+"""Error of the place of an onset [m]: position of the train, and of the axle in it."""
+
+UNITS = {
+    "length": "m",
+    "slippery_length": "m",
+    "spot_length": "m",
+    "life": "days",
+}
+
+NAMES = {
+    "mean": "mean",
+    "std": "std",
+    "length": "correlation_length",
+    "slippery_share": "slippery_share",
+    "slippery_mean": "slippery_mean",
+    "slippery_std": "slippery_std",
+    "slippery_length": "slippery_length",
+    "trip_std": "trip_std",
+    "met": "spots_met",
+    "occupied": "spot_share",
+    "life": "spot_life",
+    "spot_mean": "spot_mean",
+    "spot_std": "spot_std",
+    "spot_length": "spot_length",
+}
+"""Names in `ConditionModel` of the `FieldParameters`."""
 
 
 def estimated(track: TrackConditionMap) -> TrackConditionMap:
@@ -37,25 +89,181 @@ def estimated(track: TrackConditionMap) -> TrackConditionMap:
     return replace(track, layers=layers)
 
 
+def assumed_parameters(track: TrackConditionMap, name: str) -> FieldParameters:
+    """What holds for a layer until there is evidence.
+
+    Slippery places and spots hold half of what normal rail does; one tenth of a line is slippery,
+    and of 250 bins that a trip passes one has a spot.
+    """
+    prior = prior_of(track, name)
+    return FieldParameters(
+        mean=prior.mean,
+        std=0.15,
+        length=prior.correlation_length,
+        slippery_share=0.1,
+        slippery_mean=prior.mean + float(np.log(0.5)),
+        slippery_std=prior.std,
+        slippery_length=200.0,
+        trip_std=setting(track, "trip_std"),
+        met=0.004,
+        occupied=0.002,
+        life=3.0,
+        spot_mean=prior.mean + float(np.log(0.5)),
+        spot_std=0.45,
+        spot_length=100.0,
+    )
+
+
 def _estimated(track: TrackConditionMap, name: str) -> ConditionLayer:
     known = track.layers[name].evidence
     prior = prior_of(track, name)
-    field = solve_field(
-        prior,
-        track.bin_length,
-        known.by_bin("weight"),
-        known.by_bin("weighted_log"),
-        known.censored,
-        np.log(track.levels),
-        setting(track, "trip_std"),
-        known.by_bin("common"),
+    found = solve(_plain(track, known), assumed_parameters(track, name))
+    weight = known.by_bin("weight")
+    slope = np.gradient(found.probability @ LEVELS) if known.bins > 1 else np.zeros(known.bins)
+    std = np.sqrt(
+        setting(track, "model_std") ** 2
+        + (POSITION_STD / track.bin_length * slope) ** 2
+        + common_std(prior, track.bin_length, weight, known.by_bin("common")) ** 2
     )
+    step = float(LEVELS[1] - LEVELS[0])
+    probability = blurred(found.probability, std, step)
+    log_mean, log_std = band_of(probability, LEVELS)
     return ConditionLayer(
-        log_mean=field.mean,
-        log_std=np.hypot(field.std, setting(track, "model_std")),
+        log_mean=log_mean,
+        log_std=log_std,
         observed=(known.by_bin("events") > 0)
-        | (field.events_std <= setting(track, "observed_share") * prior.std),
+        | (
+            onset_std(prior, track.bin_length, weight)
+            <= setting(track, "observed_share") * prior.std
+        ),
+        log_levels=LEVELS,
+        probability=probability,
         evidence=known,
+        spots=_spots(track, found),
+        changes=tuple(_change(track, each) for each in found.changes),
+        model=_model(found),
+        passing=_passing(known, found),
+    )
+
+
+def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
+    """The evidence as the solver takes it: without the trip's own deviation in its variances."""
+    mean = known.weighted_log / known.weight
+    own = known.trips / known.weight - setting(track, "trip_std") ** 2
+    return FieldEvidence(
+        bins=known.bins,
+        bin_length=track.bin_length,
+        log_levels=np.log(track.levels),
+        day=known.day,
+        bin=known.bin,
+        trips=known.trips,
+        mean=mean,
+        scatter=np.maximum(known.weighted_square / known.weight - mean**2, 0.0),
+        variance=np.maximum(own, 1e-4),
+        used_day=known.used_day,
+        used_bin=known.used_bin,
+        used_level=known.used_level,
+        used_trips=known.used_trips,
+    )
+
+
+def _model(found: FieldPosterior) -> ConditionModel:
+    """The parameters, with their deviations and where they are from."""
+    return ConditionModel(
+        tuple(
+            ModelParameter(
+                name,
+                UNITS.get(own, "1"),
+                float(getattr(found.parameters, own)),
+                *found.origin[own],
+            )
+            for own, name in NAMES.items()
+        )
+    )
+
+
+def _change(track: TrackConditionMap, found: FieldChange) -> ConditionChange:
+    return ConditionChange(
+        start=found.first * track.bin_length,
+        end=min((found.last + 1) * track.bin_length, track.length),
+        day=found.day,
+        earliest=found.earliest,
+        latest=found.latest,
+        before=float(np.exp(found.before)),
+        after=float(np.exp(found.after)),
+        before_std=found.before_std,
+        after_std=found.after_std,
+        significance=found.log_odds,
+    )
+
+
+def _passing(known: DailyEvidence, found: FieldPosterior) -> FloatArray:
+    """Spots as the last evidence of each bin left them."""
+    last = np.zeros(known.bins, dtype=np.int64)
+    np.maximum.at(last, known.bin, known.day)
+    np.maximum.at(last, known.used_bin, known.used_day)
+    parameters = found.parameters
+    present = np.full(known.bins, parameters.occupied)
+    log_mean = np.full(known.bins, parameters.spot_mean)
+    log_std = np.full(known.bins, parameters.spot_std)
+    levels = LEVELS[SPOT_CELLS]
+    weight = found.state.sum(axis=1)
+    safe = np.maximum(weight, 1e-12)
+    first = found.state @ levels / safe
+    second = np.maximum(found.state @ levels**2 / safe - first**2, 0.05**2)
+    present[found.rows.bins] = weight
+    log_mean[found.rows.bins] = np.where(weight > 1e-6, first, parameters.spot_mean)
+    log_std[found.rows.bins] = np.where(weight > 1e-6, np.sqrt(second), parameters.spot_std)
+    return np.array([last.astype(np.float64), present, log_mean, log_std])
+
+
+SEPARATE = 2
+"""Bins between two onsets of one spot, at most."""
+
+
+def _spots(track: TrackConditionMap, found: FieldPosterior) -> tuple[PassingSpot, ...]:
+    """Onsets that are more likely of spots than not, joined by place and day."""
+    rows, life = found.rows, found.parameters.life
+    likely = np.flatnonzero((rows.onset[:, 0] > 0) & (found.present > 0.5))
+    order = likely[np.lexsort((rows.bin[likely], rows.day[likely]))]
+    groups: list[list[int]] = []
+    for row in order.tolist():
+        for group in groups:
+            near = any(
+                abs(rows.bin[row] - rows.bin[other]) <= SEPARATE
+                and rows.day[row] - rows.day[other] <= max(life, 1.0)
+                for other in group
+            )
+            if near:
+                group.append(row)
+                break
+        else:
+            groups.append([row])
+    made = [_spot(track, found, np.array(group)) for group in groups]
+    return tuple(sorted(made, key=lambda spot: (spot.start, spot.first)))
+
+
+def _spot(track: TrackConditionMap, found: FieldPosterior, group: NDArray[np.int64]) -> PassingSpot:
+    rows, parameters = found.rows, found.parameters
+    bins = np.unique(rows.bin[group])
+    place = np.searchsorted(rows.bins, bins)
+    mean = rows.onset[group, 1]
+    variance = parameters.trip_std**2 + rows.onset[group, 3]
+    level = float(np.average(mean, weights=1.0 / variance))
+    spread = float(np.sqrt(np.average((mean - level) ** 2 + variance, weights=1.0 / variance)))
+    ends = rows.start[place + 1] - 1
+    checked = int(rows.day[ends].max())
+    return PassingSpot(
+        start=float(bins[0] * track.bin_length),
+        end=float(min((bins[-1] + 1) * track.bin_length, track.length)),
+        adhesion=float(np.exp(level)),
+        low=float(np.exp(level - 1.96 * spread)),
+        high=float(np.exp(level + 1.96 * spread)),
+        first=int(rows.day[group].min()),
+        last=int(rows.day[group].max()),
+        checked=checked,
+        present=float(found.state[place].sum(axis=1).max()),
+        life=float(parameters.life),
     )
 
 

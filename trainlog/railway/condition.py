@@ -106,6 +106,19 @@ class AdhesionEstimate:
         part = np.clip((share - low) / np.maximum(high - low, 1e-300), 0.0, 1.0)
         return np.asarray(np.exp(edges[step] + part * (edges[step + 1] - edges[step])))
 
+    def cautious(self, sigmas: float) -> FloatArray:
+        """Adhesion as far down in the distribution as `sigmas` deviations of a normal one; (n,).
+
+        Examples
+        --------
+        >>> known = AdhesionEstimate(np.log([0.2]), np.array([0.1]), np.array([True]))
+        >>> known.cautious(2.0).round(3)
+        array([0.164])
+        """
+        if self.log_levels is None or self.probability is None:
+            return np.asarray(np.exp(self.log_mean - sigmas * self.log_std))
+        return self.quantile(float(np.clip(ndtr(-sigmas), 1e-12, 1.0 - 1e-12)))
+
     def log_density(self, adhesion: ArrayLike) -> FloatArray:
         """Logarithm of the density of the logarithm of the maximum, by bin; (n,) array.
 
@@ -299,6 +312,44 @@ def check_risk(risk: float) -> float:
     return risk
 
 
+def _above(probability: FloatArray) -> FloatArray:
+    """Probability of each level or a higher one; (n, k) array."""
+    return np.asarray(np.cumsum(probability[:, ::-1], axis=1)[:, ::-1])
+
+
+def spread_on_grid(probability: FloatArray, levels: FloatArray, std: float) -> FloatArray:
+    """Each row of probabilities on an even grid with a normal error added; (n, k) array.
+
+    Examples
+    --------
+    >>> spread_on_grid(np.array([[0.0, 1.0, 0.0]]), np.array([0.0, 0.1, 0.2]), 0.1).round(2)
+    array([[0.27, 0.45, 0.27]])
+    """
+    kernel = np.exp(-0.5 * ((levels[:, None] - levels[None, :]) / std) ** 2)
+    return np.asarray(probability @ (kernel / kernel.sum(axis=1, keepdims=True)))
+
+
+def band_of(probability: FloatArray, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean, and a deviation of which 1.96 reach both ends of the 95 % band, by row.
+
+    Of a normal distribution it is the standard deviation; of one with two modes, low if there was a
+    spot and high if there was none, the larger one of the two sides.
+
+    Examples
+    --------
+    >>> levels = np.arange(-4.0, 0.0, 0.02)
+    >>> normal = np.exp(-0.5 * ((levels + 2.0) / 0.1) ** 2)
+    >>> mean, std = band_of(normal[None] / normal.sum(), levels)
+    >>> mean.round(3), std.round(2)
+    (array([-2.]), array([0.1]))
+    """
+    mean = probability @ levels
+    nothing = np.zeros(mean.size)
+    given = AdhesionEstimate(mean, nothing, nothing > 0, levels, probability)
+    low, high = np.log(given.quantile(0.025)), np.log(given.quantile(0.975))
+    return mean, np.maximum(high - mean, mean - low) / 1.96
+
+
 def days_after(day: int, time: Timestamp) -> float:
     """Days from the end of a day, counted from 1970-01-01 in UTC, to a time; not less than 0.
 
@@ -328,12 +379,16 @@ class ConditionLayer(AdhesionEstimate):
     changes : tuple of ConditionChange
         By place; the estimate is what holds after them.
     model : ConditionModel
+    passing : (4, n) array, optional
+        Spots as the last evidence of each bin left them: its day, the probability that a spot lay
+        there at its end, and mean and standard deviation of the logarithm of its adhesion.
     """
 
     evidence: DailyEvidence = field(kw_only=True)
     spots: tuple[PassingSpot, ...] = field(default=(), kw_only=True)
     changes: tuple[ConditionChange, ...] = field(default=(), kw_only=True)
     model: ConditionModel = field(default_factory=ConditionModel, kw_only=True)
+    passing: FloatArray | None = field(default=None, kw_only=True)
 
     @staticmethod
     def unestimated(evidence: DailyEvidence) -> ConditionLayer:
@@ -350,17 +405,54 @@ class ConditionLayer(AdhesionEstimate):
             unknown, unknown, np.zeros(evidence.bins, dtype=np.bool_), evidence=evidence
         )
 
-    def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:  # noqa: ARG002
+    def expected(self, time: Timestamp | None = None) -> AdhesionEstimate:
         """The condition that a run at a time meets, passing spots and trip-to-trip spread included.
+
+        A spot that was there at the last evidence is still there with a probability that falls
+        by 1/e each life of a spot; elsewhere spots come as often as they have come so far.
 
         Parameters
         ----------
         time : Timestamp, optional
             Default: right after the last evidence.
+
+        Examples
+        --------
+        >>> import trainlog
+        >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+        >>> later = track.layer("wet").expected(Timestamp("2024-12-24T18:00"))
+        >>> later.log_mean.shape
+        (1183,)
         """
-        return AdhesionEstimate(
-            self.log_mean, self.log_std, self.observed, self.log_levels, self.probability
+        if self.log_levels is None or self.probability is None or self.passing is None:
+            return AdhesionEstimate(
+                self.log_mean, self.log_std, self.observed, self.log_levels, self.probability
+            )
+        model, (day, present, log_mean, log_std) = self.model, self.passing
+        days = self.evidence.days
+        last = int(days[-1]) if days.size else 0
+        # At the end of the last day with evidence, if no time is given.
+        now = float(last + 1) if time is None else days_after(0, time) + 1.0
+        gone = np.exp(-np.maximum(now - (day + 1.0), 0.0) / model["spot_life"])
+        known = present * gone
+        fresh = np.clip(model["spot_share"] * (1.0 - gone) + model["spots_met"], 0.0, 1.0 - known)
+        trip = model["trip_std"]
+        levels = self.log_levels
+        lasting = spread_on_grid(self.probability, levels, trip)
+        above = _above(lasting)
+        probability = (1.0 - known - fresh)[:, None] * lasting
+        met = (
+            (known, log_mean, np.hypot(log_std, trip)),
+            (fresh, model["spot_mean"], np.hypot(model["spot_std"], trip)),
         )
+        for share, mean, std in met:
+            mean, std = np.broadcast_to(mean, share.shape), np.broadcast_to(std, share.shape)
+            density = np.exp(-0.5 * ((levels - mean[:, None]) / std[:, None]) ** 2) + 1e-12
+            density /= density.sum(axis=1, keepdims=True)
+            # A spot bounds what the rail bears: the lower one of the two is met.
+            lower = -np.diff(above * _above(density), axis=1, append=0.0)
+            probability += share[:, None] * lower
+        return AdhesionEstimate(*band_of(probability, levels), self.observed, levels, probability)
 
     @property
     def events(self) -> FloatArray:
@@ -506,7 +598,7 @@ class TrackConditionMap:
         >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
         >>> seen = track.centres[track.layer("wet").observed][:2]
         >>> track.lower_bound("wet", seen).round(3).tolist()
-        [0.127, 0.126]
+        [0.136, 0.134]
         >>> bool(np.all(track.lower_bound("wet", seen, risk=0.5) > track.lower_bound("wet", seen)))
         True
         """
@@ -520,10 +612,10 @@ class TrackConditionMap:
         """Cautious maximum adhesion of each bin, and whether it was observed."""
         chosen = self.layer(layer)
         if risk is None and time is None:
-            return np.exp(chosen.log_mean - sigmas * chosen.log_std), chosen.observed
+            return chosen.cautious(sigmas), chosen.observed
         expected = chosen.expected(time)
         if risk is None:
-            return np.exp(expected.log_mean - sigmas * expected.log_std), expected.observed
+            return expected.cautious(sigmas), expected.observed
         return expected.quantile(check_risk(risk)), expected.observed
 
     def likely(

@@ -1,0 +1,662 @@
+"""Lasting condition of a line, its changes and its passing spots, from evidence by day and bin.
+
+The passes over places and days (`estimators.condition_passes`) exchange messages; the parameters
+are estimated between them by expectation and maximisation (Dempster, Laird and Rubin 1977), with
+the assumed ones as weak prior. Where the days before and after one are likelier with two lasting
+levels than with one, the lasting condition changed (generalised likelihood ratio: Basseville and
+Nikiforov 1993, section 2.4); only what was seen since then counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, logsumexp
+
+from estimators.condition_passes import (
+    OFTEN,
+    WIDE,
+    along_line,
+    beside,
+    emissions,
+    over_days,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+STEP = 0.025
+"""Of the grid of log adhesion."""
+
+LEVELS = np.arange(np.log(0.015), np.log(0.75), STEP)
+"""Grid of log adhesion."""
+
+SPOT_CELLS = np.arange(4, LEVELS.size, 5)
+"""Cells of the grid that are levels of lasting spots."""
+
+ROUNDS = 10
+"""Of the messages between the chains of places and days, and of the parameters."""
+
+CHANGE_RATE = 1e-3
+"""Changes of the lasting condition that are expected on a kilometre a day."""
+
+CHANGE_GAP = 0.02
+"""Log odds against a change, for each bin without onsets within it."""
+
+PASSES = 3
+"""Changes that a place may have had, at most."""
+
+PLACES = {"mean": 2.0, "std": 12.0, "slippery_mean": 4.0, "slippery_std": 4.0}
+"""Weight of the assumed parameters, as so many independent places."""
+
+WITNESSED = {"trip_std": 8.0, "spot_mean": 8.0, "spot_std": 8.0, "life": 6.0, "occupied": 2.0}
+"""Weight of the assumed parameters, as so many measurements, spots, deaths and births."""
+
+TRIPS_BY_BIN = 200.0
+"""Weight of the assumed rate of short spots, as so many trips through a bin."""
+
+STEPS = {
+    "mean": ("plain", 0.08, 0.4),
+    "length": ("log", 0.4, 0.5),
+    "slippery_mean": ("plain", 0.15, 0.4),
+}
+"""Of Newton's method: scale, step, and deviation of what is assumed."""
+
+NEWTON = ((), (), ("length",))
+"""Parameters that a step is taken for, round by round."""
+
+CHANGES_OF_CLASS = np.array([200.0, 60.0, 30.0])
+"""Weight of the assumed transitions along the line, as so many bins of each class."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldParameters:
+    """Parameters of the lasting condition and of what passes.
+
+    Attributes
+    ----------
+    mean, std : float
+        Of log maximum adhesion of normal rail.
+    length : float [m]
+        Over which its correlation falls to 1/e.
+    slippery_share, slippery_mean, slippery_std, slippery_length : float
+        Of the line, slippery places: their share, log maximum adhesion, and expected length [m].
+    trip_std : float
+        Of the logarithm from trip to trip at one place.
+    met : float
+        Short spots that a trip meets in a bin.
+    occupied : float
+        Share of the time in which a spot that lasts lies in a bin.
+    life : float [days]
+        Of such a spot.
+    spot_mean, spot_std : float
+        Of the log maximum adhesion in spots.
+    spot_length : float [m]
+    """
+
+    mean: float
+    std: float
+    length: float
+    slippery_share: float
+    slippery_mean: float
+    slippery_std: float
+    slippery_length: float
+    trip_std: float
+    met: float
+    occupied: float
+    life: float
+    spot_mean: float
+    spot_std: float
+    spot_length: float
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEvidence:
+    """Evidence as plain arrays.
+
+    Attributes
+    ----------
+    bins : int
+    bin_length : float [m]
+    log_levels : (levels,) array
+        Of what was used without slip.
+    day, bin : (m,) int array
+    trips, mean, scatter, variance : (m,) array
+        Trips with onsets on a day in a bin; mean of their log adhesion, variance about it, and
+        mean variance of the error of one.
+    used_day, used_bin, used_level : (n,) int array
+    used_trips : (n,) array
+    """
+
+    bins: int
+    bin_length: float
+    log_levels: FloatArray
+    day: IntArray
+    bin: IntArray
+    trips: FloatArray
+    mean: FloatArray
+    scatter: FloatArray
+    variance: FloatArray
+    used_day: IntArray
+    used_bin: IntArray
+    used_level: IntArray
+    used_trips: FloatArray
+
+    def between(self, bins: IntArray, first: int, last: int) -> FieldEvidence:
+        """All evidence of other bins; of these only that of the days from `first` to `last`."""
+        own = ~np.isin(self.bin, bins) | ((self.day >= first) & (self.day <= last))
+        used = ~np.isin(self.used_bin, bins) | ((self.used_day >= first) & (self.used_day <= last))
+        onset = ("day", "bin", "trips", "mean", "scatter", "variance")
+        level = ("used_day", "used_bin", "used_level", "used_trips")
+        return replace(
+            self,
+            **{name: getattr(self, name)[own] for name in onset},
+            **{name: getattr(self, name)[used] for name in level},
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class EvidenceRows:
+    """Days of the bins with onsets."""
+
+    bins: IntArray
+    start: IntArray
+    bin: IntArray
+    day: IntArray
+    onset: FloatArray
+    used_start: IntArray
+    used_level: IntArray
+    used_trips: FloatArray
+    order: IntArray
+
+    @staticmethod
+    def of(known: FieldEvidence) -> EvidenceRows:
+        """Rows of the evidence, by bin and day."""
+        bins = np.unique(known.bin)
+        base = int(min(known.day.min(initial=2**40), known.used_day.min(initial=2**40)))
+        span = int(max(known.day.max(initial=0), known.used_day.max(initial=0))) - base + 1
+        kept = np.isin(known.used_bin, bins)
+        used_key = known.used_bin[kept] * span + known.used_day[kept] - base
+        key = known.bin * span + known.day - base
+        rows = np.union1d(key, used_key)
+        onset = np.zeros((rows.size, 4))
+        onset[np.searchsorted(rows, key)] = np.column_stack(
+            (known.trips, known.mean, known.scatter, known.variance)
+        )
+        by_row = np.argsort(used_key, kind="stable")
+        place = np.searchsorted(rows, used_key[by_row])
+        bin_, day = rows // span, rows % span + base
+        return EvidenceRows(
+            bins,
+            np.append(np.searchsorted(bin_, bins), rows.size),
+            bin_,
+            day,
+            onset,
+            np.searchsorted(place, np.arange(rows.size + 1)),
+            known.used_level[kept][by_row],
+            known.used_trips[kept][by_row],
+            np.lexsort((bin_, day)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FieldChange:
+    """A change of the lasting condition of the bins from `first` to `last`, both included.
+
+    Attributes
+    ----------
+    first, last : int
+    day, earliest, latest : int
+        First day after it with evidence, most probably and in the 95 % band.
+    log_odds : float
+        That there was one.
+    before, before_std, after, after_std : float
+        Log maximum adhesion, the mean over the bins.
+    """
+
+    first: int
+    last: int
+    day: int
+    earliest: int
+    latest: int
+    log_odds: float
+    before: float = np.nan
+    before_std: float = np.nan
+    after: float = np.nan
+    after_std: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class FieldPosterior:
+    """What the evidence says of a line.
+
+    Attributes
+    ----------
+    parameters : FieldParameters
+    origin : dict
+        Standard deviation of each parameter, and ``"estimated"`` or ``"assumed"``.
+    probability : (n, k) array
+        Of each of `LEVELS`, by bin.
+    slippery : (n,) array
+        Probability that the bin is in a slippery place.
+    rows : EvidenceRows
+    present, long : (r,) array
+        Probability of a spot in each row, and of one that lasts.
+    state : (m, s) array
+        Of a lasting spot of each level at the last evidence of the rows' bins.
+    cut : (r,) array
+        Log likelihood ratio of another lasting level from the row on.
+    changes : tuple of FieldChange
+    """
+
+    parameters: FieldParameters
+    origin: dict[str, tuple[float, str]]
+    probability: FloatArray
+    slippery: FloatArray
+    rows: EvidenceRows
+    present: FloatArray
+    long: FloatArray
+    state: FloatArray
+    cut: FloatArray
+    changes: tuple[FieldChange, ...] = ()
+
+
+def normal_on_grid(mean: float, std: float, levels: FloatArray = LEVELS) -> FloatArray:
+    """A normal distribution on the grid."""
+    density = np.exp(-0.5 * ((levels - mean) / std) ** 2) + 1e-12
+    return np.asarray(density / density.sum())
+
+
+def _kernel(mean: float, std: float, rho: float) -> tuple[FloatArray, int]:
+    """Transition of an Ornstein-Uhlenbeck process from bin to bin, and its half band width."""
+    spread = std * np.sqrt(1.0 - rho**2)
+    target = mean + rho * (LEVELS[:, None] - mean)
+    away = (LEVELS[None, :] - target) / spread
+    inside = np.abs(away) < 3.7
+    matrix = np.where(inside, np.exp(-0.5 * away**2), 0.0)
+    matrix[np.arange(LEVELS.size), np.argmin(np.abs(away), axis=1)] += 1e-300
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    i, j = np.nonzero(matrix)
+    return matrix, int(np.abs(i - j).max())
+
+
+FRESH = np.array([[False, False, True], [False, False, True], [True, True, False]])
+"""Between which classes the level is drawn anew."""
+
+REGION = 3000.0
+"""Length of stretches with and without slippery places [m], to begin with."""
+
+
+def _switches(bin_length: float, assumed: FieldParameters) -> FloatArray:
+    """Transitions from bin to bin between rail without and with slippery places near, and these."""
+    leave = bin_length / assumed.slippery_length
+    enter = assumed.slippery_share / (1.0 - assumed.slippery_share) * leave
+    turn = bin_length / REGION
+    return np.array(
+        [
+            [1.0 - turn - 0.2 * enter, turn, 0.2 * enter],
+            [turn, 1.0 - turn - 2.0 * enter, 2.0 * enter],
+            [0.1 * leave, 0.9 * leave, 1.0 - leave],
+        ]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Expected:
+    """Sufficient statistics of one round."""
+
+    posterior: FloatArray
+    present: FloatArray
+    long: FloatArray
+    held: FloatArray
+    turnover: FloatArray
+
+
+def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
+    """Posterior of the lasting condition and the passing spots, and the parameters behind it.
+
+    Parameters
+    ----------
+    known : FieldEvidence
+    assumed : FieldParameters
+        What holds until there is evidence.
+    """
+    found = _settled(known, assumed, ROUNDS)
+    changes: list[FieldChange] = []
+    for _ in range(PASSES):
+        new = _changes(found, known.bin_length)
+        if not new:
+            break
+        kept = known
+        for change in new:
+            bins = np.arange(change.first, change.last + 1)
+            kept = kept.between(bins, change.day, np.iinfo(np.int64).max)
+        earlier = known
+        for change in new:
+            bins = np.arange(change.first, change.last + 1)
+            earlier = earlier.between(bins, 0, change.day - 1)
+        before = _settled(earlier, assumed, ROUNDS)
+        known, found = kept, _settled(kept, assumed, ROUNDS)
+        changes += [_described(change, before, found) for change in new]
+    return replace(found, changes=tuple(changes))
+
+
+def _described(change: FieldChange, before: FieldPosterior, after: FieldPosterior) -> FieldChange:
+    """With the levels before and after."""
+    place = slice(change.first, change.last + 1)
+    moments = []
+    for each in (before, after):
+        probability = each.probability[place]
+        mean = probability @ LEVELS
+        variance = np.maximum(probability @ LEVELS**2 - mean**2, 0.0)
+        moments += [float(mean.mean()), float(np.sqrt(variance.mean()))]
+    return replace(
+        change, before=moments[0], before_std=moments[1], after=moments[2], after_std=moments[3]
+    )
+
+
+def _changes(found: FieldPosterior, bin_length: float) -> list[FieldChange]:
+    """Stretches of bins, none in two, whose lasting level is likelier to have changed on a day."""
+    rows = found.rows
+    days = np.unique(rows.day)
+    score = np.zeros((days.size, rows.bins.size))
+    for number in range(rows.bins.size):
+        first, last = rows.start[number], rows.start[number + 1]
+        row = np.searchsorted(rows.day[first:last], days)
+        inside = (row > 0) & (row < last - first)
+        score[inside, number] = found.cut[first + row[inside]]
+    price = -float(np.log(CHANGE_RATE * bin_length / 1000.0))
+    gaps = CHANGE_GAP * np.diff(rows.bins, prepend=rows.bins[:1]).astype(np.float64)
+    changes: list[FieldChange] = []
+    while True:
+        odds, day, first, last = _best_stretch(score, gaps)
+        if odds <= price:
+            break
+        profile = score[:, first : last + 1].sum(axis=1)
+        share = np.cumsum(np.exp(profile - logsumexp(profile)))
+        changes.append(
+            FieldChange(
+                int(rows.bins[first]),
+                int(rows.bins[last]),
+                int(days[day]),
+                int(days[np.searchsorted(share, 0.025)]),
+                int(days[np.clip(np.searchsorted(share, 0.975), 0, days.size - 1)]),
+                odds - price,
+            )
+        )
+        score[:, first : last + 1] = -np.inf
+    return sorted(changes, key=lambda change: change.first)
+
+
+def _best_stretch(score: FloatArray, gaps: FloatArray) -> tuple[float, int, int, int]:
+    """Largest sum over adjoining columns of a row (Kadane); its row, first and last column."""
+    total = np.full(score.shape[0], -np.inf)
+    begin = np.zeros(score.shape[0], dtype=np.int64)
+    best = (-np.inf, 0, 0, 0)
+    for column in range(score.shape[1]):
+        goes_on = total - gaps[column] > 0.0
+        begin = np.where(goes_on, begin, column)
+        total = np.where(goes_on, total - gaps[column], 0.0) + score[:, column]
+        day = int(np.argmax(total))
+        if total[day] > best[0]:
+            best = (float(total[day]), day, int(begin[day]), column)
+    return best
+
+
+def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> FieldPosterior:
+    """Messages and parameters after so many rounds, with one lasting level a bin."""
+    rows = EvidenceRows.of(known)
+    used = np.zeros((known.bins, known.log_levels.size))
+    np.add.at(used, (known.used_bin, known.used_level), known.used_trips)
+    asked = known.used_bin[known.log_levels[known.used_level] > assumed.slippery_mean]
+    flat = np.ones(known.bins, dtype=np.bool_)
+    flat[rows.bins] = False
+    flat[asked] = False
+    first = np.append(0.0, np.cumsum(rows.used_trips))
+    trips = rows.onset[:, 0] + np.diff(first[rows.used_start])
+    level = np.where(rows.onset[:, 0] > 0, rows.onset[:, 1], np.nan)
+    now, switch = _begun(assumed, rows), _switches(known.bin_length, assumed)
+    likely, message = switch, np.zeros(rows.day.size)
+    origin = dict.fromkeys(FieldParameters.__slots__, (0.0, "assumed"))
+    cavity: FloatArray | None = None
+    for turn in range(rounds):
+        tail = log_ndtr((LEVELS[None, :] - known.log_levels[:, None]) / now.trip_std)
+        lasting = (1.0 - now.slippery_share) * normal_on_grid(now.mean, now.std)
+        lasting += now.slippery_share * normal_on_grid(now.slippery_mean, now.slippery_std)
+        if cavity is None:
+            cavity = np.tile(lasting, (known.bins, 1))
+        plain, short = emissions(
+            rows.onset, rows.used_start, rows.used_level, rows.used_trips, tail, LEVELS,
+            normal_on_grid(now.spot_mean, now.spot_std), now.trip_std, now.met,
+        )  # fmt: skip
+        log_like, present, long, state, turnover, cut = over_days(
+            rows.start, rows.day.astype(np.float64), plain, short, message,
+            np.ascontiguousarray(cavity[rows.bins]), LEVELS, SPOT_CELLS,
+            normal_on_grid(now.spot_mean, now.spot_std, LEVELS[SPOT_CELLS]),
+            now.occupied, now.life, lasting,
+        )  # fmt: skip
+        likelihood = used @ tail
+        likelihood[rows.bins] = log_like
+        likelihood = np.exp(likelihood - likelihood.max(axis=1, keepdims=True))
+        _, cavity, slippery, moves, held = _line(likelihood, flat, now, switch, known.bin_length)
+        posterior = cavity * likelihood
+        posterior /= posterior.sum(axis=1, keepdims=True)
+        if turn == rounds - 1:
+            break
+        prior = np.clip(now.occupied + now.met * trips, 1e-6, 0.5)
+        known_odds = np.clip(present, 1e-9, 1.0 - 1e-9)
+        odds = np.log(known_odds / (1.0 - known_odds)) - message - np.log(prior / (1.0 - prior))
+        noise = (now.trip_std**2 + rows.onset[:, 3]) / np.maximum(rows.onset[:, 0], 1.0)
+        fresh = beside(
+            rows.order, rows.day, rows.bin, odds, prior, level, noise,
+            float(np.exp(-known.bin_length / now.spot_length)), now.spot_mean, now.spot_std,
+        )  # fmt: skip
+        # Half of the way each round, so that messages do not go back and forth.
+        message = 0.5 * (message + fresh)
+        expected = _Expected(posterior, present, long, held, turnover)
+        switch = moves + CHANGES_OF_CLASS[:, None] * likely
+        switch /= switch.sum(axis=1, keepdims=True)
+        new, origin = _improved(now, assumed, known, rows, used, expected)
+        for name in NEWTON[turn % len(NEWTON)]:
+            new[name], origin[name] = _newton(
+                name, likelihood, flat, now, assumed, switch, known.bin_length
+            )
+        for name, value, count, weight in _places(switch, moves, known.bin_length):
+            new[name] = value
+            origin[name] = (value / np.sqrt(count + weight), _source(count, weight))
+        if turn < rounds - 2:
+            # Expectation and maximisation go a small part of the way where much is not seen.
+            new["mean"] += new["mean"] - now.mean
+            new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
+        now = replace(now, **new)
+    return FieldPosterior(now, origin, posterior, slippery, rows, present, long, state, cut)
+
+
+def _begun(assumed: FieldParameters, rows: EvidenceRows) -> FieldParameters:
+    """Where the rounds begin: normal rail is where the higher ones of all onsets are."""
+    levels = rows.onset[rows.onset[:, 0] > 0, 1]
+    if levels.size == 0:
+        return assumed
+    weight = PLACES["mean"]
+    high = float(np.quantile(levels, 0.9))
+    mean = (levels.size * max(high, assumed.mean) + weight * assumed.mean) / (levels.size + weight)
+    return replace(assumed, mean=mean)
+
+
+def _line(
+    likelihood: FloatArray,
+    flat: BoolArray,
+    now: FieldParameters,
+    switch: FloatArray,
+    bin_length: float,
+    *,
+    likelihood_only: bool = False,
+) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """`along_line` with these parameters."""
+    rho = float(np.exp(-bin_length / now.length))
+    normal, normal_half = _kernel(now.mean, now.std, rho)
+    # In a slippery place the level changes as slowly as the place is long.
+    rho_low = float(np.exp(-bin_length / now.slippery_length))
+    low, low_half = _kernel(now.slippery_mean, now.slippery_std, rho_low)
+    start = np.array([normal_on_grid(now.mean, now.std)] * 2 + [low[0]])
+    start[2] = normal_on_grid(now.slippery_mean, now.slippery_std)
+    kernels, half = np.array([normal, normal, low]), np.array([normal_half, normal_half, low_half])
+    return along_line(  # type: ignore[no-any-return]
+        likelihood, flat, _share(switch), start, kernels, half, switch, FRESH, likelihood_only
+    )
+
+
+def _share(switch: FloatArray) -> FloatArray:
+    """Stationary probability of each class."""
+    system = np.vstack((switch.T - np.eye(3), np.ones(3)))
+    share = np.clip(np.linalg.lstsq(system, np.array([0.0, 0.0, 0.0, 1.0]))[0], 1e-9, 1.0)
+    return np.asarray(share / share.sum())
+
+
+def _source(count: float, weight: float) -> str:
+    return "estimated" if count > weight else "assumed"
+
+
+def _places(
+    switch: FloatArray, moves: FloatArray, bin_length: float
+) -> list[tuple[str, float, float, float]]:
+    """Share and length of slippery places, the transitions they are from, and those assumed."""
+    left = float(moves[2, :2].sum())
+    weight = float(CHANGES_OF_CLASS[2] * bin_length / 200.0)
+    return [
+        ("slippery_share", float(_share(switch)[2]), left, weight),
+        ("slippery_length", float(bin_length / switch[2, :2].sum()), left, weight),
+    ]
+
+
+def _newton(
+    name: str,
+    likelihood: FloatArray,
+    flat: BoolArray,
+    now: FieldParameters,
+    assumed: FieldParameters,
+    switch: FloatArray,
+    bin_length: float,
+) -> tuple[float, tuple[float, str]]:
+    """A parameter by a step of Newton's method on the log likelihood, and its deviation.
+
+    Where most bins only bound the level, expectation and maximisation would take many rounds.
+    """
+    scale, width, weak = STEPS[name]
+    forward = np.log if scale == "log" else float
+    back = np.exp if scale == "log" else float
+    place = float(forward(getattr(now, name))) + width * np.array([-1.0, 0.0, 1.0])
+    value = np.array(
+        [
+            _line(
+                likelihood,
+                flat,
+                replace(now, **{name: float(back(each))}),
+                switch,
+                bin_length,
+                likelihood_only=True,
+            )[0]
+            for each in place
+        ]
+    )
+    value -= 0.5 * ((place - float(forward(getattr(assumed, name)))) / weak) ** 2
+    slope = (value[2] - value[0]) / (2.0 * width)
+    bend = max(-(value[2] - 2.0 * value[1] + value[0]) / width**2, 0.5 / weak**2)
+    found = float(back(place[1] + float(np.clip(slope / bend, -width, width))))
+    std = (found if scale == "log" else 1.0) / float(np.sqrt(bend))
+    return found, (std, _source(float(bend), 2.0 / weak**2))
+
+
+def _improved(
+    now: FieldParameters,
+    assumed: FieldParameters,
+    known: FieldEvidence,
+    rows: EvidenceRows,
+    used: FloatArray,
+    expected: _Expected,
+) -> tuple[dict[str, float], dict[str, tuple[float, str]]]:
+    """Parameters that make what is expected likeliest; each with its deviation and source."""
+    new: dict[str, float] = {}
+    origin: dict[str, tuple[float, str]] = dict.fromkeys(
+        FieldParameters.__slots__, (0.0, "assumed")
+    )
+
+    def normal(mean: str, std: str, count: float, values: FloatArray, weights: FloatArray) -> None:
+        """Mean and deviation of values, `count` of them independent."""
+        total = max(float(weights.sum()), 1e-12)
+        weight = PLACES.get(mean, WITNESSED.get(mean, 1.0))
+        centre = (count * float(weights @ values) / total + weight * getattr(assumed, mean)) / (
+            count + weight
+        )
+        square = float(weights @ (values - centre) ** 2) / total
+        narrow = PLACES.get(std, WITNESSED.get(std, 1.0))
+        spread = np.sqrt((count * square + narrow * getattr(assumed, std) ** 2) / (count + narrow))
+        new[mean], new[std] = float(centre), float(spread)
+        origin[mean] = (float(spread / np.sqrt(count + weight)), _source(count, weight))
+        origin[std] = (float(spread / np.sqrt(2 * (count + narrow))), _source(count, narrow))
+
+    held = expected.held
+    independent = known.bin_length / (2.0 * now.length)
+    for names, weights in (
+        (("mean", "std"), held[0] + held[1]),
+        (("slippery_mean", "slippery_std"), held[2]),
+    ):
+        normal(*names, float(weights.sum()) * independent, LEVELS, weights)
+    seen = rows.onset[:, 0] > 0
+    present, onset = expected.present[seen], rows.onset[seen]
+    alike = known.bin_length / now.spot_length
+    normal("spot_mean", "spot_std", float(present.sum()) * alike, onset[:, 1], present)
+    new["trip_std"], origin["trip_std"] = _trip_std(assumed, onset, present, expected, rows, seen)
+    share = np.cumsum(normal_on_grid(new["spot_mean"], new["spot_std"]))
+    # Trips that would have met a spot, had there been one.
+    exposed = float((used @ np.interp(known.log_levels, LEVELS, share)).sum() + onset[:, 0].sum())
+    short = float((present - expected.long[seen]).sum())
+    new["met"] = (short + TRIPS_BY_BIN * assumed.met) / (exposed + TRIPS_BY_BIN)
+    found = short * alike + TRIPS_BY_BIN * assumed.met
+    origin["met"] = (
+        float(new["met"] / np.sqrt(found)),
+        _source(short * alike, TRIPS_BY_BIN * assumed.met),
+    )
+    births, calm, deaths, alive = (float(each) for each in expected.turnover * alike)
+    born, died = WITNESSED["occupied"], WITNESSED["life"]
+    rate = (births + born) / (calm + born * assumed.life / assumed.occupied)
+    new["life"] = (alive + died * assumed.life) / (deaths + died)
+    new["occupied"] = min(rate * new["life"], 0.3)
+    origin["life"] = (new["life"] / np.sqrt(deaths + died), _source(deaths, died))
+    origin["occupied"] = (new["occupied"] / np.sqrt(births + born), _source(births, born))
+    return new, origin
+
+
+def _trip_std(
+    assumed: FieldParameters,
+    onset: FloatArray,
+    present: FloatArray,
+    expected: _Expected,
+    rows: EvidenceRows,
+    seen: BoolArray,
+) -> tuple[float, tuple[float, str]]:
+    """Spread from trip to trip, where the place is known well and no spot was met."""
+    count, mean, scatter, variance = onset.T
+    posterior = expected.posterior[rows.bin[seen]]
+    first = posterior @ LEVELS
+    second = posterior @ LEVELS**2 - first**2
+    weight = (1.0 - present) * count * (second < 0.15**2)
+    square = (mean - first) ** 2 + scatter
+    tried = np.exp(np.linspace(np.log(0.02), np.log(0.3), 60))
+    narrow = tried[:, None] ** 2 + variance
+    wide = (WIDE * tried[:, None]) ** 2 + variance
+    value = (
+        np.logaddexp(
+            np.log(1.0 - OFTEN) - 0.5 * (np.log(narrow) + square / narrow),
+            np.log(OFTEN) - 0.5 * (np.log(wide) + square / wide),
+        )
+        @ weight
+    )
+    few = WITNESSED["trip_std"]
+    value -= 0.5 * few * (2.0 * np.log(tried) + assumed.trip_std**2 / tried**2)
+    best = float(tried[np.argmax(value)])
+    total = float(weight.sum())
+    return best, (best / float(np.sqrt(2.0 * (total + few))), _source(total, few))

@@ -1,0 +1,599 @@
+"""Forward-backward passes over the places and the days of a line's track condition.
+
+Two time scales. What lasts is a Markov process along the line: normal rail and slippery places
+(two classes that alternate), in each of which the logarithm of the maximum adhesion is an
+Ornstein-Uhlenbeck process. It is solved on a grid of levels, so that the likelihood of a bin may
+have any form (Kitagawa 1987, JASA 82(400), section 2). What passes is a hidden Markov chain over
+the days of a bin: no spot, or a spot of some level that began before and may last; besides, single
+trips meet spots that are gone the same day. A spot covers several bins: its indicators are coupled
+along the line, day by day. The chains of places and of days exchange messages until they agree
+(loopy belief propagation: Murphy, Weiss and Jordan 1999, UAI).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _banded(kernel: FloatArray, half: int, given: FloatArray, out: FloatArray) -> None:
+    """``out[j] = sum_i given[i] kernel[i, j]``, where the kernel of row i is near `half` cells."""
+    size = given.size
+    out[:] = 0.0
+    for i in range(size):
+        weight = given[i]
+        if weight == 0.0:
+            continue
+        first = max(0, i - half)
+        last = min(size, i + half + 1)
+        for j in range(first, last):
+            out[j] += weight * kernel[i, j]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _banded_back(kernel: FloatArray, half: int, given: FloatArray, out: FloatArray) -> None:
+    """``out[i] = sum_j kernel[i, j] given[j]``."""
+    size = given.size
+    for i in range(size):
+        first = max(0, i - half)
+        last = min(size, i + half + 1)
+        total = 0.0
+        for j in range(first, last):
+            total += kernel[i, j] * given[j]
+        out[i] = total
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def along_line(
+    likelihood: FloatArray,
+    flat: NDArray[np.bool_],
+    share: FloatArray,
+    start: FloatArray,
+    kernels: FloatArray,
+    half: IntArray,
+    switch: FloatArray,
+    fresh: NDArray[np.bool_],
+    likelihood_only: bool,
+) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Forward-backward over bins of several classes on a grid.
+
+    Parameters
+    ----------
+    likelihood : (n, k) array
+        Of each bin by level, largest 1.
+    flat : (n,) bool array
+        Bins that are left out of `moves` and `held`: they hold no evidence to speak of.
+    share : (c,) array
+        Stationary probability of each class.
+    start : (c, k) array
+        Stationary distribution of the level in each class.
+    kernels : (c, k, k) array
+        Transition of the level within a class.
+    half : (c,) int array
+        Half band width of the kernels.
+    switch : (c, c) array
+        Transition between classes.
+    fresh : (c, c) bool array
+        Whether the level is drawn anew from the other's `start`; else it goes on.
+    likelihood_only : bool
+        Then the other answers are empty.
+
+    Returns
+    -------
+    log_likelihood : float
+    cavity : (n, k) array
+        Distribution of each bin's level from all other bins.
+    low : (n,) array
+        Posterior probability of the last class.
+    moves : (c, c) array
+        Expected transitions between classes.
+    held : (c, k) array
+        Sum of the posterior probability of each class and level.
+    """
+    bins, size = likelihood.shape
+    classes = share.size
+    held = np.zeros((classes, size))
+    ahead = np.empty((bins, classes, size))
+    now = np.empty((classes, size))
+    moved = np.empty((classes, size))
+    for c in range(classes):
+        now[c] = share[c] * start[c]
+    log_likelihood = 0.0
+    mass = np.empty(classes)
+    for b in range(bins):
+        if b > 0:
+            for c in range(classes):
+                _banded(kernels[c], half[c], now[c], moved[c])
+                mass[c] = now[c].sum()
+            for c in range(classes):
+                drawn = 0.0
+                now_c = switch[c, c] * moved[c]
+                for other in range(classes):
+                    if other != c and fresh[other, c]:
+                        drawn += switch[other, c] * mass[other]
+                    elif other != c:
+                        now_c += switch[other, c] * moved[other]
+                ahead[b, c] = now_c + drawn * start[c]
+        else:
+            ahead[b] = now
+        scale = 0.0
+        for c in range(classes):
+            for i in range(size):
+                now[c, i] = ahead[b, c, i] * likelihood[b, i]
+                scale += now[c, i]
+        log_likelihood += np.log(scale)
+        now /= scale
+    if likelihood_only:
+        nothing = np.empty((0, size))
+        return log_likelihood, nothing, np.empty(0), nothing, nothing
+    cavity = np.empty((bins, size))
+    low = np.empty(bins)
+    back = np.empty((classes, size))
+    moves = np.zeros((classes, classes))
+    behind = np.ones((classes, size))
+    one = np.zeros(classes)
+    drawn_from = np.zeros(classes)
+    previous = np.zeros(classes)
+    joint = np.zeros((classes, classes))
+    for b in range(bins - 1, -1, -1):
+        norm = 0.0
+        one[:] = 0.0
+        cavity[b] = 0.0
+        for c in range(classes):
+            for i in range(size):
+                value = ahead[b, c, i] * behind[c, i]
+                cavity[b, i] += value
+                norm += value
+                one[c] += value * likelihood[b, i]
+        cavity[b] /= norm
+        every = one.sum()
+        low[b] = one[classes - 1] / every
+        if not flat[b]:
+            for c in range(classes):
+                for i in range(size):
+                    held[c, i] += ahead[b, c, i] * behind[c, i] * likelihood[b, i] / every
+        if b > 0:
+            for c in range(classes):
+                drawn_from[c], previous[c] = 0.0, 0.0
+                for i in range(size):
+                    behind[c, i] *= likelihood[b, i]
+                    drawn_from[c] += start[c, i] * behind[c, i]
+                    previous[c] += ahead[b - 1, c, i] * likelihood[b - 1, i]
+                _banded_back(kernels[c], half[c], behind[c], back[c])
+            joint[:] = 0.0
+            for c in range(classes):
+                moved[c] = 0.0
+                for to in range(classes):
+                    if switch[c, to] == 0.0:
+                        continue
+                    if fresh[c, to]:
+                        joint[c, to] = switch[c, to] * previous[c] * drawn_from[to]
+                        moved[c] += switch[c, to] * drawn_from[to]
+                    else:
+                        for i in range(size):
+                            joint[c, to] += (
+                                switch[c, to]
+                                * ahead[b - 1, c, i]
+                                * likelihood[b - 1, i]
+                                * back[to, i]
+                            )
+                            moved[c, i] += switch[c, to] * back[to, i]
+            if not (flat[b] and flat[b - 1]):
+                moves += joint / joint.sum()
+            behind[:] = moved / moved.max()
+    return log_likelihood, cavity, low, moves, held
+
+
+WIDE, OFTEN = 3.0, 0.15
+"""Some measurements scatter by this factor more, and how often: their errors are not normal."""
+
+
+ASTRAY = 0.03
+"""Probability that the onsets of a day in a bin do not show its own maximum."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def emissions(
+    onset: FloatArray,
+    used_start: IntArray,
+    used_level: IntArray,
+    used_trips: FloatArray,
+    log_tail: FloatArray,
+    levels: FloatArray,
+    spot: FloatArray,
+    trip_std: float,
+    met: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Log likelihood of each row (a bin on a day) by level: without spot, and with a short one.
+
+    Parameters
+    ----------
+    onset : (r, 4) array
+        Trips with onsets; their mean, variance about it, and mean variance of one's error.
+    used_start : (r + 1,) int array
+        Where each row's entries of `used_level` and `used_trips` begin.
+    log_tail : (levels, k) array
+        Log probability that a trip's maximum is at least a level, by lasting level.
+    levels : (k,) array
+    spot : (k,) array
+        Distribution of the level of spots.
+    met : float
+        Short spots that a trip meets in a bin.
+
+    Returns
+    -------
+    plain, short : (r, k) array
+    """
+    rows, size = onset.shape[0], levels.size
+    plain = np.zeros((rows, size))
+    short = np.full((rows, size), -np.inf)
+    bearing = np.zeros(size)
+    beyond = np.empty(size)
+    left = 1.0
+    for i in range(size):
+        left -= spot[i]
+        beyond[i] = max(left, 0.0)
+    for r in range(rows):
+        bearing[:] = 0.0
+        trips = onset[r, 0]
+        for e in range(used_start[r], used_start[r + 1]):
+            trips += used_trips[e]
+            for i in range(size):
+                bearing[i] += used_trips[e] * log_tail[used_level[e], i]
+        count = int(onset[r, 0])
+        if count == 0:
+            plain[r] = bearing
+            continue
+        mean, scatter = onset[r, 1], onset[r, 2]
+        variance = trip_std**2 + onset[r, 3]
+        wide = (WIDE * trip_std) ** 2 + onset[r, 3]
+        constant = -0.5 * np.log(2.0 * np.pi * variance)
+        large = -0.5 * np.log(2.0 * np.pi * wide)
+        for i in range(size):
+            away = (mean - levels[i]) ** 2 + scatter
+            one = np.log(1.0 - OFTEN) + count * (constant - 0.5 * away / variance)
+            two = np.log(OFTEN) + count * (large - 0.5 * away / wide)
+            top = max(one, two)
+            plain[r, i] = bearing[i] + top + np.log(np.exp(one - top) + np.exp(two - top))
+        # A lone onset that belongs elsewhere: slip that began at a worse place next to it.
+        narrow = variance / count
+        norm = 1.0 / np.sqrt(2.0 * np.pi * narrow)
+        passed = 0.0
+        inner = (count - 1) * constant - 0.5 * np.log(count) - 0.5 * count * scatter / variance
+        for i in range(size):
+            here = norm * np.exp(-0.5 * (mean - levels[i]) ** 2 / narrow)
+            passed += spot[i] * here
+            other = np.log(ASTRAY * (passed + beyond[i] * here) + 1e-300) + bearing[i] + inner
+            top = max(other, plain[r, i])
+            plain[r, i] = top + np.log(np.exp(other - top) + np.exp(plain[r, i] - top))
+        # A short spot met by the lowest k of the onsets, all at one level; the others as ever.
+        ways = 1.0
+        for k in range(1, count + 1):
+            ways *= (trips - k + 1.0) / k
+            if 6 < k < count:
+                continue
+            weight = np.log(met * trips * ((0.5 if k == 1 else 0.0) + 0.5 / trips) / ways)
+            high = mean + np.sqrt(scatter * k / (count - k)) if k < count else 0.0
+            below = mean - np.sqrt(scatter * (count - k) / k)
+            inner = scatter if k == count else 0.0
+            narrow = variance / k
+            shared = (k - 1) * constant - 0.5 * np.log(k) - 0.5 * k * inner / variance
+            norm = 1.0 / np.sqrt(2.0 * np.pi * narrow)
+            passed = 0.0
+            for i in range(size):
+                here = norm * np.exp(-0.5 * (below - levels[i]) ** 2 / narrow)
+                passed += spot[i] * here
+                density = passed + beyond[i] * here
+                value = weight + shared + bearing[i] + np.log(density + 1e-300)
+                if k < count:
+                    value += (count - k) * (constant - 0.5 * (high - levels[i]) ** 2 / variance)
+                top = max(short[r, i], value)
+                if top > -np.inf:
+                    short[r, i] = top + np.log(np.exp(short[r, i] - top) + np.exp(value - top))
+    return plain, short
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _log_mean_exp(values: FloatArray, weights: FloatArray) -> float:
+    top = values.max()
+    total = 0.0
+    for i in range(values.size):
+        total += weights[i] * np.exp(values[i] - top)
+    return float(top + np.log(total))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def blurred(probability: FloatArray, std: FloatArray, step: float) -> FloatArray:
+    """Each row of probabilities on a grid, with a normal error of its own added; (n, k) array."""
+    rows, size = probability.shape
+    out = np.zeros((rows, size))
+    for r in range(rows):
+        half = min(int(4.5 * std[r] / step) + 1, size - 1)
+        kernel = np.empty(half + 1)
+        for g in range(half + 1):
+            kernel[g] = np.exp(-0.5 * (g * step / std[r]) ** 2)
+        for i in range(size):
+            if probability[r, i] < 1e-12:
+                continue
+            first, last = max(0, i - half), min(size, i + half + 1)
+            norm = 0.0
+            for j in range(first, last):
+                norm += kernel[abs(j - i)]
+            for j in range(first, last):
+                out[r, j] += probability[r, i] * kernel[abs(j - i)] / norm
+        out[r] /= out[r].sum()
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def over_days(
+    bin_start: IntArray,
+    day: FloatArray,
+    plain: FloatArray,
+    short: FloatArray,
+    message: FloatArray,
+    cavity: FloatArray,
+    levels: FloatArray,
+    cells: IntArray,
+    spot: FloatArray,
+    occupied: float,
+    life: float,
+    lasting: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Forward-backward over the days of each bin, for each lasting level.
+
+    Parameters
+    ----------
+    bin_start : (m + 1,) int array
+        Rows of each bin.
+    day : (r,) array
+    plain, short : (r, k) array
+        Of `emissions`.
+    message : (r,) array
+        Log odds of a spot in the row, from its neighbours along the line.
+    cavity : (m, k) array
+        Distribution of each bin's lasting level from all other bins.
+    cells : (s,) int array
+        Cells of the grid that are the levels of lasting spots.
+    spot : (s,) array
+        Distribution over them.
+    occupied, life : float
+        Share of the time in which a spot lies in a bin, and how long one stays [days].
+    lasting : (k,) array
+        Distribution of the lasting level before any evidence.
+
+    Returns
+    -------
+    log_likelihood : (m, k) array
+        Of the lasting level.
+    present, long : (r,) array
+        Posterior probability of any spot in the row, and of one that lasts.
+    state : (m, s) array
+        Probability of a lasting spot of each level in the end.
+    turnover : (4,) array
+        Expected births, days without a spot, deaths, days with one.
+    cut : (r,) array
+        Log likelihood ratio of a lasting level that is another from the row on; 0 in a bin's first.
+    """
+    bins, size, states = bin_start.size - 1, levels.size, cells.size
+    rows = day.size
+    log_likelihood = np.empty((bins, size))
+    present, long = np.zeros(rows), np.zeros(rows)
+    state = np.zeros((bins, states))
+    turnover = np.zeros(4)
+    cut = np.zeros(rows)
+    for b in range(bins):
+        first, last = bin_start[b], bin_start[b + 1]
+        count = last - first
+        none = np.empty(count)
+        spots = np.empty((count, states))
+        none_now = np.empty(count)
+        shorts = np.empty(count)
+        long_at = np.empty((count, size))
+        short_at = np.empty((count, size))
+        final = np.empty((size, states))
+        back = np.empty(states)
+        emitted = np.empty(states)
+        shift = np.empty(count)
+        turned = np.zeros((size, 4))
+        before_cut = np.zeros((count, size))
+        after_cut = np.zeros((count, size))
+        for r in range(first, last):
+            shift[r - first] = max(plain[r].max(), short[r].max() + message[r])
+        for i in range(size):
+            # Spots above the lasting level change nothing: only those below are states.
+            held = 0
+            below = 0.0
+            while held < states and cells[held] < i:
+                below += spot[held]
+                held += 1
+            free, total = 1.0 - occupied * below, 0.0
+            for j in range(held):
+                # A neighbour's spot makes one here likelier once, when it begins: it is the same
+                # spot on all its days.
+                spots[0, j] = occupied * spot[j] * np.exp(message[first])
+            empty = free
+            log_like = 0.0
+            for n in range(count):
+                r = first + n
+                if n > 0:
+                    stay = np.exp(-(day[r] - day[r - 1]) / life)
+                    raised = np.exp(message[r])
+                    alive = 0.0
+                    for j in range(held):
+                        alive += spots[n - 1, j]
+                    before = none[n - 1]
+                    empty = before * (1.0 - occupied * below * (1.0 - stay)) + (
+                        alive * (1.0 - stay) * (1.0 - occupied * below)
+                    )
+                    for j in range(held):
+                        spots[n, j] = spots[n - 1, j] * stay + (
+                            (before + alive) * (1.0 - stay) * occupied * spot[j] * raised
+                        )
+                lift = message[r] - shift[n]
+                a = np.exp(plain[r, i] - shift[n])
+                c = np.exp(short[r, i] + lift)
+                none_now[n] = a
+                shorts[n] = c
+                total = empty * (a + c)
+                for j in range(held):
+                    spots[n, j] *= np.exp(plain[r, cells[j]] - shift[n])
+                    total += spots[n, j]
+                total = max(total, 1e-280)
+                none[n] = empty * (a + c) / total
+                for j in range(held):
+                    spots[n, j] /= total
+                before_cut[n, i] = log_like
+                log_like += np.log(total) + shift[n]
+            log_likelihood[b, i] = log_like
+            for j in range(states):
+                final[i, j] = spots[count - 1, j] if j < held else 0.0
+            free = 1.0
+            for j in range(held):
+                back[j] = 1.0
+            scale = 0.0
+            for n in range(count - 1, -1, -1):
+                r = first + n
+                alive, norm = 0.0, 0.0
+                for j in range(held):
+                    alive += spots[n, j] * back[j]
+                norm = max(alive + none[n] * free, 1e-300)
+                long_at[n, i] = alive / norm
+                short_at[n, i] = (
+                    (1.0 - alive / norm) * shorts[n] / max(none_now[n] + shorts[n], 1e-300)
+                )
+                if n > 0:
+                    stay = np.exp(-(day[r] - day[r - 1]) / life)
+                    open_ = (none_now[n] + shorts[n]) * free
+                    drawn, kept = 0.0, 0.0
+                    for j in range(held):
+                        emitted[j] = np.exp(plain[r, cells[j]] - shift[n]) * back[j]
+                        drawn += occupied * spot[j] * emitted[j] * np.exp(message[r])
+                        kept += spots[n - 1, j] * stay * emitted[j]
+                    rest = (1.0 - stay) * (drawn + (1.0 - occupied * below) * open_)
+                    after_cut[n, i] = (
+                        scale
+                        + shift[n]
+                        + np.log(max(drawn + (1.0 - occupied * below) * open_, 1e-290))
+                    )
+                    alive = 1.0 - none[n - 1]
+                    born = none[n - 1] * (1.0 - stay) * drawn
+                    died = alive * (1.0 - stay) * (1.0 - occupied * below) * open_
+                    calm = none[n - 1] * open_ * (stay + (1.0 - stay) * (1.0 - occupied * below))
+                    kept += alive * (1.0 - stay) * drawn
+                    every = max(born + died + calm + kept, 1e-300)
+                    elapsed = life * (1.0 - stay)
+                    turned[i, 0] += born / every
+                    turned[i, 1] += elapsed * (born + calm) / every
+                    turned[i, 2] += died / every
+                    turned[i, 3] += elapsed * (died + kept) / every
+                    free = stay * open_ + rest
+                    top = free
+                    for j in range(held):
+                        back[j] = stay * emitted[j] + rest
+                        top = max(top, back[j])
+                    top = max(top, 1e-280)
+                    scale += np.log(top) + shift[n]
+                    free /= top
+                    for j in range(held):
+                        back[j] /= top
+        largest = log_likelihood[b].max()
+        weight = cavity[b] * np.exp(log_likelihood[b] - largest)
+        weight /= weight.sum()
+        for n in range(count):
+            for i in range(size):
+                long[first + n] += weight[i] * long_at[n, i]
+                present[first + n] += weight[i] * (long_at[n, i] + short_at[n, i])
+        whole = _log_mean_exp(log_likelihood[b], lasting)
+        for n in range(1, count):
+            cut[first + n] = (
+                _log_mean_exp(before_cut[n], lasting) + _log_mean_exp(after_cut[n], lasting) - whole
+            )
+        for i in range(size):
+            for e in range(4):
+                turnover[e] += weight[i] * turned[i, e]
+            for j in range(states):
+                state[b, j] += weight[i] * final[i, j]
+    return log_likelihood, present, long, state, turnover, cut
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _passed(
+    message: float, odds: float, base: float, other: float, tie: float, alike: float
+) -> float:
+    """Message to a row with prior `other` from its neighbour with prior `base`."""
+    lift = message + odds
+    spot = 1.0 / (1.0 + (1.0 - base) / base * np.exp(-lift))
+    one = spot * (tie + (1.0 - tie) * other) * alike + (1.0 - spot) * (1.0 - tie) * other
+    none = spot * (1.0 - tie) * (1.0 - other) + (1.0 - spot) * (tie + (1.0 - tie) * (1.0 - other))
+    return float(np.log(one / none) - np.log(other / (1.0 - other)))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def beside(
+    order: IntArray,
+    day: IntArray,
+    place: IntArray,
+    odds: FloatArray,
+    prior: FloatArray,
+    level: FloatArray,
+    noise: FloatArray,
+    keep: float,
+    spot_mean: float,
+    spot_std: float,
+) -> FloatArray:
+    """Log odds that a row's neighbours on the same day give it, over those without them.
+
+    Parameters
+    ----------
+    order : (r,) int array
+        Rows by day and place.
+    day, place : (r,) int array
+        Day, bin.
+    odds : (r,) array
+        Log odds that each row's own evidence gives a spot.
+    prior : (r,) array
+        Probability of a spot before any evidence.
+    level : (r,) array
+        Mean log adhesion of the row's onsets; NaN without one.
+    noise : (r,) array
+        Its variance.
+    keep : float
+        Correlation of the indicators of neighbouring bins, and of the levels within a spot.
+    spot_mean, spot_std : float
+    """
+    rows = order.size
+    forward, message = np.zeros(rows), np.zeros(rows)
+    alike = np.ones(rows)
+    for n in range(1, rows):
+        r, other = order[n], order[n - 1]
+        if day[r] == day[other]:
+            tie = keep ** (place[r] - place[other])
+            if np.isfinite(level[r]) and np.isfinite(level[other]):
+                one, two = spot_std**2 + noise[r], spot_std**2 + noise[other]
+                share = tie * spot_std**2 / np.sqrt(one * two)
+                a, b = (
+                    (level[r] - spot_mean) / np.sqrt(one),
+                    (level[other] - spot_mean) / np.sqrt(two),
+                )
+                rest = 1.0 - share**2
+                alike[n] = np.exp(
+                    -0.5 * (share**2 * (a * a + b * b) - 2.0 * share * a * b) / rest
+                ) / np.sqrt(rest)
+            forward[n] = _passed(forward[n - 1], odds[other], prior[other], prior[r], tie, alike[n])
+    backward = 0.0
+    for n in range(rows - 1, -1, -1):
+        r = order[n]
+        if n < rows - 1 and day[order[n + 1]] == day[r]:
+            other = order[n + 1]
+            tie = keep ** (place[other] - place[r])
+            backward = _passed(backward, odds[other], prior[other], prior[r], tie, alike[n + 1])
+        else:
+            backward = 0.0
+        message[r] = forward[n] + backward
+    return message
