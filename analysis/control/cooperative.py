@@ -205,6 +205,22 @@ def excess_of(error: FloatArray, margins: FloatArray) -> IntArray:
 
 
 @njit(cache=True)
+def normal_equations(rows, weights, error):  # type: ignore[no-untyped-def]
+    """``rows' W rows`` and ``rows' W error``; no threads, which wait longer than they compute."""
+    count, size = rows.shape
+    square, right = np.zeros((size, size)), np.zeros(size)
+    for k in range(count):
+        for i in range(size):
+            weighted = weights[k] * rows[k, i]
+            if weighted == 0.0:
+                continue
+            right[i] += weighted * error[k]
+            for j in range(size):
+                square[i, j] += weighted * rows[k, j]
+    return square, right
+
+
+@njit(cache=True)
 def tracking_cost(error, weights, margins, levels, torque, slack):  # type: ignore[no-untyped-def]
     """Cost of errors of slip [m/s] and of levels, eq. (16), with the excess over the margins."""
     found = 0.0
@@ -433,10 +449,9 @@ class CooperativeController:
         change *= scale
         error = slip - task.reference
         levels = plan.ravel() / scale
-        weighted = change * task.weights[:, None]
-        hessian = 2.0 * (change.T @ weighted)
+        hessian, gradient = normal_equations(change, 2.0 * task.weights, error)
         hessian[np.diag_indices_from(hessian)] += 2.0 * self.tuning.torque
-        gradient = 2.0 * (weighted.T @ error + self.tuning.torque * levels)
+        gradient += 2.0 * self.tuning.torque * levels
         return Quadratic(hessian, gradient, change, error, levels)
 
     def _subproblem(
@@ -445,11 +460,11 @@ class CooperativeController:
         hessian, gradient = known.hessian, known.gradient
         beyond = np.flatnonzero(outside)
         if beyond.size:
-            rows = known.change[beyond]
-            weighted = rows * (2.0 * self.tuning.slack * task.weights[beyond, None])
-            hessian = hessian + rows.T @ weighted
             excess = known.error[beyond] - outside[beyond] * task.margins[beyond]
-            gradient = gradient + weighted.T @ excess
+            more = normal_equations(
+                known.change[beyond], 2.0 * self.tuning.slack * task.weights[beyond], excess
+            )
+            hessian, gradient = hessian + more[0], gradient + more[1]
         demand, levels = task.demand, known.levels
         caps = np.tile(demand.limits / self.locomotive.torque_limit, len(plan))
         remaining = demand.total / self.locomotive.torque_limit - self._sums @ levels

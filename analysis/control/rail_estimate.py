@@ -229,7 +229,7 @@ class RailEstimator:
             for level in (0.16, 0.5, 0.84)
         )
         flat = self._probability.reshape(adhesion.size, -1)
-        reference = SLIPS[np.argmax(flat @ self._expected, axis=1)]
+        reference = SLIPS[np.argmax(mean_curves(flat, self._expected), axis=1)]
         # The likeliest curve jumps from sample to sample, and the torques with it.
         rail = creep_coefficients(np.exp(self._probability.sum(axis=2) @ np.log(MAXIMA)))
         rail[:, :2] /= np.exp(self._probability.sum(axis=1) @ np.log(STRETCHES))[:, None]
@@ -331,6 +331,24 @@ def bayes_update(probability, prior, change, curves, slip, adhesion, noise, slip
         for m in range(size):
             for k in range(stretches):
                 probability[i, m, k] /= total
+
+
+@njit(cache=True)
+def mean_curves(probability, curves):  # type: ignore[no-untyped-def]
+    """Mean of many curves under the probability of each, (n, slips).
+
+    Most have none; and the product of the matrices would be given to threads, which on a machine
+    with other work wait longer than they compute.
+    """
+    axles, count = probability.shape
+    found = np.zeros((axles, curves.shape[1]))
+    for i in range(axles):
+        for k in range(count):
+            p = probability[i, k]
+            if p > 1e-9:
+                for j in range(curves.shape[1]):
+                    found[i, j] += p * curves[k, j]
+    return found
 
 
 def rail_ahead(
