@@ -24,7 +24,7 @@ from trainlog.railway.line import Line
 
 FloatArray = NDArray[np.float64]
 
-MOST_DAYS = 60
+MOST_DAYS = 12
 """Days that get the estimate of then; of more they are chosen evenly, the last among them."""
 
 REACH = 500.0
