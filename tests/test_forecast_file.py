@@ -141,8 +141,9 @@ def test_what_a_map_expects_survives_the_file(tmp_path: Path, track: TrackCondit
         np.testing.assert_array_equal(found.observed, own.observed)
         seen = np.flatnonzero(own.observed)
         for adhesion in (0.06, 0.1, 0.15, 0.3):
+            # Between two quantiles that are written, a twentieth apart or a tenth.
             np.testing.assert_allclose(
-                found.at_bins(seen).below(adhesion), own.at_bins(seen).below(adhesion), atol=0.03
+                found.at_bins(seen).below(adhesion), own.at_bins(seen).below(adhesion), atol=0.05
             )
     assert read("wet", NOON + pd.Timedelta(hours=6)) is None
     with pytest.raises(InputError, match="hours above 0"):
