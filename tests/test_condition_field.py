@@ -1,0 +1,135 @@
+"""Lasting condition, passing spots and changes: known answers, and truths the model does not know."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+from simulated_line import level_line
+
+from analysis.adhesion.condition_map import LEVELS, empty_map
+from trainlog.condition import estimated
+from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.evidence import DailyEvidence
+
+FloatArray = NDArray[np.float64]
+
+LINE = level_line(2_500.0)
+BINS = 100
+DAY = 20_000
+TRIP_STD = 0.12
+"""With which the evidence is weighted."""
+
+
+def met(
+    day: int, place: int, level: float, borne: float, bins: int = 3, std: float = 0.03
+) -> DailyEvidence:
+    """A trip with onsets at `level` in a few bins; everywhere else it used `borne` without slip."""
+    weight, logs = np.zeros(BINS), np.zeros(BINS)
+    slipped = slice(place, place + bins)
+    weight[slipped] = 1.0 / (TRIP_STD**2 + std**2)
+    logs[slipped] = weight[slipped] * np.log(level)
+    used = np.zeros((BINS, LEVELS.size))
+    used[:, int(np.searchsorted(LEVELS, borne))] = weight == 0.0
+    return DailyEvidence.of_bins(day, weight > 0.0, weight, logs, used)
+
+
+def calm(day: int, borne: float) -> DailyEvidence:
+    return met(day, 0, 0.1, borne, bins=0)
+
+
+def layer_of(pieces: list[DailyEvidence]) -> ConditionLayer:
+    known = ConditionLayer.unestimated(DailyEvidence.total(pieces))
+    return estimated(replace(empty_map(LINE), layers={"wet": known})).layer("wet")
+
+
+def day(number: int) -> pd.Timestamp:
+    return pd.Timestamp(0, tz="UTC") + pd.Timedelta(days=DAY + number, hours=6)
+
+
+@pytest.fixture(scope="module")
+def visited() -> ConditionLayer:
+    """Thirty days of trips that bear 0.15; on the last three days a spot of 0.07 in three bins."""
+    pieces = [calm(DAY + number, 0.15) for number in range(27)]
+    return layer_of(pieces + [met(DAY + number, 40, 0.07, 0.15) for number in range(27, 30)])
+
+
+class TestWhatPasses:
+    def test_a_spot_does_not_become_the_lasting_condition(self, visited: ConditionLayer) -> None:
+        assert np.all(visited.quantile(0.5)[40:43] > 0.14)
+
+    def test_yesterday_counts_and_last_month_hardly(self, visited: ConditionLayer) -> None:
+        soon = visited.expected(day(30)).below(0.1)[41]
+        late = visited.expected(day(75)).below(0.1)[41]
+        elsewhere = visited.expected(day(30)).below(0.1)[80]
+        assert soon > 0.3
+        assert late < 0.1
+        assert elsewhere < 0.1
+
+    def test_the_spot_has_its_place_and_its_days(self, visited: ConditionLayer) -> None:
+        (spot,) = visited.spots
+        assert (spot.start, spot.end) == (1000.0, 1075.0)
+        assert (spot.first - DAY, spot.last - DAY) == (27, 29)
+        assert spot.low < 0.07 < spot.high
+        assert spot.alive(day(30)) > 10.0 * spot.alive(day(75))
+
+    def test_a_place_that_is_always_low_is_lasting(self) -> None:
+        layer = layer_of([met(DAY + number, 40, 0.08, 0.15) for number in range(0, 30, 3)])
+        assert np.all(np.abs(layer.log_mean[40:43] - np.log(0.08)) < 0.1)
+        assert layer.spots == ()
+        assert layer.changes == ()
+
+
+class TestChanges:
+    @pytest.mark.parametrize(("before", "after"), [(0.08, 0.16), (0.16, 0.08)])
+    def test_a_change_is_dated_and_not_averaged_away(self, before: float, after: float) -> None:
+        """Slip at one level for twenty days, then at another: ground, or grown over."""
+        pieces = [met(DAY + number, 38, before, 0.06, bins=6) for number in range(0, 40, 2)]
+        pieces += [met(DAY + number, 38, after, 0.06, bins=6) for number in range(40, 56, 2)]
+        layer = layer_of(pieces)
+        (change,) = layer.changes
+        assert abs(change.day - DAY - 40) <= 2
+        assert change.earliest <= change.day <= change.latest
+        assert change.before == pytest.approx(before, rel=0.1)
+        assert change.after == pytest.approx(after, rel=0.1)
+        assert change.significance > 3.0
+        assert np.all(np.abs(layer.log_mean[38:44] - np.log(after)) < 1.96 * layer.log_std[38:44])
+
+    def test_weeks_of_few_trips_are_no_change(self) -> None:
+        days = [*range(0, 20), 40, 41, 62, 80, 81]
+        assert layer_of([met(DAY + number, 38, 0.09, 0.06) for number in days]).changes == ()
+
+
+def test_the_order_of_trips_does_not_matter() -> None:
+    pieces = [met(DAY + number // 3, 30 + number % 7, 0.1, 0.12) for number in range(20)]
+    one, other = layer_of(pieces), layer_of(pieces[::-1])
+    assert one.log_mean.tobytes() == other.log_mean.tobytes()
+    assert one.probability is not None
+    assert other.probability is not None
+    assert one.probability.tobytes() == other.probability.tobytes()
+    assert one.model == other.model
+
+
+def test_without_evidence_parameters_are_assumed_and_with_it_estimated() -> None:
+    """Levels of places and trips are drawn with numbers that the map does not know."""
+    generator = np.random.default_rng(4)
+    places = np.log(0.2) + 0.1 * generator.standard_normal(BINS)
+    pieces = []
+    for number in range(30):
+        weight = np.zeros(BINS)
+        seen = generator.uniform(size=BINS) < 0.5
+        weight[seen] = 1.0 / (TRIP_STD**2 + 0.03**2)
+        logs = weight * (places + 0.06 * generator.standard_normal(BINS))
+        none = np.zeros((BINS, LEVELS.size))
+        pieces.append(DailyEvidence.of_bins(DAY + number, seen, weight, logs, none))
+    model = layer_of(pieces).model
+    trip = model.parameter("trip_std")
+    assert trip.source == "estimated"
+    assert trip.value == pytest.approx(0.05, abs=0.015)
+    assert model["mean"] == pytest.approx(np.log(0.2), abs=0.1)
+    assert model.parameter("spot_life").source == "assumed"
+    empty = layer_of([calm(DAY, 0.02)]).model
+    assert {each.source for each in empty.parameters} == {"assumed"}
