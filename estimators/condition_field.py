@@ -58,9 +58,12 @@ WITNESSED = {"trip_std": 8.0, "spot_mean": 8.0, "spot_std": 8.0, "life": 6.0, "o
 TRIPS_BY_BIN = 200.0
 """Weight of the assumed rate of short spots, as so many trips through a bin."""
 
+DOUBT = 0.06
+"""Probability that the onsets of a single day in a bin are not of what lasts, at least."""
+
 STEPS = {
     "mean": ("plain", 0.08, 0.4),
-    "length": ("log", 0.4, 0.5),
+    "length": ("log", 0.4, 0.1),
     "slippery_mean": ("plain", 0.15, 0.4),
 }
 """Of Newton's method: scale, step, and deviation of what is assumed."""
@@ -445,6 +448,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
         if turn == rounds - 1:
+            posterior = _doubted(posterior, rows, used @ tail, lasting)
             break
         prior = np.clip(now.occupied + now.met * trips, 1e-6, 0.5)
         known_odds = np.clip(present, 1e-9, 1.0 - 1e-9)
@@ -473,6 +477,23 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
         now = replace(now, **new)
     return FieldPosterior(now, origin, posterior, slippery, rows, present, long, state, cut)
+
+
+def _doubted(
+    posterior: FloatArray, rows: EvidenceRows, bearing: FloatArray, lasting: FloatArray
+) -> FloatArray:
+    """With some probability that the onsets of a single day say nothing of what lasts.
+
+    Messages between neighbouring bins that one trip alone has met go round in circles and are too
+    sure of themselves; a share of what holds without them bounds that (contaminated priors: Berger
+    1985, Statistical Decision Theory and Bayesian Analysis, section 4.7).
+    """
+    days = np.bincount(rows.bin[rows.onset[:, 0] > 0], minlength=posterior.shape[0])
+    single = np.flatnonzero(days == 1)
+    without = lasting * np.exp(bearing[single] - bearing[single].max(axis=1, keepdims=True))
+    without /= without.sum(axis=1, keepdims=True)
+    posterior[single] = (1.0 - DOUBT) * posterior[single] + DOUBT * without
+    return posterior
 
 
 def _begun(assumed: FieldParameters, rows: EvidenceRows) -> FieldParameters:

@@ -1,4 +1,4 @@
-"""Lasting condition, passing spots and changes: known answers, and truths the model does not know."""
+"""Lasting condition, passing spots and changes: known answers, and truths it does not know."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def estimated(track: TrackConditionMap) -> TrackConditionMap:
 def assumed_parameters(track: TrackConditionMap, name: str) -> FieldParameters:
     """What holds for a layer until there is evidence.
 
-    Slippery places and spots hold half of what normal rail does; one tenth of a line is slippery,
+    Slippery places hold two thirds of normal rail, spots half; one tenth of a line is slippery,
     and of 250 bins that a trip passes one has a spot.
     """
     prior = prior_of(track, name)
@@ -101,7 +101,7 @@ def assumed_parameters(track: TrackConditionMap, name: str) -> FieldParameters:
         std=0.15,
         length=prior.correlation_length,
         slippery_share=0.1,
-        slippery_mean=prior.mean + float(np.log(0.5)),
+        slippery_mean=prior.mean + float(np.log(0.65)),
         slippery_std=prior.std,
         slippery_length=200.0,
         trip_std=setting(track, "trip_std"),
