@@ -59,7 +59,7 @@ TRIPS_BY_BIN = 200.0
 """Weight of the assumed rate of short spots, as so many trips through a bin."""
 
 DOUBT = 0.06
-"""Probability that the onsets of a single day in a bin are not of what lasts, at least."""
+"""Probability that the onsets of a single trip in a bin are not of what lasts, at least."""
 
 STEPS = {
     "mean": ("plain", 0.08, 0.4),
@@ -482,14 +482,14 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
 def _doubted(
     posterior: FloatArray, rows: EvidenceRows, bearing: FloatArray, lasting: FloatArray
 ) -> FloatArray:
-    """With some probability that the onsets of a single day say nothing of what lasts.
+    """With some probability that the onsets of a single trip say nothing of what lasts.
 
     Messages between neighbouring bins that one trip alone has met go round in circles and are too
     sure of themselves; a share of what holds without them bounds that (contaminated priors: Berger
     1985, Statistical Decision Theory and Bayesian Analysis, section 4.7).
     """
-    days = np.bincount(rows.bin[rows.onset[:, 0] > 0], minlength=posterior.shape[0])
-    single = np.flatnonzero(days == 1)
+    trips = np.bincount(rows.bin, rows.onset[:, 0], minlength=posterior.shape[0])
+    single = np.flatnonzero(trips == 1.0)
     without = lasting * np.exp(bearing[single] - bearing[single].max(axis=1, keepdims=True))
     without /= without.sum(axis=1, keepdims=True)
     posterior[single] = (1.0 - DOUBT) * posterior[single] + DOUBT * without
