@@ -273,17 +273,15 @@ def normal_on_grid(mean: float, std: float, levels: FloatArray = LEVELS) -> Floa
     return np.asarray(density / density.sum())
 
 
-def _kernel(mean: float, std: float, rho: float) -> tuple[FloatArray, int]:
-    """Transition of an Ornstein-Uhlenbeck process from bin to bin, and its half band width."""
+def _kernel(mean: float, std: float, rho: float) -> FloatArray:
+    """Transition of an Ornstein-Uhlenbeck process from bin to bin."""
     spread = std * np.sqrt(1.0 - rho**2)
     target = mean + rho * (LEVELS[:, None] - mean)
     away = (LEVELS[None, :] - target) / spread
     inside = np.abs(away) < 3.7
     matrix = np.where(inside, np.exp(-0.5 * away**2), 0.0)
     matrix[np.arange(LEVELS.size), np.argmin(np.abs(away), axis=1)] += 1e-300
-    matrix /= matrix.sum(axis=1, keepdims=True)
-    i, j = np.nonzero(matrix)
-    return matrix, int(np.abs(i - j).max())
+    return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
 
 
 FRESH = np.array([[False, False, True], [False, False, True], [True, True, False]])
@@ -443,7 +441,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         )  # fmt: skip
         likelihood = used @ tail
         likelihood[rows.bins] = log_like
-        likelihood = np.exp(likelihood - likelihood.max(axis=1, keepdims=True))
+        likelihood = np.exp(np.maximum(likelihood - likelihood.max(axis=1, keepdims=True), -90.0))
         _, cavity, slippery, moves, held = _line(likelihood, flat, now, switch, known.bin_length)
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
@@ -518,15 +516,15 @@ def _line(
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
     """`along_line` with these parameters."""
     rho = float(np.exp(-bin_length / now.length))
-    normal, normal_half = _kernel(now.mean, now.std, rho)
+    normal = _kernel(now.mean, now.std, rho)
     # In a slippery place the level changes as slowly as the place is long.
     rho_low = float(np.exp(-bin_length / now.slippery_length))
-    low, low_half = _kernel(now.slippery_mean, now.slippery_std, rho_low)
-    start = np.array([normal_on_grid(now.mean, now.std)] * 2 + [low[0]])
-    start[2] = normal_on_grid(now.slippery_mean, now.slippery_std)
-    kernels, half = np.array([normal, normal, low]), np.array([normal_half, normal_half, low_half])
+    low = _kernel(now.slippery_mean, now.slippery_std, rho_low)
+    start = [normal_on_grid(now.mean, now.std)] * 2
+    start += [normal_on_grid(now.slippery_mean, now.slippery_std)]
+    kernels = np.array([normal, normal, low])
     return along_line(  # type: ignore[no-any-return]
-        likelihood, flat, _share(switch), start, kernels, half, switch, FRESH, likelihood_only
+        likelihood, flat, _share(switch), np.array(start), kernels, switch, FRESH, likelihood_only
     )
 
 

@@ -20,42 +20,60 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+FAST = {"reassoc", "contract", "nsz"}
+"""Freedom of the compiler to add up in another order, so that sums are vectorised."""
+
+LANES = 16
+"""Cells that the compiler handles at once; bands are as wide as a multiple of it."""
+
+
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _banded(kernel: FloatArray, half: int, given: FloatArray, out: FloatArray) -> None:
-    """``out[j] = sum_i given[i] kernel[i, j]``, where the kernel of row i is near `half` cells."""
+def _bands(kernels: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Columns of each row that may be above 0, from and to; of the transposed; the transposed."""
+    classes, size, _ = kernels.shape
+    band = np.zeros((2, classes, size, 2), dtype=np.int64)
+    turned = np.empty((classes, size, size))
+    for c in range(classes):
+        for i in range(size):
+            band[0, c, i, 0], band[1, c, i, 0] = size, size
+        for i in range(size):
+            for j in range(size):
+                turned[c, j, i] = kernels[c, i, j]
+                if kernels[c, i, j] > 0.0:
+                    band[0, c, i, 0] = min(band[0, c, i, 0], j)
+                    band[0, c, i, 1] = j + 1
+                    band[1, c, j, 0] = min(band[1, c, j, 0], i)
+                    band[1, c, j, 1] = i + 1
+        for way in range(2):
+            for i in range(size):
+                first, last = band[way, c, i]
+                width = min((last - first + LANES - 1) // LANES * LANES, size)
+                first = min(first, size - width)
+                band[way, c, i, 0], band[way, c, i, 1] = first, first + width
+    return band[0], band[1], turned
+
+
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+def _banded(kernel: FloatArray, band: IntArray, given: FloatArray, out: FloatArray) -> None:
+    """``out[j] = sum_i given[i] kernel[i, j]``, where row i is 0 outside its band."""
     size = given.size
-    out[:] = 0.0
+    for j in range(size):
+        out[j] = 0.0
     for i in range(size):
         weight = given[i]
         if weight == 0.0:
             continue
-        first = max(0, i - half)
-        last = min(size, i + half + 1)
-        for j in range(first, last):
+        for j in range(band[i, 0], band[i, 1]):
             out[j] += weight * kernel[i, j]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _banded_back(kernel: FloatArray, half: int, given: FloatArray, out: FloatArray) -> None:
-    """``out[i] = sum_j kernel[i, j] given[j]``."""
-    size = given.size
-    for i in range(size):
-        first = max(0, i - half)
-        last = min(size, i + half + 1)
-        total = 0.0
-        for j in range(first, last):
-            total += kernel[i, j] * given[j]
-        out[i] = total
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
 def along_line(
     likelihood: FloatArray,
     flat: NDArray[np.bool_],
     share: FloatArray,
     start: FloatArray,
     kernels: FloatArray,
-    half: IntArray,
     switch: FloatArray,
     fresh: NDArray[np.bool_],
     likelihood_only: bool,
@@ -73,9 +91,7 @@ def along_line(
     start : (c, k) array
         Stationary distribution of the level in each class.
     kernels : (c, k, k) array
-        Transition of the level within a class.
-    half : (c,) int array
-        Half band width of the kernels.
+        Transition of the level within a class; 0 away from a band.
     switch : (c, c) array
         Transition between classes.
     fresh : (c, c) bool array
@@ -97,95 +113,98 @@ def along_line(
     """
     bins, size = likelihood.shape
     classes = share.size
-    held = np.zeros((classes, size))
-    ahead = np.empty((bins, classes, size))
-    now = np.empty((classes, size))
-    moved = np.empty((classes, size))
-    for c in range(classes):
-        now[c] = share[c] * start[c]
-    log_likelihood = 0.0
+    rows, columns, turned = _bands(kernels)
+    ahead = np.empty((1 if likelihood_only else bins, classes, size))
+    now, moved = np.empty((classes, size)), np.empty((classes, size))
     mass = np.empty(classes)
+    log_likelihood = 0.0
     for b in range(bins):
+        into = 0 if likelihood_only else b
         if b > 0:
             for c in range(classes):
-                _banded(kernels[c], half[c], now[c], moved[c])
-                mass[c] = now[c].sum()
-            for c in range(classes):
-                drawn = 0.0
-                now_c = switch[c, c] * moved[c]
-                for other in range(classes):
-                    if other != c and fresh[other, c]:
-                        drawn += switch[other, c] * mass[other]
-                    elif other != c:
-                        now_c += switch[other, c] * moved[other]
-                ahead[b, c] = now_c + drawn * start[c]
-        else:
-            ahead[b] = now
+                _banded(kernels[c], rows[c], now[c], moved[c])
+        for c in range(classes):
+            drawn = 0.0 if b > 0 else share[c]
+            for other in range(classes):
+                if b > 0 and other != c and fresh[other, c]:
+                    drawn += switch[other, c] * mass[other]
+            for i in range(size):
+                ahead[into, c, i] = drawn * start[c, i]
+            for other in range(classes):
+                rate = switch[other, c]
+                if b > 0 and rate > 0.0 and (other == c or not fresh[other, c]):
+                    for i in range(size):
+                        ahead[into, c, i] += rate * moved[other, i]
         scale = 0.0
         for c in range(classes):
+            mass[c] = 0.0
             for i in range(size):
-                now[c, i] = ahead[b, c, i] * likelihood[b, i]
-                scale += now[c, i]
+                now[c, i] = ahead[into, c, i] * likelihood[b, i]
+                mass[c] += now[c, i]
+            scale += mass[c]
         log_likelihood += np.log(scale)
-        now /= scale
-    if likelihood_only:
-        nothing = np.empty((0, size))
-        return log_likelihood, nothing, np.empty(0), nothing, nothing
-    cavity = np.empty((bins, size))
-    low = np.empty(bins)
-    back = np.empty((classes, size))
-    moves = np.zeros((classes, classes))
-    behind = np.ones((classes, size))
-    one = np.zeros(classes)
-    drawn_from = np.zeros(classes)
-    previous = np.zeros(classes)
-    joint = np.zeros((classes, classes))
-    for b in range(bins - 1, -1, -1):
-        norm = 0.0
-        one[:] = 0.0
-        cavity[b] = 0.0
         for c in range(classes):
+            mass[c] /= scale
+            for i in range(size):
+                now[c, i] /= scale
+    held, moves = np.zeros((classes, size)), np.zeros((classes, classes))
+    known = 0 if likelihood_only else bins
+    cavity, low = np.zeros((known, size)), np.zeros(known)
+    behind, back = np.ones((classes, size)), np.empty((classes, size))
+    one, drawn_from = np.zeros(classes), np.zeros(classes)
+    joint = np.zeros((classes, classes))
+    for b in range(known - 1, -1, -1):
+        norm, every = 0.0, 0.0
+        for c in range(classes):
+            one[c] = 0.0
             for i in range(size):
                 value = ahead[b, c, i] * behind[c, i]
                 cavity[b, i] += value
                 norm += value
                 one[c] += value * likelihood[b, i]
-        cavity[b] /= norm
-        every = one.sum()
+            every += one[c]
+        for i in range(size):
+            cavity[b, i] /= norm
         low[b] = one[classes - 1] / every
-        if not flat[b]:
+        for c in range(classes):
+            drawn_from[c] = 0.0
+            for i in range(size):
+                behind[c, i] *= likelihood[b, i]
+                drawn_from[c] += start[c, i] * behind[c, i]
+                if not flat[b]:
+                    held[c, i] += ahead[b, c, i] * behind[c, i] / every
+            if b > 0:
+                _banded(turned[c], columns[c], behind[c], back[c])
+        if b > 0 and not (flat[b] and flat[b - 1]):
+            total = 0.0
             for c in range(classes):
-                for i in range(size):
-                    held[c, i] += ahead[b, c, i] * behind[c, i] * likelihood[b, i] / every
-        if b > 0:
-            for c in range(classes):
-                drawn_from[c], previous[c] = 0.0, 0.0
-                for i in range(size):
-                    behind[c, i] *= likelihood[b, i]
-                    drawn_from[c] += start[c, i] * behind[c, i]
-                    previous[c] += ahead[b - 1, c, i] * likelihood[b - 1, i]
-                _banded_back(kernels[c], half[c], behind[c], back[c])
-            joint[:] = 0.0
-            for c in range(classes):
-                moved[c] = 0.0
                 for to in range(classes):
-                    if switch[c, to] == 0.0:
-                        continue
-                    if fresh[c, to]:
-                        joint[c, to] = switch[c, to] * previous[c] * drawn_from[to]
-                        moved[c] += switch[c, to] * drawn_from[to]
-                    else:
-                        for i in range(size):
-                            joint[c, to] += (
-                                switch[c, to]
-                                * ahead[b - 1, c, i]
-                                * likelihood[b - 1, i]
-                                * back[to, i]
-                            )
-                            moved[c, i] += switch[c, to] * back[to, i]
-            if not (flat[b] and flat[b - 1]):
-                moves += joint / joint.sum()
-            behind[:] = moved / moved.max()
+                    joint[c, to] = 0.0
+                    for i in range(size):
+                        came = drawn_from[to] if fresh[c, to] else back[to, i]
+                        joint[c, to] += ahead[b - 1, c, i] * likelihood[b - 1, i] * came
+                    joint[c, to] *= switch[c, to]
+                    total += joint[c, to]
+            for c in range(classes):
+                for to in range(classes):
+                    moves[c, to] += joint[c, to] / total
+        top = 0.0
+        for c in range(classes):
+            drawn = 0.0
+            for to in range(classes):
+                if fresh[c, to]:
+                    drawn += switch[c, to] * drawn_from[to]
+            for i in range(size):
+                moved[c, i] = drawn
+            for to in range(classes):
+                if b > 0 and switch[c, to] > 0.0 and not fresh[c, to]:
+                    for i in range(size):
+                        moved[c, i] += switch[c, to] * back[to, i]
+            for i in range(size):
+                top = max(top, moved[c, i])
+        for c in range(classes):
+            for i in range(size):
+                behind[c, i] = moved[c, i] / top if b > 0 else 1.0
     return log_likelihood, cavity, low, moves, held
 
 
