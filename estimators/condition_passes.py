@@ -23,48 +23,40 @@ IntArray = NDArray[np.int64]
 FAST = {"reassoc", "contract", "nsz"}
 """Freedom of the compiler to add up in another order, so that sums are vectorised."""
 
-LANES = 16
-"""Cells that the compiler handles at once; bands are as wide as a multiple of it."""
-
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _bands(kernels: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Columns of each row that may be above 0, from and to; of the transposed; the transposed."""
+def _diagonals(kernels: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Half band width of each kernel; diagonals of the kernels, and of the kernels transposed.
+
+    Diagonal ``d`` of class ``c`` holds ``kernels[c, j + d - half[c], j]`` at ``j``.
+    """
     classes, size, _ = kernels.shape
-    band = np.zeros((2, classes, size, 2), dtype=np.int64)
-    turned = np.empty((classes, size, size))
+    half = np.zeros(classes, dtype=np.int64)
     for c in range(classes):
         for i in range(size):
-            band[0, c, i, 0], band[1, c, i, 0] = size, size
-        for i in range(size):
             for j in range(size):
-                turned[c, j, i] = kernels[c, i, j]
                 if kernels[c, i, j] > 0.0:
-                    band[0, c, i, 0] = min(band[0, c, i, 0], j)
-                    band[0, c, i, 1] = j + 1
-                    band[1, c, j, 0] = min(band[1, c, j, 0], i)
-                    band[1, c, j, 1] = i + 1
-        for way in range(2):
-            for i in range(size):
-                first, last = band[way, c, i]
-                width = min((last - first + LANES - 1) // LANES * LANES, size)
-                first = min(first, size - width)
-                band[way, c, i, 0], band[way, c, i, 1] = first, first + width
-    return band[0], band[1], turned
+                    half[c] = max(half[c], abs(i - j))
+    diagonals = np.zeros((2, classes, 2 * half.max() + 1, size))
+    for c in range(classes):
+        for d in range(2 * half[c] + 1):
+            for j in range(size):
+                i = j + d - half[c]
+                if 0 <= i < size:
+                    diagonals[0, c, d, j] = kernels[c, i, j]
+                    diagonals[1, c, d, j] = kernels[c, j, i]
+    return half, diagonals
 
 
 @njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
-def _banded(kernel: FloatArray, band: IntArray, given: FloatArray, out: FloatArray) -> None:
-    """``out[j] = sum_i given[i] kernel[i, j]``, where row i is 0 outside its band."""
-    size = given.size
-    for j in range(size):
+def _banded(diagonals: FloatArray, half: int, given: FloatArray, out: FloatArray) -> None:
+    """``out[j] = sum_d diagonals[d, j] given[j + d]``; `given` begins `half` cells before `out`."""
+    for j in range(out.size):
         out[j] = 0.0
-    for i in range(size):
-        weight = given[i]
-        if weight == 0.0:
-            continue
-        for j in range(band[i, 0], band[i, 1]):
-            out[j] += weight * kernel[i, j]
+    for d in range(2 * half + 1):
+        row, shifted = diagonals[d], given[d : d + out.size]
+        for j in range(out.size):
+            out[j] += row[j] * shifted[j]
 
 
 @njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
@@ -113,16 +105,19 @@ def along_line(
     """
     bins, size = likelihood.shape
     classes = share.size
-    rows, columns, turned = _bands(kernels)
+    half, diagonals = _diagonals(kernels)
+    edge = half.max()
     ahead = np.empty((1 if likelihood_only else bins, classes, size))
-    now, moved = np.empty((classes, size)), np.empty((classes, size))
+    # With cells of 0 on either side, which the diagonals reach.
+    now, behind = np.zeros((classes, size + 2 * edge)), np.zeros((classes, size + 2 * edge))
+    moved, back = np.empty((classes, size)), np.empty((classes, size))
     mass = np.empty(classes)
     log_likelihood = 0.0
     for b in range(bins):
         into = 0 if likelihood_only else b
         if b > 0:
             for c in range(classes):
-                _banded(kernels[c], rows[c], now[c], moved[c])
+                _banded(diagonals[0, c], half[c], now[c, edge - half[c] :], moved[c])
         for c in range(classes):
             drawn = 0.0 if b > 0 else share[c]
             for other in range(classes):
@@ -139,18 +134,18 @@ def along_line(
         for c in range(classes):
             mass[c] = 0.0
             for i in range(size):
-                now[c, i] = ahead[into, c, i] * likelihood[b, i]
-                mass[c] += now[c, i]
+                now[c, edge + i] = ahead[into, c, i] * likelihood[b, i]
+                mass[c] += now[c, edge + i]
             scale += mass[c]
         log_likelihood += np.log(scale)
         for c in range(classes):
             mass[c] /= scale
             for i in range(size):
-                now[c, i] /= scale
+                now[c, edge + i] /= scale
     held, moves = np.zeros((classes, size)), np.zeros((classes, classes))
     known = 0 if likelihood_only else bins
     cavity, low = np.zeros((known, size)), np.zeros(known)
-    behind, back = np.ones((classes, size)), np.empty((classes, size))
+    behind[:, edge : edge + size] = 1.0
     one, drawn_from = np.zeros(classes), np.zeros(classes)
     joint = np.zeros((classes, classes))
     for b in range(known - 1, -1, -1):
@@ -158,7 +153,7 @@ def along_line(
         for c in range(classes):
             one[c] = 0.0
             for i in range(size):
-                value = ahead[b, c, i] * behind[c, i]
+                value = ahead[b, c, i] * behind[c, edge + i]
                 cavity[b, i] += value
                 norm += value
                 one[c] += value * likelihood[b, i]
@@ -169,12 +164,12 @@ def along_line(
         for c in range(classes):
             drawn_from[c] = 0.0
             for i in range(size):
-                behind[c, i] *= likelihood[b, i]
-                drawn_from[c] += start[c, i] * behind[c, i]
+                behind[c, edge + i] *= likelihood[b, i]
+                drawn_from[c] += start[c, i] * behind[c, edge + i]
                 if not flat[b]:
-                    held[c, i] += ahead[b, c, i] * behind[c, i] / every
+                    held[c, i] += ahead[b, c, i] * behind[c, edge + i] / every
             if b > 0:
-                _banded(turned[c], columns[c], behind[c], back[c])
+                _banded(diagonals[1, c], half[c], behind[c, edge - half[c] :], back[c])
         if b > 0 and not (flat[b] and flat[b - 1]):
             total = 0.0
             for c in range(classes):
@@ -204,7 +199,7 @@ def along_line(
                 top = max(top, moved[c, i])
         for c in range(classes):
             for i in range(size):
-                behind[c, i] = moved[c, i] / top if b > 0 else 1.0
+                behind[c, edge + i] = moved[c, i] / top if b > 0 else 1.0
     return log_likelihood, cavity, low, moves, held
 
 
