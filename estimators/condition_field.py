@@ -437,7 +437,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             rows.start, rows.day.astype(np.float64), plain, short, message,
             np.ascontiguousarray(cavity[rows.bins]), LEVELS, SPOT_CELLS,
             normal_on_grid(now.spot_mean, now.spot_std, LEVELS[SPOT_CELLS]),
-            now.occupied, now.life, lasting,
+            now.occupied, now.life, lasting, turn == rounds - 1,
         )  # fmt: skip
         likelihood = used @ tail
         likelihood[rows.bins] = log_like

@@ -344,7 +344,7 @@ def blurred(probability: FloatArray, std: FloatArray, step: float) -> FloatArray
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
 def over_days(
     bin_start: IntArray,
     day: FloatArray,
@@ -358,6 +358,7 @@ def over_days(
     occupied: float,
     life: float,
     lasting: FloatArray,
+    with_cut: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Forward-backward over the days of each bin, for each lasting level.
 
@@ -380,6 +381,8 @@ def over_days(
         Share of the time in which a spot lies in a bin, and how long one stays [days].
     lasting : (k,) array
         Distribution of the lasting level before any evidence.
+    with_cut : bool
+        Whether `cut` is asked for; else it is 0.
 
     Returns
     -------
@@ -413,12 +416,23 @@ def over_days(
         final = np.empty((size, states))
         back = np.empty(states)
         emitted = np.empty(states)
-        shift = np.empty(count)
+        shift, stays, raised = np.empty(count), np.ones(count), np.empty(count)
+        bears, meets = np.empty((count, size)), np.empty((count, size))
         turned = np.zeros((size, 4))
         before_cut = np.zeros((count, size))
         after_cut = np.zeros((count, size))
         for r in range(first, last):
-            shift[r - first] = max(plain[r].max(), short[r].max() + message[r])
+            n = r - first
+            top = -np.inf
+            for i in range(size):
+                top = max(top, plain[r, i], short[r, i] + message[r])
+            shift[n] = top
+            raised[n] = np.exp(message[r])
+            if n > 0:
+                stays[n] = np.exp(-(day[r] - day[r - 1]) / life)
+            for i in range(size):
+                bears[n, i] = np.exp(plain[r, i] - top)
+                meets[n, i] = np.exp(short[r, i] + message[r] - top)
         for i in range(size):
             # Spots above the lasting level change nothing: only those below are states.
             held = 0
@@ -430,15 +444,12 @@ def over_days(
             for j in range(held):
                 # A neighbour's spot makes one here likelier once, when it begins: it is the same
                 # spot on all its days.
-                spots[0, j] = occupied * spot[j] * np.exp(message[first])
+                spots[0, j] = occupied * spot[j] * raised[0]
             empty = free
             log_like = 0.0
             for n in range(count):
-                r = first + n
                 if n > 0:
-                    stay = np.exp(-(day[r] - day[r - 1]) / life)
-                    raised = np.exp(message[r])
-                    alive = 0.0
+                    stay, alive = stays[n], 0.0
                     for j in range(held):
                         alive += spots[n - 1, j]
                     before = none[n - 1]
@@ -447,16 +458,14 @@ def over_days(
                     )
                     for j in range(held):
                         spots[n, j] = spots[n - 1, j] * stay + (
-                            (before + alive) * (1.0 - stay) * occupied * spot[j] * raised
+                            (before + alive) * (1.0 - stay) * occupied * spot[j] * raised[n]
                         )
-                lift = message[r] - shift[n]
-                a = np.exp(plain[r, i] - shift[n])
-                c = np.exp(short[r, i] + lift)
+                a, c = bears[n, i], meets[n, i]
                 none_now[n] = a
                 shorts[n] = c
                 total = empty * (a + c)
                 for j in range(held):
-                    spots[n, j] *= np.exp(plain[r, cells[j]] - shift[n])
+                    spots[n, j] *= bears[n, cells[j]]
                     total += spots[n, j]
                 total = max(total, 1e-280)
                 none[n] = empty * (a + c) / total
@@ -472,7 +481,6 @@ def over_days(
                 back[j] = 1.0
             scale = 0.0
             for n in range(count - 1, -1, -1):
-                r = first + n
                 alive, norm = 0.0, 0.0
                 for j in range(held):
                     alive += spots[n, j] * back[j]
@@ -482,19 +490,17 @@ def over_days(
                     (1.0 - alive / norm) * shorts[n] / max(none_now[n] + shorts[n], 1e-300)
                 )
                 if n > 0:
-                    stay = np.exp(-(day[r] - day[r - 1]) / life)
+                    stay = stays[n]
                     open_ = (none_now[n] + shorts[n]) * free
                     drawn, kept = 0.0, 0.0
                     for j in range(held):
-                        emitted[j] = np.exp(plain[r, cells[j]] - shift[n]) * back[j]
-                        drawn += occupied * spot[j] * emitted[j] * np.exp(message[r])
+                        emitted[j] = bears[n, cells[j]] * back[j]
+                        drawn += occupied * spot[j] * emitted[j] * raised[n]
                         kept += spots[n - 1, j] * stay * emitted[j]
                     rest = (1.0 - stay) * (drawn + (1.0 - occupied * below) * open_)
-                    after_cut[n, i] = (
-                        scale
-                        + shift[n]
-                        + np.log(max(drawn + (1.0 - occupied * below) * open_, 1e-290))
-                    )
+                    if with_cut:
+                        fresh = max(drawn + (1.0 - occupied * below) * open_, 1e-290)
+                        after_cut[n, i] = scale + shift[n] + np.log(fresh)
                     alive = 1.0 - none[n - 1]
                     born = none[n - 1] * (1.0 - stay) * drawn
                     died = alive * (1.0 - stay) * (1.0 - occupied * below) * open_
@@ -512,7 +518,8 @@ def over_days(
                         back[j] = stay * emitted[j] + rest
                         top = max(top, back[j])
                     top = max(top, 1e-280)
-                    scale += np.log(top) + shift[n]
+                    if with_cut:
+                        scale += np.log(top) + shift[n]
                     free /= top
                     for j in range(held):
                         back[j] /= top
@@ -524,7 +531,7 @@ def over_days(
                 long[first + n] += weight[i] * long_at[n, i]
                 present[first + n] += weight[i] * (long_at[n, i] + short_at[n, i])
         whole = _log_mean_exp(log_likelihood[b], lasting)
-        for n in range(1, count):
+        for n in range(1, count if with_cut else 0):
             cut[first + n] = (
                 _log_mean_exp(before_cut[n], lasting) + _log_mean_exp(after_cut[n], lasting) - whole
             )
