@@ -34,8 +34,44 @@ STEP = 0.025
 LEVELS = np.arange(np.log(0.015), np.log(0.75), STEP)
 """Grid of log adhesion."""
 
-SPOT_CELLS = np.arange(4, LEVELS.size, 5)
+SPOT_CELLS = np.arange(4, LEVELS.size, 6)
 """Cells of the grid that are levels of lasting spots."""
+
+
+@dataclass(frozen=True, eq=False)
+class LevelGrid:
+    """Levels of log adhesion, and which of them are levels of lasting spots."""
+
+    levels: FloatArray
+    cells: IntArray
+
+    def of(self, probability: FloatArray) -> FloatArray:
+        """Rows of probabilities on the other grid, on this one."""
+        if probability.shape[1] == self.levels.size:
+            return probability
+        found = np.empty((probability.shape[0], self.levels.size))
+        if self.levels.size < probability.shape[1]:
+            found[:] = probability[:, ::2]
+        else:
+            found[:, ::2] = probability
+            found[:, 1::2] = np.sqrt(probability[:, :-1] * probability[:, 1:])
+        return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+FINE = LevelGrid(LEVELS, SPOT_CELLS)
+COARSE = LevelGrid(np.ascontiguousarray(LEVELS[::2]), SPOT_CELLS // 2)
+"""On which messages and parameters are found: sums over either grid agree where what is added up is
+smooth over a step."""
+
+SMOOTH = 0.9
+"""Steps of the coarse grid by which the level scatters from bin to bin, for it to be used."""
+
+
+def _grid(now: FieldParameters, bin_length: float) -> LevelGrid:
+    """The coarse grid where it holds the transitions along the line."""
+    rho = float(np.exp(-bin_length / now.length))
+    smooth = now.std * np.sqrt(1.0 - rho**2) > SMOOTH * 2.0 * STEP
+    return COARSE if smooth else FINE
 
 ROUNDS = 10
 """Of the messages between the chains of places and days, and of the parameters."""
@@ -267,20 +303,20 @@ class FieldPosterior:
     changes: tuple[FieldChange, ...] = ()
 
 
-def normal_on_grid(mean: float, std: float, levels: FloatArray = LEVELS) -> FloatArray:
+def normal_on_grid(mean: float, std: float, levels: FloatArray) -> FloatArray:
     """A normal distribution on the grid."""
     density = np.exp(-0.5 * ((levels - mean) / std) ** 2) + 1e-12
     return np.asarray(density / density.sum())
 
 
-def _kernel(mean: float, std: float, rho: float) -> FloatArray:
+def _kernel(mean: float, std: float, rho: float, levels: FloatArray) -> FloatArray:
     """Transition of an Ornstein-Uhlenbeck process from bin to bin."""
     spread = std * np.sqrt(1.0 - rho**2)
-    target = mean + rho * (LEVELS[:, None] - mean)
-    away = (LEVELS[None, :] - target) / spread
+    target = mean + rho * (levels[:, None] - mean)
+    away = (levels[None, :] - target) / spread
     inside = np.abs(away) < 3.7
     matrix = np.where(inside, np.exp(-0.5 * away**2), 0.0)
-    matrix[np.arange(LEVELS.size), np.argmin(np.abs(away), axis=1)] += 1e-300
+    matrix[np.arange(levels.size), np.argmin(np.abs(away), axis=1)] += 1e-300
     return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
 
 
@@ -309,6 +345,7 @@ def _switches(bin_length: float, assumed: FieldParameters) -> FloatArray:
 class _Expected:
     """Sufficient statistics of one round."""
 
+    grid: LevelGrid
     posterior: FloatArray
     present: FloatArray
     long: FloatArray
@@ -424,25 +461,30 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     origin = dict.fromkeys(FieldParameters.__slots__, (0.0, "assumed"))
     cavity: FloatArray | None = None
     for turn in range(rounds):
-        tail = log_ndtr((LEVELS[None, :] - known.log_levels[:, None]) / now.trip_std)
-        lasting = (1.0 - now.slippery_share) * normal_on_grid(now.mean, now.std)
-        lasting += now.slippery_share * normal_on_grid(now.slippery_mean, now.slippery_std)
+        grid = FINE if turn == rounds - 1 else _grid(now, known.bin_length)
+        levels = grid.levels
+        tail = log_ndtr((levels[None, :] - known.log_levels[:, None]) / now.trip_std)
+        lasting = (1.0 - now.slippery_share) * normal_on_grid(now.mean, now.std, levels)
+        lasting += now.slippery_share * normal_on_grid(
+            now.slippery_mean, now.slippery_std, levels
+        )
         if cavity is None:
             cavity = np.tile(lasting, (known.bins, 1))
+        cavity = grid.of(cavity)
         plain, short = emissions(
-            rows.onset, rows.used_start, rows.used_level, rows.used_trips, tail, LEVELS,
-            normal_on_grid(now.spot_mean, now.spot_std), now.trip_std, now.met,
+            rows.onset, rows.used_start, rows.used_level, rows.used_trips, tail, levels,
+            normal_on_grid(now.spot_mean, now.spot_std, levels), now.trip_std, now.met,
         )  # fmt: skip
         log_like, present, long, state, turnover, cut = over_days(
             rows.start, rows.day.astype(np.float64), plain, short, message,
-            np.ascontiguousarray(cavity[rows.bins]), LEVELS, SPOT_CELLS,
-            normal_on_grid(now.spot_mean, now.spot_std, LEVELS[SPOT_CELLS]),
+            np.ascontiguousarray(cavity[rows.bins]), levels, grid.cells,
+            normal_on_grid(now.spot_mean, now.spot_std, levels[grid.cells]),
             now.occupied, now.life, lasting, turn == rounds - 1,
         )  # fmt: skip
         likelihood = used @ tail
         likelihood[rows.bins] = log_like
         likelihood = np.exp(np.maximum(likelihood - likelihood.max(axis=1, keepdims=True), -90.0))
-        _, cavity, slippery, moves, held = _line(likelihood, flat, now, switch, known.bin_length)
+        _, cavity, slippery, moves, held = _line(likelihood, flat, now, switch, known.bin_length, grid)
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
         if turn == rounds - 1:
@@ -458,13 +500,13 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         )  # fmt: skip
         # Half of the way each round, so that messages do not go back and forth.
         message = 0.5 * (message + fresh)
-        expected = _Expected(posterior, present, long, held, turnover)
+        expected = _Expected(grid, posterior, present, long, held, turnover)
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
         switch /= switch.sum(axis=1, keepdims=True)
         new, origin = _improved(now, assumed, known, rows, used, expected)
         for name in NEWTON[turn % len(NEWTON)]:
             new[name], origin[name] = _newton(
-                name, likelihood, flat, now, assumed, switch, known.bin_length
+                name, likelihood, flat, now, assumed, switch, known.bin_length, grid
             )
         for name, value, count, weight in _places(switch, moves, known.bin_length):
             new[name] = value
@@ -511,17 +553,18 @@ def _line(
     now: FieldParameters,
     switch: FloatArray,
     bin_length: float,
+    grid: LevelGrid,
     *,
     likelihood_only: bool = False,
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
     """`along_line` with these parameters."""
     rho = float(np.exp(-bin_length / now.length))
-    normal = _kernel(now.mean, now.std, rho)
+    normal = _kernel(now.mean, now.std, rho, grid.levels)
     # In a slippery place the level changes as slowly as the place is long.
     rho_low = float(np.exp(-bin_length / now.slippery_length))
-    low = _kernel(now.slippery_mean, now.slippery_std, rho_low)
-    start = [normal_on_grid(now.mean, now.std)] * 2
-    start += [normal_on_grid(now.slippery_mean, now.slippery_std)]
+    low = _kernel(now.slippery_mean, now.slippery_std, rho_low, grid.levels)
+    start = [normal_on_grid(now.mean, now.std, grid.levels)] * 2
+    start += [normal_on_grid(now.slippery_mean, now.slippery_std, grid.levels)]
     kernels = np.array([normal, normal, low])
     return along_line(  # type: ignore[no-any-return]
         likelihood, flat, _share(switch), np.array(start), kernels, switch, FRESH, likelihood_only
@@ -559,6 +602,7 @@ def _newton(
     assumed: FieldParameters,
     switch: FloatArray,
     bin_length: float,
+    grid: LevelGrid,
 ) -> tuple[float, tuple[float, str]]:
     """A parameter by a step of Newton's method on the log likelihood, and its deviation.
 
@@ -576,6 +620,7 @@ def _newton(
                 replace(now, **{name: float(back(each))}),
                 switch,
                 bin_length,
+                grid,
                 likelihood_only=True,
             )[0]
             for each in place
@@ -617,21 +662,21 @@ def _improved(
         origin[mean] = (float(spread / np.sqrt(count + weight)), _source(count, weight))
         origin[std] = (float(spread / np.sqrt(2 * (count + narrow))), _source(count, narrow))
 
-    held = expected.held
+    held, levels = expected.held, expected.grid.levels
     independent = known.bin_length / (2.0 * now.length)
     for names, weights in (
         (("mean", "std"), held[0] + held[1]),
         (("slippery_mean", "slippery_std"), held[2]),
     ):
-        normal(*names, float(weights.sum()) * independent, LEVELS, weights)
+        normal(*names, float(weights.sum()) * independent, levels, weights)
     seen = rows.onset[:, 0] > 0
     present, onset = expected.present[seen], rows.onset[seen]
     alike = known.bin_length / now.spot_length
     normal("spot_mean", "spot_std", float(present.sum()) * alike, onset[:, 1], present)
     new["trip_std"], origin["trip_std"] = _trip_std(assumed, onset, present, expected, rows, seen)
-    share = np.cumsum(normal_on_grid(new["spot_mean"], new["spot_std"]))
+    share = np.cumsum(normal_on_grid(new["spot_mean"], new["spot_std"], levels))
     # Trips that would have met a spot, had there been one.
-    exposed = float((used @ np.interp(known.log_levels, LEVELS, share)).sum() + onset[:, 0].sum())
+    exposed = float((used @ np.interp(known.log_levels, levels, share)).sum() + onset[:, 0].sum())
     short = float((present - expected.long[seen]).sum())
     new["met"] = (short + TRIPS_BY_BIN * assumed.met) / (exposed + TRIPS_BY_BIN)
     found = short * alike + TRIPS_BY_BIN * assumed.met
@@ -660,8 +705,8 @@ def _trip_std(
     """Spread from trip to trip, where the place is known well and no spot was met."""
     count, mean, scatter, variance = onset.T
     posterior = expected.posterior[rows.bin[seen]]
-    first = posterior @ LEVELS
-    second = posterior @ LEVELS**2 - first**2
+    first = posterior @ expected.grid.levels
+    second = posterior @ expected.grid.levels**2 - first**2
     weight = (1.0 - present) * count * (second < 0.15**2)
     square = (mean - first) ** 2 + scatter
     tried = np.exp(np.linspace(np.log(0.02), np.log(0.3), 60))
