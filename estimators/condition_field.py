@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.special import log_ndtr, logsumexp
 
 from estimators.condition_passes import (
@@ -447,8 +448,11 @@ def _best_stretch(score: FloatArray, gaps: FloatArray) -> tuple[float, int, int,
 def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> FieldPosterior:
     """Messages and parameters after so many rounds, with one lasting level a bin."""
     rows = EvidenceRows.of(known)
-    used = np.zeros((known.bins, known.log_levels.size))
-    np.add.at(used, (known.used_bin, known.used_level), known.used_trips)
+    # Sparse also because the linear algebra's threads cost more than they bring here.
+    used = csr_array(
+        (known.used_trips, (known.used_bin, known.used_level)),
+        shape=(known.bins, known.log_levels.size),
+    )
     asked = known.used_bin[known.log_levels[known.used_level] > assumed.slippery_mean]
     flat = np.ones(known.bins, dtype=np.bool_)
     flat[rows.bins] = False
@@ -639,7 +643,7 @@ def _improved(
     assumed: FieldParameters,
     known: FieldEvidence,
     rows: EvidenceRows,
-    used: FloatArray,
+    used: csr_array,
     expected: _Expected,
 ) -> tuple[dict[str, float], dict[str, tuple[float, str]]]:
     """Parameters that make what is expected likeliest; each with its deviation and source."""
@@ -674,7 +678,8 @@ def _improved(
     alike = known.bin_length / now.spot_length
     normal("spot_mean", "spot_std", float(present.sum()) * alike, onset[:, 1], present)
     new["trip_std"], origin["trip_std"] = _trip_std(assumed, onset, present, expected, rows, seen)
-    share = np.cumsum(normal_on_grid(new["spot_mean"], new["spot_std"], levels))
+    share = normal_on_grid(new["spot_mean"], new["spot_std"], levels)
+    share = np.cumsum(share) - 0.5 * share
     # Trips that would have met a spot, had there been one.
     exposed = float((used @ np.interp(known.log_levels, levels, share)).sum() + onset[:, 0].sum())
     short = float((present - expected.long[seen]).sum())

@@ -114,92 +114,110 @@ def along_line(
     mass = np.empty(classes)
     log_likelihood = 0.0
     for b in range(bins):
-        into = 0 if likelihood_only else b
+        into, like = 0 if likelihood_only else b, likelihood[b]
         if b > 0:
             for c in range(classes):
                 _banded(diagonals[0, c], half[c], now[c, edge - half[c] :], moved[c])
-        for c in range(classes):
-            drawn = 0.0 if b > 0 else share[c]
-            for other in range(classes):
-                if b > 0 and other != c and fresh[other, c]:
-                    drawn += switch[other, c] * mass[other]
-            for i in range(size):
-                ahead[into, c, i] = drawn * start[c, i]
-            for other in range(classes):
-                rate = switch[other, c]
-                if b > 0 and rate > 0.0 and (other == c or not fresh[other, c]):
-                    for i in range(size):
-                        ahead[into, c, i] += rate * moved[other, i]
         scale = 0.0
         for c in range(classes):
-            mass[c] = 0.0
+            drawn, here, begin = 0.0 if b > 0 else share[c], ahead[into, c], start[c]
+            for other in range(classes):
+                if b > 0 and fresh[other, c]:
+                    drawn += switch[other, c] * mass[other]
             for i in range(size):
-                now[c, edge + i] = ahead[into, c, i] * likelihood[b, i]
-                mass[c] += now[c, edge + i]
-            scale += mass[c]
+                here[i] = drawn * begin[i]
+            for other in range(classes):
+                rate, came = switch[other, c], moved[other]
+                if b > 0 and rate > 0.0 and not fresh[other, c]:
+                    for i in range(size):
+                        here[i] += rate * came[i]
+        for c in range(classes):
+            here, given, total = ahead[into, c], now[c, edge : edge + size], 0.0
+            for i in range(size):
+                given[i] = here[i] * like[i]
+                total += given[i]
+            mass[c] = total
+            scale += total
         log_likelihood += np.log(scale)
         for c in range(classes):
+            given = now[c, edge : edge + size]
             mass[c] /= scale
             for i in range(size):
-                now[c, edge + i] /= scale
+                given[i] /= scale
     held, moves = np.zeros((classes, size)), np.zeros((classes, classes))
     known = 0 if likelihood_only else bins
     cavity, low = np.zeros((known, size)), np.zeros(known)
     behind[:, edge : edge + size] = 1.0
     one, drawn_from = np.zeros(classes), np.zeros(classes)
-    joint = np.zeros((classes, classes))
+    joint, left = np.zeros((classes, classes)), np.empty(size)
     for b in range(known - 1, -1, -1):
-        norm, every = 0.0, 0.0
+        like, away = likelihood[b], cavity[b]
+        every = 0.0
         for c in range(classes):
-            one[c] = 0.0
+            here, given, total = ahead[b, c], behind[c, edge : edge + size], 0.0
             for i in range(size):
-                value = ahead[b, c, i] * behind[c, edge + i]
-                cavity[b, i] += value
-                norm += value
-                one[c] += value * likelihood[b, i]
-            every += one[c]
+                away[i] += here[i] * given[i]
+                given[i] *= like[i]
+                total += here[i] * given[i]
+            one[c] = total
+            every += total
+        norm = 0.0
         for i in range(size):
-            cavity[b, i] /= norm
+            norm += away[i]
+        for i in range(size):
+            away[i] /= norm
         low[b] = one[classes - 1] / every
         for c in range(classes):
-            drawn_from[c] = 0.0
+            given, begin, total = behind[c, edge : edge + size], start[c], 0.0
             for i in range(size):
-                behind[c, edge + i] *= likelihood[b, i]
-                drawn_from[c] += start[c, i] * behind[c, edge + i]
-                if not flat[b]:
-                    held[c, i] += ahead[b, c, i] * behind[c, edge + i] / every
+                total += begin[i] * given[i]
+            drawn_from[c] = total
+            if not flat[b]:
+                here, into_class = ahead[b, c], held[c]
+                for i in range(size):
+                    into_class[i] += here[i] * given[i] / every
             if b > 0:
                 _banded(diagonals[1, c], half[c], behind[c, edge - half[c] :], back[c])
-        if b > 0 and not (flat[b] and flat[b - 1]):
-            total = 0.0
+        if b == 0:
+            break
+        if not (flat[b] and flat[b - 1]):
+            every, like = 0.0, likelihood[b - 1]
+            for c in range(classes):
+                here, whole = ahead[b - 1, c], 0.0
+                for i in range(size):
+                    left[i] = here[i] * like[i]
+                    whole += left[i]
+                for to in range(classes):
+                    came, total = back[to], 0.0
+                    if fresh[c, to]:
+                        total = whole * drawn_from[to]
+                    else:
+                        for i in range(size):
+                            total += left[i] * came[i]
+                    joint[c, to] = switch[c, to] * total
+                    every += joint[c, to]
             for c in range(classes):
                 for to in range(classes):
-                    joint[c, to] = 0.0
-                    for i in range(size):
-                        came = drawn_from[to] if fresh[c, to] else back[to, i]
-                        joint[c, to] += ahead[b - 1, c, i] * likelihood[b - 1, i] * came
-                    joint[c, to] *= switch[c, to]
-                    total += joint[c, to]
-            for c in range(classes):
-                for to in range(classes):
-                    moves[c, to] += joint[c, to] / total
+                    moves[c, to] += joint[c, to] / every
         top = 0.0
         for c in range(classes):
-            drawn = 0.0
+            drawn, given = 0.0, behind[c, edge : edge + size]
             for to in range(classes):
                 if fresh[c, to]:
                     drawn += switch[c, to] * drawn_from[to]
             for i in range(size):
-                moved[c, i] = drawn
+                given[i] = drawn
             for to in range(classes):
-                if b > 0 and switch[c, to] > 0.0 and not fresh[c, to]:
+                rate, came = switch[c, to], back[to]
+                if rate > 0.0 and not fresh[c, to]:
                     for i in range(size):
-                        moved[c, i] += switch[c, to] * back[to, i]
+                        given[i] += rate * came[i]
             for i in range(size):
-                top = max(top, moved[c, i])
+                top = max(top, given[i])
         for c in range(classes):
+            given = behind[c, edge : edge + size]
             for i in range(size):
-                behind[c, edge + i] = moved[c, i] / top if b > 0 else 1.0
+                given[i] /= top
     return log_likelihood, cavity, low, moves, held
 
 
