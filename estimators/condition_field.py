@@ -74,6 +74,7 @@ def _grid(now: FieldParameters, bin_length: float) -> LevelGrid:
     smooth = now.std * np.sqrt(1.0 - rho**2) > SMOOTH * 2.0 * STEP
     return COARSE if smooth else FINE
 
+
 ROUNDS = 10
 """Of the messages between the chains of places and days, and of the parameters."""
 
@@ -469,9 +470,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         levels = grid.levels
         tail = log_ndtr((levels[None, :] - known.log_levels[:, None]) / now.trip_std)
         lasting = (1.0 - now.slippery_share) * normal_on_grid(now.mean, now.std, levels)
-        lasting += now.slippery_share * normal_on_grid(
-            now.slippery_mean, now.slippery_std, levels
-        )
+        lasting += now.slippery_share * normal_on_grid(now.slippery_mean, now.slippery_std, levels)
         if cavity is None:
             cavity = np.tile(lasting, (known.bins, 1))
         cavity = grid.of(cavity)
@@ -488,7 +487,9 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         likelihood = used @ tail
         likelihood[rows.bins] = log_like
         likelihood = np.exp(np.maximum(likelihood - likelihood.max(axis=1, keepdims=True), -90.0))
-        _, cavity, slippery, moves, held = _line(likelihood, flat, now, switch, known.bin_length, grid)
+        _, cavity, slippery, moves, held = _line(
+            likelihood, flat, now, switch, known.bin_length, grid
+        )
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
         if turn == rounds - 1:
