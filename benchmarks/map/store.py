@@ -65,7 +65,9 @@ def drawn(number: int, bins: int) -> Recording:
     used = np.zeros((bins, LEVELS.size))
     level = np.clip(np.cumsum(rng.integers(-1, 2, bins)) + 8, 0, 25)
     used[np.arange(bins), level] = (events == 0) & (rng.uniform(size=bins) < 0.8)
-    piece = DailyEvidence.of_bins(20_000 + number % DAYS, events, weight, logs, used)
+    square = np.round(logs**2 / np.where(weight > 0.0, weight, 1.0) * 2**20) / 2**20
+    day = 20_000 + number % DAYS
+    piece = DailyEvidence.of_bins(day, events, weight, logs, used, weighted_square=square)
     entry = {"trip": f"t{number}", "sha256": f"{number:064x}", "layer": "wet", "identity": ""}
     return Recording("wet", entry, evidence={"wet": piece})
 

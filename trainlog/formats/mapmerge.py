@@ -10,14 +10,8 @@ import numpy as np
 
 from trainlog.errors import InputError
 from trainlog.formats.files import write_bytes
-from trainlog.formats.mapfile import (
-    INSERT,
-    MapFile,
-    insert_sums,
-    new_database,
-    reasons_of,
-    serialized,
-)
+from trainlog.formats.mapdatabase import INSERT, insert_sums, new_database, serialized
+from trainlog.formats.mapfile import MapFile, reasons_of
 from trainlog.formats.recordings import Row, changed_row
 from trainlog.identity import overlapping, same_drives
 from trainlog.railway.condition import TrackConditionMap

@@ -180,6 +180,8 @@ class DailyEvidence:
         """That of the days from `first` to `last`, both included."""
         own = (self.day >= first) & (self.day <= last)
         used = (self.used_day >= first) & (self.used_day <= last)
+        if own.all() and used.all():
+            return self
         return DailyEvidence(
             self.bins,
             self.levels,
@@ -216,22 +218,19 @@ def _added(
     sizes: tuple[int, ...],
 ) -> dict[str, Any]:
     """Keys and sums of the rows of all pieces, in the keys' order; sizes are those of the last."""
-    parts: dict[str, Any] = {
-        name: np.concatenate([getattr(piece, name) for piece in pieces])
-        for name in (*keys, *columns)
-    }
-    one = parts[keys[0]].astype(np.int64)
-    for name, size in zip(keys[1:], sizes, strict=True):
-        one = one * size + parts[name]
-    if one.size == 0:
-        return parts
-    low, span = int(one.min()), int(np.ptp(one)) + 1
+    given = [piece for piece in pieces if getattr(piece, keys[0]).size] or pieces[:1]
+    parts = {name: _joined(given, name) for name in columns}
+    if _are_increasing(_places(piece, keys, sizes) for piece in given):
+        return parts | {name: _joined(given, name) for name in keys}
+    one = np.concatenate([_places(piece, keys, sizes) for piece in given])
+    low = int(one.min())
+    span = int(one.max()) - low + 1
     if span <= _DENSE * one.size:
         # Many pieces of few days: counting is several times faster than sorting.
-        places = one - low
-        there = np.flatnonzero(np.bincount(places, minlength=span))
+        one -= low
+        there = np.flatnonzero(np.bincount(one, minlength=span))
         found: dict[str, Any] = {
-            name: np.bincount(places, parts[name], minlength=span)[there] for name in columns
+            name: np.bincount(one, parts[name], minlength=span)[there] for name in columns
         }
         rest = there.astype(np.int64) + low
         for name, size in zip(keys[:0:-1], sizes[::-1], strict=True):
@@ -239,6 +238,31 @@ def _added(
         return found | {keys[0]: rest}
     order = np.argsort(one, kind="stable")
     starts = np.flatnonzero(np.diff(one[order], prepend=one[order[0]] - 1))
-    return {name: parts[name][order][starts] for name in keys} | {
+    return {name: _joined(given, name)[order][starts] for name in keys} | {
         name: np.add.reduceat(parts[name][order], starts) for name in columns
     }
+
+
+def _joined(pieces: list[DailyEvidence], name: str) -> NDArray[Any]:
+    """A column of all pieces."""
+    columns = [getattr(piece, name) for piece in pieces]
+    return columns[0] if len(columns) == 1 else np.concatenate(columns)
+
+
+def _are_increasing(places: Iterable[IntArray]) -> bool:
+    """Whether the rows of the pieces, one behind the other, are in order, and none is twice."""
+    last = -np.inf
+    for each in places:
+        if each.size and (each[0] <= last or np.any(each[1:] <= each[:-1])):
+            return False
+        last = each[-1] if each.size else last
+    return True
+
+
+def _places(piece: DailyEvidence, keys: tuple[str, ...], sizes: tuple[int, ...]) -> IntArray:
+    """One number for the keys of each row, in their order."""
+    found: IntArray = getattr(piece, keys[0]).astype(np.int64)
+    for name, size in zip(keys[1:], sizes, strict=True):
+        found *= size
+        found += getattr(piece, name)
+    return found
