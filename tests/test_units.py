@@ -5,7 +5,7 @@ import re
 import pytest
 
 from trainlog.errors import InputError
-from trainlog.units import factor, si_unit, to_si
+from trainlog.units import _FACTORS, _registry, _spelled, factor, si_unit, to_si
 
 
 @pytest.mark.parametrize(
@@ -50,3 +50,10 @@ def test_a_misspelt_unit_is_answered_with_the_common_spelling(unit: str, meant: 
         InputError, match=f"declare a unit of that kind, for example '{re.escape(kind)}'"
     ):
         factor("kg", kind)
+
+
+@pytest.mark.parametrize(("unit", "si"), _FACTORS)
+def test_units_of_own_files_are_converted_as_all_others(unit: str, si: str) -> None:
+    registry = _registry()
+    source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
+    assert factor(unit, si) == (float(registry.Quantity(1.0, source).to(target).magnitude), 0.0)

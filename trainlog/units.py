@@ -61,6 +61,22 @@ def _registry() -> UnitRegistry[Any]:
     return registry
 
 
+_FACTORS = {
+    (unit, unit): 1.0 for unit in ("%", "1", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N")
+} | {
+    ("%", "1"): 0.01,
+    ("km", "m"): 1000.0,
+    ("km/h", "m/s"): 0.2777777777777778,
+    ("kN", "N"): 1000.0,
+    ("kN/(km/h)", "N/(m/s)"): 3600.0,
+    ("kN/(km/h)^2", "N/(m/s)^2"): 12960.0,
+    ("kW", "W"): 1000.0,
+    ("permil", "1"): 0.001,
+    ("t", "kg"): 1000.0,
+}
+"""Multipliers of the units in trainlog's own files: reading these must not wait for all others."""
+
+
 @cache
 def factor(unit: str, si: str) -> tuple[float, float]:
     """Multiplier and offset that turn a number in `unit` into the SI unit `si`.
@@ -81,6 +97,8 @@ def factor(unit: str, si: str) -> tuple[float, float]:
     Traceback (most recent call last):
     trainlog.errors.InputError: unit 'kg' cannot be read as m/s; declare a unit...
     """
+    if (unit, si) in _FACTORS:
+        return _FACTORS[unit, si], 0.0
     registry = _registry()
     try:
         source = registry.parse_units(_spelled(unit))

@@ -44,8 +44,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.sparse import hstack
 
 from analysis.resistance.windows import Windows
 from trainlog.railway.line import Line
@@ -172,6 +170,8 @@ class NoiseParts:
         mass : float [kg]
             To turn effort into acceleration; 10 % off does not matter.
         """
+        from scipy.sparse import hstack
+
         groups = hstack([GRAVITY * windows.sections, windows.edges], format="csr")
         groups.eliminate_zeros()
         groups.sort_indices()
@@ -284,6 +284,8 @@ class Likelihood:
 
 def estimate_noise(likelihood: Likelihood) -> NoiseModel:
     """Size of each cause of noise by restricted maximum likelihood."""
+    from scipy.optimize import minimize
+
     start = np.concatenate((np.zeros((1, 4)), -0.5 * np.eye(4)))
     found = minimize(
         likelihood.deviance,

@@ -33,8 +33,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import maximum_filter1d
-from scipy.optimize import brentq
 from scipy.special import stdtr
 
 from analysis.resistance.noise import (
@@ -89,6 +87,8 @@ def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: fl
     freedom : float
         Degrees of freedom of the noise's estimate.
     """
+    from scipy.optimize import brentq
+
     # The path of the normalised curve on the unit sphere.
     root = np.linalg.cholesky(covariance)
     path = powers(np.linspace(*speeds, 201)) @ root
@@ -283,6 +283,8 @@ def regress(
     -------
     Regression
     """
+    from scipy.ndimage import maximum_filter1d
+
     spread = np.array([mass_std / mass**2, *DRAG_STD, delay_std / mass, BRAKE_SCALE_STD / mass])
     expected = np.array([1.0 / mass, 0.0, 0.0, 0.0, 0.0, 0.0])
     prior = np.column_stack([np.diag(1.0 / spread), expected / spread])
