@@ -23,6 +23,7 @@ import trainlog
 from analysis import update_map
 from analysis.adhesion.condition_map import adhesion_map, empty_map, update
 from trainlog.cli.main import app
+from trainlog.errors import InputError
 from trainlog.formats.condition import map_to_bytes, read_map
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.samples import sample
@@ -244,6 +245,38 @@ class TestCommand:
         assert status == 2
         assert complaint.count("bad.mcap") == 2
         assert not (tmp_path / "a.map").exists()
+
+    def test_what_is_no_map_is_named_and_kept(self, logs: Path, tmp_path: Path) -> None:
+        earlier = b'{"format": "trainlog/condition", "version": 1}'
+        for name, data, message in (
+            ("a.map.json", earlier, "of an earlier version (JSON); build the map anew from the"),
+            ("a.map", earlier, "of an earlier version (JSON); build the map anew from the"),
+            ("b.map", (logs / "trip-01.mcap").read_bytes(), "but a log (MCAP); name a map that"),
+            ("trip.mcap", (logs / "trip-01.mcap").read_bytes(), "but a log (MCAP); name a map"),
+            ("empty.map", b"", "is empty; build the map anew from the logs"),
+        ):
+            path = tmp_path / name
+            path.write_bytes(data)
+            with pytest.raises(InputError) as found:
+                self.run("map", "update", logs, "--map", path)
+            assert message in str(found.value)
+            assert str(path) in str(found.value)
+            assert path.read_bytes() == data
+
+    def test_info_lists_what_a_map_holds(self, logs: Path, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        assert self.run("map", "update", logs, "--map", path)[0] == 0
+        before = path.read_bytes()
+        status, shown, _ = self.run("info", path, sample("CH_StGallen_Wil.map"))
+        assert status == 0
+        assert path.read_bytes() == before
+        words = " ".join(shown.split())
+        assert f"line {hilly_line().name}, " in words
+        assert "trips 3 trips, 1 day, 2" in words
+        assert "layer dry" in words
+        assert "line CH_StGallen_Wil, 29.6 km, 1183 bins of 25 m" in words
+        track = read_map(sample("CH_StGallen_Wil.map"))
+        assert f"trips {len(track.trips)} trips" in words
 
     def test_maps_are_merged_and_compacted(self, logs: Path, tmp_path: Path) -> None:
         every = sorted(logs.iterdir())

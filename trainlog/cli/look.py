@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.table import Table
 
 from trainlog.cli.options import (
     FromOption,
@@ -17,12 +19,16 @@ from trainlog.cli.options import (
     part_of,
 )
 from trainlog.cli.terminal import console, print_account, print_error, progress_bar, working, wrote
+from trainlog.display import counted
 from trainlog.errors import LogError
 
 app = typer.Typer()
 
 LogsOrConsists = Annotated[
-    list[Path], typer.Argument(help="Logs (.mcap), folders of logs, or consists (.consist.json).")
+    list[Path],
+    typer.Argument(
+        help="Logs (.mcap), folders of logs, consists (.consist.json), track-condition maps (.map)."
+    ),
 ]
 
 PIECE = 200_000
@@ -33,7 +39,8 @@ PIECE = 200_000
 def info(logs: LogsOrConsists) -> None:
     """List what a log holds: topics, units, rates, time and position span, gaps, passport.
 
-    Of a consist (.consist.json) its vehicles, couplers and brake.
+    Of a consist (.consist.json) its vehicles, couplers and brake; of a track-condition map
+    (.map) its line, layers, trips and days.
 
     Example: trainlog info results/trips/trip-01.mcap
     """
@@ -47,11 +54,43 @@ def info(logs: LogsOrConsists) -> None:
     for log in logs_in(logs):
         if log.name.endswith(".consist.json"):
             console.print(consist_tables(read_consist(log)))
+        elif log.suffix == ".map":
+            console.print(_map_contents(log))
         else:
             description = describe(log)
             console.print(render(description))
             if PASSPORT_ATTACHMENT in (each.name for each in description.attachments):
                 console.print(repr(passport_of(read_log(log, []))), highlight=False, markup=False)
+
+
+def _map_contents(path: Path) -> Table:
+    """What the file of a track-condition map holds; `trainlog map show` makes estimates of it."""
+    from trainlog.formats.mapfile import MapFile
+
+    with MapFile(path) as file, file.unchanging():
+        track, layers, recordings = file.empty, file.contents(), len(file.trips())
+    table = Table.grid(padding=(0, 2))
+    table.title, table.title_justify = path.name, "left"
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    length = f"{track.length / 1e3:.1f} km, {track.bins} bins of {track.bin_length:g} m"
+    table.add_row("line", f"{track.line}, {length}")
+    every = sorted({day for _, days in layers.values() for day in days})
+    counts = sum(trips for trips, _ in layers.values())
+    more = recordings - counts
+    beside = f"; {counted(more, 'recording')} more of drives that count" if more else ""
+    table.add_row("trips", f"{counted(counts, 'trip')}, {_period(every)}{beside}")
+    for layer, (trips, days) in layers.items():
+        table.add_row(f"layer {layer}", f"{counted(trips, 'trip')}, {_period(days)}")
+    return table
+
+
+def _period(days: list[int]) -> str:
+    """Days since 1970-01-01: how many, the first and the last."""
+    if not days:
+        return "no evidence"
+    first, last = (date(1970, 1, 1) + timedelta(days=days[end]) for end in (0, -1))
+    return f"{counted(len(days), 'day')}, {first}" + (f" to {last}" if last > first else "")
 
 
 @app.command(rich_help_panel="Look")

@@ -52,8 +52,11 @@ def map_update(
     import json
 
     from analysis.adhesion.updating import update_map
+    from trainlog.formats.mapfile import MapFile
     from trainlog.formats.weather import read_weather
 
+    if condition.is_file():
+        MapFile(condition).close()  # what is no map is named before logs are read
     destination(condition, ".map")
     stated = None if weather is None else read_weather(weather)
     found = logs_in(logs)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -250,6 +251,20 @@ class MapFile:
                 latest = [DailyEvidence.total([*latest, rows])]
         return DailyEvidence.total([*done, *latest])
 
+    def contents(self) -> dict[str, tuple[int, list[int]]]:
+        """Trips that count, and the days of their evidence, by layer; it is not added up."""
+        days = {layer: set(piece.days.tolist()) for layer, piece in self.sums().items()}
+        trips: Counter[str] = Counter()
+        for row in self.trips():
+            if row.counted:
+                trips[row.layer] += 1
+                first, last = row.days
+                for layer in row.pieces:
+                    days.setdefault(layer, set()).update(
+                        range(first, last + 1) if last >= 0 else ()
+                    )
+        return {each: (trips[each], sorted(days.get(each, ()))) for each in sorted({*trips, *days})}
+
     def amount(self) -> tuple[int, int]:
         """How many trips count, and of how many days."""
         with refusing(self.path):
@@ -453,6 +468,5 @@ def _pieces_of(rows: Iterable[Row]) -> dict[str, list[_Piece]]:
     found: dict[str, list[_Piece]] = {}
     for row in rows:
         for layer, digest in row.pieces.items() if row.counted else ():
-            days = (-1, -1) if row.first_day is None else (row.first_day, row.last_day)
-            found.setdefault(layer, []).append(_Piece(*days, digest))
+            found.setdefault(layer, []).append(_Piece(*row.days, digest))
     return found

@@ -124,6 +124,13 @@ class Row:
         return (*self.values, sealed(self.values))
 
     @property
+    def days(self) -> tuple[int, int]:
+        """The first and the last with evidence; (-1, -1) if there is none."""
+        if self.first_day is None or self.last_day is None:
+            return -1, -1
+        return self.first_day, self.last_day
+
+    @property
     def pieces(self) -> dict[str, str]:
         """Digests of the evidence by layer; none if it is in the sums."""
         found: dict[str, str] = json.loads(self.evidence) if self.evidence else {}
