@@ -21,6 +21,7 @@ from estimators.condition_passes import (
     WIDE,
     along_line,
     beside,
+    diagonals_of,
     emissions,
     over_days,
 )
@@ -570,10 +571,11 @@ def _line(
     low = _kernel(now.slippery_mean, now.slippery_std, rho_low, grid.levels)
     start = [normal_on_grid(now.mean, now.std, grid.levels)] * 2
     start += [normal_on_grid(now.slippery_mean, now.slippery_std, grid.levels)]
-    kernels = np.array([normal, normal, low])
+    half, diagonals = diagonals_of(np.array([normal, normal, low]))
     return along_line(  # type: ignore[no-any-return]
-        likelihood, flat, _share(switch), np.array(start), kernels, switch, FRESH, likelihood_only
-    )
+        likelihood, flat, _share(switch), np.array(start), half, diagonals, switch, FRESH,
+        likelihood_only,
+    )  # fmt: skip
 
 
 def _share(switch: FloatArray) -> FloatArray:

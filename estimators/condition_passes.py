@@ -24,31 +24,22 @@ FAST = {"reassoc", "contract", "nsz"}
 """Freedom of the compiler to add up in another order, so that sums are vectorised."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _diagonals(kernels: FloatArray) -> tuple[IntArray, FloatArray]:
+def diagonals_of(kernels: FloatArray) -> tuple[IntArray, FloatArray]:
     """Half band width of each kernel; diagonals of the kernels, and of the kernels transposed.
 
     Diagonal ``d`` of class ``c`` holds ``kernels[c, j + d - half[c], j]`` at ``j``.
     """
     classes, size, _ = kernels.shape
+    c, i, j = np.nonzero(kernels)
     half = np.zeros(classes, dtype=np.int64)
-    for c in range(classes):
-        for i in range(size):
-            for j in range(size):
-                if kernels[c, i, j] > 0.0:
-                    half[c] = max(half[c], abs(i - j))
-    diagonals = np.zeros((2, classes, 2 * half.max() + 1, size))
-    for c in range(classes):
-        for d in range(2 * half[c] + 1):
-            for j in range(size):
-                i = j + d - half[c]
-                if 0 <= i < size:
-                    diagonals[0, c, d, j] = kernels[c, i, j]
-                    diagonals[1, c, d, j] = kernels[c, j, i]
+    np.maximum.at(half, c, np.abs(i - j))
+    diagonals = np.zeros((2, classes, 2 * int(half.max()) + 1, size))
+    diagonals[0, c, i - j + half[c], j] = kernels[c, i, j]
+    diagonals[1, c, j - i + half[c], i] = kernels[c, i, j]
     return half, diagonals
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
 def _banded(diagonals: FloatArray, half: int, given: FloatArray, out: FloatArray) -> None:
     """``out[j] = sum_d diagonals[d, j] given[j + d]``; `given` begins `half` cells before `out`."""
     for j in range(out.size):
@@ -59,13 +50,14 @@ def _banded(diagonals: FloatArray, half: int, given: FloatArray, out: FloatArray
             out[j] += row[j] * shifted[j]
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
 def along_line(
     likelihood: FloatArray,
     flat: NDArray[np.bool_],
     share: FloatArray,
     start: FloatArray,
-    kernels: FloatArray,
+    half: IntArray,
+    diagonals: FloatArray,
     switch: FloatArray,
     fresh: NDArray[np.bool_],
     likelihood_only: bool,
@@ -82,8 +74,8 @@ def along_line(
         Stationary probability of each class.
     start : (c, k) array
         Stationary distribution of the level in each class.
-    kernels : (c, k, k) array
-        Transition of the level within a class; 0 away from a band.
+    half, diagonals : arrays
+        Transition of the level within each class, as `diagonals_of` gives it.
     switch : (c, c) array
         Transition between classes.
     fresh : (c, c) bool array
@@ -105,7 +97,6 @@ def along_line(
     """
     bins, size = likelihood.shape
     classes = share.size
-    half, diagonals = _diagonals(kernels)
     edge = half.max()
     ahead = np.empty((1 if likelihood_only else bins, classes, size))
     # With cells of 0 on either side, which the diagonals reach.
@@ -147,7 +138,10 @@ def along_line(
     held, moves = np.zeros((classes, size)), np.zeros((classes, classes))
     known = 0 if likelihood_only else bins
     cavity, low = np.zeros((known, size)), np.zeros(known)
-    behind[:, edge : edge + size] = 1.0
+    for c in range(classes):
+        given = behind[c, edge : edge + size]
+        for i in range(size):
+            given[i] = 1.0
     one, drawn_from = np.zeros(classes), np.zeros(classes)
     joint, left = np.zeros((classes, classes)), np.empty(size)
     for b in range(known - 1, -1, -1):
@@ -229,7 +223,7 @@ ASTRAY = 0.03
 """Probability that the onsets of a day in a bin do not show its own maximum."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def emissions(
     onset: FloatArray,
     used_start: IntArray,
@@ -271,7 +265,8 @@ def emissions(
         left -= spot[i]
         beyond[i] = max(left, 0.0)
     for r in range(rows):
-        bearing[:] = 0.0
+        for i in range(size):
+            bearing[i] = 0.0
         trips = onset[r, 0]
         for e in range(used_start[r], used_start[r + 1]):
             trips += used_trips[e]
@@ -279,7 +274,8 @@ def emissions(
                 bearing[i] += used_trips[e] * log_tail[used_level[e], i]
         count = int(onset[r, 0])
         if count == 0:
-            plain[r] = bearing
+            for i in range(size):
+                plain[r, i] = bearing[i]
             continue
         mean, scatter = onset[r, 1], onset[r, 2]
         variance = trip_std**2 + onset[r, 3]
@@ -330,7 +326,7 @@ def emissions(
     return plain, short
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _log_mean_exp(values: FloatArray, weights: FloatArray) -> float:
     top = values.max()
     total = 0.0
@@ -339,7 +335,7 @@ def _log_mean_exp(values: FloatArray, weights: FloatArray) -> float:
     return float(top + np.log(total))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def blurred(probability: FloatArray, std: FloatArray, step: float) -> FloatArray:
     """Each row of probabilities on a grid, with a normal error of its own added; (n, k) array."""
     rows, size = probability.shape
@@ -362,7 +358,7 @@ def blurred(probability: FloatArray, std: FloatArray, step: float) -> FloatArray
     return out
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
 def over_days(
     bin_start: IntArray,
     day: FloatArray,
@@ -420,7 +416,7 @@ def over_days(
     log_likelihood = np.empty((bins, size))
     present, long = np.zeros(rows), np.zeros(rows)
     state = np.zeros((bins, states))
-    turnover = np.zeros(4)
+    turnover, weight = np.zeros(4), np.empty(size)
     cut = np.zeros(rows)
     for b in range(bins):
         first, last = bin_start[b], bin_start[b + 1]
@@ -541,9 +537,12 @@ def over_days(
                     free /= top
                     for j in range(held):
                         back[j] /= top
-        largest = log_likelihood[b].max()
-        weight = cavity[b] * np.exp(log_likelihood[b] - largest)
-        weight /= weight.sum()
+        largest, total = log_likelihood[b].max(), 0.0
+        for i in range(size):
+            weight[i] = cavity[b, i] * np.exp(log_likelihood[b, i] - largest)
+            total += weight[i]
+        for i in range(size):
+            weight[i] /= total
         for n in range(count):
             for i in range(size):
                 long[first + n] += weight[i] * long_at[n, i]
@@ -561,7 +560,7 @@ def over_days(
     return log_likelihood, present, long, state, turnover, cut
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _passed(
     message: float, odds: float, base: float, other: float, tie: float, alike: float
 ) -> float:
@@ -573,7 +572,7 @@ def _passed(
     return float(np.log(one / none) - np.log(other / (1.0 - other)))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def beside(
     order: IntArray,
     day: IntArray,

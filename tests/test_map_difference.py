@@ -88,13 +88,13 @@ def test_a_made_up_change_is_found_and_nothing_else(whole: TrackConditionMap) ->
 
 
 def test_where_nothing_changed_little_is_found() -> None:
-    """At most one comparison in twenty may find anything; of three, one with bad luck."""
+    """At most one comparison in twenty may find anything; of twelve, two at most with luck."""
     found = [
         analysis.map_difference(a_map(range(40), seed, change=False), since=DAY + 19)
-        for seed in range(3)
+        for seed in range(12)
     ]
     assert all(len(each.bins) >= 50 for each in found)
-    assert sum(each.changed for each in found) <= 1
+    assert sum(each.changed for each in found) <= 2
     quiet = next(each for each in found if not each.changed)
     assert "No significant change" in quiet.sentence
     assert quiet.bins["probability"].mean() < 0.5
