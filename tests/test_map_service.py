@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -119,6 +120,47 @@ class TestProcesses:
         assert not list(tmp_path.glob(".*"))
 
 
+def updater(logs: Path, path: Path) -> subprocess.Popen[str]:
+    """The command, as cron runs it."""
+    words = [sys.executable, "-m", "trainlog", "map", "update", str(logs), "--map", str(path)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "COLUMNS": "200"}
+    return subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    )
+
+
+def kill_and_update(logs: Path, folder: Path, rounds: int, updaters: int = 5) -> int:
+    """Commands that update one map from one folder at once: all are killed, then all may end.
+
+    Returns how many were killed before they had ended.
+    """
+    expected = map_to_bytes(adhesion_map(logs).track)
+    rng, killed = np.random.default_rng(2), 0
+    for number in range(rounds):
+        path = folder / f"killed-{number}.map"
+        running = [updater(logs, path) for _ in range(updaters)]
+        assert running[0].stdout is not None
+        first = running[0].stdout.readline()
+        time.sleep(float(rng.uniform(0.0, 0.3)))
+        for each in running:
+            each.kill()
+        shown = first + "".join(each.communicate()[0] for each in running)
+        killed += sum(each.returncode != 0 for each in running)
+        added = re.findall(r"trip '([^']+)' added to", shown)
+        assert len(set(added)) == len(added), "a trip was stated as added twice"
+        with MapFile(path) as file:
+            names = [row.known.name for row in file.trips() if row.counted]
+        assert len(set(names)) == len(names), "a trip is there twice"
+        assert set(added) <= set(names), "an acknowledged trip is missing"
+        running = [updater(logs, path) for _ in range(updaters)]
+        for each in running:
+            shown, complaint = each.communicate()
+            assert (each.returncode, complaint) == (0, "")
+            assert f"the map holds {len(list(logs.iterdir()))} trips" in shown
+        assert map_to_bytes(read_map(path)) == expected
+    return killed
+
+
 @pytest.fixture(scope="module")
 def trips() -> list[Trip]:
     return [simulate(each) for each in draw_scenarios(hilly_line(), flirt(), 3, seed=1)]
@@ -133,6 +175,14 @@ def logs(trips: list[Trip], tmp_path: Path) -> Path:
         write_log(trip, folder / f"{trip.name}.mcap")
         os.utime(folder / f"{trip.name}.mcap", (1_700_000_000, 1_700_000_000))
     return folder
+
+
+class TestCommandsAtOnce:
+    @pytest.mark.long
+    def test_killed_commands_lose_nothing_that_they_stated(
+        self, logs: Path, tmp_path: Path
+    ) -> None:
+        assert kill_and_update(logs, tmp_path, rounds=4) >= 10
 
 
 class TestUpdate:
