@@ -144,6 +144,8 @@ def kill_and_update(logs: Path, folder: Path, rounds: int, updaters: int = 5) ->
         time.sleep(float(rng.uniform(0.0, 0.3)))
         for each in running:
             each.kill()
+        # What is buffered with the first line is not in what `communicate` returns.
+        first += running[0].stdout.read()
         shown = first + "".join(each.communicate()[0] for each in running)
         killed += sum(each.returncode != 0 for each in running)
         added = re.findall(r"trip '([^']+)' added to", shown)
