@@ -36,7 +36,6 @@ class Shared:
     fails: Callable[[float], bool] = lambda _: False
     name: str = "shared"
     unsolved: int = 0
-    late: int = 0
     seen: list[DriveReading] = field(default_factory=list)
 
     def efforts(self, reading: DriveReading) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -58,11 +59,14 @@ def driven(
     train: Train = TRAIN,
     seconds: float = 15.0,
     layer: str | None = "wet",
+    mass: float = MASS,
+    start: float | None = None,
 ) -> Driven:
     """All effort is demanded at 12 m/s on one rail; what the speed changes by."""
     rail = StepProfile(np.zeros(1), np.array([maximum]))
-    unit = Plant.of(LINE, train, mass=MASS, maximum_adhesion=rail, characteristic=characteristic)
-    start = 22.0 if braking else 12.0
+    unit = Plant.of(LINE, train, mass=mass, maximum_adhesion=rail, characteristic=characteristic)
+    if start is None:
+        start = 22.0 if braking else 12.0
     state = unit.at(6_000.0, start)
     demand = (0.0, 150e3) if braking else (200e3, 0.0)
     steps = round(seconds / unit.parameters.step)
@@ -72,7 +76,7 @@ def driven(
     else:
         made = (
             CooperativeTraction(
-                train, LINE, condition=MAP if layer else None, layer=layer or "", mass=MASS
+                train, LINE, condition=MAP if layer else None, layer=layer or "", mass=mass
             )
             if control == "cooperative"
             else ReadhesionControl(train)
@@ -107,6 +111,19 @@ def test_on_a_slippery_rail_the_cooperative_control_pulls_as_much_as_the_rail_gi
     most = min(maximum * weight, 190e3) - resistance
     assert found.gained > 0.9 * most / inertia * 15.0
     assert found.unsolved == 0
+
+
+@pytest.mark.parametrize("maximum", [0.14, 0.17])
+def test_a_heavy_train_that_starts_slowly_stays_near_the_peak(maximum: float) -> None:
+    """Little way is made: what is known of the rail must not fade with time and draw slip down."""
+    mass = MASS + 260e3
+    train = replace(TRAIN, mass=TRAIN.mass + 260e3)
+    found = driven("cooperative", maximum, train=train, mass=mass, start=1.0, seconds=50.0)
+    weight = train.adhesive_weight(mass - train.mass)
+    resistance = float(train.resistance(5.0)) + float(train.track_force(LINE, 6_100.0, mass))
+    most = (min(maximum * weight, 190e3) - resistance) / (mass + train.rotating_mass) * 50.0
+    assert found.unsolved == 0
+    assert found.gained > 0.97 * most
 
 
 @pytest.mark.parametrize("count", [1, 6, 8, 12])
@@ -219,7 +236,10 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
     command += ["--train", "sample_logs/CH_Stadler_FLIRT_TPF.train.json"]
     result = CliRunner().invoke(app, [*command, "--map", str(tmp_path / "short.map")])
     assert result.exit_code == 0, result.output
-    assert "traction control cooperative: 0 of" in result.output
+    words = " ".join(result.output.split())
+    assert "traction control cooperative: 0 of" in words
+    assert re.search(r"decisions unsolved, \d+ late \(over 50 ms; longest \d+\.\d ms\)", words)
+    assert (tmp_path / "out" / "trip-01.traction.png").stat().st_size > 20_000
     trip = read_log(tmp_path / "out" / "trip-01.mcap")
     assert trip.metadata["traction_control"] == "cooperative"
     assert trip.metadata["traction_unsolved"] == "0"

@@ -1,4 +1,4 @@
-"""Picture of trips that followed a trajectory: reference and reality over km."""
+"""Pictures over km: trips that followed a trajectory, and a trip of a traction control."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
 from analysis.adhesion.events import protection_onsets
+from analysis.adhesion.slip import slip
 from analysis.plotting import (
     BLUE,
     GREY,
@@ -23,7 +26,7 @@ from analysis.plotting import (
 )
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of
-from trainlog.railway import Line
+from trainlog.railway import Line, TrackConditionMap
 from trainlog.trip import Trip
 from trainlog.units import KMH
 
@@ -79,6 +82,91 @@ def draw_following(trips: Sequence[Trip], path: str | Path) -> None:
     places[-1].set_xlim(0.0, line.length / 1e3)
     figure.align_ylabels(places)
     write_figure(figure, path)
+
+
+def draw_traction(
+    trip: Trip,
+    path: str | Path,
+    condition: TrackConditionMap | None = None,
+    layer: str | None = None,
+) -> None:
+    """Draw what a traction control made of the rail.
+
+    Speed; slip speeds of the powered axles, by the true speed; their efforts; the adhesion that
+    each used, by an observer, with the rail's true maximum and what the map made likely.
+
+    Parameters
+    ----------
+    trip : Trip
+        Simulated.
+    path : path
+        PNG file.
+    condition : TrackConditionMap, optional
+        That the control knew.
+    layer : str, optional
+        Of the map; default: the trip's weather.
+
+    Raises
+    ------
+    LogError
+        If the trip has no ``/truth`` or not each axle's speed and effort.
+    """
+    for topic in ("/truth", "/train/axles"):
+        if topic not in trip:
+            raise LogError(
+                f"trip '{trip.name}' has no {topic}",
+                remedy="give a trip of 'trainlog simulate --traction'",
+            )
+    truth = trip["/truth"]
+    found = slip(trip)
+    clock = found.time.as_unit("ns").asi8
+    own = pd.DatetimeIndex(truth.index).as_unit("ns").asi8
+    km = np.interp(clock, own, truth["position"]) / 1e3
+    speed = np.interp(clock, own, truth["speed"])
+    axles = trip["/train/axles"]
+    n = found.slip_speed.shape[1]
+    wheels = axles[[f"wheel_speed_{i + 1}" for i in range(n)]].to_numpy()
+    efforts = axles[[f"wheel_effort_{i + 1}" for i in range(n)]].to_numpy()
+    moving = (speed > 0.1)[:, None]
+    figure = new_figure(11.0, 9.5)
+    places = figure.subplots(4, 1, sharex=True, height_ratios=[1.0, 1.4, 1.2, 2.2])
+    places[0].plot(km, KMH * speed, color=INK, linewidth=0.8)
+    slips = np.where(moving, wheels / found.wheel_factor - speed[:, None], np.nan)
+    colours = axle_colours(n)
+    for i in range(n):
+        style = {"color": colours[i], "linewidth": 0.5}
+        places[1].plot(km, slips[:, i], **style)
+        places[2].plot(km, efforts[:, i] / 1e3, **style)
+        used = np.where(moving[:, 0], np.abs(found.adhesion[:, i]), np.nan)
+        places[3].plot(km, used, **style, label=f"in use, axle {i + 1}")
+    rail = places[3]
+    if condition is not None:
+        known = layer or trip.metadata.get("weather", "dry")
+        own_km, likely = condition.centres / 1e3, condition.likely(known, condition.centres, 0.0)
+        low, high = (condition.likely(known, condition.centres, each) for each in (1.0, -1.0))
+        rail.fill_between(own_km, low, high, color=PALE, zorder=0, label="map, one deviation")
+        rail.plot(own_km, likely, color=GREY, linewidth=1.2, label="map")
+    rail.plot(
+        truth["position"] / 1e3, truth["maximum_adhesion"], color=RED, linewidth=1.0,
+        label="maximum, true",
+    )  # fmt: skip
+    known_as = trip.metadata.get("traction_control", "the plant's own slip protection")
+    dress(places[0], x="", y="km/h", title=f"Speed; traction control: {known_as}")
+    dress(places[1], x="", y="m/s", title="Slip speed of each powered axle")
+    dress(places[2], x="", y="kN", title="Effort of each powered axle")
+    dress(rail, x="km", y="", title="Adhesion")
+    rail.set_ylim(0.0, None)
+    rail.legend(fontsize=8, frameon=False, ncols=4, loc="upper center")
+    rail.set_xlim(float(km.min()), float(km.max()))
+    figure.align_ylabels(places)
+    write_figure(figure, path)
+
+
+def axle_colours(n: int) -> list[tuple[float, float, float, float]]:
+    """A colour for each axle, from dark to light blue."""
+    dark, light = np.array(to_rgba(INK)), np.array(to_rgba(BLUE))
+    shares = np.linspace(0.0, 1.0, n)[:, None] if n > 1 else np.ones((1, 1))
+    return [tuple(map(float, each)) for each in dark + shares * (light - dark)]  # type: ignore[misc]
 
 
 def _km(trip: Trip) -> FloatArray:

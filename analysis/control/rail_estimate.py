@@ -33,7 +33,7 @@ of the slip speeds of the paper's, and before."""
 STRETCH_STD = 1.0
 """Of the logarithm of the stretch, before anything is measured."""
 
-SLIPS = np.linspace(0.05, 8.0, 160)
+SLIPS = np.geomspace(0.05, 8.0, 80)
 """Slip speeds of which one is sought [m/s]."""
 
 MAP_SPREAD = 0.15
@@ -44,21 +44,26 @@ OTHER_RAIL = 0.2
 
 GRID_STEP = float(np.log(MAXIMA[1] / MAXIMA[0]))
 
-DIFFUSION = 0.05
-"""Share of the probability that moves to each neighbouring maximum from sample to sample."""
+WANDERING = 0.01, 0.005
+"""How far the logarithm of the maximum wanders: by way [1/m^0.5], and by time [1/s^0.5]. A rail
+differs from place to place, and hardly while a train creeps over it: an estimate that wanders by
+time alone follows the slip speed down at a slow start, ever further below the peak."""
 
 ADHESION_RATE = 0.5
 """How fast adhesion in use may wander, for the observer [1/s^0.5]: a wheel meets a wet rail at
 once."""
 
-CHANGE_RATE = 0.5
-"""How often the rail is expected to become another one altogether [1/s]."""
+CHANGES = 0.04, 0.05
+"""How often the rail is expected to become another one altogether: by way [1/m], by time [1/s]."""
 
 MODEL_STD = 0.005, 0.05
 """Of what a creep curve gives: absolute, and relative to adhesion."""
 
-SLOPE_STEP = 1e-3
-"""For the slope of a creep curve [m/s]."""
+FARTHEST = 300.0
+"""Curves so many times e less likely than the likeliest have no probability."""
+
+UNLIKELY = 1e-6
+"""Curves of less probability do not count for the slip speed that is sought."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +96,8 @@ class RailEstimator:
     """Creep curve under each axle, learnt sample by sample.
 
     The force between wheel and rail comes from `estimators.adhesion.AdhesionObserver`. What it
-    says together with the slip speed is compared with many creep curves; from sample to sample the
-    rail wanders a little, and at times becomes any other. Far below the peak the maximum is known
+    says together with the slip speed is compared with many creep curves; on its way the rail
+    wanders a little, and at times becomes any other. Far below the peak the maximum is known
     by little but the rise of the curves: `low` and `high` are then far apart.
 
     The reference is where most adhesion is expected over all curves that are still possible, not
@@ -212,11 +217,18 @@ class RailEstimator:
         if last is not None:
             noise = force.std[-1] / self._locomotive.loads
             bayes_update(
-                self._probability, self._prior, CHANGE_RATE * self._period, self._curves,
+                self._probability, self._prior, self._moves(speed), self._curves,
                 0.5 * (slip + last), adhesion, noise, self._slip_variance,
             )  # fmt: skip
         self._slip, self._time = slip, self._time + self._period
         return self._estimate(adhesion)
+
+    def _moves(self, speed: float) -> tuple[float, float]:
+        """Probabilities that the maximum is the next one of the grid, and that it is any other."""
+        way = abs(float(speed)) * self._period
+        variance = WANDERING[0] ** 2 * way + WANDERING[1] ** 2 * self._period
+        changed = CHANGES[0] * way + CHANGES[1] * self._period
+        return min(0.5 * variance / GRID_STEP**2, 0.25), min(changed, 0.5)
 
     def estimate(self) -> RailEstimate:
         """What is known without a further sample."""
@@ -229,7 +241,7 @@ class RailEstimator:
             for level in (0.16, 0.5, 0.84)
         )
         flat = self._probability.reshape(adhesion.size, -1)
-        reference = SLIPS[np.argmax(mean_curves(flat, self._expected), axis=1)]
+        reference = SLIPS[highest_mean(flat, self._expected)]
         # The likeliest curve jumps from sample to sample, and the torques with it.
         rail = creep_coefficients(np.exp(self._probability.sum(axis=2) @ np.log(MAXIMA)))
         rail[:, :2] /= np.exp(self._probability.sum(axis=1) @ np.log(STRETCHES))[:, None]
@@ -286,14 +298,14 @@ def shift_maxima(probability, moved):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def bayes_update(probability, prior, change, curves, slip, adhesion, noise, slip_variance):  # type: ignore[no-untyped-def]
+def bayes_update(probability, prior, moves, curves, slip, adhesion, noise, slip_variance):  # type: ignore[no-untyped-def]
     """Bayes' rule on the grid, in place: the rail's diffusion, then the measurement's likelihood.
 
     Parameters
     ----------
     probability, prior : (n, maxima, stretches) arrays
-    change : float
-        Probability that the rail has become another one altogether.
+    moves : tuple of float
+        Probabilities that the maximum is each neighbouring one, and that it is any other.
     curves : (maxima * stretches, 3) array
     slip, adhesion, noise : (n,) arrays
         Slip speed [m/s], adhesion in use and its standard deviation.
@@ -301,11 +313,12 @@ def bayes_update(probability, prior, change, curves, slip, adhesion, noise, slip
     """
     axles, size, stretches = probability.shape
     absolute, relative = MODEL_STD
-    logarithm = np.empty((size, stretches))
+    near, change = moves
+    missed, spread = np.empty((size, stretches)), np.empty((size, stretches))
     for i in range(axles):
         x = abs(slip[i])
         sign = 1.0 if slip[i] >= 0.0 else -1.0
-        largest = -np.inf
+        least = np.inf
         for m in range(size):
             for k in range(stretches):
                 a, b, c = curves[m * stretches + k]
@@ -315,18 +328,20 @@ def bayes_update(probability, prior, change, curves, slip, adhesion, noise, slip
                     noise[i] ** 2 + absolute**2 + (relative * expected) ** 2
                     + slope * slope * slip_variance
                 )  # fmt: skip
-                missed = adhesion[i] - expected
-                logarithm[m, k] = -0.5 * (missed * missed / variance + np.log(variance))
-                largest = max(largest, logarithm[m, k])
+                error = adhesion[i] - expected
+                missed[m, k], spread[m, k] = 0.5 * error * error / variance, np.sqrt(variance)
+                least = min(least, missed[m, k])
         total = 0.0
         for k in range(stretches):
             before = probability[i, 0, k]
             for m in range(size):
                 here, after = probability[i, m, k], probability[i, min(m + 1, size - 1), k]
-                mixed = (1.0 - 2.0 * DIFFUSION) * here + DIFFUSION * (before + after)
+                mixed = (1.0 - 2.0 * near) * here + near * (before + after)
                 mixed = (1.0 - change) * mixed + change * prior[i, m, k]
                 before = here
-                probability[i, m, k] = mixed * np.exp(logarithm[m, k] - largest)
+                beyond = missed[m, k] - least
+                likely = np.exp(-beyond) / spread[m, k] if beyond < FARTHEST else 0.0
+                probability[i, m, k] = mixed * likely
                 total += probability[i, m, k]
         for m in range(size):
             for k in range(stretches):
@@ -334,20 +349,23 @@ def bayes_update(probability, prior, change, curves, slip, adhesion, noise, slip
 
 
 @njit(cache=True)
-def mean_curves(probability, curves):  # type: ignore[no-untyped-def]
-    """Mean of many curves under the probability of each, (n, slips).
+def highest_mean(probability, curves):  # type: ignore[no-untyped-def]
+    """Where the mean of many curves under the probability of each is highest, (n,) indices.
 
     Most have none; and the product of the matrices would be given to threads, which on a machine
     with other work wait longer than they compute.
     """
     axles, count = probability.shape
-    found = np.zeros((axles, curves.shape[1]))
+    found = np.empty(axles, dtype=np.int64)
+    mean = np.empty(curves.shape[1])
     for i in range(axles):
+        mean[:] = 0.0
         for k in range(count):
             p = probability[i, k]
-            if p > 1e-9:
-                for j in range(curves.shape[1]):
-                    found[i, j] += p * curves[k, j]
+            if p > UNLIKELY:
+                for j in range(mean.size):
+                    mean[j] += p * curves[k, j]
+        found[i] = np.argmax(mean)
     return found
 
 

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.control.cooperative import CooperativeController, Tuning
+from analysis.control.cooperative import CooperativeController, Demand, Tuning
 from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.control.rail_estimate import RailEstimate, RailEstimator
 from trainlog.errors import InputError
@@ -92,7 +92,7 @@ class CooperativeTraction:
     Attributes
     ----------
     controller : CooperativeController
-        Counts decisions that are not solved (`unsolved`) or late (`late`).
+        Counts decisions that are not solved (`unsolved`).
 
     Raises
     ------
@@ -137,7 +137,7 @@ class CooperativeTraction:
                 )
             condition.layer(layer)
         self._train, self._line = train, line
-        self._map, self._layer, self._reverse = condition, layer, direction == "reverse"
+        self._map, self._reverse = condition, direction == "reverse"
         mass = train.mass if mass is None else mass
         self._mass = mass
         self._model = drive_model(train, mass)
@@ -148,6 +148,11 @@ class CooperativeTraction:
         wheel = float(np.hypot(seen.wheel_speed_noise, 20.0 * seen.diameter_error))
         self._estimator = RailEstimator(self._model, self._tuning, seen.speed_noise, wheel)
         self._behind = np.zeros(train.axles.count) if behind is None else np.asarray(behind)
+        if condition is not None:
+            # Once for the whole line: a decision has a millisecond.
+            places = condition.centres
+            mean = np.log(condition.likely(layer, places, 0.0))
+            self._mean, self._std = mean, mean - np.log(condition.likely(layer, places, 1.0))
         self._ahead = self._tuning.period * (np.arange(self._tuning.horizon) + 0.5)
         self._direction = 0.0
 
@@ -160,11 +165,6 @@ class CooperativeTraction:
     def unsolved(self) -> int:
         """Decisions so far at which no program was solved."""
         return self.controller.unsolved
-
-    @property
-    def late(self) -> int:
-        """Decisions so far that took longer than the deadline."""
-        return self.controller.late
 
     def efforts(self, reading: DriveReading) -> FloatArray:
         """Efforts of the axles until the next decision, (n,) [N], negative in braking."""
@@ -187,12 +187,8 @@ class CooperativeTraction:
         )
         rail, reference = self._rail(found, here, ahead)
         limits, total = self._limits(reading.speed, wanted, braking)
-        demand = replace(
-            self.controller.demand(rail, limits, total),
-            reference=reference,
-            direction=direction,
-            at_work=torques,
-            held_back=self._held_back(reading),
+        demand = Demand(
+            rail, reference, limits, total, direction, torques, self._held_back(reading)
         )
         given = self.controller.torques(reading.speed, reading.wheel_speeds, demand)
         return direction * given / self._model.wheel_radius
@@ -208,9 +204,9 @@ class CooperativeTraction:
         every = np.concatenate([places[None], ahead])
         every = np.clip(every, 0.0, self._line.length)
         own = self._line.length - every if self._reverse else every
-        mean = np.log(self._map.likely(self._layer, own, 0.0))
-        low = np.log(self._map.likely(self._layer, own[0], 1.0))
-        return (mean[0], mean[0] - low), mean[1:]
+        bins = self._map.bin_of(own)
+        mean = self._mean[bins]
+        return (mean[0], self._std[bins[0]]), mean[1:]
 
     def _rail(
         self,
@@ -325,7 +321,6 @@ class ReadhesionControl:
 
     name = "readhesion"
     unsolved = 0
-    late = 0
 
     def __init__(self, train: Train, tuning: ReadhesionTuning | None = None) -> None:
         self._tuning = tuning or ReadhesionTuning()

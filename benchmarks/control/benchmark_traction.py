@@ -19,7 +19,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -129,7 +131,7 @@ def measured(scenario: Scenario, control: TractionName | None, places: np.ndarra
         float(np.mean([trial.state.speed**2 / (2.0 * trial.way) for trial in starts])),
         float(np.mean([trial.way for trial in stops])),
         sum(len(loop.unsolved) for loop in loops),
-        sum(loop.control.late for loop in loops),
+        sum(loop.late for loop in loops),
         sum(loop.steps for loop in loops),
     )
 
@@ -189,30 +191,43 @@ def driven(
             yield name, measured(each, control, places)
 
 
+def rows_of(published: Path, places: int, rails: int, pair: tuple[str, str]) -> list[tuple]:
+    """The rows of one line and train."""
+    line_name, train_name = pair
+    line = read_track(published / "tracks" / f"{line_name}.json")
+    train = read_train(published / "trains" / f"{train_name}.json")
+    rows = []
+    for rail, found in driven(line, train, places, RAILS[:rails], CONTROLS):
+        row = (
+            f"{line_name}, {train_name}", rail, found.control, f"{found.tractive:.2f}",
+            f"{found.creep:.3f}", f"{found.acceleration:.3f}",
+            f"{found.stopping:.0f}",
+            f"{found.unsolved} / {found.late} of {found.decisions}" if found.decisions else "",
+        )  # fmt: skip
+        print(*row, sep=" | ", flush=True)
+        rows.append(row)
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--published", type=Path, default=Path("../shared/data/ttobench"))
     parser.add_argument("--places", type=int, default=8)
     parser.add_argument("--pairs", type=int, default=len(PAIRS))
     parser.add_argument("--rails", type=int, default=len(RAILS))
+    parser.add_argument("--processes", type=int, default=1, help="Lines driven at once.")
     options = parser.parse_args()
+    make = partial(rows_of, options.published, options.places, options.rails)
+    pairs = PAIRS[: options.pairs]
     table = new_table(
         "Traction controls in the loop", "line, train", "rail", "control", "tractive kWh",
         "creep kWh", "m/s²", "stop from 80 km/h, m",
         "unsolved / late",
     )  # fmt: skip
-    for line_name, train_name in PAIRS[: options.pairs]:
-        line = read_track(options.published / "tracks" / f"{line_name}.json")
-        train = read_train(options.published / "trains" / f"{train_name}.json")
-        for rail, found in driven(line, train, options.places, RAILS[: options.rails], CONTROLS):
-            row = (
-                f"{line_name}, {train_name}", rail, found.control, f"{found.tractive:.2f}",
-                f"{found.creep:.3f}", f"{found.acceleration:.3f}",
-                f"{found.stopping:.0f}",
-                f"{found.unsolved} / {found.late} of {found.decisions}" if found.decisions else "",
-            )  # fmt: skip
-            print(*row, sep=" | ", flush=True)
-            table.add_row(*row)
+    with ProcessPoolExecutor(options.processes) as pool:
+        for rows in pool.map(make, pairs):
+            for row in rows:
+                table.add_row(*row)
     Console(width=170).print(table)
 
 

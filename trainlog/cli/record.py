@@ -48,6 +48,7 @@ from trainlog.formats.files import output_folder
 
 if TYPE_CHECKING:
     from trainlog.ingest import Ingested
+    from trainlog.simulation import TractionLoop
 
 app = typer.Typer()
 line_app = typer.Typer(no_args_is_help=True, help="Lines: built from the satellite fixes of trips.")
@@ -147,7 +148,8 @@ def simulate(
         Rail,
         draw_days,
         draw_scenarios,
-        simulate as drive,
+        drive,
+        recorded,
     )
 
     the_line, the_train = line_and_train(line, train)
@@ -202,6 +204,7 @@ def simulate(
         rail = read_characteristic(characteristic)
         scenarios = [replace(each, characteristic=rail) for each in scenarios]
     if traction != "own":
+        from analysis.control.plot import draw_traction
         from analysis.control.traction import with_traction
 
         scenarios = with_traction(scenarios, traction, the_map)
@@ -209,7 +212,7 @@ def simulate(
     with output_folder(output), progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
             try:
-                trip = drive(scenario)
+                run = drive(scenario)
             except InfeasibleError as error:
                 # Of a month one train may be stopped for good by a slippery climb.
                 if over_days is None:
@@ -217,18 +220,17 @@ def simulate(
                 stuck += 1
                 print_error(str(error))
                 continue
+            trip = recorded(scenario, run)
             write_log(trip, output / f"{trip.name}.mcap")
             progress.console.print(
                 about(trip.metadata, trip.duration), highlight=False, markup=False
             )
-            if "traction_control" in trip.metadata:
-                known = trip.metadata
+            if run.traction is not None:
                 progress.console.print(
-                    f"    traction control {known['traction_control']}:"
-                    f" {known['traction_unsolved']} of {known['traction_decisions']} decisions"
-                    " unsolved",
-                    highlight=False,
+                    f"    traction control {traction_line(run.traction)}", highlight=False
                 )
+                draw_traction(trip, output / f"{trip.name}.traction.png", the_map)
+                wrote(output / f"{trip.name}.traction.png")
             if trajectory is not None:
                 followed.append(trip)
     if over_days is not None:
@@ -241,6 +243,14 @@ def simulate(
         wrote(output / "following.png")
     if stuck:
         raise typer.Exit(1)
+
+
+def traction_line(loop: TractionLoop) -> str:
+    """What became of the decisions of a traction control, in words."""
+    return (
+        f"{loop.control.name}: {len(loop.unsolved)} of {loop.steps} decisions unsolved, {loop.late}"
+        f" late (over {1e3 * loop.control.period:g} ms; longest {1e3 * loop.longest:.1f} ms)"
+    )
 
 
 def _check_alone(options: dict[str, object], needed: str) -> None:

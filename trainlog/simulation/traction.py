@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -66,11 +67,6 @@ class TractionControl(Protocol):
         """Decisions so far for which it had to fall back on something simpler."""
         ...
 
-    @property
-    def late(self) -> int:
-        """Decisions so far that took longer than they may, by the clock on the wall."""
-        ...
-
     def efforts(self, reading: DriveReading) -> FloatArray:
         """Efforts of the axles until the next decision, (n,) [N], negative in braking."""
         ...
@@ -118,6 +114,12 @@ class TractionLoop:
         When the control had to fall back on something simpler.
     steps : int
         Decisions so far.
+    late : int
+        Of them, those that took longer than the control's period, by the clock on the wall: not
+        those of the log, which must be the same on a machine with other work. The first decision
+        loads compiled code and does not count.
+    longest : float [s]
+        The longest decision but the first.
 
     Raises
     ------
@@ -131,6 +133,8 @@ class TractionLoop:
     seed: int = 0
     unsolved: list[float] = field(default_factory=list)
     steps: int = 0
+    late: int = 0
+    longest: float = 0.0
 
     def __post_init__(self) -> None:
         step = self.plant.parameters.step
@@ -177,7 +181,13 @@ class TractionLoop:
     def _decided(self, state: PlantState, demand: tuple[float, float]) -> FloatArray:
         before = self.control.unsolved
         time = self._done * self.plant.parameters.step
-        found = self.control.efforts(self._reading(time, state, demand))
+        reading = self._reading(time, state, demand)
+        begun = perf_counter()
+        found = self.control.efforts(reading)
+        if self.steps > 0:
+            taken = perf_counter() - begun
+            self.late += taken > self.control.period
+            self.longest = max(self.longest, taken)
         self.steps += 1
         if self.control.unsolved > before:
             self.unsolved.append(time)
