@@ -78,12 +78,17 @@ def test_gdal_reads_from_a_geopackage_what_the_map_knows(
     found, courses, crs = read_layer(path, "bins")
     assert crs == "EPSG:4326"
     expected = bins_table(track, line, AT)
-    assert list(found) == list(expected)
+    assert list(found) == [*expected, "expected_at"]
+    assert set(found["expected_at"]) == {"2024-10-09T06:00:00+00:00"}
     for name in expected.select_dtypes("number"):
         np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
     observed = np.concatenate([layer.observed for layer in track.layers.values()])
     for name in ("adhesion", "low", "high", "expected", "expected_low", "expected_high"):
         np.testing.assert_array_equal(found[name].notna(), observed)
+    # A probability that no spot lies there would be a claim about what nobody has seen.
+    in_spot = expected["spot_probability"] > 0.0
+    np.testing.assert_array_equal(found["spot_probability"].notna(), observed | in_spot)
+    assert found["spot_probability"].isna().sum() > 2_000
     assert found["changed_day"].dropna().astype(str).tolist() == ["2024-10-06"] * 2
     # Each bin lies where its chainage does: both ends on the line's own course.
     assert line.geometry is not None
@@ -170,6 +175,8 @@ def test_parquet_and_csv_hold_the_bins_by_chainage(
         for name in expected.select_dtypes("number"):
             np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
         assert found["station"].dropna().tolist() == [s.name for s in line.stations] * 2
+        unseen = ~found["observed"] & ~(expected["spot_probability"] > 0.0)
+        assert found.loc[unseen, ["adhesion", "expected", "spot_probability"]].isna().all(axis=None)
     assert "2024-10-07" in (tmp_path / "map.csv").read_text("utf-8")
 
 
@@ -240,6 +247,25 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
     with pytest.raises(MissingExtraError, match=r"pip install 'trainlog\[gis\]'"):
         analysis.export_map(track, tmp_path / "map.gpkg", line=line)
     assert (tmp_path / "map.gpkg").read_text() == "older"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["show", "--at", "tomorrow"], "'tomorrow' is not a time"),
+        (["export", "-o", "map.csv", "--at", "tomorrow"], "'tomorrow' is not a time"),
+        (["export", "-o", "map.shp"], "not exported to files of this kind"),
+        (["diff", "--from", "tomorrow"], "'tomorrow' is not a time"),
+        (["history", "--km", "3", "--picture", "map.pdf"], r"is not the name of a \.png"),
+    ],
+)
+def test_arguments_are_checked_before_a_map_is_read(
+    words: list[str], message: str, tmp_path: Path
+) -> None:
+    """No such map exists: what is refused first is the argument."""
+    command, *options = words
+    with pytest.raises(InputError, match=message):
+        run(["map", command, str(tmp_path / "absent.map"), *options])
 
 
 def test_pieces_beyond_the_known_course_have_no_geometry(

@@ -141,7 +141,9 @@ def bins_table(
             "bin": np.arange(track.bins),
         }
         columns |= where | _estimates(layer, time)
-        columns["spot_probability"] = spot_probability(track, layer, time)
+        spot = spot_probability(track, layer, time)
+        # Where nothing was observed, nothing says that there is no spot.
+        columns["spot_probability"] = np.where(layer.observed | (spot > 0.0), spot, np.nan)
         columns |= _evidence(track, layer) | beside
         parts.append(pd.DataFrame(columns))
     return pd.concat(parts, ignore_index=True)
@@ -344,7 +346,7 @@ def _evidence(track: TrackConditionMap, layer: ConditionLayer) -> dict[str, obje
         "used_without_slip": used,
         "first_day": _dates(first, seen),
         "last_day": _dates(last, seen),
-        "changed_day": _dates(changed, changed > none),
+        "changed_day": _dates(changed, (changed > none) & layer.observed),
     }
 
 

@@ -77,15 +77,19 @@ class _Export:
     @property
     def table(self) -> pd.DataFrame:
         """The bins."""
-        return bins_table(self.track, self.line, self.time, self.layers)
+        return self._dated(bins_table(self.track, self.line, self.time, self.layers))
+
+    def _dated(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Rows with the time that their expected condition and probabilities hold for."""
+        return rows.assign(expected_at=self.about["expected_at"] or None)
 
     def located(self) -> Iterator[tuple[str, pd.DataFrame, list[FloatArray | None]]]:
         """Name, rows and courses of each table that has a place on the earth."""
         given = (self.track, self.line)
         tables = {
             "bins": self.table,
-            "sections": sections_table(*given, self.time, self.layers),
-            "spots": spots_table(*given, self.time, self.layers),
+            "sections": self._dated(sections_table(*given, self.time, self.layers)),
+            "spots": self._dated(spots_table(*given, self.time, self.layers)),
             "changes": changes_table(*given, self.layers),
         }
         for name, rows in tables.items():
@@ -155,19 +159,37 @@ def export_map(
     ...     int(pandas.read_csv(Path(folder) / "map.csv")["adhesion"].notna().sum())
     39
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in _WRITERS:
-        raise InputError(
-            "a track-condition map is not exported to files of this kind",
-            file=path,
-            remedy=f"end it in {', '.join(_WRITERS)}",
-        )
+    suffix = exported_suffix(path)
     if line is not None:
         check_course(track, line)
     if suffix in GEOGRAPHIC:
         _check_coordinates(track, line, path)
     names = list(chosen_layers(track, layers))
     _WRITERS[suffix](_Export(track, line, at, names), path)
+
+
+def exported_suffix(path: str | Path) -> str:
+    """The suffix of a file that a map can be exported to, in lower case.
+
+    Raises
+    ------
+    InputError
+        If it is another.
+
+    Examples
+    --------
+    >>> exported_suffix("map.GPKG")
+    '.gpkg'
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _WRITERS:
+        raise InputError(
+            "a track-condition map is not exported to files of this kind",
+            file=path,
+            remedy=f"end it in {', '.join(_WRITERS)}",
+        )
+    return suffix
 
 
 def _check_coordinates(track: TrackConditionMap, line: Line | None, path: str | Path) -> None:
@@ -318,11 +340,7 @@ def unit_of(column: str) -> str:
 
 
 def _write_csv(export: _Export, path: str | Path) -> None:
-    rows = export.table
-    now = export.about["expected_at"]
-    text = rows.assign(expected_at=now).to_csv(
-        index=False, date_format="%Y-%m-%d", lineterminator="\n"
-    )
+    text = export.table.to_csv(index=False, date_format="%Y-%m-%d", lineterminator="\n")
     write_bytes(path, text.encode())
 
 

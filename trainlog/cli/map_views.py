@@ -70,14 +70,16 @@ def map_show(
 
     Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
     """
+    if picture is not None:
+        destination(picture, ".png")
+    when = moment(at, zone)
+
     from analysis.adhesion.map_plot import draw_map
     from analysis.adhesion.map_state import map_state, state_table
     from trainlog.formats.condition import read_map
 
-    if picture is not None:
-        destination(picture, ".png")
     track = read_map(condition)
-    when, known = moment(at, zone), course(track, line, condition)
+    known = course(track, line, condition)
     state = map_state(track, when, line=known, layers=layer)
     if picture is not None:
         shown = (
@@ -121,21 +123,23 @@ def map_diff(
 
     Example: trainlog map diff results/wil.map --from 2026-10-31 --picture diff.png
     """
-    from analysis.adhesion.map_difference import difference_table, map_difference
-    from analysis.adhesion.map_plot import draw_difference
-    from trainlog.formats.condition import read_map
-
     if picture is not None:
         destination(picture, ".png")
     if len(maps) > 2:
         raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
+    since, until = _day(start), _day(end)
+
+    from analysis.adhesion.map_difference import difference_table, map_difference
+    from analysis.adhesion.map_plot import draw_difference
+    from trainlog.formats.condition import read_map
+
     first, *second = [read_map(each) for each in maps]
     known = course(first, line, maps[0])
     found = map_difference(
         first,
         second[0] if second else None,
-        since=_day(start),
-        until=_day(end),
+        since=since,
+        until=until,
         line=known,
         layers=layer,
         rate=rate,
@@ -169,12 +173,13 @@ def map_history(
 
     Example: trainlog map history results/wil.map --km 12.3 --layer wet --picture place.png
     """
+    if picture is not None:
+        destination(picture, ".png")
+
     from analysis.adhesion.map_history import history_table, map_history, position_of
     from analysis.adhesion.map_plot import draw_history
     from trainlog.formats.condition import read_map
 
-    if picture is not None:
-        destination(picture, ".png")
     track = read_map(condition)
     known = course(track, line, condition)
     position = position_of(track, known, km)
@@ -224,13 +229,14 @@ def map_export(
 
     Example: trainlog map export results/wil.map -o results/map.geojson
     """
-    from analysis.adhesion.export import export_map
+    when = moment(at, zone)
+
+    from analysis.adhesion.export import export_map, exported_suffix
     from trainlog.formats.condition import read_map
 
+    exported_suffix(output)
     track = read_map(condition)
-    export_map(
-        track, output, line=course(track, line, condition), at=moment(at, zone), layers=layer
-    )
+    export_map(track, output, line=course(track, line, condition), at=when, layers=layer)
     wrote(output)
 
 
