@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import typer
 from test_forecast_scores import BINS, FIRST, TRACK, evidence
@@ -16,6 +17,7 @@ from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map, write_map
+from trainlog.formats.forecast import read_forecast
 from trainlog.formats.samples import copy_samples
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
@@ -165,3 +167,44 @@ def test_what_cannot_be_scored_is_refused(
     names = [str(folder / word) if "." in word else word for word in words]
     with pytest.raises(InputError, match=problem):
         run(["map", "score", *names])
+
+
+def test_a_forecast_of_a_past_time_uses_evidence_of_days_before_alone(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = read_map(folder / "month.map")
+    # On the first day of a spot, and twelve hours into it: what that day showed is not used.
+    time = pd.Timestamp((FIRST + 5) * 86_400 + 43_200, unit="s", tz="UTC")
+    path = folder / "past.csv"
+    run(["map", "forecast", str(folder / "month.map"), "--at", time.isoformat(), "-o", str(path)])
+    printed = capsys.readouterr().out
+    assert "forecast without the evidence of 7 days, 2024-10-09 to 2024-10-15" in printed
+    found = read_forecast(path)
+    alone = whole.layer("wet").evidence.between(0, FIRST + 4)
+    cut = estimated(replace(whole, layers={"wet": ConditionLayer.unestimated(alone)}))
+    own = cut.layer("wet").expected(time)
+    seen = np.flatnonzero(own.observed)
+    assert seen.size
+    middle = found.shares.tolist().index(0.5)
+    np.testing.assert_allclose(
+        found.quantiles[seen, middle], own.quantile(0.5)[seen], rtol=1e-4
+    )
+    assert not own.observed[101]
+    assert whole.layer("wet").observed[101]
+    assert np.all(np.isnan(found.quantiles[101]))
+    assert np.all(found.issued == time.value)
+    first = pd.Timestamp(FIRST * 86_400, unit="s", tz="UTC").isoformat()
+    with pytest.raises(InputError, match="holds no evidence of a day before 2024-10-04"):
+        run(["map", "forecast", str(folder / "month.map"), "--at", first, "-o", str(path)])
+
+
+def test_what_is_shown_for_a_past_time_states_the_later_evidence(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = str(folder / "month.map")
+    words = "as known now: evidence of 7 days, 2024-10-09 to 2024-10-15"
+    for command in (["show", known], ["export", known, "-o", str(folder / "bins.csv")]):
+        run(["map", *command, "--at", "2024-10-09T12:00Z"])
+        assert words in " ".join(capsys.readouterr().out.split())
+        run(["map", *command, "--at", "2024-10-16T00:00Z"])
+        assert "as known now" not in capsys.readouterr().out

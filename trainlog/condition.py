@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from pandas import Timestamp
 
 from estimators.condition import Prior, common_std, onset_std
 from estimators.condition_field import (
@@ -23,6 +24,7 @@ from estimators.condition_field import (
     solve,
 )
 from estimators.condition_passes import blurred
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
     ConditionChange,
@@ -87,6 +89,84 @@ def estimated(track: TrackConditionMap) -> TrackConditionMap:
     """
     layers = {name: _estimated(track, name) for name in sorted(track.layers)}
     return replace(track, layers=layers)
+
+
+def known_before(track: TrackConditionMap, time: Timestamp) -> TrackConditionMap:
+    """The map as it was before the day of a time (UTC), made of the evidence of the days before.
+
+    Layers without evidence until then are left out. It is the map itself if no evidence is later.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    time : Timestamp
+        Without a zone it is taken for UTC.
+
+    Raises
+    ------
+    InputError
+        If no evidence is of a day before.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> known_before(track, Timestamp("2024-10-08")) is track
+    True
+    >>> try:
+    ...     known_before(track, Timestamp("2024-10-07T20:00"))
+    ... except InputError as error:
+    ...     print(error.problem)
+    map of line 'CH_StGallen_Wil' holds no evidence of a day before 2024-10-07
+    """
+    if not later_evidence(track, time):
+        return track
+    day = _day_of(time)
+    known = {name: each.evidence.between(-1, day - 1) for name, each in track.layers.items()}
+    layers = {
+        name: ConditionLayer.unestimated(each) for name, each in known.items() if each.days.size
+    }
+    if not layers:
+        days = [each.evidence.days for each in track.layers.values()]
+        first = min(int(each[0]) for each in days if each.size)
+        raise InputError(
+            f"map of line '{track.line}' holds no evidence of a day before"
+            f" {np.datetime64(day, 'D')}",
+            remedy=f"give {np.datetime64(first + 1, 'D')} or later, or no time",
+        )
+    return estimated(replace(track, layers=layers, trips=()))
+
+
+def later_evidence(track: TrackConditionMap, time: Timestamp) -> str:
+    """Which evidence of a map is of the day of a time (UTC) or later, in words; empty: none.
+
+    `ConditionLayer.expected` counts it, too: it states what is known now of that time, and not what
+    was known then.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> later_evidence(track, Timestamp("2024-10-07T08:00"))
+    'evidence of 1 day, 2024-10-07'
+    >>> later_evidence(track, Timestamp("2024-10-08"))
+    ''
+    """
+    first = _day_of(time)
+    days = np.unique(np.concatenate([
+        np.zeros(0, dtype=np.int64), *(each.evidence.days for each in track.layers.values())
+    ]))  # fmt: skip
+    later = days[days >= first]
+    if not later.size:
+        return ""
+    ends = [str(np.datetime64(int(each), "D")) for each in (later[0], later[-1])]
+    return f"evidence of {counted(later.size, 'day')}, {' to '.join(dict.fromkeys(ends))}"
+
+
+def _day_of(time: Timestamp) -> int:
+    """Of a time; counted from 1970-01-01 in UTC."""
+    zoned = time.tz_localize("UTC") if time.tzinfo is None else time
+    return int(zoned.timestamp() // 86_400)
 
 
 def assumed_parameters(track: TrackConditionMap, name: str) -> FieldParameters:

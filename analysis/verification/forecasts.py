@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from analysis.verification.references import GRID, climatology
 from analysis.verification.verify import Forecaster
-from trainlog.condition import estimated
+from trainlog.condition import estimated, known_before
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.railway.forecast import AdhesionForecast
@@ -168,6 +168,9 @@ def forecast_of(
 ) -> AdhesionForecast:
     """What a map expects at a time, as a forecast for others; bins not observed state nothing.
 
+    It is issued at that time, and made of the evidence of the days before (UTC) alone
+    (`trainlog.condition.known_before`).
+
     Parameters
     ----------
     track : TrackConditionMap
@@ -183,7 +186,8 @@ def forecast_of(
     Raises
     ------
     InputError
-        If the map has no such layer, or the forecast is to hold for no time.
+        If the map has no such layer, or no evidence of a day before, or the forecast is to hold
+        for no time.
 
     Examples
     --------
@@ -197,6 +201,7 @@ def forecast_of(
         raise InputError(
             f"a forecast must hold for a time, not for {hours:g} h", remedy="give hours above 0"
         )
+    track = known_before(track, time)
     names = list(track.layers) if layer is None else [layer]
     tables = [track.layer(name).expected(time) for name in names]
     edges = np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length)

@@ -209,13 +209,15 @@ def score_forecast(
 
     Examples
     --------
+    >>> import numpy as np
     >>> import pandas as pd
-    >>> from analysis.verification.forecasts import forecast_of
-    >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
-    >>> forecast = forecast_of(track, pd.Timestamp("2024-10-07T00:00Z"), layer="wet")
+    >>> span = [np.array([pd.Timestamp(f"2024-10-{day}").value]) for day in ("07", "08", "06")]
+    >>> forecast = AdhesionForecast(
+    ...     "CH_StGallen_Wil", np.array([0.0]), np.array([29_500.0]), *span, ("wet",),
+    ...     np.array([0.05, 0.5]), np.array([[0.08, 0.14]]), np.zeros(0), np.zeros((1, 0)),
+    ... )
     >>> day = score_forecast(forecast, ["sample_logs/stopping.mcap"]).layers["wet"]
-    >>> day.onsets > 0, day.log_score("onsets", over="prior").value > 0.0
+    >>> day.onsets > 0, bool(np.isfinite(day.log_score("onsets", over="prior").value))
     (True, True)
     """
     trips = _trips(logs, None, layer)

@@ -33,12 +33,13 @@ def map_forecast(
 ) -> None:
     """Write what a map expects at a time as a forecast, in the form in which forecasts are scored.
 
-    Where the map was not observed the forecast states nothing. Without --at it holds from the day
-    after the last evidence.
+    Only evidence of days before --at (UTC) is used. Where the map was not observed the forecast
+    states nothing. Without --at it holds from the day after the last evidence.
 
     Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
     """
     from analysis.verification.forecasts import first_free, forecast_of
+    from trainlog.condition import later_evidence
     from trainlog.formats.condition import read_map
     from trainlog.formats.forecast import write_forecast
 
@@ -46,6 +47,9 @@ def map_forecast(
     track = read_map(condition)
     time = moment(at, zone) or first_free(track)
     write_forecast(forecast_of(track, time, layer=layer, hours=hours), output)
+    later = later_evidence(track, time)
+    if later:
+        console.print(f"  forecast without the {later}", highlight=False)
     wrote(output)
 
 

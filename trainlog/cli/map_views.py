@@ -90,6 +90,7 @@ def map_show(
         typer.echo(json.dumps(state.as_json(), ensure_ascii=False, allow_nan=False))
         return
     console.print(state_table(state))
+    _state_later(track, when)
     if when is not None and zone_assumed(at, zone):
         console.print(f"  {at} states no zone: taken for UTC (--zone names another)")
     if picture is not None:
@@ -237,7 +238,21 @@ def map_export(
     exported_suffix(output)
     track = read_map(condition)
     export_map(track, output, line=course(track, line, condition), at=when, layers=layer)
+    _state_later(track, when)
     wrote(output)
+
+
+def _state_later(track: TrackConditionMap, when: pd.Timestamp | None) -> None:
+    """State whether what is expected at a time counts evidence that is not from before its day."""
+    from trainlog.condition import later_evidence
+
+    later = "" if when is None else later_evidence(track, when)
+    if later:
+        console.print(
+            f"  expected as known now: {later}, is counted in, which is not from before the day"
+            " of --at",
+            highlight=False,
+        )
 
 
 def course(track: TrackConditionMap, given: Path | None, condition: Path) -> Line | None:

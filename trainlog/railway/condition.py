@@ -414,7 +414,8 @@ class ConditionLayer(AdhesionEstimate):
         Parameters
         ----------
         time : Timestamp, optional
-            Default: right after the last evidence.
+            Default: right after the last evidence. For a time before it this is what is known now,
+            later evidence included; `trainlog.condition.known_before` is the map as it was then.
 
         Examples
         --------
