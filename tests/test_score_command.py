@@ -186,9 +186,7 @@ def test_a_forecast_of_a_past_time_uses_evidence_of_days_before_alone(
     seen = np.flatnonzero(own.observed)
     assert seen.size
     middle = found.shares.tolist().index(0.5)
-    np.testing.assert_allclose(
-        found.quantiles[seen, middle], own.quantile(0.5)[seen], rtol=1e-4
-    )
+    np.testing.assert_allclose(found.quantiles[seen, middle], own.quantile(0.5)[seen], rtol=1e-4)
     assert not own.observed[101]
     assert whole.layer("wet").observed[101]
     assert np.all(np.isnan(found.quantiles[101]))
