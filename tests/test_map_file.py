@@ -157,6 +157,34 @@ class TestSet:
         assert poorer.reason == "trip 'trip-3' is the same drive as 'trip-2', which is used"
         assert again.held
 
+    def test_a_trip_that_is_taken_out_leaves_the_map_that_never_had_it(
+        self, tmp_path: Path
+    ) -> None:
+        pieces = [piece(1), piece(2), part(10, 0, 9), part(11, 0, 40)]
+        given_to(tmp_path / "all.map", pieces)
+        given_to(tmp_path / "never.map", [pieces[0], pieces[2]])
+        with MapFile(tmp_path / "all.map") as file:
+            assert file.amount()[0] == 3
+            assert file.remove([pieces[1].trip, pieces[3].trip]) == 2
+            assert file.amount()[0] == 2  # the shorter recording of the drive counts now
+        found, never = (read_map(tmp_path / name) for name in ("all.map", "never.map"))
+        assert map_to_bytes(found) == map_to_bytes(never)
+        given_to(tmp_path / "all.map", [pieces[3], pieces[1]])
+        given_to(tmp_path / "once.map", pieces)
+        again, once = (read_map(tmp_path / name) for name in ("all.map", "once.map"))
+        assert map_to_bytes(again) == map_to_bytes(once)
+
+    def test_what_cannot_be_taken_out_changes_nothing(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.map"
+        given_to(path, [piece(1), piece(2)])
+        with MapFile(path) as file:
+            with pytest.raises(InputError, match=r"a\.map: the map holds no trip 'nobody'"):
+                file.remove([piece(1).trip, "nobody"])
+            file.compact(40_000)
+            with pytest.raises(InputError, match="was compacted"):
+                file.remove([piece(1).trip])
+            assert file.amount()[0] == 2
+
     def test_a_log_in_two_layers_is_refused(self, tmp_path: Path) -> None:
         given_to(tmp_path / "a.map", [piece(1, "dry")])
         given_to(tmp_path / "b.map", [piece(1, "wet")])

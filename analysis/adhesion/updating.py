@@ -114,6 +114,11 @@ class MapUpdate:
         return self.of("refused")
 
     @property
+    def elsewhere(self) -> tuple[LogOutcome, ...]:
+        """The logs that the map holds under another rail condition than the one given."""
+        return tuple(each for each in self.of("held") if each.reason)
+
+    @property
     def sentence(self) -> str:
         """The update in one sentence."""
         parts = [f"{counted(len(self.added), 'trip')} added"]
@@ -124,6 +129,8 @@ class MapUpdate:
         ):
             number = len(self.of(outcome))  # type: ignore[arg-type]
             parts += [f"{number} {words}"] if number else []
+            if outcome == "held" and self.elsewhere:
+                parts[-1] += f" ({len(self.elsewhere)} under another rail condition)"
         held = f"the map holds {counted(self.trips, 'trip')} of {counted(self.days, 'day')}"
         return f"{', '.join(parts)}; {held}"
 
@@ -256,7 +263,7 @@ def _held(file: MapFile | None, log: Path, digest: str, layer: str | None) -> Lo
     if row is None:
         return None
     known = row.known
-    other = f"as '{row.layer}': to count it as '{layer}', build the map anew"
+    other = f"as '{row.layer}', not as '{layer}': take it out first (trainlog map remove)"
     reason = other if layer is not None and layer != row.layer else ""
     return LogOutcome(str(log), "held", known.name, row.layer, reason)
 

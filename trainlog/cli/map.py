@@ -45,7 +45,8 @@ def map_update(
     recording of it counts in place of a poorer one. Each trip is on the disk when its line appears,
     and several processes may add to one map.
 
-    Exit status 1 if some logs could not be used, 2 if none could.
+    Exit status 1 if some logs could not be used, or are held under another rail condition than the
+    one given; 2 if none could be used.
 
     Example: trainlog map update results/trips --map results/wil.map
     """
@@ -66,7 +67,7 @@ def map_update(
         def report(outcome: LogOutcome) -> None:
             if outcome.outcome == "refused":
                 print_error(outcome.reason)
-            elif not as_json and outcome.outcome != "held":
+            elif not as_json and (outcome.outcome != "held" or outcome.reason):
                 progress.console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
 
         result = update_map(every, condition, layer, stated, report=report)
@@ -76,6 +77,30 @@ def map_update(
         console.print(result.sentence, highlight=False, soft_wrap=True)
     if result.refused:
         raise typer.Exit(2 if len(result.refused) == len(result.logs) else 1)
+    if result.elsewhere:
+        raise typer.Exit(1)
+
+
+@map_app.command("remove")
+def map_remove(
+    condition: Annotated[Path, typer.Argument(help="Map file.")],
+    trips: Annotated[list[str], typer.Argument(help="Names of the trips to take out.")],
+) -> None:
+    """Take trips out of a map, such as those given with a wrong rail condition.
+
+    Given again, their logs count again. What was compacted cannot be taken out.
+
+    Example: trainlog map remove results/wil.map trip-07
+    """
+    from trainlog.formats.mapfile import MapFile
+
+    with MapFile(condition) as file:
+        number = file.remove(trips)
+        held, days = file.amount()
+    console.print(
+        f"{counted(number, 'recording')} taken out; the map holds {counted(held, 'trip')} of"
+        f" {counted(days, 'day')}"
+    )
 
 
 @map_app.command("merge")

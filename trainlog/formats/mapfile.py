@@ -324,6 +324,55 @@ class MapFile:
         reason = reasons.get(row.key, "")
         return Appended(not reason, reason=reason, replaced=tuple(replaced))
 
+    def remove(self, names: Iterable[str]) -> int:
+        """Take all recordings of the named trips out; returns how many.
+
+        Of other recordings of their drives those that count are decided anew.
+
+        Parameters
+        ----------
+        names : iterable of str
+
+        Raises
+        ------
+        InputError
+            If the map holds no trip of a name, or its evidence is in sums of days: nothing is
+            taken out then.
+        """
+        wanted = set(names)
+        with self._writing() as database:
+            rows = [row for row in self.rows() if row.known.name in wanted]
+            for name in sorted(wanted - {row.known.name for row in rows}):
+                raise InputError(
+                    f"the map holds no trip '{name}'",
+                    file=self.path,
+                    remedy="trainlog map show --json lists its trips",
+                )
+            for row in rows:
+                if row.evidence is None:
+                    raise InputError(
+                        f"trip '{row.known.name}' was compacted: its evidence is in sums of days",
+                        file=self.path,
+                        remedy="build the map anew from the logs without it",
+                    )
+            database.executemany("DELETE FROM trips WHERE key = ?", [(row.key,) for row in rows])
+            gone = {row.key for row in rows}
+            near = [each for row in rows for each in self._of_the_drive(row)]
+            for each in {row.key: row for row in near if row.key not in gone}.values():
+                counts = each.key not in reasons_of(self._of_the_drive(each))
+                if bool(each.counted) != counts and each.evidence is not None:
+                    replace_row(database, each, counted=int(counts))
+            self._delete_unused(database)
+            set_total(database)
+        return len(rows)
+
+    def _delete_unused(self, database: sqlite3.Connection) -> None:
+        """Delete evidence that no row has."""
+        kept = {digest for row in self.rows() for digest in row.pieces.values()}
+        every = database.execute("SELECT digest FROM evidence").fetchall()
+        unused = [each for each in every if each[0] not in kept]
+        database.executemany("DELETE FROM evidence WHERE digest = ?", unused)
+
     def _insert(self, recording: Recording) -> Row:
         """Insert a recording and its evidence; the row."""
         digests: dict[str, str] | None = None if recording.evidence is None else {}
@@ -416,10 +465,7 @@ class MapFile:
                 insert_sums(database, layer, self._added_up(start, added[layer]))
             for row in rows:
                 replace_row(database, row, evidence=None)
-            kept = {digest for row in self.rows() for digest in row.pieces.values()}
-            every = database.execute("SELECT digest FROM evidence").fetchall()
-            gone = [each for each in every if each[0] not in kept]
-            database.executemany("DELETE FROM evidence WHERE digest = ?", gone)
+            self._delete_unused(database)
             set_total(database)
         with refusing(self.path):
             self._database.execute("VACUUM")
