@@ -88,8 +88,11 @@ CHANGE_GAP = 0.02
 PASSES = 3
 """Changes that a place may have had, at most."""
 
-PLACES = {"mean": 2.0, "std": 12.0, "slippery_mean": 4.0, "slippery_std": 4.0}
+PLACES = {"slippery_mean": 4.0, "slippery_std": 4.0}
 """Weight of the assumed parameters, as so many independent places."""
+
+BEGUN = 2.0
+"""Weight of the assumed mean of normal rail where the rounds begin, as so many onsets."""
 
 WITNESSED = {"trip_std": 8.0, "spot_mean": 8.0, "spot_std": 8.0, "life": 6.0, "occupied": 2.0}
 """Weight of the assumed parameters, as so many measurements, spots, deaths and births."""
@@ -101,13 +104,13 @@ DOUBT = 0.06
 """Probability that the onsets of a single trip in a bin are not of what lasts, at least."""
 
 STEPS = {
-    "mean": ("plain", 0.08, 0.4),
-    "length": ("log", 0.4, 0.1),
-    "slippery_mean": ("plain", 0.15, 0.4),
+    "mean": ("plain", 0.05, 0.4),
+    "std": ("log", 0.3, 0.5),
+    "length": ("log", 0.4, 0.5),
 }
 """Of Newton's method: scale, step, and deviation of what is assumed."""
 
-NEWTON = ((), (), ("length",))
+NEWTON = (("mean", "std"), ("mean", "std"), ("length",))
 """Parameters that a step is taken for, round by round."""
 
 CHANGES_OF_CLASS = np.array([200.0, 60.0, 30.0])
@@ -465,6 +468,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     now, switch = _begun(assumed, rows), _switches(known.bin_length, assumed)
     likely, message = switch, np.zeros(rows.day.size)
     origin = dict.fromkeys(FieldParameters.__slots__, (0.0, "assumed"))
+    deviations: dict[str, tuple[float, str]] = {}
     cavity: FloatArray | None = None
     for turn in range(rounds):
         grid = FINE if turn == rounds - 1 else _grid(now, known.bin_length)
@@ -510,16 +514,18 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
         switch /= switch.sum(axis=1, keepdims=True)
         new, origin = _improved(now, assumed, known, rows, used, expected)
+        trial = now
         for name in NEWTON[turn % len(NEWTON)]:
-            new[name], origin[name] = _newton(
-                name, likelihood, flat, now, assumed, switch, known.bin_length, grid
+            new[name], deviations[name] = _newton(
+                name, likelihood, flat, trial, assumed, switch, known.bin_length, grid
             )
+            trial = replace(trial, **{name: new[name]})
+        origin |= deviations
         for name, value, count, weight in _places(switch, moves, known.bin_length):
             new[name] = value
             origin[name] = (value / np.sqrt(count + weight), _source(count, weight))
         if turn < rounds - 2:
             # Expectation and maximisation go a small part of the way where much is not seen.
-            new["mean"] += new["mean"] - now.mean
             new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
         now = replace(now, **new)
     return FieldPosterior(now, origin, posterior, slippery, rows, present, long, state, cut)
@@ -547,7 +553,7 @@ def _begun(assumed: FieldParameters, rows: EvidenceRows) -> FieldParameters:
     levels = rows.onset[rows.onset[:, 0] > 0, 1]
     if levels.size == 0:
         return assumed
-    weight = PLACES["mean"]
+    weight = BEGUN
     high = float(np.quantile(levels, 0.9))
     mean = (levels.size * max(high, assumed.mean) + weight * assumed.mean) / (levels.size + weight)
     return replace(assumed, mean=mean)
@@ -669,13 +675,10 @@ def _improved(
         origin[mean] = (float(spread / np.sqrt(count + weight)), _source(count, weight))
         origin[std] = (float(spread / np.sqrt(2 * (count + narrow))), _source(count, narrow))
 
-    held, levels = expected.held, expected.grid.levels
+    levels = expected.grid.levels
     independent = known.bin_length / (2.0 * now.length)
-    for names, weights in (
-        (("mean", "std"), held[0] + held[1]),
-        (("slippery_mean", "slippery_std"), held[2]),
-    ):
-        normal(*names, float(weights.sum()) * independent, levels, weights)
+    low = expected.held[2]
+    normal("slippery_mean", "slippery_std", float(low.sum()) * independent, levels, low)
     seen = rows.onset[:, 0] > 0
     present, onset = expected.present[seen], rows.onset[seen]
     alike = known.bin_length / now.spot_length
