@@ -104,7 +104,7 @@ DOUBT = 0.06
 """Probability that the onsets of a single trip in a bin are not of what lasts, at least."""
 
 STEPS = {
-    "mean": ("plain", 0.05, 0.4),
+    "mean": ("plain", 0.05, 0.2),
     "std": ("log", 0.3, 0.5),
     "length": ("log", 0.4, 0.5),
 }

@@ -1,11 +1,13 @@
 """How the track-condition map's error and band hold as trips are added, on three lines.
 
-    python benchmarks/map/by_trips.py [--seeds 1 2] [--trips 100] [--cache FOLDER] [--changed]
+    python benchmarks/map/by_trips.py [--seeds 1 2] [--trips 100] [--cache FOLDER]
+                                       [--changed | --pooled]
 
 Wet rail, each trip with passing spots of its own (`trainlog.simulation.draw_scenarios`), which the
 map does not know. Root mean square error of maximum adhesion and share of the bins in the 95 %
 band, of the lasting condition: in all bins with onsets, in those with onsets of one trip alone, and
 in those of ten trips or more; and of the expected condition against what the next trip meets. With
+``--pooled`` the same of the estimate before the map had two time scales (`pooled.py`). With
 ``--changed`` the line changes after these trips, 20 more follow, and the change is dated.
 """
 
@@ -17,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pooled import pooled_estimate
 
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import evidence_of
@@ -98,6 +101,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="folder for the evidence of simulated trips")
     parser.add_argument("--library", type=Path, default=LIBRARY)
     parser.add_argument("--changed", action="store_true")
+    parser.add_argument("--pooled", action="store_true")
     options = parser.parse_args()
     print("line, seed, trips: all bins with onsets | of one trip | of ten or more | expected")
     for line in lines(options.library):
@@ -108,14 +112,21 @@ def main() -> None:
             known = evidence_by_trip(line, seed, options.trips, options.cache)
             base = base_map(line, "wet", seed)
             for stage in (each for each in STAGES if each <= len(known)):
-                layer = layer_of(line, [each for each, _ in known[:stage]])
-                trips = layer.evidence.by_bin("trips")
-                following = known[min(stage, len(known) - 1)][1]
+                pieces = [each for each, _ in known[:stage]]
+                trips = DailyEvidence.total(pieces).by_bin("trips")
+                if options.pooled:
+                    total = DailyEvidence.total(pieces)
+                    estimate = expected = pooled_estimate(empty_map(line), "wet", total)
+                else:
+                    estimate = layer_of(line, pieces)
+                    expected = estimate.expected()
+                # Against a trip that follows; after the last there is none.
+                following = known[stage][1] if stage < len(known) else None
                 columns = (
-                    scored(layer, base, trips > 0),
-                    scored(layer, base, trips == 1),
-                    scored(layer, base, trips >= 10),
-                    scored(layer.expected(), following, trips > 0),
+                    scored(estimate, base, trips > 0),
+                    scored(estimate, base, trips == 1),
+                    scored(estimate, base, trips >= 10),
+                    "" if following is None else scored(expected, following, trips > 0),
                 )
                 print(f"{line.name:26s} {seed} {stage:4d}  {' | '.join(columns)}", flush=True)
 
