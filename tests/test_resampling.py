@@ -199,6 +199,18 @@ def test_the_clock_may_be_a_topic_or_any_times() -> None:
 def test_joined_in_pieces_is_joined_as_a_whole(
     state: pd.DataFrame, controls: pd.DataFrame, borders: list[int], max_gap: float | None
 ) -> None:
+    check_pieces(state, controls, borders, max_gap)
+
+
+def test_instants_that_come_twice_in_both_topics_are_joined_the_same_in_pieces() -> None:
+    state = frame_of(TRAIN_STATE, [0, 0, 0, 1], {"speed": [1.0, 2.0, 3.0, 4.0]})
+    controls = frame_of(TRAIN_CONTROLS, [0, 0, 0], {"lever": [0.0, 1.0, 1.0]})
+    check_pieces(state, controls, [], None)
+
+
+def check_pieces(
+    state: pd.DataFrame, controls: pd.DataFrame, borders: list[int], max_gap: float | None
+) -> None:
     whole = Trip({}).with_topic(state).with_topic(controls)
     names = ["/train/state.speed", "/train/controls.lever", "/train/controls.tractive_effort"]
     # Borders at samples, too, where most can go wrong.

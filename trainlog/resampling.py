@@ -75,8 +75,6 @@ def interpolated(
     values = frame[column].to_numpy(dtype=np.float64)
     if len(known) == 0:
         return np.full(len(wanted), np.nan)
-    if np.array_equal(known, wanted):
-        return values.copy()  # At its own times a topic is what it was, though one come twice.
     before = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, None)
     after = np.clip(before + 1, None, len(known) - 1)
     step = known[after] - known[before]
@@ -142,8 +140,15 @@ def resampled_frame(
     """The frame of a topic at other times; see `interpolated`. Texts and codes are left out."""
     topic = topic_of_frame(frame.attrs)
     names = [name for name in frame.columns if column_field(topic, name).interpolation != "none"]
+    # At its own times a topic is what it was, though one come twice.
+    own = np.array_equal(_nanoseconds(frame), time.as_unit("ns").asi8)
     found = pd.DataFrame(
-        {name: interpolated(frame, name, time, max_gap) for name in names},
+        {
+            name: frame[name].to_numpy(np.float64).copy()
+            if own
+            else interpolated(frame, name, time, max_gap)
+            for name in names
+        },
         index=_named(time),
         columns=names,
         dtype=np.float64,
@@ -200,7 +205,9 @@ def joined(
             full = f"{topic}.{column}"
             if full in found:
                 raise InputError(f"{full} is joined twice", remedy="name it once")
-            found[full] = interpolated(frame, column, times, max_gap)
+            values = interpolated(frame, column, times, max_gap)
+            # At its own times a topic is what it was, though one come twice.
+            found[full] = frame[column].to_numpy(np.float64).copy() if topic == on else values
             units[full] = frame.attrs["units"][column]
     result = pd.DataFrame(found, index=_named(times), columns=list(found), dtype=np.float64)
     result.attrs = {"units": units}
