@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.trajectory.adhesion import adhesion_demand, adhesion_words
+from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
+from trainlog.formats.condition import read_map
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import read_parameters
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.formats.trajectory import read_trajectory
-from trainlog.railway import Trajectory
+from trainlog.railway import Configuration, Trajectory
 from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH
 
@@ -146,6 +149,8 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
         (("--risk", "0.05"), "leave out --risk or give a map"),
         (("--at", "2026-11-22"), "leave out --at or give a map"),
         ((*MAP, "--at", "soon"), "'soon' is not a time"),
+        ((*MAP, "--at", "2024-10-07T06:00Z"), "no evidence of a day before 2024-10-07"),
+        (("--layer", "dry"), "leave out --layer or give a map"),
     ],
     ids=lambda given: " ".join(map(str, given[-2:])) if isinstance(given, tuple) else "",
 )
@@ -157,3 +162,54 @@ def test_bad_input_is_refused_before_anything_is_written(
         cli.run([str(word) for word in ("optimise", observed, *words, "-o", output)])
     assert message in str(refusal.value)
     assert not output.exists()
+
+
+def test_what_is_counted_on_is_stated(
+    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked(observed, tmp_path, "--km", ":4", *MAP)
+    plain = " ".join(capsys.readouterr().out.split())
+    for words in (
+        "no --layer is given: wet",
+        "layer wet, the lasting condition less 2 standard deviations",
+        "of 4.0 km:",
+        "km without a limit, for want of evidence",
+        "risk that a run finds less than it asks for somewhere",
+        "of the adhesion counted on at most",
+    ):
+        assert words in plain
+    assert "promises" not in plain
+    time = ("--at", "2024-10-08T06:00Z", "--assumed-adhesion", 0.05, "--layer", "wet")
+    asked(observed, tmp_path, "--km", ":4", *MAP, *time)
+    expected = " ".join(capsys.readouterr().out.split())
+    assert "is expected at 2024-10-08T06:00:00+00:00, with passing spots, less 2" in expected
+    assert "assumed, 0.05" in expected
+    assert "no --layer" not in expected
+    assert "without a limit" not in expected
+
+
+def test_the_risk_of_a_run_is_that_of_what_it_asks_for() -> None:
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    track = read_map(sample("CH_StGallen_Wil.map"))
+    alone = (Configuration.of(train),)
+    seen = int(np.flatnonzero(track.layer("wet").observed)[0])
+    places = np.array([seen, seen + 1, seen + 2]) * track.bin_length
+    expected = track.layer("wet").expected()
+    at_risk = float(expected.quantile(0.05)[seen])
+    for direction, own in (("forward", places), ("reverse", line.length - places[::-1])):
+        pull = np.array([at_risk * train.adhesive_weight(), 0.0])
+        drive = Trajectory(
+            line.name, train.name, own, alone, np.zeros((1, 3)), np.zeros((1, 3)),
+            pull if direction == "forward" else pull[::-1], np.zeros((1, 2)), 100.0,
+            direction=direction,
+        )  # fmt: skip
+        course = line if direction == "forward" else line.reversed()
+        run = TrajectoryProblem(
+            course, train, alone, condition_map=track, risk=0.05, direction=direction
+        )
+        demand = adhesion_demand(run, drive)
+        assert demand[seen] == pytest.approx(at_risk)
+        assert (
+            "somewhere, as expected right after the last evidence: 5 % to"
+            in (adhesion_words(run, drive)[2])
+        )

@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from pandas import Timestamp
 
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
-from trainlog.railway import Trajectory
+from trainlog.railway import TrackConditionMap, Trajectory
 from trainlog.railway.effort import arrays_of
 from trainlog.railway.motion import effort_at
 from trainlog.units import GRAVITY
@@ -51,6 +52,9 @@ little time, who is cautious loses it everywhere."""
 
 ASSUMED = {"dry": (0.3, 0.15), "wet": (0.15, 0.08)}
 """Adhesion in traction, and in braking ahead of what must be kept, without a map."""
+
+LOWEST_ASSUMED = (0.05, 0.05)
+"""The same on rail of any other condition, such as leaves: that of low adhesion."""
 
 SETTLING, SETTLING_SHARE = 10.0, 0.75
 """In the last metres before the stop [m] less is counted on: dynamic brakes fade there."""
@@ -258,7 +262,7 @@ def _adhesion(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray
     usual in such weather.
     """
     if run.condition_map is None:
-        usual = ASSUMED.get(run.layer, ASSUMED["wet"])
+        usual = ASSUMED.get(run.layer, LOWEST_ASSUMED)
         return np.full(positions.shape, usual[0]), np.full(positions.shape, usual[1])
     own = run.line.length - positions if run.direction == "reverse" else positions
     known = run.adhesion_at(positions)
@@ -267,6 +271,36 @@ def _adhesion(run: TrajectoryProblem, positions: FloatArray) -> tuple[FloatArray
         for sigmas in (UNSEEN_SIGMAS, PULLING_SIGMAS)
     )
     return pulling, np.where(np.isfinite(known), known, likely)
+
+
+def counted_on(
+    track: TrackConditionMap | None,
+    layer: str,
+    risk: float | None = None,
+    time: Timestamp | None = None,
+) -> str:
+    """What adhesion a train that follows counts on, in words.
+
+    Examples
+    --------
+    >>> counted_on(None, "leaves")
+    'adhesion: leaves rail without a map, low adhesion assumed: 0.05 in traction, 0.05 in braking'
+    """
+    if track is None:
+        pulling, braking = ASSUMED.get(layer, LOWEST_ASSUMED)
+        what = "assumed" if layer in ASSUMED else "low adhesion assumed"
+        return (
+            f"adhesion: {layer} rail without a map, {what}: {pulling:g} in traction, {braking:g} in"
+            " braking"
+        )
+    when = "right after the last evidence" if time is None else f"at {time.isoformat()}"
+    if risk is not None:
+        return f"adhesion: layer {layer}, at most a risk of {risk:g} a place, as expected {when}"
+    what = "the lasting condition" if time is None else f"what is expected {when}"
+    return (
+        f"adhesion: layer {layer}, {what} less {PULLING_SIGMAS:g} standard deviations in traction,"
+        f" {TrajectoryProblem.sigmas:g} in braking ({UNSEEN_SIGMAS:g} where not observed)"
+    )
 
 
 def _lowest_around(fine: FloatArray) -> FloatArray:

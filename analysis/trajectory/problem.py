@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pandas import Timestamp
 
-from analysis.adhesion.demonstrated import usable_adhesion
+from analysis.adhesion.demonstrated import UsableAdhesion, usable_adhesion
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
@@ -347,10 +347,10 @@ class TrajectoryProblem:
         return np.unique(np.concatenate(([self.start], inside, [self.end])))
 
     @cached_property
-    def _usable(self) -> FloatArray:
-        """Adhesion to count on in each bin of the map; infinite where nothing limits."""
+    def usable(self) -> UsableAdhesion | None:
+        """What may be counted on in each bin of the map; None without a map."""
         if self.condition_map is None:
-            return np.zeros(0)
+            return None
         return usable_adhesion(
             self.condition_map,
             self.layer,
@@ -358,7 +358,12 @@ class TrajectoryProblem:
             risk=self.risk,
             time=self.time,
             assumed=self.assumed_adhesion,
-        ).values
+        )
+
+    @property
+    def _usable(self) -> FloatArray:
+        """Adhesion to count on in each bin of the map; infinite where nothing limits."""
+        return np.zeros(0) if self.usable is None else self.usable.values
 
     def adhesion_at(self, positions: FloatArray) -> FloatArray:
         """Cautious maximum adhesion at each position; infinite where unknown."""

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from analysis.tables import excess, kwh, new_table
+from analysis.tables import kwh, new_table
 from trainlog.railway import Trajectory
 from trainlog.units import KMH, clock
 
@@ -47,9 +47,9 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         ("configurations", deciding),
         (trajectory.energy_label, f"{kwh(certificate['energy'])}, {bound}"),
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
-        ("latest arrival", f"{excess(audit['lateness']):.4f} s after the timetable"),
-        ("speed over the limit", f"{excess(audit['overspeed']) * KMH:.5f} km/h"),
-        ("power", f"{audit['power']:.6f} of the limit at most"),
+        ("latest arrival", _late(audit["lateness"])),
+        ("speed over the limit", _over(audit["overspeed"] * KMH)),
+        ("power", f"{audit['power']:.1%} of the limit at most"),
         ("adhesion", _share(audit["adhesion"])),
         ("controls as the maximum principle asks", shares or "not known"),
     )
@@ -147,7 +147,15 @@ def advice_table(points: Sequence[AdvicePoint]) -> Table:
 
 
 def _share(adhesion: float) -> str:
-    return f"{adhesion:.6f} of what the map promises at most" if adhesion else "no map was used"
+    return f"{adhesion:.1%} of the adhesion counted on at most" if adhesion else "no limit was met"
+
+
+def _late(seconds: float) -> str:
+    return f"{seconds:.1f} s after the timetable" if seconds >= 0.05 else "within the timetable"
+
+
+def _over(excess: float) -> str:
+    return f"{excess:.1f} km/h" if excess >= 0.05 else "none"
 
 
 def _some(names: Sequence[str]) -> str:

@@ -41,7 +41,8 @@ RunTimeOption = Annotated[
     typer.Option(
         "--at",
         help="With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: with"
-        " --risk right after its last evidence, else what lasts.",
+        " --risk right after its last evidence, else what lasts. Only evidence of days before"
+        " counts (UTC).",
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]

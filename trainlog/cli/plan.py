@@ -24,7 +24,7 @@ from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-    from trainlog.railway import Line, Trajectory
+    from trainlog.railway import Trajectory
 
 app = typer.Typer()
 
@@ -63,8 +63,11 @@ def optimise(
         Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
     ] = None,
     layer: Annotated[
-        str, typer.Option(help="Rail condition of the map, such as dry, wet or leaves.")
-    ] = "wet",
+        str | None,
+        typer.Option(
+            help="With --map: its rail condition, such as dry, wet or leaves; default: wet."
+        ),
+    ] = None,
     assumed_adhesion: Annotated[
         float | None,
         typer.Option(
@@ -126,9 +129,8 @@ def optimise(
     from analysis.comparison.cost import fastest_nonstop
     from analysis.trajectory.optimiser import optimise as solve
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-    from trainlog.formats.condition import read_map
+    from trainlog.cli.map_of_run import map_of_run
     from trainlog.formats.parameters import read_parameters
-    from trainlog.spans import utc
 
     destination(output, ".json")
     ends = {"--km": km, "--initial-speed": initial_speed, "--final-speed": final_speed}
@@ -145,7 +147,7 @@ def optimise(
         _refuse("--as-fast-as is the time from end to end of the line", ends)
     if condition is None:
         of_map: dict[str, object] = {"--assumed-adhesion": assumed_adhesion, "--sigmas": sigmas}
-        of_map |= {"--risk": risk, "--at": at}
+        of_map |= {"--risk": risk, "--at": at, "--layer": layer}
         _refuse("there is no --map to be read", of_map, "or give a map")
     if risk is not None:
         _refuse("--risk says how cautiously the map is read", {"--sigmas": sigmas})
@@ -165,6 +167,9 @@ def optimise(
     if reverse:
         the_line = the_line.reversed()
     start, end = stretch(km) or (None, None)
+    track, time = (None, None) if condition is None else map_of_run(condition, at)
+    if track is not None and layer is None:
+        console.print("  no --layer is given: wet", highlight=False)
     given: dict[str, Any] = {
         "running_time": running_time,
         "reserve": None if reserve is None else reserve / 100.0,
@@ -173,10 +178,10 @@ def optimise(
         "initial_speed": None if initial_speed is None else initial_speed / KMH,
         "final_speed": None if final_speed is None else final_speed / KMH,
         "weights": observed.weights if objective == "expected" else None,
-        "condition_map": None if condition is None else read_map(condition),
+        "condition_map": track,
         "sigmas": sigmas,
         "risk": risk,
-        "time": None if at is None else utc(at),
+        "time": time,
         "assumed_adhesion": assumed_adhesion,
         "protected_length": the_train.length if protect == "train" else None,
         "direction": "reverse" if reverse else None,
@@ -187,7 +192,7 @@ def optimise(
         observed.configurations,
         braking=braking,
         objective=objective,
-        layer=layer,
+        layer=layer or "wet",
         **{name: value for name, value in given.items() if value is not None},
     )
     options = OptimiserOptions(cells, referee)
@@ -196,7 +201,7 @@ def optimise(
         return
     with working(f"optimising over {len(observed.configurations)} configurations"):
         trajectory = solve(problem, options)
-    _write(trajectory, the_line, output)
+    _write(trajectory, problem, output)
     if pareto:
         _front(problem, options, output)
 
@@ -211,8 +216,9 @@ def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
         )
 
 
-def _write(trajectory: Trajectory, line: Line, output: Path) -> None:
+def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> None:
     """Write a trajectory, its picture and its advice, and print what it is."""
+    from analysis.trajectory.adhesion import adhesion_words
     from analysis.trajectory.phases import advice, write_advice
     from analysis.trajectory.plot import draw_trajectory
     from analysis.trajectory.table import advice_table, trajectory_table
@@ -220,9 +226,11 @@ def _write(trajectory: Trajectory, line: Line, output: Path) -> None:
 
     points = advice(trajectory)
     write_trajectory(trajectory, output)
-    draw_trajectory(trajectory, line, output.with_suffix(".png"))
+    draw_trajectory(trajectory, problem.line, output.with_suffix(".png"))
     write_advice(points, output.with_suffix(".csv"))
     console.print(trajectory_table(trajectory), advice_table(points))
+    for words in adhesion_words(problem, trajectory):
+        console.print(f"  {words}", highlight=False, soft_wrap=True)
     wrote(output, output.with_suffix(".png"), output.with_suffix(".csv"))
 
 
@@ -241,7 +249,7 @@ def _journey(
     with working("optimising the sections"):
         plan = optimise_journey(problem, read_journey(journey), options, dwell=dwell)
     for number, section in enumerate(plan.sections, start=1):
-        _write(section, problem.line, output.with_name(f"{output.stem}-{number}.json"))
+        _write(section, problem, output.with_name(f"{output.stem}-{number}.json"))
     console.print(journey_table(plan))
 
 

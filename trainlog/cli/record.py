@@ -153,11 +153,11 @@ def simulate(
     )
 
     the_line, the_train = line_and_train(line, train)
-    the_map = None
+    the_map = time = None
     if condition is not None and (trajectory is not None or traction == "cooperative"):
-        from trainlog.formats.condition import read_map
+        from trainlog.cli.map_of_run import map_of_run
 
-        the_map = read_map(condition)
+        the_map, time = map_of_run(condition, None if trajectory is None else at)
     over_days = None
     if trajectory is None:
         following = {
@@ -187,18 +187,20 @@ def simulate(
         )
     else:
         from analysis.control.follow import following_scenarios
+        from analysis.control.route import counted_on
         from trainlog.formats.trajectory import read_trajectory
-        from trainlog.spans import utc
 
         if condition is None and (risk is not None or at is not None):
             raise InputError(
                 "--risk and --at say how a map is read", remedy="give --map, or leave them out"
             )
+        words = counted_on(the_map, weather or "dry", risk, time)
+        console.print(f"  {words}", highlight=False, soft_wrap=True)
         scenarios = following_scenarios(
             read_trajectory(trajectory), the_line, the_train,
             configurations=configurations or "hardest", weather=weather or "dry", late=late,
             condition_map=the_map, seed=seed,
-            risk=risk, time=None if at is None else utc(at),
+            risk=risk, time=time,
         )  # fmt: skip
     if characteristic is not None:
         rail = read_characteristic(characteristic)
