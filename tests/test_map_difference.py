@@ -12,12 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.dates import date2num
+from matplotlib.figure import Figure
+from scipy.special import ndtr
 
 import analysis
 import trainlog
+from analysis.adhesion import map_plot
 from analysis.adhesion.condition_map import empty_map
-from analysis.adhesion.map_difference import q_values
+from analysis.adhesion.map_difference import detectable_ratio, q_values
 from analysis.adhesion.map_history import position_of
+from analysis.adhesion.map_plot import draw_history
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
@@ -96,7 +101,11 @@ def test_where_nothing_changed_little_is_found() -> None:
     assert all(len(each.bins) >= 50 for each in found)
     assert sum(each.changed for each in found) <= 2
     quiet = next(each for each in found if not each.changed)
-    assert "No significant change" in quiet.sentence
+    assert f"No significant change in {len(quiet.bins)} bins" in quiet.sentence
+    assert f"(wet {len(quiet.bins)})" in quiet.sentence
+    ratio = quiet.bins["detectable_ratio"].median()
+    assert f"from the factor {ratio:.2f} (wet) on" in quiet.sentence
+    assert quiet.as_json()["layers"]["wet"]["bins"] == len(quiet.bins)
     assert quiet.bins["probability"].mean() < 0.5
 
 
@@ -128,6 +137,27 @@ def test_a_false_discovery_rate_follows_benjamini_and_hochberg() -> None:
     assert q_values(np.zeros(0)).size == 0
 
 
+def test_a_change_of_the_detectable_ratio_is_found_four_times_in_five() -> None:
+    random = np.random.default_rng(3)
+    log_std = random.uniform(0.05, 0.3, 60)
+    ratio = detectable_ratio(log_std, 0.05)
+    found = 0
+    for run_number in range(1_000):
+        score = random.standard_normal(60)
+        changed = run_number % 60
+        score[changed] += np.log(ratio[changed]) / log_std[changed]
+        found += q_values(2.0 * ndtr(-np.abs(score)))[changed] <= 0.05
+    assert found / 1_000 == pytest.approx(0.8, abs=0.05)
+
+
+def test_a_second_date_after_the_last_evidence_is_stated(whole: TrackConditionMap) -> None:
+    found = analysis.map_difference(whole, since=DAY + 29, until=DAY + 70)
+    assert found.after == "evidence after it up to 2026-07-25"
+    assert found.notes == ("The evidence ends on 2026-07-25, before the date 2026-08-05.",)
+    exact = analysis.map_difference(whole, since=DAY + 29)
+    np.testing.assert_array_equal(found.bins["q_value"], exact.bins["q_value"])
+
+
 def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
     for given, message in (
         ({}, "one map is given; give a second one, or"),
@@ -143,7 +173,9 @@ def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
             analysis.map_difference(whole, **given)
 
 
-def test_a_history_has_the_evidence_and_the_estimate_of_each_day(whole: TrackConditionMap) -> None:
+def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
+    whole: TrackConditionMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
     row = CHANGED.start + 5
     position = 25.0 * row + 10.0
     found = analysis.map_history(whole, position, "wet", line=LINE, days=3)
@@ -163,18 +195,37 @@ def test_a_history_has_the_evidence_and_the_estimate_of_each_day(whole: TrackCon
     last = found.known.iloc[-1]
     assert last["adhesion"] == pytest.approx(float(np.exp(whole.layer("wet").log_mean[row])))
     assert last["low"] < last["adhesion"] < last["high"]
+    assert found.unmeasured == ""
+    figures: list[Figure] = []
+    monkeypatch.setattr(map_plot, "write_figure", lambda figure, path: figures.append(figure))
+    draw_history(found, "place.png")
+    # The newest value is visible: it reaches to the right end of the picture, days beyond it.
+    axes = figures[0].axes[0]
+    end = axes.get_xlim()[1]
+    newest = [line for line in axes.lines if len(line.get_xdata()) == 4]
+    assert len(newest) == 2
+    for drawn in newest:
+        days = date2num(drawn.get_xdata())
+        assert days[-1] == pytest.approx(end)
+        assert days[-1] - days[-2] >= map_plot.MARGIN
     assert found.near == "at Mitte"
 
 
 def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
-    whole: TrackConditionMap,
+    whole: TrackConditionMap, tmp_path: Path
 ) -> None:
     found = analysis.map_history(whole, 2_000.0, "wet", days=2)
     assert found.onsets.empty
     assert found.used["level"].unique().tolist() == pytest.approx([whole.levels[4]])
     assert len(found.used) == 60
-    assert found.known["adhesion"].isna().all()
-    assert found.known["low"].isna().all()
+    assert found.known.empty
+    assert found.unmeasured == (
+        "No slip was measured here: the maximum is not known (used without slip up to"
+        f" {whole.levels[4]:.2f})."
+    )
+    assert found.unmeasured in " ".join(found._repr_html_().split())
+    draw_history(found, tmp_path / "place.png")
+    assert (tmp_path / "place.png").stat().st_size > 5_000
     with pytest.raises(InputError, match=r"km 11 is not on line 'A-B'; it reaches from km 0 to 10"):
         analysis.map_history(whole, 11_000.0, "wet")
 
@@ -216,12 +267,12 @@ def test_the_commands_draw_list_and_end_as_diff_does(
     assert run([*words, "--picture", str(tmp_path / "diff.png")]) == 1
     shown = " ".join(capsys.readouterr().out.split())
     assert "1 section changed" in shown
-    assert "at Mitte" in shown
+    assert "Mitte" in shown
     assert (tmp_path / "diff.png").stat().st_size > 20_000
     assert run([*words, "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["changed"] is True
-    assert len(found["sections"]) == 1
+    assert [each["near"] for each in found["sections"]] == ["at Mitte"]
     assert run(["map", "diff", str(path), "--from", "2026-06-10", "--to", "2026-06-25"]) == 0
     capsys.readouterr()
     with pytest.raises(InputError, match="both maps count the same trips"):

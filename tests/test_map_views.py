@@ -36,6 +36,8 @@ MODEL = ConditionModel(
     (
         ModelParameter("trip_std", "1", 0.12, 0.011, "estimated"),
         ModelParameter("correlation_length", "m", 120.0, float("nan"), "assumed"),
+        ModelParameter("mean", "1", -1.238, 0.09, "assumed"),
+        ModelParameter("slippery_length", "m", 193.2, 124.0, "assumed"),
     )
 )
 
@@ -90,7 +92,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 def test_the_state_has_lasting_beside_expected_with_place_and_spot(
     track: TrackConditionMap, line: Line
 ) -> None:
-    state = analysis.map_state(track, AT, line=line, places=3)
+    state = analysis.map_state(track, AT, line=line, places=5)
     wet = state.lowest.query("layer == 'wet'")
     layer = track.layer("wet")
     lowest = int(np.argmin(np.where(layer.observed, layer.log_mean, np.inf)))
@@ -99,25 +101,34 @@ def test_the_state_has_lasting_beside_expected_with_place_and_spot(
     assert first["adhesion"] == pytest.approx(np.exp(layer.log_mean[lowest]))
     assert first["expected"] == pytest.approx(0.9 * np.exp(layer.log_mean[lowest]))
     assert first["low"] < first["adhesion"] < first["high"]
-    assert first["near"] == "0.4 km after Gossau SG"
-    assert first["spot_probability"] == pytest.approx(SPOT.alive(AT))
+    assert first["near"] == "at Flawil"
+    in_spot = wet[wet["near"] == "0.4 km after Gossau SG"].iloc[0]
+    assert in_spot["spot_probability"] == pytest.approx(SPOT.alive(AT))
+    assert first["spot_probability"] == 0.0
     # Apart from each other, and least first.
     assert np.diff(np.sort(wet["start_m"])).min() >= 250.0
     assert wet["expected"].is_monotonic_increasing
-    assert state.model["source"].tolist() == ["estimated", "assumed"]
+    mostly = ["mostly assumed"] * 2
+    model = state.model[state.model["layer"] == "wet"]
+    assert model["source"].tolist() == ["estimated", "assumed", *mostly]
 
 
 def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
     track: TrackConditionMap, line: Line
 ) -> None:
-    words = printed(state_table(analysis.map_state(track, AT, line=line)))
+    words = printed(state_table(analysis.map_state(track, AT, line=line), model=True))
     assert "expected at 2024-10-09 06:00 UTC" in words
     assert "9.675 to 9.750" in words
     assert f"{SPOT.alive(AT):.0%}" in words
     assert "2024-10-06 (2024-10-05 to 2024-10-07)" in words
-    assert "trip std 0.12 0.011 1 the evidence" in words
+    assert "trip std 0.12 0.011 ln(adhesion) the evidence" in words
     assert "correlation length 120 m assumed" in words
-    assert "Elsewhere the map says nothing" in words
+    # A mean of logarithms is read as an adhesion; what the evidence moved is not all assumed.
+    assert "median of normal rail 0.29 0.026 adhesion mostly assumed" in words
+    assert "slippery length 193 120 m mostly assumed" in words
+    assert "Model" not in printed(state_table(analysis.map_state(track, AT, line=line)))
+    assert "Where nothing was observed, the map has no estimate; 203 onsets of slip" in words
+    assert "34 others did not" in words
     assert "lies before the last evidence" not in words
     earlier = analysis.map_state(track, AT - pd.Timedelta("3D"), line=line)
     assert "lies before the last evidence" in printed(state_table(earlier))
@@ -131,6 +142,35 @@ def test_the_default_time_is_right_after_the_last_evidence(track: TrackCondition
     assert naive.at == AT
     assert "Passing spots" in naive._repr_html_()
     assert "expected at 2024-10-09 06:00 UTC" in repr(naive)
+
+
+def test_a_spot_is_described_in_words_and_what_cannot_be_known_is_stated(
+    track: TrackConditionMap,
+) -> None:
+    wet = track.layer("wet")
+    evidence = wet.evidence
+    day = int(evidence.day[0])
+    # Met on the first day of a place that was seen again later, by then without a spot.
+    start = 25.0 * float(evidence.bin[0])
+    early = replace(
+        SPOT, start=start, end=start + 25.0, first=day, last=day, checked=day + 3, present=0.0
+    )
+    seen_before = replace(early, first=day + 1, last=day + 2)
+    change = replace(CHANGE, start=start, end=start + 25.0)
+    for spot, changes, expected in (
+        (early, (), True),
+        (early, (change,), False),
+        (seen_before, (), False),
+        (replace(early, checked=day), (), False),
+    ):
+        layers = {"wet": replace(wet, spots=(spot,), changes=changes)}
+        state = analysis.map_state(replace(track, layers=layers), AT)
+        assert state.spots["may_be_change"].tolist() == [expected]
+        words = printed(state_table(state))
+        assert "gone (0 %)" in words
+        assert ("cannot be distinguished yet" in words) is expected
+        met = "2024-10-08 to 2024-10-09" if spot is seen_before else "on 2024-10-07"
+        assert met in words
 
 
 def test_a_map_states_spots_changes_and_its_last_day(track: TrackConditionMap) -> None:
@@ -153,10 +193,20 @@ def test_the_picture_names_stations_and_dates_and_shades_what_is_unknown(
     assert f"2024-10-07, {SPOT.alive(AT):.0%}" in texts
     assert "changed 2024-10-06" in texts
     legend = {text.get_text() for text in figure.legends[0].get_texts()}
-    assert {"not observed", "lasting, 95 % band", "expected, 95 % band", "passing spot"} <= legend
+    assert {"not observed", "expected, 95 % band", "passing spot"} <= legend
+    # Each layer's colour is named.
+    assert {"dry lasting, 95 % band", "wet lasting, 95 % band"} <= legend
     before = (tmp_path / "map.png").read_bytes()
     plot.draw_map(track, tmp_path / "map.png", line=line, at=AT + pd.Timedelta("9D"))
     assert (tmp_path / "map.png").read_bytes() != before
+    later = AT + pd.Timedelta("30D")
+    plot.draw_map(track, tmp_path / "map.png", line=line, at=later, part=(9e3, 12e3))
+    texts = {text.get_text() for axes in drawn[-1].axes for text in axes.texts}
+    # The spot is gone; the change, and all stations but one, are elsewhere.
+    assert "Gossau SG" in texts
+    assert not {"Uzwil", "changed 2024-10-06"} & texts
+    assert not any("2024-10-07" in text for text in texts)
+    assert drawn[-1].axes[0].get_xlim() == (9.0, 12.0)
     with pytest.raises(InputError, match="the map is of line"):
         plot.draw_map(track, tmp_path / "map.png", line=replace(line, name="elsewhere"))
 
@@ -186,13 +236,20 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     found = json.loads(capsys.readouterr().out)
     assert found["expected_at"] == "2024-10-09T06:00:00+00:00"
     assert [each["layer"] for each in found["layers"]] == ["wet"]
+    assert found["last_evidence"] == "2024-10-07"
+    assert found["evidence_ends"] == "2024-10-08T00:00:00+00:00"
+    length = found["layers"][0]["observed_m"]
+    assert length == round(length, 3)
     lowest = found["lowest"][0]
-    assert lowest["near"] == "0.4 km after Gossau SG"
+    assert lowest["near"] == "at Flawil"
     assert lowest["expected_low"] < lowest["expected"] < lowest["expected_high"]
     assert run([*words, "--picture", str(tmp_path / "wet.png")]) == 0
     shown = capsys.readouterr().out
     assert "states no zone: taken for UTC" in shown
     assert (tmp_path / "wet.png").stat().st_size > 20_000
+    for given, message in (("8", "not a part of a line"), ("8:9", "what a picture shows")):
+        with pytest.raises(InputError, match=message):
+            run(["map", "show", str(tmp_path / "absent.map"), "--km", given])
     assert run([*words[:-1], "2024-10-09T08:00+02:00"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "expected at 2024-10-09 06:00 UTC" in shown

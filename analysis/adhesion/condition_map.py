@@ -475,10 +475,11 @@ class LayerSummary:
     def elsewhere(self) -> str:
         """What holds where nothing was observed, in words."""
         if not self.unmeasured and not self.incomplete:
-            return "Elsewhere demand never met the limit: there the map says nothing."
-        words = "Elsewhere the map says nothing"
+            return "Where nothing was observed, demand never met the limit: no estimate."
+        words = "Where nothing was observed, the map has no estimate"
         if self.unmeasured:
-            words += f"; {counted(self.unmeasured, 'slip event')} did not show the maximum"
+            measured = counted(self.events, "onset")
+            words += f"; {measured} of slip measured the maximum, {self.unmeasured} others did not"
         if self.incomplete:
             words += f"; on {counted(self.incomplete, 'trip')} slips may have gone unseen"
         return words + "."
@@ -548,7 +549,7 @@ def map_table(track: TrackConditionMap) -> Group:
     """What a track-condition map knows, layer by layer, with its lowest spots."""
     title = f"Track condition of {track.line}, {track.bin_length:.0f} m bins"
     lowest = "lowest maximum adhesion (95 % band)"
-    table = new_table(title, "rail", "trips", "slip events", "observed", lowest)
+    table = new_table(title, "rail\ncondition", "trips", "onsets measured", "observed", lowest)
     for layer in summary(track):
         spots = [
             f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"

@@ -236,8 +236,58 @@ def spots_table(
         "present_when_checked": _each(spots, "present"),
         "probability": np.array([np.nan if now is None else spot.alive(now) for spot in spots]),
         "life_days": _each(spots, "life"),
+        "may_be_change": np.array(
+            [may_be_change(track, track.layer(name), spot) for name, spot in found], dtype=np.bool_
+        ),
     }
     return pd.DataFrame(rows)
+
+
+def may_be_change(track: TrackConditionMap, layer: ConditionLayer, spot: PassingSpot) -> bool:
+    """Whether a spot cannot be distinguished from a lasting change to a higher adhesion.
+
+    So it is where nothing is known of the place before the spot, something since, and no change
+    was found there: what was low may have been what lasted until then.
+    """
+    first, end = _bins_of(track, spot)
+    known = layer.evidence
+    earlier = any(
+        bool(((place >= first) & (place < end) & (day < spot.first)).any())
+        for place, day in ((known.bin, known.day), (known.used_bin, known.used_day))
+    )
+    changed = any(each.start < spot.end and each.end > spot.start for each in layer.changes)
+    return spot.checked > spot.last and not earlier and not changed
+
+
+def probability_words(share: float) -> str:
+    """The probability that a spot lies there, in words where it is nil.
+
+    Examples
+    --------
+    >>> probability_words(0.42), probability_words(0.001)
+    ('42%', 'gone (0 %)')
+    """
+    return "gone (0 %)" if share < 0.005 else f"{share:.0%}"
+
+
+def met_words(first: pd.Timestamp, last: pd.Timestamp) -> str:
+    """When a spot was met.
+
+    Examples
+    --------
+    >>> met_words(pd.Timestamp("2026-10-10"), pd.Timestamp("2026-10-10"))
+    'on 2026-10-10'
+    """
+    if first == last:
+        return f"on {first:%Y-%m-%d}"
+    return f"{first:%Y-%m-%d} to {last:%Y-%m-%d}"
+
+
+MAY_BE_CHANGE = (
+    "there is no evidence before it: a lasting change to higher adhesion would look the same, and"
+    " the two cannot be distinguished yet."
+)
+"""What is stated of a spot that `may_be_change`."""
 
 
 def changes_table(

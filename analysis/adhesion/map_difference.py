@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Group, RenderableType
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from analysis.adhesion.condition_table import (
     BAND,
@@ -40,6 +40,9 @@ LEAST = 0.01
 GAP = 2
 """Bins without a significant change between two of one section, at most."""
 
+POWER = 0.8
+"""Probability with which a change of the detectable ratio is found."""
+
 _EVER = int(np.iinfo(np.int32).max)
 _SUMS = ("trips", "events", "weight", "weighted_log", "weighted_square", "common", "used_trips")
 
@@ -55,7 +58,8 @@ class MapDifference:
     bins : DataFrame
         A row a layer and bin observed in both: the two estimates with their 95 % bands,
         ``difference``, ``probability`` (that it is larger than `least`, whichever its sign),
-        ``q_value`` and whether it is ``significant``.
+        ``q_value``, whether it is ``significant``, and the ``detectable_ratio``: by which factor
+        a bin must change alone, up or down, to be found with a probability of 80 %.
     sections : DataFrame
         Neighbouring significant bins of one sign together.
     newly_observed : dict of str to int
@@ -91,15 +95,32 @@ class MapDifference:
     @property
     def sentence(self) -> str:
         """The outcome in one sentence."""
+        by_layer = self.detectable
+        each = ", ".join(f"{name} {bins}" for name, (bins, _) in by_layer.items())
         tested = counted(len(self.bins), "bin")
+        if self.bins.empty:
+            return "Nothing was compared: no bin was observed by both."
         if not self.changed:
-            return f"No significant change in {tested} that both observed."
+            ratios = ", ".join(f"{ratio:.2f} ({name})" for name, (_, ratio) in by_layer.items())
+            return (
+                f"No significant change in {tested} that both observed ({each}). A change of one"
+                f" bin, up or down, is found with {POWER:.0%} probability from the factor {ratios}"
+                " on, in the middle one of these bins; smaller ones may have gone unseen."
+            )
         several = counted(len(self.sections), "section")
         count = int(self.bins["significant"].sum())
         return (
-            f"{several} changed: {count} of {tested} that both observed; of these at most"
+            f"{several} changed: {count} of {tested} that both observed ({each}); of these at most"
             f" {self.rate:.0%} by chance."
         )
+
+    @property
+    def detectable(self) -> dict[str, tuple[int, float]]:
+        """By layer the number of bins compared, and the median of their detectable ratios."""
+        return {
+            str(name): (len(rows), float(rows["detectable_ratio"].median()))
+            for name, rows in self.bins.groupby("layer", sort=False)
+        }
 
     def as_json(self) -> dict[str, Any]:
         """The same in JSON's own types."""
@@ -111,6 +132,10 @@ class MapDifference:
             "false_discovery_rate": self.rate,
             "least": self.least,
             "tested_bins": len(self.bins),
+            "layers": {
+                name: {"bins": bins, "detectable_ratio": ratio}
+                for name, (bins, ratio) in self.detectable.items()
+            },
             "newly_observed_bins": self.newly_observed,
             "notes": list(self.notes),
             "sections": plain_rows(self.sections),
@@ -199,6 +224,7 @@ def map_difference(
     bins = _bins(sides[0], sides[1], line, least)
     bins["q_value"] = q_values(bins.pop("p_value").to_numpy())
     bins["significant"] = bins["q_value"] <= rate
+    bins["detectable_ratio"] = detectable_ratio(bins.pop("log_std").to_numpy(), rate)
     fresh = {
         name: int((sides[1].layer(name).observed & ~sides[0].layer(name).observed).sum())
         for name in chosen
@@ -233,6 +259,10 @@ def _of_dates(track: TrackConditionMap, since: int | None, until: int | None) ->
             f"the second date, {day_name(until)}, must be after the first, {day_name(since)}",
             remedy=f"the last day with evidence is {day_name(last)}",
         )
+    notes: tuple[str, ...] = ()
+    if until > last:
+        notes = (f"The evidence ends on {day_name(last)}, before the date {day_name(until)}.",)
+        until = last
     one = {name: each.evidence.between(-_EVER, since) for name, each in track.layers.items()}
     other = {name: each.evidence.between(since + 1, until) for name, each in track.layers.items()}
     return _Pair(
@@ -240,6 +270,7 @@ def _of_dates(track: TrackConditionMap, since: int | None, until: int | None) ->
         _known(other),
         f"evidence up to {day_name(since)}",
         f"evidence after it up to {day_name(until)}",
+        notes,
     )
 
 
@@ -356,6 +387,7 @@ def _bins(
         score = (new.log_mean - old.log_mean)[seen] / deviation
         columns |= {"difference": difference, "difference_std": spread}
         columns |= {"probability": beyond, "p_value": 2.0 * ndtr(-np.abs(score))}
+        columns |= {"log_std": deviation}
         parts.append(pd.DataFrame(columns))
     return pd.concat(parts, ignore_index=True)
 
@@ -383,6 +415,30 @@ def q_values(p: FloatArray) -> FloatArray:
     found = np.empty(p.size)
     found[order] = np.minimum(least, 1.0)
     return found
+
+
+def detectable_ratio(log_std: FloatArray, rate: float) -> FloatArray:
+    """Factor by which a bin must change, alone among all, to be found with a probability of 80 %.
+
+    A single discovery among n bins needs a probability by chance of `rate` / n (the first step of
+    Benjamini & Hochberg, 1995); where many bins change, each is found from less on.
+
+    Parameters
+    ----------
+    log_std : (n,) array
+        Standard deviation of the difference of the logarithms, of all bins compared.
+    rate : float
+        False discovery rate.
+
+    Examples
+    --------
+    >>> detectable_ratio(np.array([0.05, 0.2]), 0.05).round(2).tolist()
+    [1.17, 1.85]
+    """
+    if log_std.size == 0:
+        return np.empty(0)
+    least = -ndtri(0.5 * rate / log_std.size) + ndtri(POWER)
+    return np.asarray(np.exp(least * log_std), dtype=np.float64)
 
 
 def _sections(bins: pd.DataFrame, line: Line | None) -> pd.DataFrame:
@@ -426,7 +482,9 @@ def difference_table(found: MapDifference) -> Group:
     """What changed, section by section, the largest difference first."""
     title = f"{found.line}: {found.before}, and {found.after}"
     heads = ("km", "near", "before (95 % band)", "after (95 % band)")
-    table = new_table(title, "rail", *heads, f"differs by more than {found.least:g}", "q")
+    table = new_table(
+        title, "rail\ncondition", *heads, f"differs by more than {found.least:g}", "q"
+    )
     ranked = found.sections.sort_values("difference", key=lambda each: -each.abs(), kind="stable")
     for each in ranked.to_dict("records"):
         sides = [

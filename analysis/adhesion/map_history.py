@@ -12,9 +12,13 @@ from rich.console import Group, RenderableType
 
 from analysis.adhesion.condition_table import (
     BAND,
+    MAY_BE_CHANGE,
     check_course,
     kilometres,
+    may_be_change,
+    met_words,
     plain_rows,
+    probability_words,
 )
 from analysis.tables import as_page, new_table
 from trainlog.condition import estimated
@@ -55,7 +59,8 @@ class PlaceHistory:
     known : DataFrame
         The estimate as it was known at the end of ``day``, made of the evidence up to then:
         whether the bin was ``observed``, the lasting ``adhesion``, ``low``, ``high``, and what was
-        ``expected`` right after, with its band; NaN where it was not observed.
+        ``expected`` right after, with its band; NaN where it was not observed. Empty where no
+        slip was measured there up to now.
     spots, changes : DataFrame
         Passing spots and lasting changes there, as known now, with their dates.
     thinned : bool
@@ -84,6 +89,16 @@ class PlaceHistory:
 
     def _repr_html_(self) -> str:
         return as_page(history_table(self))
+
+    @property
+    def unmeasured(self) -> str:
+        """What is known where no slip was measured, in a sentence; else empty."""
+        if not self.onsets.empty or self.known["observed"].any():
+            return ""
+        words = "No slip was measured here: the maximum is not known"
+        if not self.used.empty:
+            words += f" (used without slip up to {self.used['level'].max():.2f})"
+        return f"{words}."
 
     @property
     def title(self) -> str:
@@ -154,6 +169,10 @@ def map_history(
     end = min(start + track.bin_length, track.length)
     where = pd.DataFrame(kilometres(line, np.array([start]), np.array([end]))).iloc[0]
     when = _days_near(track, chosen, row)
+    onsets = _onsets(chosen, row)
+    if onsets.empty and np.isfinite(chosen.log_mean[row]) and not chosen.observed[row]:
+        # Less evidence did not show it either.
+        when = when[:0]
     shown = when if when.size <= days else when[np.linspace(0, when.size - 1, days).astype(int)]
     return PlaceHistory(
         line=track.line,
@@ -163,10 +182,10 @@ def map_history(
         start_km=float(where["start_km"]),
         end_km=float(where["end_km"]),
         near=str(where["near"]),
-        onsets=_onsets(chosen, row),
+        onsets=onsets,
         used=_used(track, chosen, row),
         known=_known(track, layer, row, shown),
-        spots=_spots(chosen, start, end),
+        spots=_spots(track, chosen, start, end),
         changes=_changes(chosen, start, end),
         thinned=bool(shown.size < when.size),
     )
@@ -269,7 +288,9 @@ def _known(track: TrackConditionMap, name: str, row: int, days: NDArray[np.int64
     return table
 
 
-def _spots(layer: ConditionLayer, start: float, end: float) -> pd.DataFrame:
+def _spots(
+    track: TrackConditionMap, layer: ConditionLayer, start: float, end: float
+) -> pd.DataFrame:
     there = [each for each in layer.spots if each.start < end and each.end > start]
     days = {
         f"{name}_day": _dates(np.array([getattr(each, name) for each in there], dtype=np.int64))
@@ -277,7 +298,8 @@ def _spots(layer: ConditionLayer, start: float, end: float) -> pd.DataFrame:
     }
     names = ("adhesion", "low", "high", "present", "life")
     values = {name: [getattr(each, name) for each in there] for name in names}
-    return pd.DataFrame(days | values)
+    doubtful = [may_be_change(track, layer, each) for each in there]
+    return pd.DataFrame(days | values | {"may_be_change": np.array(doubtful, dtype=np.bool_)})
 
 
 def _changes(layer: ConditionLayer, start: float, end: float) -> pd.DataFrame:
@@ -310,12 +332,14 @@ def history_table(found: PlaceHistory) -> Group:
         parts.append(f"{len(days) - LISTED} earlier days are not listed.")
     if found.thinned:
         parts.append(f"The estimate of then was made for {len(found.known)} days, chosen evenly.")
-    parts += [
-        f"Passing spot: {each.adhesion:.3f}, met {each.first_day:%Y-%m-%d} to"
-        f" {each.last_day:%Y-%m-%d}, still there on {each.checked_day:%Y-%m-%d} with"
-        f" {each.present:.0%}."
-        for each in found.spots.itertuples()
-    ]
+    parts += [found.unmeasured] if found.unmeasured else []
+    for each in found.spots.to_dict("records"):
+        share = probability_words(each["present"])
+        still = share if share.startswith("gone") else f"still there with {share}"
+        met = met_words(each["first_day"], each["last_day"])
+        end = f"; {MAY_BE_CHANGE}" if each["may_be_change"] else "."
+        checked = f"{each['checked_day']:%Y-%m-%d}"
+        parts.append(f"Passing spot: {each['adhesion']:.3f}, met {met}; on {checked} {still}{end}")
     parts += [
         f"Lasting change on {each.day:%Y-%m-%d} ({each.earliest:%Y-%m-%d} to"
         f" {each.latest:%Y-%m-%d}): {each.before:.3f} to {each.after:.3f}."

@@ -56,6 +56,12 @@ COLOURS = {"dry": ORANGE, "wet": BLUE}
 LABELLED = 8
 """Spots, and changes, of a layer that are labelled with their dates: the likeliest."""
 
+GONE = 0.005
+"""Spots that lie there less likely than this are drawn pale, and not labelled."""
+
+MARGIN = 3.0
+"""Days at least that the picture of a history reaches beyond the last evidence."""
+
 LABEL_SPACE = 0.022
 """Share of the width that a label beside a vertical line takes."""
 
@@ -67,6 +73,7 @@ def draw_map(
     *,
     line: Line | None = None,
     at: pd.Timestamp | None = None,
+    part: tuple[float, float] | None = None,
 ) -> None:
     """Draw lasting beside expected maximum adhesion where it was observed; grey where it was not.
 
@@ -83,6 +90,8 @@ def draw_map(
         Gives the stations.
     at : Timestamp, optional
         Time of the expected condition; default: right after the last evidence.
+    part : (2,) tuple of float [m], optional
+        Chainage of the ends of the part that is drawn; default: all of the line.
 
     Raises
     ------
@@ -95,6 +104,7 @@ def draw_map(
         )
     if line is not None:
         check_course(track, line)
+    start, end = sorted(part or (0.0, track.length))
     count = len(track.layers)
     figure = new_figure(13.0, 1.2 + 3.0 * count + 0.9 * (line is not None))
     heights = [3.0] * count + [0.9] * (line is not None)
@@ -104,15 +114,15 @@ def draw_map(
     axes = every[:count]
     for place, (name, layer) in zip(axes, track.layers.items(), strict=True):
         known = None if truth is None or name not in truth else np.asarray(truth[name])
-        _draw_layer(place, track, name, layer, known, at)
+        _draw_layer(place, track, name, layer, known, at, (start, end))
         dress(place, x="", y="maximum adhesion", title=_title(track, name, layer))
         place.set_ylim(0.0, _top(track, at))
         place.tick_params(labelbottom=True)
     _legend(figure, axes)
     if line is not None:
-        _draw_stations(axes, every[-1], line)
+        _draw_stations(axes, every[-1], line, (start, end))
     axes[-1].set_xlabel("km", color=INK)
-    axes[-1].set_xlim(0.0, track.length / 1e3)
+    axes[-1].set_xlim(start / 1e3, end / 1e3)
     now = at or last_evidence(track)
     when = "" if now is None else f"; expected at {now:%Y-%m-%d %H:%M} UTC"
     headline(figure, f"{track.line}: maximum adhesion, {track.bin_length:.0f} m bins{when}")
@@ -126,6 +136,7 @@ def _draw_layer(
     layer: ConditionLayer,
     truth: FloatArray | None,
     at: pd.Timestamp | None,
+    part: tuple[float, float],
 ) -> None:
     colour = COLOURS.get(name, INK)
     edges = bin_edges(track) / 1e3
@@ -134,12 +145,14 @@ def _draw_layer(
     if truth is not None:
         axes.stairs(truth, edges, baseline=None, color=INK, linewidth=0.8, label="truth")
     used = np.fmax.reduce(np.where(layer.evidence.censored > 0.0, track.levels, np.nan), axis=1)
-    axes.stairs(used, edges, baseline=None, color=GREY, linewidth=0.8, label="used without slip")
+    axes.stairs(
+        used, edges, baseline=None, color=GREY, alpha=0.45, linewidth=0.6, label="used without slip"
+    )
     # Bins are narrow on a long line: estimates are drawn as points with bars, side by side.
     expected = layer.expected(at)
     for estimate, ink, width, words in (
         (expected, PURPLE, 3.2, "expected, 95 % band"),
-        (layer, colour, 1.4, "lasting, 95 % band"),
+        (layer, colour, 1.4, f"{name} lasting, 95 % band"),
     ):
         middle, low, high = shown(estimate)
         seen = np.isfinite(middle)
@@ -164,7 +177,7 @@ def _draw_layer(
         markersize=7,
         label="slip",
     )
-    _draw_marks(axes, track, layer, at)
+    _draw_marks(axes, track, layer, at, part)
 
 
 def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
@@ -199,7 +212,11 @@ def _shade_unobserved(axes: Axes, edges: FloatArray, observed: NDArray[np.bool_]
 
 
 def _draw_marks(
-    axes: Axes, track: TrackConditionMap, layer: ConditionLayer, at: pd.Timestamp | None
+    axes: Axes,
+    track: TrackConditionMap,
+    layer: ConditionLayer,
+    at: pd.Timestamp | None,
+    part: tuple[float, float],
 ) -> None:
     """Passing spots at their adhesion, the fainter the less likely they still lie there; changes.
 
@@ -213,7 +230,7 @@ def _draw_marks(
             [spot.adhesion for spot in spots],
             [spot.start / 1e3 for spot in spots],
             [spot.end / 1e3 for spot in spots],
-            color=RED,
+            color=[to_rgba(RED, 0.2 + 0.8 * share) for share in alive],
             linewidth=1.2,
         )
         axes.scatter(
@@ -239,9 +256,12 @@ def _draw_marks(
     texts += [f"{day_name(each.last)}, {p:.0%}" for each, p in zip(spots, alive, strict=True)]
     parts: list[ConditionChange | PassingSpot] = [*layer.changes, *spots]
     place = np.array([0.5e-3 * (each.start + each.end) for each in parts])
-    # Changes first, then the spots that are likeliest there.
+    # Changes first, then the spots that are likeliest there; none of those that are gone.
     rank = np.array([2.0] * len(layer.changes) + alive)
-    _label(axes, LABEL_SPACE * track.length / 1e3, place, texts, rank)
+    labelled = (rank >= GONE) & (place >= part[0] / 1e3) & (place <= part[1] / 1e3)
+    chosen = np.flatnonzero(labelled)
+    texts = [texts[i] for i in chosen]
+    _label(axes, LABEL_SPACE * (part[1] - part[0]) / 1e3, place[chosen], texts, rank[chosen])
 
 
 def _label(axes: Axes, space: float, place: FloatArray, texts: list[str], rank: FloatArray) -> None:
@@ -269,18 +289,23 @@ def _label(axes: Axes, space: float, place: FloatArray, texts: list[str], rank: 
             taken.append(float(place[i]))
 
 
-def _draw_stations(axes: Sequence[Axes], strip: Axes, line: Line) -> None:
+def _draw_stations(
+    axes: Sequence[Axes], strip: Axes, line: Line, part: tuple[float, float] | None = None
+) -> None:
     """A dotted line at each station, and their names on a strip below; ends first."""
-    space, length = LABEL_SPACE * line.length / 1e3, line.length / 1e3
+    start, end = (each / 1e3 for each in part or (0.0, line.length))
+    space = LABEL_SPACE * (end - start)
     taken: list[float] = []
     inner = sorted(line.stations[1:-1], key=lambda each: each.position)
     for each in (line.stations[0], line.stations[-1], *inner):
+        if not start <= each.position / 1e3 <= end:
+            continue
         at = each.position / 1e3
         for place in axes:
             place.axvline(at, color=GREY, linewidth=0.6, linestyle=":", zorder=0.5)
         if all(abs(at - other) >= space for other in taken):
             taken.append(at)
-            shown_at = min(max(at, 0.25 * space), length - 0.25 * space)
+            shown_at = min(max(at, start + 0.25 * space), end - 0.25 * space)
             strip.text(shown_at, 1.0, each.name, rotation=90, ha="center", va="top", fontsize=7)
     strip.set_axis_off()
 
@@ -360,7 +385,14 @@ def draw_history(found: PlaceHistory, path: str | Path) -> None:
         )
     figure = new_figure(11.0, 4.6)
     axes = figure.subplots()
-    known, onsets = found.known, found.onsets
+    onsets, used = found.onsets, found.used
+    days = pd.concat([each["day"] for each in (found.known, onsets, used) if not each.empty])
+    last, span = days.max(), days.max() - days.min()
+    end = last + max(pd.Timedelta(days=MARGIN), 0.05 * span)
+    # What is known last holds from then on.
+    known = found.known
+    if not known.empty:
+        known = pd.concat([known, known[-1:].assign(day=end)], ignore_index=True)
     for each in found.spots.to_dict("records"):
         axes.axvspan(
             each["first_day"],
@@ -370,16 +402,8 @@ def draw_history(found: PlaceHistory, path: str | Path) -> None:
             linewidth=0,
             label="passing spot met",
         )
-    for prefix, value, ink, words in (
-        ("expected_", "expected", PURPLE, "expected then, 95 % band"),
-        ("", "adhesion", COLOURS.get(found.layer, INK), "lasting as known then, 95 % band"),
-    ):
-        low, high = known[f"{prefix}low"], known[f"{prefix}high"]
-        axes.fill_between(
-            known["day"], low, high, step="post", color=ink, alpha=0.25, linewidth=0, label=words
-        )
-        axes.plot(known["day"], known[value], drawstyle="steps-post", color=ink, linewidth=1.4)
-        axes.plot(known["day"][-1:], known[value][-1:], ".", color=ink)
+    if not known.empty:
+        _draw_known(axes, found, known)
     axes.plot(
         found.used["day"], found.used["level"], "^", color=GREY, markersize=4,
         label="used without slip",
@@ -400,10 +424,25 @@ def draw_history(found: PlaceHistory, path: str | Path) -> None:
         axes.axvline(each["day"], color=GREEN, linewidth=1.4, label="lasting change")
     dress(axes, x="", y="maximum adhesion")
     axes.set_ylim(bottom=0.0)
+    axes.set_xlim(right=end)
     figure.autofmt_xdate()
     _legend(figure, [axes])
-    headline(figure, found.title)
+    headline(figure, f"{found.title}. {found.unmeasured}".removesuffix(". "))
     write_figure(figure, path)
+
+
+def _draw_known(axes: Axes, found: PlaceHistory, known: pd.DataFrame) -> None:
+    """The estimates as they were known by day, to the right end of the picture."""
+    for prefix, value, ink, words in (
+        ("expected_", "expected", PURPLE, "expected then, 95 % band"),
+        ("", "adhesion", COLOURS.get(found.layer, INK), "lasting as known then, 95 % band"),
+    ):
+        low, high = known[f"{prefix}low"], known[f"{prefix}high"]
+        axes.fill_between(
+            known["day"], low, high, step="post", color=ink, alpha=0.25, linewidth=0, label=words
+        )
+        axes.plot(known["day"], known[value], drawstyle="steps-post", color=ink, linewidth=1.4)
+        axes.plot(found.known["day"][-1:], found.known[value][-1:], ".", color=ink)
 
 
 def _title(track: TrackConditionMap, name: str, layer: ConditionLayer) -> str:

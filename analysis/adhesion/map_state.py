@@ -12,18 +12,31 @@ from rich.console import Group, RenderableType
 
 from analysis.adhesion.condition_map import SPOT_SEPARATION, map_words, summary
 from analysis.adhesion.condition_table import (
+    MAY_BE_CHANGE,
     bins_table,
     changes_table,
     check_course,
     chosen_layers,
     day_name,
     last_evidence,
+    met_words,
     plain_rows,
+    probability_words,
     spots_table,
 )
 from analysis.tables import as_page, new_table
-from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.condition import ConditionLayer, ModelParameter, TrackConditionMap
 from trainlog.railway.line import Line
+
+LOGARITHMS = {
+    "mean": "median of normal rail",
+    "slippery_mean": "median of slippery places",
+    "spot_mean": "median of passing spots",
+}
+"""Parameters of the model that are means of logarithms of adhesion; a table has the medians."""
+
+SPREADS = ("std", "slippery_std", "trip_std", "spot_std")
+"""Parameters that are standard deviations of logarithms of adhesion."""
 
 LISTED = 12
 """Spots, and changes, of a layer that a table lists; the likeliest first."""
@@ -47,7 +60,9 @@ class MapState:
         The lowest places, least lasting or expected adhesion first; a row as of
         `analysis.bins_table`, with the nearest station.
     model : DataFrame
-        A row a layer and parameter of the model: value, standard deviation, estimated or assumed.
+        A row a layer and parameter of the model: value, standard deviation, and its ``source``:
+        "estimated" from the evidence, "mostly assumed" where the evidence weighs less than what
+        was assumed beforehand, "assumed" where it has no part.
     spots, changes : DataFrame
         A row a passing spot, with the probability that it lies there then; a row a lasting change.
     """
@@ -73,7 +88,8 @@ class MapState:
         """The same in JSON's own types; null where nothing is known."""
         times = {
             "expected_at": None if self.at is None else self.at.isoformat(),
-            "last_evidence": None if self.last_evidence is None else self.last_evidence.isoformat(),
+            "last_evidence": None if self.last_evidence is None else _last_day(self.last_evidence),
+            "evidence_ends": None if self.last_evidence is None else self.last_evidence.isoformat(),
         }
         tables = ("layers", "lowest", "model", "spots", "changes")
         return {
@@ -117,7 +133,7 @@ def map_state(
     >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> state = map_state(track, line=trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json"))
     >>> state.lowest.query("layer == 'wet'")["near"].tolist()[:2]
-    ['0.4 km after Gossau SG', '0.9 km after Uzwil']
+    ['at Flawil', '0.1 km after Uzwil']
     """
     if line is not None:
         check_course(track, line)
@@ -145,7 +161,7 @@ def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
             "layer": [each.layer for each in every],
             "trips": [each.trips for each in every],
             "onsets": [each.events for each in every],
-            "observed_m": [each.observed_length for each in every],
+            "observed_m": [round(each.observed_length, 3) for each in every],
             "observed_bins": [each.observed_bins for each in every],
             "bins": [each.bins for each in every],
         }
@@ -181,14 +197,25 @@ def _model(layers: dict[str, ConditionLayer]) -> pd.DataFrame:
             "parameter": [each.name for _, each in every],
             "value": np.array([each.value for _, each in every], dtype=np.float64),
             "std": np.array([each.std for _, each in every], dtype=np.float64),
-            "unit": [each.unit for _, each in every],
-            "source": [each.source for _, each in every],
+            "unit": [_unit(each) for _, each in every],
+            "source": [_source(each) for _, each in every],
         }
     )
 
 
-def state_table(state: MapState) -> Group:
-    """The tables of a map's state."""
+def _unit(parameter: ModelParameter) -> str:
+    logarithm = parameter.name in LOGARITHMS or parameter.name in SPREADS
+    return "ln(adhesion)" if logarithm else parameter.unit
+
+
+def _source(parameter: ModelParameter) -> str:
+    """Where a parameter is from; one that is assumed has nothing that the evidence moved."""
+    moved = np.isfinite(parameter.std) and parameter.std > 0.0
+    return "mostly assumed" if parameter.source == "assumed" and moved else parameter.source
+
+
+def state_table(state: MapState, *, model: bool = False) -> Group:
+    """The tables of a map's state; those of its model on request."""
     parts: list[RenderableType] = [_layers_table(state)]
     if not state.lowest.empty:
         parts.append(_places_table(state))
@@ -196,21 +223,23 @@ def state_table(state: MapState) -> Group:
         parts.append(_spots_table(state))
     if not state.changes.empty:
         parts.append(_changes_table(state))
-    if not state.model.empty:
+    if model and not state.model.empty:
         parts.append(_model_table(state))
     parts += map_words(state.track)
     at, last = state.at, state.last_evidence
     if at is not None and last is not None and at < last:
         parts.append(
-            f"{at:%Y-%m-%d %H:%M} UTC lies before the last evidence ({_day(last)}): what was learnt"
-            " since counts in what is expected."
+            f"{at:%Y-%m-%d %H:%M} UTC lies before the last evidence ({_last_day(last)}): what was"
+            " learnt since counts in what is expected."
         )
     return Group(*parts)
 
 
 def _layers_table(state: MapState) -> RenderableType:
     title = f"Track condition of {state.track.line}, {state.track.bin_length:.0f} m bins"
-    table = new_table(title, "rail", "trips", "slip events", "observed", "last evidence")
+    table = new_table(
+        title, "rail\ncondition", "trips", "onsets measured", "observed", "last evidence"
+    )
     for each in state.layers.to_dict("records"):
         days = state.track.layer(str(each["layer"])).evidence.days
         table.add_row(
@@ -224,9 +253,9 @@ def _layers_table(state: MapState) -> RenderableType:
 
 
 def _places_table(state: MapState) -> RenderableType:
-    at = "expected" if state.at is None else f"expected at {state.at:%Y-%m-%d %H:%M} UTC"
-    heads = ("km", "near", "lasting (95 % band)", f"{at} (95 % band)", "spot")
-    table = new_table("Lowest maximum adhesion", "rail", *heads)
+    at = "" if state.at is None else f", expected at {state.at:%Y-%m-%d %H:%M} UTC"
+    heads = ("km", "near", "lasting (95 % band)", "expected (95 % band)", "spot")
+    table = new_table(f"Lowest maximum adhesion{at}", "rail\ncondition", *heads)
     lasting = _bands(state.lowest, "adhesion", "low", "high")
     expected = _bands(state.lowest, "expected", "expected_low", "expected_high")
     rows = state.lowest.to_dict("records")
@@ -246,22 +275,23 @@ def _bands(rows: pd.DataFrame, value: str, low: str, high: str) -> list[str]:
 
 def _spots_table(state: MapState) -> RenderableType:
     still = "still there" if state.at is None else f"there on {state.at:%Y-%m-%d %H:%M}"
-    heads = ("km", "near", "adhesion (95 % band)", "met", "last passed", still)
-    table = new_table("Passing spots, the likeliest first", "rail", *heads)
+    heads = ("km", "near", "adhesion (95 % band)", "met", "last evidence there", still)
+    table = new_table("Passing spots, the likeliest first", "rail\ncondition", *heads)
     for name, listed, more in _listed(state.spots, "probability"):
         bands = _bands(listed, "adhesion", "low", "high")
         for each, band in zip(listed.to_dict("records"), bands, strict=True):
-            met = " to ".join(dict.fromkeys(_day(each[f"{end}_day"]) for end in ("first", "last")))
+            met = met_words(each["first_day"], each["last_day"])
             words = (_ends(each), str(each["near"]), band, met, _day(each["checked_day"]))
-            table.add_row(name, *words, f"{each['probability']:.0%}")
+            mark = " *" if each["may_be_change"] else ""
+            table.add_row(name, *words, probability_words(each["probability"]) + mark)
         if more:
             table.add_row(name, f"and {more} more")
-    return table
+    return Group(table, f"* {MAY_BE_CHANGE}") if state.spots["may_be_change"].any() else table
 
 
 def _changes_table(state: MapState) -> RenderableType:
     heads = ("km", "near", "on (95 %)", "before (95 % band)", "after (95 % band)")
-    table = new_table("Changes of the lasting condition", "rail", *heads)
+    table = new_table("Changes of the lasting condition", "rail\ncondition", *heads)
     for name, listed, more in _listed(state.changes, "log_odds"):
         before, after = (
             _bands(listed, side, f"{side}_low", f"{side}_high") for side in ("before", "after")
@@ -286,13 +316,32 @@ def _ends(row: Mapping[Hashable, Any]) -> str:
 
 
 def _model_table(state: MapState) -> RenderableType:
-    table = new_table("Model", "rail", "parameter", "value", "standard deviation", "unit", "from")
+    heads = ("parameter", "value", "standard deviation", "unit", "from")
+    table = new_table("Model", "rail\ncondition", *heads)
     for each in state.model.to_dict("records"):
-        std = f"{each['std']:.2g}" if np.isfinite(each["std"]) else ""
-        source = "the evidence" if each["source"] == "estimated" else "assumed"
-        words = (str(each["parameter"]).replace("_", " "), f"{each['value']:.3g}", std)
-        table.add_row(str(each["layer"]), *words, str(each["unit"]), source)
+        name, value, std = str(each["parameter"]), float(each["value"]), float(each["std"])
+        unit = "" if each["unit"] == "1" else str(each["unit"])
+        if name in LOGARITHMS:
+            # Read as an adhesion: the logarithm's deviation is one in proportion.
+            value, unit = float(np.exp(value)), "adhesion"
+            std *= value
+        words = LOGARITHMS.get(name, name.replace("_", " "))
+        numbers = (_digits(value, 3), _digits(std, 2) if np.isfinite(std) and std > 0.0 else "")
+        source = "the evidence" if each["source"] == "estimated" else str(each["source"])
+        table.add_row(str(each["layer"]), words, *numbers, unit, source)
     return table
+
+
+def _digits(value: float, digits: int) -> str:
+    """A number to so many digits, without an exponent."""
+    return np.format_float_positional(
+        float(f"{value:.{digits}g}"), fractional=False, trim="-", precision=digits
+    )
+
+
+def _last_day(end: pd.Timestamp) -> str:
+    """The day that ends then."""
+    return _day(end - pd.Timedelta(days=1))
 
 
 def _day(time: Any) -> str:

@@ -59,21 +59,31 @@ def map_show(
     zone: ZoneOption = None,
     layer: LayersOption = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
+    km: Annotated[
+        str | None,
+        typer.Option("--km", help="The operator's kilometres that the picture shows: 8:12."),
+    ] = None,
     line: CourseOption = None,
+    model: Annotated[
+        bool, typer.Option("--model", help="List the numbers of the model as well.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show what a track-condition map knows, and where it knows nothing.
 
     Lasting beside expected maximum adhesion at the lowest places, passing spots with the
-    probability that they still lie there, changes of the lasting condition with their dates, and
-    the numbers of the model with their uncertainty.
+    probability that they still lie there, and changes of the lasting condition with their dates;
+    with --model the numbers of the model with their uncertainty.
 
     Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
     """
     if picture is not None:
         destination(picture, ".png")
-    when = moment(at, zone)
+    when, ends = moment(at, zone), _kilometres(km)
+    if ends is not None and picture is None:
+        raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
 
+    from analysis.adhesion.map_history import position_of
     from analysis.adhesion.map_plot import draw_map
     from analysis.adhesion.map_state import map_state, state_table
     from trainlog.formats.condition import read_map
@@ -85,16 +95,31 @@ def map_show(
         shown = (
             track if layer is None else replace(track, layers={n: track.layer(n) for n in layer})
         )
-        draw_map(shown, picture, line=known, at=when)
+        positions = [position_of(track, known, each) for each in ends or ()]
+        part = (positions[0], positions[1]) if positions else None
+        draw_map(shown, picture, line=known, at=when, part=part)
     if as_json:
         typer.echo(json.dumps(state.as_json(), ensure_ascii=False, allow_nan=False))
         return
-    console.print(state_table(state))
+    console.print(state_table(state, model=model))
     _state_later(track, when)
     if when is not None and zone_assumed(at, zone):
         console.print(f"  {at} states no zone: taken for UTC (--zone names another)")
     if picture is not None:
         wrote(picture)
+
+
+def _kilometres(given: str | None) -> tuple[float, float] | None:
+    """Two kilometres as given by ``--km 8:12``."""
+    if given is None:
+        return None
+    try:
+        start, end = (float(each) for each in given.split(":"))
+    except ValueError:
+        start = end = 0.0
+    if not abs(end - start) > 0.0:
+        raise InputError(f"'{given}' is not a part of a line", remedy="write it as --km 8:12")
+    return start, end
 
 
 @map_app.command("diff")

@@ -255,7 +255,8 @@ class ModelParameter:
     name, unit : str
     value, std : float
     source : {"estimated", "assumed"}
-        From the layer's evidence, or typed in, for want of evidence.
+        "estimated" where the layer's evidence weighs more than what was assumed beforehand; else
+        "assumed", though the evidence may have moved it: what it did not has no deviation.
     """
 
     name: str
