@@ -129,6 +129,9 @@ def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
     assert "Model" not in printed(state_table(analysis.map_state(track, AT, line=line)))
     assert "Where nothing was observed, the map has no estimate; 203 onsets of slip" in words
     assert "34 others did not" in words
+    only = printed(state_table(analysis.map_state(track, AT, line=line, layers=["wet"])))
+    assert "203 onsets of slip" in only
+    assert "87 onsets of slip" not in only
     assert "lies before the last evidence" not in words
     earlier = analysis.map_state(track, AT - pd.Timedelta("3D"), line=line)
     assert "lies before the last evidence" in printed(state_table(earlier))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -225,7 +225,8 @@ def state_table(state: MapState, *, model: bool = False) -> Group:
         parts.append(_changes_table(state))
     if model and not state.model.empty:
         parts.append(_model_table(state))
-    parts += map_words(state.track)
+    chosen = {name: state.track.layer(name) for name in state.layers["layer"]}
+    parts += map_words(replace(state.track, layers=chosen))
     at, last = state.at, state.last_evidence
     if at is not None and last is not None and at < last:
         parts.append(
