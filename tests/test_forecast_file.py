@@ -97,6 +97,7 @@ BAD = [
     (HEADER, f"{ROW}\n{ROW.replace('CH_StGallen_Wil', 'A-B')}", "is for 2 lines", "a file a line"),
     (HEADER, f"{ROW},0.4", "line 2", "10 cells"),
     (HEADER.replace("[km]", ""), ROW, "line 1", "has no unit"),
+    (HEADER.replace("from [km]", "from [mile]"), ROW, "line 1", "in neither of km, m"),
     (HEADER.replace("valid to", "until"), ROW, "line 1", "'until' is not known"),
     (HEADER.replace("issued", "valid from"), ROW, "line 1", "is there twice"),
     (HEADER.replace("0.5", "50"), ROW, "line 1", "must be between 0 and 1"),
@@ -112,6 +113,20 @@ def test_bad_rows_are_named(tmp_path: Path, header: str, row: str, place: str, w
         read_forecast(path)
     for each in (str(path), place, words):
         assert each in str(refused.value)
+
+
+def test_all_bad_rows_are_listed_in_order(tmp_path: Path) -> None:
+    rows = [
+        ROW,
+        ROW.replace("0.08", "8"),
+        ROW.replace("0.08", "low"),
+        ROW.replace(",1,2,", ",2,1,"),
+    ]
+    with pytest.raises(InputError) as refused:
+        read_forecast(written(tmp_path, *rows, ROW.replace("0.08", "0.2")))
+    assert [each.place for each in refused.value.each] == ["line 3", "line 4", "line 5", "line 6"]
+    with pytest.raises(InputError, match=r"30 problems: .*and 10 more"):
+        read_forecast(written(tmp_path, *[rows[1]] * 30))
 
 
 def test_two_forecasts_of_one_place_and_time_are_refused(

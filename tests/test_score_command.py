@@ -19,6 +19,7 @@ from trainlog.errors import InputError
 from trainlog.formats.condition import read_map, write_map
 from trainlog.formats.forecast import read_forecast
 from trainlog.formats.samples import copy_samples
+from trainlog.mcap import read_log, write_log
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
@@ -73,7 +74,10 @@ def test_each_day_is_forecast_from_the_days_before_alone() -> None:
             "wet": ConditionLayer.unestimated(whole.layer("wet").evidence.between(0, FIRST + 8))
         },
     )
-    long, short = (score_rolling(each).layers["wet"] for each in (whole, cut))
+    days: list[tuple[int, int]] = []
+    long = score_rolling(whole, None, lambda *each: days.append(each)).layers["wet"]
+    assert list(dict.fromkeys(days)) == [(day, 11) for day in range(1, 12)]
+    short = score_rolling(cut).layers["wet"]
     # What came later does not change how a day was forecast; only the demand uses all days.
     np.testing.assert_allclose(long.scores["forecast"][: short.days.size], short.scores["forecast"])
     assert long.days[0] == FIRST + 1
@@ -151,9 +155,43 @@ def test_one_bad_log_does_not_stop_the_others(
     assert "bad.mcap" in capsys.readouterr().err
 
 
+def test_what_cannot_be_stated_has_one_sign_and_every_trip_left_out_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = folder / "few.csv"
+    path.write_text(FORECAST)
+    assert run(["map", "score", str(path), str(folder / "stopping.mcap")]) == 0
+    printed = capsys.readouterr().out
+    assert "nan" not in printed
+    rows = [line for line in printed.splitlines() if "false alarms per train-km" in line]
+    # One trip: no other day shows what is asked for, so that no probability of slip is scored.
+    assert rows
+    assert all("0.00" not in row and "-" in row for row in rows)
+    held = next(folder.glob("CH_*.map*"))
+    logs = [str(folder / name) for name in ("stopping.mcap", "nonstop.mcap")]
+    with pytest.raises(InputError) as refused:
+        run(["map", "score", str(held), *logs])
+    assert str(refused.value).count("ran on a day of which the map holds evidence") == 2
+
+
+def test_the_weather_file_gives_the_rail_condition_of_logs_that_state_none(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trip = read_log(folder / "stopping.mcap")
+    silent = {name: value for name, value in trip.metadata.items() if name != "weather"}
+    write_log(replace(trip, metadata=silent), tmp_path / "silent.mcap")
+    (tmp_path / "weather.csv").write_text(
+        "time [UTC],until,condition\n2024-10-07T00:00Z,2024-10-07T23:59Z,leaves\n"
+    )
+    (tmp_path / "f.csv").write_text(FORECAST)
+    words = (tmp_path / "f.csv", tmp_path / "silent.mcap", "--weather", tmp_path / "weather.csv")
+    assert set(scored(capsys, *words)["layers"]) == {"leaves", "all"}
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
+        (("month.map", "--rolling", "--weather", "stopping.mcap"), "leave out --weather"),
         (("month.map",), "nothing to compare the forecast with"),
         (("month.map", "stopping.mcap", "--rolling"), "scores a map on its own days"),
         (("forecast.csv", "--rolling"), "scores a map on its own days"),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,14 @@ from analysis.adhesion.evidence import Evidence
 from analysis.verification.forecasts import map_forecast, rolling_forecast, stated_forecast
 from analysis.verification.passages import NOON, Demand, Passages, passages_of, time_of
 from analysis.verification.verify import Forecaster, History, Verification, verify
-from trainlog.errors import InputError, TrainlogError
+from trainlog.errors import MOST_LISTED, InputError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
 from trainlog.mcap import read_log
-from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.forecast import AdhesionForecast
+from trainlog.railway.weather import Weather
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,7 +99,11 @@ def _middle(piece: Evidence) -> pd.Timestamp:
     return pd.Timestamp(sum(piece.span) // 2, tz="UTC")
 
 
-def score_rolling(track: TrackConditionMap, layers: Sequence[str] | None = None) -> Score:
+def score_rolling(
+    track: TrackConditionMap,
+    layers: Sequence[str] | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> Score:
     """Score what a map would have expected of each of its days from the days before alone.
 
     Parameters
@@ -105,6 +111,8 @@ def score_rolling(track: TrackConditionMap, layers: Sequence[str] | None = None)
     track : TrackConditionMap
     layers : sequence of str, optional
         Rail conditions to score; default: all of the map.
+    report : callable, optional
+        Called before each day that is forecast, with its number and that of all.
 
     Raises
     ------
@@ -133,12 +141,30 @@ def score_rolling(track: TrackConditionMap, layers: Sequence[str] | None = None)
     demand = Demand([layer.evidence for layer in track.layers.values()], track.levels)
     first = min(days)
     scored = [each for each in every if each.day > first]
-    return _scored("the map, day by day", track, scored, rolling_forecast(track),
+    forecaster = _reporting(rolling_forecast(track), scored, report)
+    return _scored("the map, day by day", track, scored, forecaster,
                    lambda layer, day: chosen[layer].between(first, day - 1), demand)  # fmt: skip
 
 
+def _reporting(
+    forecaster: Forecaster, scored: list[Passages], report: Callable[[int, int], None] | None
+) -> Forecaster:
+    """The forecaster, which reports each day that it comes to."""
+    days = sorted({each.day for each in scored})
+
+    def expected(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
+        if report is not None:
+            report(bisect_right(days, int(time.timestamp() // 86_400)), len(days))
+        return forecaster(layer, time)
+
+    return expected
+
+
 def score_map(
-    track: TrackConditionMap, logs: Iterable[str | Path], layer: str | None = None
+    track: TrackConditionMap,
+    logs: Iterable[str | Path],
+    layer: str | None = None,
+    weather: Weather | None = None,
 ) -> Score:
     """Score a map on later trips, which it does not hold; trips of its own days are left out.
 
@@ -148,6 +174,8 @@ def score_map(
     logs : iterable of path
     layer : str, optional
         Rail condition of the trips; default: what each states.
+    weather : Weather, optional
+        Condition of trips that state none.
 
     Raises
     ------
@@ -172,7 +200,7 @@ def score_map(
         ),
         default=-1,
     )
-    trips = _trips(logs, track, layer)
+    trips = _trips(logs, track, layer, weather)
     later = []
     for piece in trips.pieces:
         if _middle(piece) < time_of(last) + NOON:
@@ -191,7 +219,10 @@ def score_map(
 
 
 def score_forecast(
-    forecast: AdhesionForecast, logs: Iterable[str | Path], layer: str | None = None
+    forecast: AdhesionForecast,
+    logs: Iterable[str | Path],
+    layer: str | None = None,
+    weather: Weather | None = None,
 ) -> Score:
     """Score the forecast of anyone on trips; persistence knows the earlier of these trips.
 
@@ -201,6 +232,8 @@ def score_forecast(
     logs : iterable of path
     layer : str, optional
         Rail condition of the trips; default: what each states.
+    weather : Weather, optional
+        Condition of trips that state none.
 
     Raises
     ------
@@ -220,7 +253,7 @@ def score_forecast(
     >>> day.onsets > 0, bool(np.isfinite(day.log_score("onsets", over="prior").value))
     (True, True)
     """
-    trips = _trips(logs, None, layer)
+    trips = _trips(logs, None, layer, weather)
     track = trips.track
     every = [item for piece in trips.pieces for item in piece.layers.items()]
     held = {
@@ -243,8 +276,10 @@ def _scored(
 ) -> Score:
     if trips is not None and not passages:
         why = [*trips.left_out, *trips.refused]
+        more = f"; and {len(why) - MOST_LISTED} more" if len(why) > MOST_LISTED else ""
         raise InputError(
-            "no trip to score the forecast on" + (f": {why[0]}" if why else ""),
+            "no trip to score the forecast on"
+            + (f": {'; '.join(why[:MOST_LISTED])}{more}" if why else ""),
             remedy="give logs of days that the forecast does not know",
         )
     by_day = sorted(passages, key=lambda each: each.day)
@@ -256,7 +291,10 @@ def _scored(
 
 
 def _trips(
-    logs: Iterable[str | Path], track: TrackConditionMap | None, layer: str | None
+    logs: Iterable[str | Path],
+    track: TrackConditionMap | None,
+    layer: str | None,
+    weather: Weather | None,
 ) -> _Trips:
     """Evidence of each trip, a drive once; a log that cannot be used does not stop the others."""
     found: list[Evidence] = []
@@ -268,7 +306,7 @@ def _trips(
                 continue
             if track is None:
                 track = empty_map(own_line(read_log(path, topics=[])))
-            found.append(evidence_of_log(path, track, layer, sha256=digest))
+            found.append(evidence_of_log(path, track, layer, weather, sha256=digest))
             digests.add(digest)
         except TrainlogError as error:
             refused.append(str(type(error)(error.problem, file=path, remedy=error.remedy)))

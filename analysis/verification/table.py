@@ -83,9 +83,9 @@ ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
     ("Brier score of slip", lambda v: _said(v.brier_figure("score"), 4)),
     (
         "  reliability\n  less resolution\n  plus uncertainty",
-        lambda v: (
-            f"{v.brier_figure('reliability').value:.4f}\n{v.brier_figure('resolution').value:.4f}"
-            f"\n{v.brier_figure('uncertainty').value:.4f}"
+        lambda v: "\n".join(
+            _said(Figure(v.brier_figure(part).value), 4)
+            for part in ("reliability", "resolution", "uncertainty")
         ),
     ),
     ("  skill over the prior", lambda v: _said(v.brier_gain("prior"), 2, True)),
@@ -102,7 +102,7 @@ def _reliability(found: Verification) -> Table:
         *(f"{quantile:.1%}" for quantile, _, _ in found.reliability()),
     )
     rows = found.reliability()
-    table.add_row("observed", *(f"{share.value:.1%}" for _, share, _ in rows))
+    table.add_row("observed", *(_share(Figure(share.value)) for _, share, _ in rows))
     table.add_row("95 % band", *(_band(share) for _, share, _ in rows))
     table.add_row("trips", *(f"{trips}" for _, _, trips in rows))
     return table
@@ -119,6 +119,6 @@ def _alarms(found: Verification) -> Table:
         "",
         *(f"{level:g}" for level, *_ in curve),
     )
-    table.add_row("slips foreseen", *(f"{foreseen.value:.1%}" for _, foreseen, _ in curve))
-    table.add_row("false alarms per train-km", *(f"{false.value:.2f}" for *_, false in curve))
+    table.add_row("slips foreseen", *(_share(Figure(foreseen.value)) for _, foreseen, _ in curve))
+    table.add_row("false alarms per train-km", *(_said(Figure(false.value)) for *_, false in curve))
     return table

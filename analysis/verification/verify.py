@@ -246,10 +246,14 @@ class Verification:
         ]
 
     def alarm_curve(self) -> list[tuple[float, Figure, Figure]]:
-        """Of each threshold: share of slips foreseen, and false alarms per train-km."""
+        """Of each threshold: share of slips foreseen, and false alarms per train-km.
+
+        NaN where no probability of slip could be scored.
+        """
         found = self._sum(self.alarms)
         slips, km = self._sum(self.slips), self._sum(self.counts.sum(axis=(1, 2)))
-        km = km * self.bin_length / 1e3
+        scored = self._sum(self.brier["forecast"][:, 0].sum(axis=-1)) > 0.0
+        km = np.where(scored, km * self.bin_length / 1e3, 0.0)
         return [
             (
                 float(level),

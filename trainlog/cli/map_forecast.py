@@ -10,7 +10,7 @@ import typer
 from trainlog.cli.map import map_app
 from trainlog.cli.map_views import AtOption, MapArgument, ZoneOption, moment
 from trainlog.cli.options import destination, logs_in
-from trainlog.cli.terminal import console, print_error, progress_bar, working, wrote
+from trainlog.cli.terminal import console, print_error, progress_bar, wrote
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
@@ -67,6 +67,10 @@ def map_score(
         str | None,
         typer.Option(help="Rail condition to score; default: what each log states, or all."),
     ] = None,
+    weather: Annotated[
+        Path | None,
+        typer.Option(help="Weather (CSV): the rail condition of logs that state none."),
+    ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the scores here.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all figures as JSON.")] = False,
 ) -> None:
@@ -84,7 +88,7 @@ def map_score(
 
     if picture is not None:
         destination(picture, ".png")
-    found = _scored(forecast, logs or [], rolling, layer)
+    found = _scored(forecast, logs or [], rolling, layer, weather)
     for words in found.refused:
         print_error(words)
     if picture is not None:
@@ -103,12 +107,20 @@ def map_score(
         raise typer.Exit(1)
 
 
-def _scored(forecast: Path, logs: list[Path], rolling: bool, layer: str | None) -> Score:
+def _scored(
+    forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
+) -> Score:
     from analysis.verification.scoring import score_forecast, score_map, score_rolling
     from trainlog.formats.condition import read_map
     from trainlog.formats.forecast import read_forecast
+    from trainlog.formats.weather import read_weather
 
     foreign = forecast.suffix.lower() == ".csv"
+    if rolling and weather is not None:
+        raise InputError(
+            "--weather gives the rail condition of logs, of which --rolling takes none",
+            remedy="leave out --weather",
+        )
     if rolling and (logs or foreign):
         raise InputError(
             "--rolling scores a map on its own days",
@@ -120,13 +132,20 @@ def _scored(forecast: Path, logs: list[Path], rolling: bool, layer: str | None) 
             remedy="give logs of trips" + ("" if foreign else ", or --rolling"),
         )
     if rolling:
-        with working("forecasting day by day"):
-            return score_rolling(read_map(forecast), None if layer is None else [layer])
+        own = read_map(forecast)
+        with progress_bar() as progress:
+            task = progress.add_task("forecasting day by day", total=None)
+            return score_rolling(
+                own,
+                None if layer is None else [layer],
+                lambda day, days: progress.update(task, completed=day - 1, total=days),
+            )
+    sky = None if weather is None else read_weather(weather)
     stated = read_forecast(forecast) if foreign else None
     track = None if foreign else read_map(forecast)
     with progress_bar() as progress:
         every = progress.track(logs_in(logs), description="scoring")
         if stated is not None:
-            return score_forecast(stated, every, layer)
+            return score_forecast(stated, every, layer, sky)
         assert track is not None
-        return score_map(track, every, layer)
+        return score_map(track, every, layer, sky)

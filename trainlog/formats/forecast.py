@@ -24,6 +24,8 @@ FloatArray = NDArray[np.float64]
 
 REQUIRED = ("line", "from", "to", "valid from", "valid to")
 OPTIONAL = ("layer", "issued")
+LENGTHS = ("km", "m")
+"""Units of a section's ends."""
 
 _EXPECTED = (
     "give a header such as 'line,layer,from [km],to [km],valid from,valid to,"
@@ -39,7 +41,7 @@ def read_forecast(path: str | Path) -> AdhesionForecast:
     Raises
     ------
     InputError
-        If the file is not such a table; with the line and the remedy.
+        If the file is not such a table. Rows that are wrong are listed, with line and remedy.
 
     Examples
     --------
@@ -57,12 +59,18 @@ def read_forecast(path: str | Path) -> AdhesionForecast:
     names, shares, thresholds = _columns(table)
     if not table.rows:
         raise InputError("holds no forecast", file=path, remedy="give a row a section and time")
-    cells = [
-        _Row(table, number, row, names, shares, thresholds).values for number, row in table.rows
-    ]
+    cells, numbers, problems = [], list[int](), dict[int, InputError]()
+    for number, row in table.rows:
+        try:
+            cells.append(_Row(table, number, row, names, shares, thresholds).values)
+            numbers.append(number)
+        except InputError as error:
+            problems[number] = error
+    if not cells:
+        raise InputError.listing(list(problems.values()), file=path)
     columns: dict[str, Any] = {key: [each[key] for each in cells] for key in cells[0]}
     lines = sorted(set(columns["line"]))
-    if len(lines) > 1:
+    if len(lines) > 1 and not problems:
         raise InputError(
             f"is for {len(lines)} lines: {', '.join(lines[:3])}",
             file=path,
@@ -80,14 +88,16 @@ def read_forecast(path: str | Path) -> AdhesionForecast:
         quantiles=np.array(columns["quantiles"]).reshape(len(cells), -1),
         thresholds=np.array(list(thresholds)),
         below=np.array(columns["below"]).reshape(len(cells), -1),
-        place=tuple(f"{Path(path).name}, line {number}" for number, _ in table.rows),
+        place=tuple(f"{Path(path).name}, line {number}" for number in numbers),
     )
-    for row in range(len(cells)):
+    for index, number in enumerate(numbers):
         try:
-            found.points(row)
+            found.points(index)
         except InputError as error:
-            place = f"line {table.rows[row][0]}"
-            raise InputError(error.problem, file=path, place=place, remedy=error.remedy) from error
+            place = f"line {number}"
+            problems[number] = InputError(error.problem, place=place, remedy=error.remedy)
+    if problems:
+        raise InputError.listing([problems[each] for each in sorted(problems)], file=path)
     return found
 
 
@@ -162,7 +172,13 @@ def _columns(table: HeadedTable) -> tuple[dict[str, int], dict[float, int], dict
     if not numbered["quantile"] and not numbered["below"]:
         raise _refused(table, table.line, "forecasts neither a quantile nor a probability")
     for name in ("from", "to"):
-        table.unit(names[name], _EXPECTED)
+        if table.unit(names[name], _EXPECTED) not in LENGTHS:
+            raise _refused(
+                table,
+                table.line,
+                f"column '{table.names[names[name]]}' is in neither of {', '.join(LENGTHS)}",
+                "convert the lengths, and name the columns 'from [km]' and 'to [km]'",
+            )
     quantiles, below = (dict(sorted(each.items())) for each in numbered.values())
     return names, quantiles, below
 
