@@ -87,7 +87,8 @@ def simulate(
         Literal["own", "cooperative", "readhesion"],
         typer.Option(
             help="Who gives the axles their efforts: the plant's own slip protection, cooperative"
-            " control on the map, or re-adhesion control that knows no map."
+            " control, best with --map, or re-adhesion control that knows no map. Both take some"
+            " times as long to simulate."
         ),
     ] = "own",
     condition: Annotated[
@@ -210,6 +211,8 @@ def simulate(
         from analysis.control.traction import with_traction
 
         scenarios = with_traction(scenarios, traction, the_map)
+        if traction == "cooperative" and the_map is None:
+            console.print("no --map: the cooperative control knows the rail only by its own slips")
     followed, stuck = [], 0
     with output_folder(output), progress_bar() as progress:
         for scenario in progress.track(scenarios, description="driving"):
