@@ -12,6 +12,7 @@ from simulated_line import level_line
 from typer.testing import CliRunner
 
 from analysis.adhesion.condition_map import adhesion_map
+from analysis.control.multi_motor import runge_kutta
 from analysis.control.rail_estimate import MAXIMA, RailEstimator, map_prior
 from analysis.control.traction import (
     TUNING,
@@ -157,6 +158,57 @@ def test_wheels_do_not_lock_in_braking(control: str) -> None:
 
 def test_without_a_map_the_rail_is_learnt() -> None:
     assert driven("cooperative", 0.12, layer=None).gained > 0.8 * driven("cooperative", 0.12).gained
+
+
+def shared(
+    rails: list[float], total: float, direction: float, layer: str | None = None
+) -> np.ndarray:
+    """Efforts [N] of axles on rails of their own, by decision; None: without a map."""
+    control = CooperativeTraction(
+        TRAIN, LINE, condition=MAP if layer else None, layer=layer or "", mass=MASS
+    )
+    model, period, rng = drive_model(TRAIN, MASS), control.period, np.random.default_rng(3)
+    curves = np.array([creep_coefficients(each) for each in rails])
+    state = np.full(5, 12.0 if direction > 0.0 else 25.0)
+    at_work, given = np.zeros(4), []
+    demand = (total, 0.0) if direction > 0.0 else (0.0, total)
+    for k in range(round(10.0 / period)):
+        noise = np.array([0.03, 0.01, 0.01, 0.01, 0.01]) * rng.standard_normal(5)
+        seen = state + noise
+        reading = DriveReading(
+            k * period, 6_000.0, seen[0], seen[1:], at_work / model.wheel_radius, *demand
+        )
+        given.append(control.efforts(reading))
+        for _ in range(50):
+            at_work += (given[-1] * model.wheel_radius - at_work) * (period / 50 / TUNING.lag)
+            runge_kutta(state, at_work, curves, model.loads, model.constants, period / 50, 1)
+    assert control.unsolved == 0
+    return direction * np.array(given)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize(("maximum", "layer"), [(0.14, None), (0.14, "wet"), (0.30, "dry")])
+def test_less_than_the_rail_gives_is_shared_evenly(
+    maximum: float, layer: str | None, direction: float
+) -> None:
+    total = 0.5 * maximum * TRAIN.adhesive_weight(MASS - TRAIN.mass)
+    settled = shared([maximum] * 4, total, direction, layer)[-100:]
+    np.testing.assert_allclose(settled.sum(axis=1), total, rtol=1e-3)
+    assert np.all(np.ptp(settled, axis=1) < 0.05 * settled.mean(axis=1))
+    assert np.all(np.abs(np.diff(settled, axis=0)) < 0.05 * settled[1:])
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_axles_on_a_better_rail_give_what_the_others_cannot(direction: float) -> None:
+    weight = TRAIN.adhesive_weight(MASS - TRAIN.mass) / 4
+    rails = np.array([0.08, 0.24, 0.24, 0.08])
+    total = 0.65 * float(rails.sum()) * weight
+    settled = shared(rails.tolist(), total, direction)[-100:]
+    assert 0.25 * total > 0.08 * weight  # an even share would race two of the axles
+    np.testing.assert_allclose(settled.sum(axis=1), total, rtol=0.01)
+    assert np.all(settled < 1.1 * rails * weight)
+    assert np.all(settled[:, [1, 2]].min(axis=1) > 1.5 * settled[:, [0, 3]].max(axis=1))
+    assert np.all(np.abs(np.diff(settled, axis=0)) < 0.1 * settled.mean())
 
 
 def test_a_map_moves_what_is_expected_and_what_was_learnt_with_it() -> None:

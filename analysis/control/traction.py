@@ -36,6 +36,9 @@ TUNING = Tuning(period=0.05, lag=Drive().motor_lag)
 LEAST_SLIP = 0.05
 """Slip speed [m/s] that is sought at least: less is lost in the noise of the wheel speeds."""
 
+EVEN_UTILISATION = 0.8
+"""Of what the rail under an axle bears, up to which a demand is shared evenly."""
+
 
 def drive_model(train: Train, mass: float) -> MultiMotorLocomotive:
     """The train as the cooperative control knows it, its torques those at the axles.
@@ -187,6 +190,12 @@ class CooperativeTraction:
         )
         rail, reference = self._rail(found, here, ahead)
         limits, total = self._limits(reading.speed, wanted, braking)
+        # Of the mean curve, as the median of the maximum is one of few.
+        a, b, c = found.rail.T
+        peak = _peak(found.rail)
+        maximum = c * (np.exp(-a * peak) - np.exp(-b * peak))
+        bearing = maximum * self._model.loads * self._model.wheel_radius
+        limits = shared_limits(bearing, limits, total)
         demand = Demand(
             rail, reference, limits, total, direction, torques, self._held_back(reading)
         )
@@ -246,6 +255,58 @@ class CooperativeTraction:
         track = float(self._train.track_force(self._line, place, self._mass))
         motors = max(-float(reading.efforts.sum()), 0.0)
         return track + max(reading.braking_effort - motors, 0.0)
+
+
+def shared_limits(bearing: FloatArray, limits: FloatArray, total: float) -> FloatArray:
+    """The most of each motor so that the motors together give the total and share it evenly.
+
+    An even share, but of no rail more than `EVEN_UTILISATION` of what it bears, as long as the
+    others can give the rest; then the same share of what each rail bears. Where a motor cannot,
+    the others do. Tracking the slip speeds of the peaks alone does not share a total that is less
+    than the rail gives: slip grows ever faster with effort, so some axles at their peak and the
+    others without effort are nearer to their slip speeds than all of them halfway.
+
+    Parameters
+    ----------
+    bearing : (n,) array
+        The most that the rail bears; positive.
+    limits : (n,) array
+        Of the motors.
+    total : float
+        What is demanded of all, in the same unit.
+
+    Returns
+    -------
+    (n,) array
+        With the total as its sum; `limits` where the motors give no more than the total.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> bearing, limits = np.array([40.0, 40.0, 20.0, 20.0]), np.full(4, 35.0)
+    >>> shared_limits(bearing, limits, 60.0).tolist()
+    [15.0, 15.0, 15.0, 15.0]
+    >>> shared_limits(bearing, limits, 80.0).tolist()
+    [24.0, 24.0, 16.0, 16.0]
+    >>> shared_limits(bearing, limits, 110.0).tolist()
+    [35.0, 35.0, 20.0, 20.0]
+    """
+    if total >= limits.sum():
+        return limits
+    proportional = _filled(bearing, limits, total)
+    most = np.maximum(proportional, np.minimum(EVEN_UTILISATION * bearing, limits))
+    return _filled(np.ones(limits.size), most, total)
+
+
+def _filled(weights: FloatArray, limits: FloatArray, total: float) -> FloatArray:
+    """A total shared in proportion to weights, but within limits, which give no less in all."""
+    # First held back is the one with the least limit for its weight. The sum is concave in the
+    # share: with fewer or more held back than are, the share comes out smaller.
+    order = np.argsort(limits / weights)
+    held, free = limits[order], weights[order]
+    left = total - (np.cumsum(held) - held)
+    share = np.max(left / np.cumsum(free[::-1])[::-1])
+    return np.asarray(np.minimum(share * weights, limits))
 
 
 def _peak(curves: FloatArray) -> FloatArray:
