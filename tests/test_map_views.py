@@ -92,7 +92,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 def test_the_state_has_lasting_beside_expected_with_place_and_spot(
     track: TrackConditionMap, line: Line
 ) -> None:
-    state = analysis.map_state(track, AT, line=line, places=5)
+    state = analysis.map_state(track, AT, line=line, places=12)
     wet = state.lowest.query("layer == 'wet'")
     layer = track.layer("wet")
     lowest = int(np.argmin(np.where(layer.observed, layer.log_mean, np.inf)))

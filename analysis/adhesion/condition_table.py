@@ -126,7 +126,7 @@ def bins_table(
     >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> table = bins_table(track, layers=["wet"])
     >>> len(table), int(table["adhesion"].notna().sum())
-    (1183, 39)
+    (1183, 38)
     """
     if line is not None:
         check_course(track, line)

@@ -157,7 +157,7 @@ def export_map(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     export_map(track, Path(folder) / "map.csv", layers=["wet"])
     ...     int(pandas.read_csv(Path(folder) / "map.csv")["adhesion"].notna().sum())
-    39
+    38
     """
     suffix = exported_suffix(path)
     if line is not None:

@@ -1,4 +1,4 @@
-"""How well the map tells what lasts, and what the next trip meets, on a rail that lives in time.
+"""How well the map knows what lasts and what the next trip meets, on a rail over calendar days.
 
     python benchmarks/map/by_calendar.py [--days 25] [--trips-per-day 4] [--seed 1] [--cache FOLDER]
 
