@@ -1,14 +1,18 @@
 """How the track-condition map's error and band hold as trips are added, on three lines.
 
     python benchmarks/map/by_trips.py [--seeds 1 2] [--trips 100] [--cache FOLDER]
-                                       [--changed | --pooled]
+                                       [--changed | --pooled | --oracle]
 
 Wet rail, each trip with passing spots of its own (`trainlog.simulation.draw_scenarios`), which the
 map does not know. Root mean square error of maximum adhesion and share of the bins in the 95 %
 band, of the lasting condition: in all bins with onsets, in those with onsets of one trip alone, and
 in those of ten trips or more; and of the expected condition against what the next trip meets. With
 ``--pooled`` the same of the estimate before the map had two time scales (`pooled.py`). With
-``--changed`` the line changes after these trips, 20 more follow, and the change is dated.
+``--changed`` the line changes after these trips, 20 more follow, and the change is dated. With
+``--oracle`` the error in bins with onsets of one trip of someone who is told which of these onsets
+were a passing spot's and knows how the simulator draws normal rail: of a spot's bin he knows no
+more than that, and that the rail bears what other trips used there; what no method can do much
+better.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from pooled import pooled_estimate
+from scipy.stats import norm
 
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import evidence_of
@@ -32,6 +37,7 @@ from trainlog.formats.ttobench import read_track
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
+from trainlog.simulation.rail import BASE
 from trainlog.simulation.scenario import base_map
 
 STAGES = (1, 5, 20, 100)
@@ -94,6 +100,31 @@ def changed(line, seed: int, trips: int, cache: Path | None) -> None:
     )
 
 
+def oracle(line, seed: int, trips: int, cache: Path | None) -> None:
+    """Error in bins of one trip's onsets where it is known which were passing spots."""
+    known, base = evidence_by_trip(line, seed, trips, cache), base_map(line, "wet", seed)
+    total = DailyEvidence.total([each for each, _ in known])
+    alone, levels = total.by_bin("trips") == 1, np.log(empty_map(line).levels)
+    used = np.where(total.censored > 0.0, levels, -np.inf).max(axis=1)
+    median, spread = np.log(BASE["wet"][0]), BASE["wet"][1]
+    errors, passing = [], []
+    for evidence, met in known:
+        own = alone[evidence.bin]
+        place = evidence.bin[own]
+        measured = evidence.weighted_log[own] / evidence.weight[own]
+        bound = (np.maximum(used[place], levels[0]) - median) / spread
+        normal = median + spread * norm.pdf(bound) / norm.sf(bound)
+        passes = np.log(met[place] / base[place]) < -0.2
+        errors.append(np.exp(np.where(passes, normal, measured)) - base[place])
+        passing.append(passes)
+    error, share = np.concatenate(errors), np.concatenate(passing).mean()
+    print(
+        f"{line.name:26s} {seed} {len(known):4d}  {error.size} bins of one trip, {share:.0%} of"
+        f" passing spots: {np.sqrt(np.mean(error**2)):.4f}",
+        flush=True,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
@@ -102,12 +133,16 @@ def main() -> None:
     parser.add_argument("--library", type=Path, default=LIBRARY)
     parser.add_argument("--changed", action="store_true")
     parser.add_argument("--pooled", action="store_true")
+    parser.add_argument("--oracle", action="store_true")
     options = parser.parse_args()
     print("line, seed, trips: all bins with onsets | of one trip | of ten or more | expected")
     for line in lines(options.library):
         for seed in options.seeds:
             if options.changed:
                 changed(line, seed, options.trips, options.cache)
+                continue
+            if options.oracle:
+                oracle(line, seed, options.trips, options.cache)
                 continue
             known = evidence_by_trip(line, seed, options.trips, options.cache)
             base = base_map(line, "wet", seed)
