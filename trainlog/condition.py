@@ -15,6 +15,7 @@ from pandas import Timestamp
 
 from estimators.condition import Prior, common_std, onset_std
 from estimators.condition_field import (
+    DOUBT,
     LEVELS,
     SPOT_CELLS,
     FieldChange,
@@ -23,7 +24,7 @@ from estimators.condition_field import (
     FieldPosterior,
     solve,
 )
-from estimators.condition_passes import blurred
+from estimators.condition_passes import ASTRAY, blurred
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
@@ -221,7 +222,7 @@ def _estimated(track: TrackConditionMap, name: str) -> ConditionLayer:
         evidence=known,
         spots=_spots(track, found),
         changes=tuple(_change(track, each) for each in found.changes),
-        model=_model(found),
+        model=_model(track, found),
         passing=_passing(known, found),
     )
 
@@ -247,19 +248,22 @@ def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
     )
 
 
-def _model(found: FieldPosterior) -> ConditionModel:
-    """The parameters, with their deviations and where they are from."""
-    return ConditionModel(
-        tuple(
-            ModelParameter(
-                name,
-                UNITS.get(own, "1"),
-                float(getattr(found.parameters, own)),
-                *found.origin[own],
-            )
-            for own, name in NAMES.items()
+def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:
+    """The parameters, with their deviations and where they are from, and the constants in use."""
+    parameters = [
+        ModelParameter(
+            name, UNITS.get(own, "1"), float(getattr(found.parameters, own)), *found.origin[own]
         )
+        for own, name in NAMES.items()
+    ]
+    constants = (
+        ("onset_position_std", "m", POSITION_STD),
+        ("onsets_of_another_place", "1", ASTRAY),
+        ("single_trip_doubt", "1", DOUBT),
+        ("model_std", "1", setting(track, "model_std")),
     )
+    parameters += [ModelParameter(*each, std=0.0, source="assumed") for each in constants]
+    return ConditionModel(tuple(parameters))
 
 
 def _change(track: TrackConditionMap, found: FieldChange) -> ConditionChange:
