@@ -230,7 +230,7 @@ def maps(draw: Callable[..., Any]) -> TrackConditionMap:
             evidence=DailyEvidence.of_bins(
                 draw(st.integers(0, 30_000)),
                 draw(arrays(bins, 0.0, 9.0)),
-                draw(arrays(bins, 0.0, 1e6)),
+                np.round(draw(arrays(bins, 0.0, 1e6)) * 2**20) / 2**20,
                 draw(numbers),
                 draw(arrays(bins * levels, 0.0, 1e4)).reshape(bins, levels),
             ),

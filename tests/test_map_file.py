@@ -63,7 +63,7 @@ def merged(folder: Path, paths: list[Path]) -> bytes:
 
 
 class TestSet:
-    @settings(max_examples=8, deadline=None)
+    @settings(max_examples=4, deadline=None)
     @given(
         order=st.permutations(range(9)), cuts=st.lists(st.integers(0, 9), min_size=2, max_size=2)
     )
