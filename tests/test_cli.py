@@ -455,7 +455,7 @@ def test_an_interrupted_command_says_so(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("trainlog.simulation.simulate", interrupted)
+    monkeypatch.setattr("trainlog.simulation.drive", interrupted)
     status, _, complaint = run(monkeypatch, capsys, "simulate", "-o", tmp_path)
     assert status == 130
     assert "interrupted" in complaint
