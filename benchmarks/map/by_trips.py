@@ -9,8 +9,8 @@ band, of the lasting condition: in all bins with onsets, in those with onsets of
 in those of ten trips or more; and of the expected condition against what the next trip meets. With
 ``--pooled`` the same of the estimate before the map had two time scales (`pooled.py`). With
 ``--changed`` the line changes after these trips, 20 more follow, and the change is dated. With
-``--oracle`` the error in bins with onsets of one trip of someone who is told which of these onsets
-were a passing spot's and knows how the simulator draws normal rail: of a spot's bin he knows no
+``--oracle`` the error in bins with onsets of one trip of someone who knows which of these onsets
+were a passing spot's and how the simulator draws normal rail: of a spot's bin he knows no
 more than that, and that the rail bears what other trips used there; what no method can do much
 better.
 """
