@@ -22,7 +22,8 @@ from trainlog.formats.weather import read_weather
 from trainlog.railway import Line, StepProfile
 from trainlog.simulation import Change, Rail, draw_days, simulate
 from trainlog.simulation.rail import KINDS
-from trainlog.simulation.weather import DAY, HOUR
+from trainlog.simulation.weather import HOUR
+from trainlog.units import DAY
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ from trainlog.railway.condition import (
     TrackConditionMap,
     band_of,
 )
-from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.evidence import DailyEvidence, day_of
 
 FloatArray = NDArray[np.float64]
 
@@ -122,14 +122,13 @@ def known_before(track: TrackConditionMap, time: Timestamp) -> TrackConditionMap
     """
     if not later_evidence(track, time):
         return track
-    day = _day_of(time)
+    day = day_of(time)
     known = {name: each.evidence.between(-1, day - 1) for name, each in track.layers.items()}
     layers = {
         name: ConditionLayer.unestimated(each) for name, each in known.items() if each.days.size
     }
     if not layers:
-        days = [each.evidence.days for each in track.layers.values()]
-        first = min(int(each[0]) for each in days if each.size)
+        first = int(track.days[0])
         raise InputError(
             f"map of line '{track.line}' holds no evidence of a day before"
             f" {np.datetime64(day, 'D')}",
@@ -153,21 +152,12 @@ def later_evidence(track: TrackConditionMap, time: Timestamp) -> str:
     >>> later_evidence(track, Timestamp("2024-10-08"))
     ''
     """
-    first = _day_of(time)
-    days = np.unique(np.concatenate([
-        np.zeros(0, dtype=np.int64), *(each.evidence.days for each in track.layers.values())
-    ]))  # fmt: skip
-    later = days[days >= first]
+    first = day_of(time)
+    later = track.days[track.days >= first]
     if not later.size:
         return ""
     ends = [str(np.datetime64(int(each), "D")) for each in (later[0], later[-1])]
     return f"evidence of {counted(later.size, 'day')}, {' to '.join(dict.fromkeys(ends))}"
-
-
-def _day_of(time: Timestamp) -> int:
-    """Of a time; counted from 1970-01-01 in UTC."""
-    zoned = time.tz_localize("UTC") if time.tzinfo is None else time
-    return int(zoned.timestamp() // 86_400)
 
 
 def assumed_parameters(track: TrackConditionMap, name: str) -> FieldParameters:

@@ -28,6 +28,9 @@ PER_MILLE = 1e3
 NANOSECONDS = 1_000_000_000
 """In a second: times of logs are whole nanoseconds since 1970 UTC."""
 
+DAY = 86_400 * NANOSECONDS
+"""Nanoseconds of a day."""
+
 JOULES_PER_KWH = 3.6e6
 """Joules in one kilowatt hour."""
 

@@ -44,9 +44,8 @@ def last_evidence(track: TrackConditionMap) -> pd.Timestamp | None:
     >>> last_evidence(trainlog.read_map("sample_logs/CH_StGallen_Wil.map")).isoformat()
     '2024-10-08T00:00:00+00:00'
     """
-    days = [layer.evidence.days[-1:] for layer in track.layers.values()]
-    last = np.concatenate(days) if days else np.zeros(0)
-    return pd.Timestamp(int(last.max()) + 1, unit="D", tz="UTC") if last.size else None
+    days = track.days
+    return pd.Timestamp(int(days[-1]) + 1, unit="D", tz="UTC") if days.size else None
 
 
 def day_name(day: int) -> str:

@@ -27,15 +27,12 @@ from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.weather import Weather, check_condition
 from trainlog.trip import Trip
-from trainlog.units import NANOSECONDS
+from trainlog.units import DAY
 
 FloatArray = NDArray[np.float64]
 
 FIXED_POINT = 2.0**-20
 """Weights and weighted logarithms are whole multiples of this, so that their sums are exact."""
-
-DAY = 24 * 3600 * NANOSECONDS
-"""Nanoseconds of a day."""
 
 POSITION_MARGIN = 5.0
 """Samples this close to the edge of a bin [m] bound no maximum: they may belong to the next."""

@@ -251,8 +251,7 @@ def _of_dates(track: TrackConditionMap, since: int | None, until: int | None) ->
         raise InputError(
             "one map is given", remedy="give a second one, or the date to compare from"
         )
-    last = max((int(each.evidence.days[-1]) for each in track.layers.values()
-                if each.evidence.days.size), default=since)  # fmt: skip
+    last = int(track.days[-1]) if track.days.size else since
     until = last if until is None else until
     if until <= since:
         raise InputError(

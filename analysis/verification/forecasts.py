@@ -9,11 +9,13 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from analysis.adhesion.condition_table import last_evidence
 from analysis.verification.references import GRID, climatology
 from analysis.verification.verify import Forecaster
 from trainlog.condition import estimated, known_before
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import day_of
 from trainlog.railway.forecast import AdhesionForecast
 from trainlog.units import NANOSECONDS
 
@@ -27,8 +29,6 @@ SHARES = np.array([
 
 UNIFORM = 0.05
 """Share of a uniform distribution in the climatology by which a forecast is completed."""
-
-_DAY = 86_400 * NANOSECONDS
 
 
 def stated_forecast(forecast: AdhesionForecast, track: TrackConditionMap) -> Forecaster:
@@ -125,7 +125,7 @@ def rolling_forecast(track: TrackConditionMap) -> Forecaster:
     made: dict[tuple[str, int], ConditionLayer | None] = {}
 
     def expected(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
-        day = int(time.value // _DAY)
+        day = day_of(time)
         if (layer, day) not in made:
             made[layer, day] = before(track, day, layer)
         known = made[layer, day]
@@ -233,11 +233,10 @@ def first_free(track: TrackConditionMap) -> pd.Timestamp:
     InputError
         If the map holds no evidence.
     """
-    days = [each.evidence.days for each in track.layers.values()]
-    last = max((int(each.max()) for each in days if each.size), default=None)
-    if last is None:
+    free = last_evidence(track)
+    if free is None:
         raise InputError(
             f"map of line '{track.line}' holds no evidence to forecast from",
             remedy="count a trip in first",
         )
-    return pd.Timestamp((last + 1) * _DAY, tz="UTC")
+    return free

@@ -20,7 +20,7 @@ from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
 from trainlog.mcap import read_log
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
-from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.evidence import DailyEvidence, day_of
 from trainlog.railway.forecast import AdhesionForecast
 from trainlog.railway.weather import Weather
 
@@ -154,7 +154,7 @@ def _reporting(
 
     def expected(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
         if report is not None:
-            report(bisect_right(days, int(time.timestamp() // 86_400)), len(days))
+            report(bisect_right(days, day_of(time)), len(days))
         return forecaster(layer, time)
 
     return expected
@@ -192,14 +192,7 @@ def score_map(
     ...     print(error.problem.partition(": ")[2])
     trip 'trip-03': ran on a day of which the map holds evidence, or before: not scored
     """
-    last = max(
-        (
-            int(each.evidence.days.max())
-            for each in track.layers.values()
-            if each.evidence.days.size
-        ),
-        default=-1,
-    )
+    last = int(track.days[-1]) if track.days.size else -1
     trips = _trips(logs, track, layer, weather)
     later = []
     for piece in trips.pieces:

@@ -228,9 +228,10 @@ def map_history(
 
 def _day(given: str | None) -> int | None:
     """A day as given, counted from 1970-01-01 in UTC."""
+    from trainlog.railway.evidence import day_of
     from trainlog.spans import utc
 
-    return None if given is None else int(utc(given).timestamp() // 86_400)
+    return None if given is None else day_of(utc(given))
 
 
 @map_app.command("export")

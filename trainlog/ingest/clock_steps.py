@@ -34,13 +34,10 @@ from trainlog.ingest.recording import (
     IntArray,
     Table,
 )
-from trainlog.units import NANOSECONDS
+from trainlog.units import DAY, NANOSECONDS
 
-ROLLOVER = 1024 * 7 * 86_400 * NANOSECONDS
+ROLLOVER = 1024 * 7 * DAY
 """Weeks of GPS time are counted modulo 1024 [ns]."""
-
-DAY = 86_400 * NANOSECONDS
-"""A day [ns]."""
 
 QUARTER = 900 * NANOSECONDS
 """Time zones differ by multiples of a quarter of an hour [ns]."""

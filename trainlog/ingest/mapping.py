@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile import WORDS, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
-    DAY,
     NO_TIME,
     SHOWN_ROWS,
     TIME_CELL,
@@ -31,7 +30,7 @@ from trainlog.ingest.recording import (
     Table,
 )
 from trainlog.topics import SLIP_PROTECTION
-from trainlog.units import NANOSECONDS, to_si
+from trainlog.units import DAY, NANOSECONDS, to_si
 
 MAX_UNREADABLE = 0.5
 """Share of the cells of a number column that may be text before the column is refused."""

@@ -24,7 +24,6 @@ from trainlog.extras import load
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.recording import (
-    DAY,
     HORIZONTAL_PER_HDOP,
     NO_TIME,
     FloatArray,
@@ -33,7 +32,7 @@ from trainlog.ingest.recording import (
     Recording,
     Table,
 )
-from trainlog.units import KMH
+from trainlog.units import DAY, KMH
 
 KNOT = 1852.0 / 3600.0
 """Metres a second in one knot."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.topics import RECORDED, TOPICS, Field, Topic, column_field, recorded_topic
-from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -26,9 +25,6 @@ NO_TIME = int(np.iinfo(np.int64).min)
 
 TIME_CELL = "time"
 """Column of a `Raw` that holds times which could not be read."""
-
-DAY = 86_400 * NANOSECONDS
-"""Nanoseconds in a day."""
 
 METRES_PER_DEGREE = 111_195.0
 """Length of a degree of latitude [m]."""

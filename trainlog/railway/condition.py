@@ -541,6 +541,12 @@ class TrackConditionMap:
         """Position of each bin's centre [m]."""
         return np.asarray((np.arange(self.bins) + 0.5) * self.bin_length, dtype=np.float64)
 
+    @property
+    def days(self) -> NDArray[np.int64]:
+        """Days with evidence in any layer, increasing; see `DailyEvidence`."""
+        every = [layer.evidence.days for layer in self.layers.values()]
+        return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *every]))
+
     def layer(self, name: str) -> ConditionLayer:
         """The layer called `name`.
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pandas import Timestamp
 
 from trainlog.errors import InputError
 
@@ -26,6 +27,18 @@ _DENSE = 4
 """Rows are added up by counting where their keys span at most so many times their number."""
 
 _SUMS = ("trips", "events", "weight", "weighted_log", "weighted_square", "common")
+
+
+def day_of(time: Timestamp) -> int:
+    """The day of a time, counted from 1970-01-01 in UTC; without a zone it is taken for UTC.
+
+    Examples
+    --------
+    >>> day_of(Timestamp("1970-01-03T01:00+02:00"))
+    1
+    """
+    zoned = time.tz_localize("UTC") if time.tzinfo is None else time
+    return int(zoned.timestamp() // 86_400)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from trainlog.railway.condition import ConditionLayer, PassingSpot
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds
 from trainlog.replay.curves import LIMIT, PLANNED, TRUE, Colour
 from trainlog.replay.samples import Samples, path_of, send_curve, send_dots, send_static
-from trainlog.units import NANOSECONDS
+from trainlog.units import DAY, NANOSECONDS
 
 LAYERS: dict[str, Colour] = {"dry": (245, 205, 70), "wet": (90, 180, 240)}
 """Colours of the layers of a track-condition map; others are white."""
@@ -32,9 +32,6 @@ LOWEST, HIGHEST = 0.05, 0.40
 
 BIN_SIZE, SPOT_WIDTH = 4.0, 5.0
 """Radius of a bin and half width of a spot on the map, in points."""
-
-DAY = 86_400 * NANOSECONDS
-"""A day [ns]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ from trainlog.errors import InputError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Conditions, Weather
-from trainlog.simulation.weather import DAY, HOUR, DrawnWeather, draw_weather
-from trainlog.units import NANOSECONDS
+from trainlog.simulation.weather import HOUR, DrawnWeather, draw_weather
+from trainlog.units import DAY, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 

@@ -28,8 +28,8 @@ from trainlog.simulation.plant import Plant
 from trainlog.simulation.rail import Rail, RailState, base_map, trip_profile
 from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_scales
 from trainlog.simulation.traction import TractionLoop, TractionMaker
-from trainlog.simulation.weather import DAY, HOUR
-from trainlog.units import NANOSECONDS
+from trainlog.simulation.weather import HOUR
+from trainlog.units import DAY, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 

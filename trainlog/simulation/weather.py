@@ -18,7 +18,6 @@ from trainlog.units import NANOSECONDS
 FloatArray = NDArray[np.float64]
 
 HOUR = 3600 * NANOSECONDS
-DAY = 24 * HOUR
 
 DRY_SPELL, RAIN_SPELL, WIND_SPELL = (20.0, 0.8), (9.0, 0.7), (24.0, 0.6)
 """Median [h] and standard deviation of the logarithm of how long a spell lasts."""

@@ -60,6 +60,7 @@ from trainlog.simulation.rail import (
     smooth_variation,
     spot,
 )
+from trainlog.units import DAY, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
@@ -368,8 +369,8 @@ CHANGED = 0.02
 DAILY_SPREAD = 0.02
 """Standard deviation of the logarithm of a changing rail between days."""
 
-DAY, APART = 86_400 * 10**9, 2 * 3_600 * 10**9
-"""Of the logs: from day to day, and from trip to trip [ns]."""
+APART = 2 * 3_600 * NANOSECONDS
+"""Of the logs: from trip to trip [ns]."""
 
 
 @dataclass(frozen=True, eq=False)
