@@ -213,3 +213,31 @@ def test_the_risk_of_a_run_is_that_of_what_it_asks_for() -> None:
             "somewhere, as expected right after the last evidence: 5 % to"
             in (adhesion_words(run, drive)[2])
         )
+
+
+def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
+    train = read_train(sample(DEFAULT_TRAIN))
+    rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
+    words = ("optimise", *rail, "--load", "8t", "--km", ":4", "--cells", 60, "-o", output)
+    assert cli.run([str(word) for word in words]) == 0
+    assert "without a band of observed trips" in " ".join(capsys.readouterr().out.split())
+    found = read_trajectory(output)
+    assert found.configurations == (Configuration.of(train, 8_000.0),)
+    assert found.planned_for in repr(found)
+    assert "without a band" in found.planned_for
+    # The same in Python, and the trajectory can be followed.
+    asked_for = TrajectoryProblem.nominal(read_line(rail[3]), train, load=8e3, end=4e3)
+    assert asked_for.configurations == found.configurations
+    assert cli.run(["simulate", "--trajectory", str(output), "-o", str(trips)]) == 0
+    assert (trips / "driven-nominal.mcap").is_file()
+
+
+def test_a_load_is_of_the_train_file_alone(observed: Path, tmp_path: Path) -> None:
+    output = ("-o", str(tmp_path / "t.json"))
+    with pytest.raises(InputError, match="the parameter set holds the masses"):
+        cli.run(["optimise", str(observed), "--load", "8t", *output])
+    with pytest.raises(InputError, match="is not plausible for a train of 122000 kg"):
+        cli.run(["optimise", "--load", "800t", *output])

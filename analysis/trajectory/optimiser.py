@@ -156,6 +156,7 @@ def _settings(problem: TrajectoryProblem, options: OptimiserOptions) -> dict[str
         if np.isfinite(problem.assumed_adhesion):
             adhesion["assumed"] = problem.assumed_adhesion
     return settings | {
+        "planned_for": problem.planned_for,
         "weights": list(problem.weights),
         "adhesion": adhesion,
         "protected_length": problem.protected_length,

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pandas import Timestamp
 
 from analysis.adhesion.demonstrated import UsableAdhesion, usable_adhesion
-from trainlog.display import as_text
+from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
 from trainlog.units import KMH
@@ -106,6 +106,11 @@ class TrajectoryProblem:
       time            10 % over the least time
       braking         recourse
       energy          at the wheel
+
+    The train as its file describes it, without a set of observed configurations:
+
+    >>> TrajectoryProblem.nominal(line, train, load=8_000.0, end=9_613.0).planned_for
+    "the train of the file, without a band of observed trips"
     """
 
     line: Line
@@ -130,6 +135,27 @@ class TrajectoryProblem:
     protected_length: float = 0.0
     windows: Sequence[TimingPoint] = ()
     direction: Direction = "forward"
+
+    @staticmethod
+    def nominal(line: Line, train: Train, *, load: float = 0.0, **asked: Any) -> TrajectoryProblem:
+        """The run of a train of which no trip was observed: one configuration, that of its file.
+
+        Parameters
+        ----------
+        load : float [kg]
+        **asked
+            The other attributes.
+        """
+        return TrajectoryProblem(line, train, [Configuration.of(train, load)], **asked)
+
+    @property
+    def planned_for(self) -> str:
+        """For whom the trajectory holds, in words: observed configurations, or the train's file."""
+        every, train = self.configurations, self.train
+        own = (train.resistance, train.max_traction_power, train.rotating_mass)
+        if all((c.resistance, c.max_power, c.rotating_mass) == own for c in every):
+            return "the train of the file, without a band of observed trips"
+        return f"{counted(len(every), 'configuration')} of a parameter set"
 
     def __repr__(self) -> str:
         count, time = len(self.configurations), f"{100.0 * self.reserve:g} % over the least time"

@@ -254,8 +254,8 @@ def pairs(given: list[str]) -> dict[str, str]:
     return found
 
 
-def _load(word: str) -> str:
-    """A load in kg, from a number in kg or one with its unit, ``11.7t``."""
+def load_of(word: str) -> float:
+    """A load [kg], from a number in kg or one with its unit, ``11.7t``."""
     from trainlog.formats.plausible import check_load
 
     number, unit = word.removesuffix("kg"), 1.0
@@ -268,7 +268,13 @@ def _load(word: str) -> str:
     if not 0.0 <= load < math.inf:
         raise InputError(f"load '{word}' is no load", remedy="give it in kg, 0 or more, or as 12t")
     check_load(load)
-    return word if number == word else f"{load:.0f}"
+    return load
+
+
+def _load(word: str) -> str:
+    """A load in kg as metadata holds it: a plain number as it is written."""
+    load = load_of(word)
+    return word if word[-1:].isdigit() else f"{load:.0f}"
 
 
 def destination(path: Path, suffix: str) -> Path:

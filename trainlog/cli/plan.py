@@ -15,6 +15,7 @@ from trainlog.cli.options import (
     TrainOption,
     destination,
     line_and_train,
+    load_of,
     logs_in,
     stretch,
 )
@@ -24,17 +25,26 @@ from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-    from trainlog.railway import Trajectory
+    from trainlog.railway import ParameterSet, Train, Trajectory
 
 app = typer.Typer()
 
 
 @app.command(rich_help_panel="Plan")
 def optimise(
-    parameters: Annotated[Path, typer.Argument(help="Observed parameter set (JSON).")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Trajectory file (JSON).")],
+    parameters: Annotated[
+        Path | None,
+        typer.Argument(help="Observed parameter set (JSON); default: the train's file alone."),
+    ] = None,
     line: LineOption = None,
     train: TrainOption = None,
+    load: Annotated[
+        str | None,
+        typer.Option(
+            help="Without a parameter set: what the train carries, kg or 12t; default: 0."
+        ),
+    ] = None,
     running_time: Annotated[
         float | None, typer.Option(help="Timetable's running time in seconds.")
     ] = None,
@@ -121,16 +131,18 @@ def optimise(
 ) -> None:
     """Find the trajectory of least energy that every observed configuration can follow.
 
-    The answer carries its certificate: an independent fine rollout of every configuration and a
+    Without a parameter set it is planned for one configuration, the train as its file describes
+    it; such a plan has no band: trips that differ from the file may be late. The answer carries its certificate: an independent fine rollout of every configuration and a
     lower bound on the energy. Beside it stand a picture, and the driver's advice as CSV.
 
     Example: trainlog optimise results/parameters.json -o results/trajectory.json
+
+    Example: trainlog optimise --train my.train.toml --line A-B.line.json -o trajectory.json
     """
     from analysis.comparison.cost import fastest_nonstop
     from analysis.trajectory.optimiser import optimise as solve
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
     from trainlog.cli.map_of_run import map_of_run
-    from trainlog.formats.parameters import read_parameters
 
     destination(output, ".json")
     ends = {"--km": km, "--initial-speed": initial_speed, "--final-speed": final_speed}
@@ -152,16 +164,7 @@ def optimise(
     if risk is not None:
         _refuse("--risk says how cautiously the map is read", {"--sigmas": sigmas})
     the_line, the_train = line_and_train(line, train)
-    observed = read_parameters(parameters)
-    observed.check_train(the_train.name)
-    if not observed.configurations:
-        raise InputError(
-            "holds no configuration",
-            file=parameters,
-            remedy="'trainlog fit' makes a set from trips",
-        )
-    if observed.assumed_power:
-        console.print(f"  {parameters.name}: {observed.assumed_power}", highlight=False)
+    observed = _configurations(parameters, the_train, load)
     if as_fast_as is not None:
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     if reverse:
@@ -204,6 +207,30 @@ def optimise(
     _write(trajectory, problem, output)
     if pareto:
         _front(problem, options, output)
+
+
+def _configurations(parameters: Path | None, train: Train, load: str | None) -> ParameterSet:
+    """The observed set; without one the train as its file describes it."""
+    from trainlog.formats.parameters import read_parameters
+    from trainlog.formats.plausible import check_load
+    from trainlog.railway import Configuration, ParameterSet
+
+    if parameters is None:
+        carried = 0.0 if load is None else load_of(load)
+        check_load(carried, train)
+        return ParameterSet(train.name, (Configuration.of(train, carried),))
+    _refuse("the parameter set holds the masses", {"--load": load})
+    observed = read_parameters(parameters)
+    observed.check_train(train.name)
+    if not observed.configurations:
+        raise InputError(
+            "holds no configuration",
+            file=parameters,
+            remedy="'trainlog fit' makes a set from trips; without a set the train's file is taken",
+        )
+    if observed.assumed_power:
+        console.print(f"  {parameters.name}: {observed.assumed_power}", highlight=False)
+    return observed
 
 
 def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:

@@ -132,6 +132,8 @@ class Trajectory:
         names, certificate = [each.name for each in self.configurations], self.certificate
         listed = ", ".join(names[:3]) + f" ... ({len(names)})" * (len(names) > 3)
         rows = {"running time": clock(self.running_time), "configurations": listed}
+        if self.planned_for:
+            rows["planned for"] = self.planned_for
         if "energy" in certificate:
             rows["energy"] = (
                 f"{certificate['energy'] / JOULES_PER_KWH:.2f} kWh, {self.energy_label};"
@@ -209,6 +211,11 @@ class Trajectory:
     def objective(self) -> str:
         """What was minimised: ``"wheel"``, ``"line"`` or ``"expected"``."""
         return str(self.provenance.get("settings", {}).get("objective", "wheel"))
+
+    @property
+    def planned_for(self) -> str:
+        """Observed configurations or the train's file, in words; empty where it is not noted."""
+        return str(self.provenance.get("settings", {}).get("planned_for", ""))
 
     @property
     def energy_label(self) -> str:
