@@ -132,7 +132,9 @@ def optimise(
     """Find the trajectory of least energy that every observed configuration can follow.
 
     Without a parameter set it is planned for one configuration, the train as its file describes
-    it; such a plan has no band: trips that differ from the file may be late. The answer carries its certificate: an independent fine rollout of every configuration and a
+    it; such a plan has no band: trips that differ from the file may be late.
+
+    The answer carries its certificate: an independent fine rollout of every configuration and a
     lower bound on the energy. Beside it stand a picture, and the driver's advice as CSV.
 
     Example: trainlog optimise results/parameters.json -o results/trajectory.json
