@@ -226,19 +226,11 @@ def read_adhesion_points(path: str | Path) -> AdhesionPoints:
     ('creepage', [0.008, 0.016, 0.1])
     """
     table = read_headed(path, _EXPECTED)
-    if len(table.names) not in (2, 3):
-        raise InputError(
-            f"has {len(table.names)} columns, expected slip and adhesion",
-            file=path,
-            place=f"line {table.line}",
-            remedy=_EXPECTED,
-        )
+    numbers = table.numbers("slip", "adhesion", _EXPECTED, most=3)
     variable, unit = _slip_variable(table)
     units = [(unit, "1" if variable == "creepage" else "m/s"), (table.units[1] or "1", "1")]
     if len(table.names) == 3:
         units.append((table.unit(2, _EXPECTED), "m/s"))
-    rows = [_numbers(table, number, cells) for number, cells in table.rows]
-    numbers = np.array(rows, dtype=np.float64).reshape(-1, len(units))
     columns = built(lambda: [to_si(c, *u) for c, u in zip(numbers.T, units, strict=True)], path)
     slips, adhesions = columns[:2]
     opposed = (slips * adhesions < 0.0) & (np.abs(adhesions) > 0.02)
@@ -270,15 +262,3 @@ def _slip_variable(table: HeadedTable) -> tuple[SlipVariable, str]:
         built(lambda: to_si(1.0, unit, "m/s"), table.path)
         return "slip speed", unit
     return "creepage", unit
-
-
-def _numbers(table: HeadedTable, number: int, cells: tuple[str, ...]) -> list[float]:
-    try:
-        return [table.number(cell) for cell in cells]
-    except ValueError as error:
-        raise InputError(
-            f"'{table.separator.join(cells)}' is not a slip and an adhesion",
-            file=table.path,
-            place=f"line {number}",
-            remedy=f"give numbers separated by '{table.separator}'",
-        ) from error

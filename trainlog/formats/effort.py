@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from trainlog.errors import InputError
-from trainlog.formats.headed import HeadedTable, read_headed
+from trainlog.formats.headed import read_headed
 from trainlog.formats.schema import built
 from trainlog.railway import EffortCurve
 from trainlog.units import to_si
@@ -36,31 +33,11 @@ def read_effort_curve(path: str | Path) -> EffortCurve:
     [200000.0, 150500.0]
     """
     table = read_headed(path, _EXPECTED)
-    if len(table.names) != 2:
-        raise InputError(
-            f"has {len(table.names)} columns, expected speed and effort",
-            file=path,
-            place=f"line {table.line}",
-            remedy=_EXPECTED,
-        )
+    numbers = table.numbers("speed", "effort", _EXPECTED)
     units = [(table.unit(column, _EXPECTED), si) for column, si in enumerate(("m/s", "N"))]
-    rows = [_row(table, number, cells) for number, cells in table.rows]
-    numbers = np.array(rows, dtype=np.float64).reshape(-1, 2)
     return built(
         lambda: EffortCurve(
             *(to_si(column, *unit) for column, unit in zip(numbers.T, units, strict=True))
         ),
         path,
     )
-
-
-def _row(table: HeadedTable, number: int, cells: tuple[str, ...]) -> list[float]:
-    try:
-        return [table.number(cell) for cell in cells]
-    except ValueError as error:
-        raise InputError(
-            f"'{table.separator.join(cells)}' is not a speed and an effort",
-            file=table.path,
-            place=f"line {number}",
-            remedy=f"give two numbers separated by '{table.separator}'",
-        ) from error

@@ -7,6 +7,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 
@@ -58,6 +61,45 @@ class HeadedTable:
     def number(self, cell: str) -> float:
         """A cell as a number, with a decimal comma where commas do not separate cells."""
         return float(cell if self.separator == "," else cell.replace(",", "."))
+
+    def numbers(
+        self, first: str, second: str, expected: str, *, most: int = 2
+    ) -> NDArray[np.float64]:
+        """The rows as numbers, (rows, columns) array; every cell must be one.
+
+        Parameters
+        ----------
+        first, second : str
+            What the first two columns hold; there must be these two.
+        expected : str
+            The remedy where there are others.
+        most : int, optional
+            Columns that there may be.
+
+        Raises
+        ------
+        InputError
+            If the table has other columns, or a cell is no number; with the line.
+        """
+        if not 2 <= len(self.names) <= most:
+            raise InputError(
+                f"has {len(self.names)} columns, expected {first} and {second}",
+                file=self.path,
+                place=f"line {self.line}",
+                remedy=expected,
+            )
+        found = np.empty((len(self.rows), len(self.names)))
+        for row, (line, cells) in enumerate(self.rows):
+            try:
+                found[row] = [self.number(cell) for cell in cells]
+            except ValueError as error:
+                raise InputError(
+                    f"'{self.separator.join(cells)}' is not a {first} and an {second}",
+                    file=self.path,
+                    place=f"line {line}",
+                    remedy=f"give numbers separated by '{self.separator}'",
+                ) from error
+        return found
 
 
 def read_headed(path: str | Path, expected: str) -> HeadedTable:
