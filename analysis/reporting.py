@@ -12,9 +12,9 @@ from rich.table import Table
 
 from analysis.adhesion.condition_map import summary
 from analysis.comparison.cost import compare, punctuality, running_times
-from analysis.tables import as_page, excess, kwh, new_table, with_band
+from analysis.tables import as_page, kwh, new_table, overspeed, with_band
 from analysis.truth import Truth, curve_error, map_error, truth_of
-from trainlog.display import as_text, counted, span
+from trainlog.display import as_text, counted, lateness, span
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import LOOKED_AT
@@ -219,8 +219,8 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
         f" {len(trajectory.configurations)} configurations in {trajectory.running_time:.0f} s"
     )
     proof = (
-        f"gap {certificate['gap']:.3%}, latest arrival {excess(audit['lateness']):.4f} s after"
-        f" the timetable, speed {excess(audit['overspeed']) * KMH:.5f} km/h over the limit"
+        f"gap {certificate['gap']:.3%}, latest arrival {lateness(audit['lateness'])},"
+        f" speed over the limit: {overspeed(audit['overspeed'])}"
     )
     return ("trajectory", energy, str(path)), ("certificate", proof, "")
 

@@ -11,7 +11,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
 
-from trainlog.units import JOULES_PER_KWH
+from trainlog.units import JOULES_PER_KWH, KMH
 
 PAGE = 110
 """Columns of a table in a notebook."""
@@ -78,9 +78,9 @@ def kwh(energy: float) -> str:
     return f"{energy / JOULES_PER_KWH:.2f} kWh"
 
 
-def excess(excess: float) -> float:
-    """An excess as people read it: nothing rather than a negative or a minus zero."""
-    return excess if excess > 0.0 else 0.0
+def overspeed(speed: float) -> str:
+    """A speed over the limit [m/s] in words; what a person does not see is none."""
+    return f"{KMH * speed:.1f} km/h" if KMH * speed >= 0.05 else "none"
 
 
 def as_page(*parts: RenderableType) -> str:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.dates import date2num
 from matplotlib.figure import Figure
@@ -18,7 +19,7 @@ from scipy.special import ndtr
 
 import analysis
 import trainlog
-from analysis.adhesion import map_plot
+from analysis.adhesion import map_history, map_plot
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.map_difference import detectable_ratio, q_values
 from analysis.adhesion.map_history import position_of
@@ -211,6 +212,23 @@ def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
     assert found.near == "at Mitte"
 
 
+def test_of_many_days_a_dozen_get_an_estimate_the_last_among_them(
+    whole: TrackConditionMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_history, "estimated", lambda _: whole)
+    found = analysis.map_history(whole, 3_910.0, "wet")
+    assert len(found.known) == 12
+    assert found.as_json()["notes"] == list(found.notes)
+    assert "made for 12 of 60 days with evidence nearby" in found.notes[0]
+    assert found.known["day"].iloc[-1] == pd.Timestamp("2026-07-25")
+    last = analysis.map_history(whole, 3_910.0, "wet", days=1)
+    assert last.known["day"].tolist() == [pd.Timestamp("2026-07-25")]
+    few = analysis.map_history(a_map(range(3)), 3_910.0, "wet")
+    assert (len(few.known), few.thinned, few.notes) == (3, False, ())
+    with pytest.raises(InputError, match="days must be 1 or more, got 0"):
+        analysis.map_history(whole, 3_910.0, "wet", days=0)
+
+
 def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
     whole: TrackConditionMap, tmp_path: Path
 ) -> None:
@@ -273,17 +291,19 @@ def test_the_commands_draw_list_and_end_as_diff_does(
     found = json.loads(capsys.readouterr().out)
     assert found["changed"] is True
     assert [each["near"] for each in found["sections"]] == ["at Mitte"]
+    assert found["sentence"] in shown
     assert run(["map", "diff", str(path), "--from", "2026-06-10", "--to", "2026-06-25"]) == 0
     capsys.readouterr()
     with pytest.raises(InputError, match="both maps count the same trips"):
         run(["map", "diff", str(path), str(path), "--picture", str(tmp_path / "no.png")])
     assert not (tmp_path / "no.png").exists()
-    words = ["map", "history", str(path), "--km", "3.9", "--line", str(line)]
+    words = ["map", "history", str(path), "--km", "3.9", "--line", str(line), "--days", "2"]
     assert run([*words, "--picture", str(tmp_path / "place.png")]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "A-B, km 3.900 to 3.925, at Mitte, wet" in shown
     assert "earlier days are not listed" in shown
-    assert "was made for 12 days, chosen evenly" in shown
+    stated = "was made for 2 of 60 days with evidence nearby, chosen evenly (--days sets how many)."
+    assert stated in shown
     assert (tmp_path / "place.png").stat().st_size > 20_000
     words[words.index("3.9")] = "2"
     assert run([*words, "--json"]) == 0

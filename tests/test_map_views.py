@@ -132,9 +132,10 @@ def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
     only = printed(state_table(analysis.map_state(track, AT, line=line, layers=["wet"])))
     assert "203 onsets of slip" in only
     assert "87 onsets of slip" not in only
-    assert "lies before the last evidence" not in words
+    assert "expected as known now" not in words
     earlier = analysis.map_state(track, AT - pd.Timedelta("3D"), line=line)
-    assert "lies before the last evidence" in printed(state_table(earlier))
+    stated = "evidence of 1 day, 2024-10-07, is counted in, which is not from before 2024-10-06"
+    assert f"expected as known now: {stated} (UTC)" in printed(state_table(earlier))
 
 
 def test_the_default_time_is_right_after_the_last_evidence(track: TrackConditionMap) -> None:
@@ -239,6 +240,7 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     found = json.loads(capsys.readouterr().out)
     assert found["expected_at"] == "2024-10-09T06:00:00+00:00"
     assert [each["layer"] for each in found["layers"]] == ["wet"]
+    assert [each["last_day"] for each in found["layers"]] == ["2024-10-07"]
     assert found["last_evidence"] == "2024-10-07"
     assert found["evidence_ends"] == "2024-10-08T00:00:00+00:00"
     length = found["layers"][0]["observed_m"]
@@ -247,8 +249,13 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     assert lowest["near"] == "at Flawil"
     assert lowest["expected_low"] < lowest["expected"] < lowest["expected_high"]
     assert run([*words, "--picture", str(tmp_path / "wet.png")]) == 0
-    shown = capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
     assert "states no zone: taken for UTC" in shown
+    # What is stated beside the tables stands in the JSON, too.
+    assert run([*words, "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert len(notes) == len(found["notes"]) + 1 == 2
+    assert all(each in shown for each in notes)
     assert (tmp_path / "wet.png").stat().st_size > 20_000
     for given, message in (("8", "not a part of a line"), ("8:9", "what a picture shows")):
         with pytest.raises(InputError, match=message):

@@ -105,6 +105,7 @@ def test_a_map_is_scored_on_later_trips(folder: Path, capsys: pytest.CaptureFixt
     assert found["left_out"] == []
     onsets = found["layers"]["all"]["onsets"]
     assert onsets["known"] + onsets["unknown"] > 0
+    assert found["notes"][0].startswith("1 day: too few for bands")
     with pytest.raises(InputError, match="ran on a day of which the map holds evidence"):
         run(["map", "score", str(next(folder.glob("CH_*.map*"))), str(folder / "stopping.mcap")])
 
@@ -214,9 +215,17 @@ def test_a_forecast_of_a_past_time_uses_evidence_of_days_before_alone(
     # On the first day of a spot, and twelve hours into it: what that day showed is not used.
     time = pd.Timestamp((FIRST + 5) * 86_400 + 43_200, unit="s", tz="UTC")
     path = folder / "past.csv"
-    run(["map", "forecast", str(folder / "month.map"), "--at", time.isoformat(), "-o", str(path)])
+    words = ["map", "forecast", str(folder / "month.map"), "-o", str(path)]
+    words += ["--at", time.isoformat()]
+    run(words)
     printed = capsys.readouterr().out
-    assert "forecast without the evidence of 7 days, 2024-10-09 to 2024-10-15" in printed
+    stated = "forecast without the evidence of 7 days, 2024-10-09 to 2024-10-15, which is not from"
+    assert stated in " ".join(printed.split())
+    run([*words, "--json"])
+    outcome = json.loads(capsys.readouterr().out)
+    assert outcome["from"] == time.isoformat()
+    assert outcome["layers"] == ["wet"]
+    assert outcome["notes"][0].startswith(stated)
     found = read_forecast(path)
     alone = whole.layer("wet").evidence.between(0, FIRST + 4)
     cut = estimated(replace(whole, layers={"wet": ConditionLayer.unestimated(alone)}))
@@ -244,3 +253,6 @@ def test_what_is_shown_for_a_past_time_states_the_later_evidence(
         assert words in " ".join(capsys.readouterr().out.split())
         run(["map", *command, "--at", "2024-10-16T00:00Z"])
         assert "as known now" not in capsys.readouterr().out
+    run(["map", "show", known, "--at", "2024-10-09T12:00Z", "--json"])
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any(words in each for each in notes)

@@ -293,6 +293,19 @@ def test_an_effort_that_is_cut_shows_that_the_maximum_was_passed(
     np.testing.assert_allclose(found.events["adhesion"], used, rtol=0.03)
 
 
+def test_an_event_lies_where_its_slip_began() -> None:
+    """The axles use 30 kN for 20 s without slip: the middle of that time is not where they slip."""
+    made, speed = one_slip(0.6)
+    events = slip(made).events
+    assert (events["onset"] < events["start"]).all()
+    # The wheels gain 1.5 m/s over the train, from which on it is a slip, 21.15 s after the start.
+    began = made["/train/state"]["position"].to_numpy()[round(21.15 / 0.05)]
+    np.testing.assert_allclose(events["position"], began, atol=0.15 * speed[-1])
+    np.testing.assert_allclose(events["speed"], speed[round(21.15 / 0.05)], atol=0.1)
+    fallen = slip(one_slip(0.6, force_before=2e3)[0]).events
+    np.testing.assert_allclose(fallen["position"], fallen["position"].iloc[0])
+
+
 def test_the_inertia_of_the_axles_is_counted_once() -> None:
     """No wheel holds and nothing else measures: the speed is what the rail gave over the mass."""
     made, speed = one_slip(0.85, force_before=2e3)

@@ -121,3 +121,16 @@ def span(values: ArrayLike, factor: float = 1.0, digits: int = 0) -> str:
     known = np.asarray(values, dtype=np.float64)
     low, high = (f"{factor * each + 0.0:.{digits}f}" for each in (known.min(), known.max()))
     return low if low == high else f"{low} to {high}"
+
+
+def lateness(seconds: float) -> str:
+    """How long after the timetable something happens, to a hundredth of a second.
+
+    Examples
+    --------
+    >>> lateness(-0.0002), lateness(0.034), lateness(-2.0)
+    ('on time', '0.03 s late', '2.00 s early')
+    """
+    if abs(seconds) < 0.005:
+        return "on time"
+    return f"{abs(seconds):.2f} s {'late' if seconds > 0.0 else 'early'}"

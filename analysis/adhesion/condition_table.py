@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.adhesion.line_table import line_table
+from trainlog.condition import later_evidence
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
     AdhesionEstimate,
@@ -21,6 +22,7 @@ from trainlog.railway.condition import (
     PassingSpot,
     TrackConditionMap,
 )
+from trainlog.railway.evidence import day_of
 from trainlog.railway.line import Line
 
 FloatArray = NDArray[np.float64]
@@ -46,6 +48,26 @@ def last_evidence(track: TrackConditionMap) -> pd.Timestamp | None:
     """
     days = track.days
     return pd.Timestamp(int(days[-1]) + 1, unit="D", tz="UTC") if days.size else None
+
+
+def counted_later(track: TrackConditionMap, time: pd.Timestamp | None) -> str:
+    """That what is expected at a time counts evidence not from before its day; empty: it does not.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> counted_later(track, pd.Timestamp("2024-10-07T08:00Z"))
+    'expected as known now: evidence of 1 day, 2024-10-07, is counted in, which is not from before\
+ 2024-10-07 (UTC)'
+    """
+    later = "" if time is None else later_evidence(track, time)
+    if not (time is not None and later):
+        return ""
+    return (
+        f"expected as known now: {later}, is counted in, which is not from before"
+        f" {day_name(day_of(time))} (UTC)"
+    )
 
 
 def day_name(day: int) -> str:

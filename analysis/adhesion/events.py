@@ -217,6 +217,9 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
         for start, stop in runs_of(slipping[:, axle]):
             peak = start + int(np.nanargmax(np.abs(motion.slip_speed[start:stop, axle])))
             at, found = _onset_of(motion, axle, start, peak, noise)
+            began = max(start, at)
+            if not np.isfinite(motion.position[began]):
+                began = at
             times = {"start": start, "onset": at, "peak": peak, "release": min(stop, last)}
             slip_speed, speed = motion.slip_speed[peak, axle], motion.speed[peak]
             span = min(start, at), times["release"]
@@ -226,6 +229,8 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
                     "axle": int(axles.numbers[axle]) + 1,
                     **{name: axles.clock[row] for name, row in times.items()},
                     "duration": axles.time[span[1]] - axles.time[span[0]],
+                    "position": motion.position[began],
+                    "speed": motion.speed[began],
                     "peak_slip": slip_speed,
                     "creepage": slip_speed / speed if speed >= CREEPAGE_SPEED else np.nan,
                     **found,
@@ -334,8 +339,6 @@ def _onset_of(
     delayed = np.sqrt(np.mean((np.array(others) - adhesion) ** 2)) if others else 0.0
     return at, {
         "kind": "traction" if direction > 0.0 else "braking",
-        "position": motion.position[at],
-        "speed": motion.speed[at],
         "adhesion": adhesion if known else np.nan,
         "adhesion_std": np.hypot(noise, spread) if known else np.nan,
         "delay_std": float(delayed) if known else np.nan,

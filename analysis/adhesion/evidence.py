@@ -246,7 +246,7 @@ class _Sums:
 
     def add(self, part: SlipAnalysis) -> None:
         """Gather what one part shows."""
-        events = part.events.assign(position=_places(part))
+        events = part.events
         known = events["measured"] & events["position"].between(0.0, self.track.length)
         self.onsets.append(events[known])
         self.highest = np.maximum(self.highest, _highest(part, self.track))
@@ -283,23 +283,6 @@ class _Sums:
             weighted_square=_fixed(weight * mean**2),
             common=_fixed(weight**2 * (self.common_std**2 + shared**2)),
         )
-
-
-def _places(analysis: SlipAnalysis) -> FloatArray:
-    """Where each event shows the maximum [m], (events,).
-
-    An axle may use the level at which it slips for a while before it slips, and the onset is the
-    middle of that time: what was used there without slip was not yet the maximum. So the place is
-    that of the slip's first sample, if that is the later one.
-    """
-    events = analysis.events
-    place = events["position"].to_numpy(dtype=np.float64)
-    if not analysis.time.size or not place.size:
-        return place
-    onset, start = (pd.DatetimeIndex(events[n]).as_unit("ns").asi8 for n in ("onset", "start"))
-    clock = analysis.time.as_unit("ns").asi8
-    later = np.interp(np.maximum(onset, start), clock, analysis.position)
-    return np.where((start > onset) & np.isfinite(later), later, place)
 
 
 def _last_day(analysis: SlipAnalysis, track: TrackConditionMap) -> NDArray[np.int64]:

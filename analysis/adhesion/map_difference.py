@@ -129,6 +129,7 @@ class MapDifference:
             "before": self.before,
             "after": self.after,
             "changed": self.changed,
+            "sentence": self.sentence,
             "false_discovery_rate": self.rate,
             "least": self.least,
             "tested_bins": len(self.bins),

@@ -29,7 +29,7 @@ from trainlog.railway.line import Line
 FloatArray = NDArray[np.float64]
 
 MOST_DAYS = 12
-"""Days that get the estimate of then; of more they are chosen evenly, the last among them."""
+"""Days that get the estimate of then, unless more are asked for."""
 
 REACH = 500.0
 """A day counts for a place if it has evidence no further from it than this [m]."""
@@ -63,8 +63,8 @@ class PlaceHistory:
         slip was measured there up to now.
     spots, changes : DataFrame
         Passing spots and lasting changes there, as known now, with their dates.
-    thinned : bool
-        Whether `known` leaves days out.
+    days : int
+        Days with evidence there or nearby, of which `known` has all or some.
     """
 
     line: str
@@ -79,7 +79,7 @@ class PlaceHistory:
     known: pd.DataFrame
     spots: pd.DataFrame
     changes: pd.DataFrame
-    thinned: bool = False
+    days: int = 0
 
     def __repr__(self) -> str:
         return (
@@ -101,6 +101,20 @@ class PlaceHistory:
         return f"{words}."
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What is not shown or not known, in sentences."""
+        thinned = (
+            f"The estimate as known then was made for {len(self.known)} of"
+            f" {self.days} days with evidence nearby, chosen evenly (--days sets how many)."
+        )
+        return tuple(filter(None, (thinned if self.thinned else "", self.unmeasured)))
+
+    @property
+    def thinned(self) -> bool:
+        """Whether `known` leaves days out."""
+        return 0 < len(self.known) < self.days
+
+    @property
     def title(self) -> str:
         """Line, place and layer in words."""
         place = f"km {self.start_km:.3f} to {self.end_km:.3f}" + f", {self.near}" * bool(self.near)
@@ -119,6 +133,7 @@ class PlaceHistory:
             "near": self.near,
             "thinned": self.thinned,
             **{name: plain_rows(getattr(self, name)) for name in tables},
+            "notes": list(self.notes),
         }
 
 
@@ -141,12 +156,14 @@ def map_history(
     line : Line, optional
         Gives the operator's kilometres and the stations.
     days : int
-        At most so many days get the estimate of then.
+        At most so many days get the estimate of then, which each takes as long as an update of the
+        layer; of more they are chosen evenly, the last among them.
 
     Raises
     ------
     InputError
-        If the position is not on the line, the map lacks the layer, or the line is another.
+        If the position is not on the line, the map lacks the layer, the line is another, or there
+        are to be no days.
 
     Examples
     --------
@@ -163,6 +180,8 @@ def map_history(
         )
     if line is not None:
         check_course(track, line)
+    if days < 1:
+        raise InputError(f"map history: days must be 1 or more, got {days}")
     chosen = track.layer(layer)
     row = int(track.bin_of(position))
     start = row * track.bin_length
@@ -173,7 +192,8 @@ def map_history(
     if onsets.empty and np.isfinite(chosen.log_mean[row]) and not chosen.observed[row]:
         # Less evidence did not show it either.
         when = when[:0]
-    shown = when if when.size <= days else when[np.linspace(0, when.size - 1, days).astype(int)]
+    evenly = np.linspace(when.size - 1, 0, min(days, when.size)).astype(int)
+    shown = when[evenly[::-1]]
     return PlaceHistory(
         line=track.line,
         layer=layer,
@@ -187,7 +207,7 @@ def map_history(
         known=_known(track, layer, row, shown),
         spots=_spots(track, chosen, start, end),
         changes=_changes(chosen, start, end),
-        thinned=bool(shown.size < when.size),
+        days=int(when.size),
     )
 
 
@@ -330,9 +350,7 @@ def history_table(found: PlaceHistory) -> Group:
     parts: list[RenderableType] = [table]
     if len(days) > LISTED:
         parts.append(f"{len(days) - LISTED} earlier days are not listed.")
-    if found.thinned:
-        parts.append(f"The estimate of then was made for {len(found.known)} days, chosen evenly.")
-    parts += [found.unmeasured] if found.unmeasured else []
+    parts += found.notes
     for each in found.spots.to_dict("records"):
         share = probability_words(each["present"])
         still = share if share.startswith("gone") else f"still there with {share}"

@@ -17,6 +17,7 @@ from analysis.adhesion.condition_table import (
     changes_table,
     check_course,
     chosen_layers,
+    counted_later,
     day_name,
     last_evidence,
     met_words,
@@ -55,7 +56,7 @@ class MapState:
     last_evidence : Timestamp or None
         End of the last day with evidence, UTC.
     layers : DataFrame
-        A row a layer: trips, onsets, observed length.
+        A row a layer: trips, onsets, observed length, last day with evidence.
     lowest : DataFrame
         The lowest places, least lasting or expected adhesion first; a row as of
         `analysis.bins_table`, with the nearest station.
@@ -65,6 +66,9 @@ class MapState:
         was assumed beforehand, "assumed" where it has no part.
     spots, changes : DataFrame
         A row a passing spot, with the probability that it lies there then; a row a lasting change.
+    notes : tuple of str
+        What holds where nothing was observed, what the recorders lacked, and which later evidence
+        counts in what is expected, in sentences.
     """
 
     track: TrackConditionMap
@@ -76,6 +80,7 @@ class MapState:
     model: pd.DataFrame
     spots: pd.DataFrame
     changes: pd.DataFrame
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         when = "no evidence" if self.at is None else f"expected at {self.at:%Y-%m-%d %H:%M} UTC"
@@ -97,6 +102,7 @@ class MapState:
             "length_m": self.track.length,
             **times,
             **{name: plain_rows(getattr(self, name)) for name in tables},
+            "notes": list(self.notes),
         }
 
 
@@ -151,6 +157,10 @@ def map_state(
         model=_model(chosen),
         spots=spots_table(track, line, at, list(chosen)),
         changes=changes_table(track, line, list(chosen)),
+        notes=(
+            *map_words(replace(track, layers=chosen)),
+            *filter(None, [counted_later(track, at)]),
+        ),
     )
 
 
@@ -164,8 +174,15 @@ def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
             "observed_m": [round(each.observed_length, 3) for each in every],
             "observed_bins": [each.observed_bins for each in every],
             "bins": [each.bins for each in every],
+            "last_day": [_last_day_of(track.layer(each.layer)) for each in every],
         }
     )
+
+
+def _last_day_of(layer: ConditionLayer) -> str | None:
+    """The last day with evidence; None if there is none."""
+    days = layer.evidence.days
+    return day_name(int(days[-1])) if days.size else None
 
 
 def _lowest(
@@ -225,15 +242,7 @@ def state_table(state: MapState, *, model: bool = False) -> Group:
         parts.append(_changes_table(state))
     if model and not state.model.empty:
         parts.append(_model_table(state))
-    chosen = {name: state.track.layer(name) for name in state.layers["layer"]}
-    parts += map_words(replace(state.track, layers=chosen))
-    at, last = state.at, state.last_evidence
-    if at is not None and last is not None and at < last:
-        parts.append(
-            f"{at:%Y-%m-%d %H:%M} UTC lies before the last evidence ({_last_day(last)}): what was"
-            " learnt since counts in what is expected."
-        )
-    return Group(*parts)
+    return Group(*parts, *state.notes)
 
 
 def _layers_table(state: MapState) -> RenderableType:
@@ -242,13 +251,12 @@ def _layers_table(state: MapState) -> RenderableType:
         title, "rail\ncondition", "trips", "onsets measured", "observed", "last evidence"
     )
     for each in state.layers.to_dict("records"):
-        days = state.track.layer(str(each["layer"])).evidence.days
         table.add_row(
             str(each["layer"]),
             str(each["trips"]),
             str(each["onsets"]),
             f"{each['observed_m'] / 1e3:.1f} km, {each['observed_bins'] / each['bins']:.0%}",
-            day_name(int(days[-1])) if days.size else "none",
+            each["last_day"] if isinstance(each["last_day"], str) else "none",
         )
     return table
 

@@ -112,8 +112,10 @@ class SlipAnalysis:
         ``onset``, the time of the adhesion's last maximum before the slip was largest; ``start``,
         when it was detected; ``peak``, when the slip was largest; ``release``, when it was over;
         ``duration`` [s] from the earlier of start and onset to the release; ``position`` [m] and
-        ``speed`` [m/s] at the onset; ``peak_slip`` [m/s] and ``creepage``, slip speed over train
-        speed, at the peak, NaN below 1 m/s; ``adhesion`` and ``adhesion_std`` at the onset;
+        ``speed`` [m/s] where the slip began, at the later of start and onset: what the axle used
+        there is the maximum, and what it used before without slip was not yet the maximum;
+        ``peak_slip`` [m/s] and ``creepage``, slip speed over train speed, at the peak, NaN below
+        1 m/s; ``adhesion`` and ``adhesion_std`` at the onset;
         ``delay_std``: the standard deviation by a delay of the efforts that is not known, which all
         onsets of the trip have in common and which is not in ``adhesion_std``; ``energy`` and
         ``energy_std`` [J]: what the slip turned into heat, the work of the adhesion force over the
@@ -215,11 +217,11 @@ class SlipAnalysis:
         Returns
         -------
         DataFrame
-            With the index of `events`: ``maximum`` and ``maximum_std``, the maximum adhesion at
-            the onset: the filter's and, where the event measured it, the observer's, weighted by
-            their precisions, as their errors are of either sign; ``slope`` and ``slope_std``
-            [s/m], the change of adhesion with slip speed at the largest slip, negative where the
-            maximum was passed. NaN where too few samples show the curve.
+            With the index of `events`: ``maximum`` and ``maximum_std``, the maximum adhesion where
+            the slip began: the filter's and, where the event measured it, the observer's,
+            weighted by their precisions, as their errors are of either sign; ``slope`` and
+            ``slope_std`` [s/m], the change of adhesion with slip speed at the largest slip,
+            negative where the maximum was passed. NaN where too few samples show the curve.
         """
         # filterpy takes half a second to import; the map does without it.
         from estimators.creep_curve import estimate_creep_curve
@@ -232,11 +234,12 @@ class SlipAnalysis:
         found = np.full((len(self.events), 4), np.nan)
         axles = self.events["axle"].to_numpy() - 1
         signs = np.sign(self.events["peak_slip"].to_numpy())
-        places = self.events["position"].to_numpy()
         delayed = np.nan_to_num(self.events["delay_std"] / self.events["adhesion"].abs())
         names = ("measured", "adhesion", "adhesion_std")
         measured, levels, level_stds = (self.events[name].to_numpy() for name in names)
-        starts, stops = (self.time.searchsorted(self.events[name]) for name in ("start", "release"))
+        starts, onsets, stops = (
+            self.time.searchsorted(self.events[name]) for name in ("start", "onset", "release")
+        )
         for number, (axle, sign, start, stop) in enumerate(
             zip(axles, signs, starts, stops, strict=True)
         ):
@@ -252,7 +255,8 @@ class SlipAnalysis:
             known = np.flatnonzero(np.isfinite(curve.maximum))
             if not known.size:
                 continue
-            onset_at = known[np.argmin(np.abs(self.position[part][known] - places[number]))]
+            began = max(start, onsets[number]) - part.start
+            onset_at = known[np.argmin(np.abs(known - began))]
             peak_at = known[np.argmax(slip[part][known])]
             top, std = float(curve.maximum[onset_at]), float(curve.maximum_std[onset_at])
             if measured[number]:

@@ -9,7 +9,8 @@ import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from analysis.tables import kwh, new_table
+from analysis.tables import kwh, new_table, overspeed
+from trainlog.display import lateness
 from trainlog.railway import Trajectory
 from trainlog.units import KMH, clock
 
@@ -48,8 +49,8 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         ("configurations", deciding),
         (trajectory.energy_label, f"{kwh(certificate['energy'])}, {bound}"),
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),
-        ("latest arrival", _late(audit["lateness"])),
-        ("speed over the limit", _over(audit["overspeed"] * KMH)),
+        ("latest arrival", lateness(audit["lateness"])),
+        ("speed over the limit", overspeed(audit["overspeed"])),
         ("power", f"{audit['power']:.1%} of the limit at most"),
         ("adhesion", _share(audit["adhesion"])),
         ("controls as the maximum principle asks", shares or "not known"),
@@ -149,14 +150,6 @@ def advice_table(points: Sequence[AdvicePoint]) -> Table:
 
 def _share(adhesion: float) -> str:
     return f"{adhesion:.1%} of the adhesion counted on at most" if adhesion else "no limit was met"
-
-
-def _late(seconds: float) -> str:
-    return f"{seconds:.1f} s after the timetable" if seconds >= 0.05 else "within the timetable"
-
-
-def _over(excess: float) -> str:
-    return f"{excess:.1f} km/h" if excess >= 0.05 else "none"
 
 
 def _some(names: Sequence[str]) -> str:

@@ -14,7 +14,14 @@ from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
 from analysis.adhesion.evidence import Evidence
 from analysis.verification.forecasts import map_forecast, rolling_forecast, stated_forecast
 from analysis.verification.passages import NOON, Demand, Passages, passages_of, time_of
-from analysis.verification.verify import Forecaster, History, Verification, verify
+from analysis.verification.verify import (
+    FEWEST_DAYS,
+    Forecaster,
+    History,
+    Verification,
+    verify,
+)
+from trainlog.display import counted
 from trainlog.errors import MOST_LISTED, InputError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
@@ -61,6 +68,21 @@ class Score:
 
         return as_page(score_table(self))
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What could not be stated, and why, in sentences."""
+        whole, words = self.layers["all"], []
+        if whole.days.size < FEWEST_DAYS:
+            days = counted(int(whole.days.size), "day")
+            words.append(f"{days}: too few for bands, which need {FEWEST_DAYS}")
+        missing = int(whole.no_demand.sum())
+        if missing:
+            words.append(
+                f"{counted(missing, 'passage')} of bins without a trip on another day: how much is"
+                " asked for there is not known, so that the probability of slip is not scored"
+            )
+        return tuple(words)
+
     def details(self) -> dict[str, Any]:
         """All figures, as JSON has them."""
         return {
@@ -69,6 +91,7 @@ class Score:
             "layers": {name: each.details() for name, each in self.layers.items()},
             "left_out": list(self.left_out),
             "refused": list(self.refused),
+            "notes": list(self.notes),
         }
 
 

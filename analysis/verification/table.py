@@ -10,8 +10,7 @@ from rich.table import Table
 
 from analysis.tables import new_table
 from analysis.verification.scoring import Score
-from analysis.verification.verify import FEWEST_DAYS, USUAL_ALARM, Figure, Verification
-from trainlog.display import counted
+from analysis.verification.verify import USUAL_ALARM, Figure, Verification
 
 
 def score_table(score: Score) -> Group:
@@ -22,18 +21,7 @@ def score_table(score: Score) -> Group:
     for title, figure in ROWS:
         table.add_row(title, *(figure(score.layers[name]) for name in shown))
     whole = score.layers["all"]
-    words = []
-    if whole.days.size < FEWEST_DAYS:
-        words.append(
-            f"{counted(int(whole.days.size), 'day')}: too few for bands, which need {FEWEST_DAYS}"
-        )
-    missing = int(whole.no_demand.sum())
-    if missing:
-        words.append(
-            f"{counted(missing, 'passage')} of bins without a trip on another day: how much is"
-            " asked for there is not known, so that the probability of slip is not scored"
-        )
-    return Group(table, _reliability(whole), _alarms(whole), *words)
+    return Group(table, _reliability(whole), _alarms(whole), *score.notes)
 
 
 def _said(figure: Figure, digits: int = 2, sign: bool = False) -> str:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trainlog.cli.map import map_app
-from trainlog.cli.map_views import AtOption, MapArgument, ZoneOption, moment
-from trainlog.cli.options import destination, logs_in
+from trainlog.cli.options import (
+    AtOption,
+    JsonOption,
+    MapArgument,
+    ZoneOption,
+    destination,
+    left_out,
+    logs_in,
+    moment,
+)
 from trainlog.cli.terminal import console, print_error, progress_bar, wrote
 from trainlog.errors import InputError
 
@@ -30,6 +39,7 @@ def map_forecast(
     layer: Annotated[
         str | None, typer.Option(help="Rail condition; default: every one of the map.")
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Write what a map expects at a time as a forecast, in the form in which forecasts are scored.
 
@@ -39,17 +49,28 @@ def map_forecast(
     Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
     """
     from analysis.verification.forecasts import first_free, forecast_of
-    from trainlog.condition import later_evidence
     from trainlog.formats.condition import read_map
     from trainlog.formats.forecast import write_forecast
 
     destination(output, ".csv")
     track = read_map(condition)
     time = moment(at, zone) or first_free(track)
-    write_forecast(forecast_of(track, time, layer=layer, hours=hours), output)
-    later = later_evidence(track, time)
+    forecast = forecast_of(track, time, layer=layer, hours=hours)
+    write_forecast(forecast, output)
+    later = left_out(track, time)
+    if as_json:
+        content = {
+            "forecast": str(output),
+            "line": forecast.line,
+            "from": time.isoformat(),
+            "hours": hours,
+            "layers": sorted(set(forecast.layer)),
+            "notes": [f"forecast {later}"] if later else [],
+        }
+        typer.echo(json.dumps(content, ensure_ascii=False))
+        return
     if later:
-        console.print(f"  forecast without the {later}", highlight=False)
+        console.print(f"  forecast {later}", highlight=False, soft_wrap=True)
     wrote(output)
 
 
@@ -72,7 +93,7 @@ def map_score(
         typer.Option(help="Weather (CSV): the rail condition of logs that state none."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the scores here.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print all figures as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Score a map's forecast, or anyone's, on trips that it does not know.
 
@@ -94,8 +115,6 @@ def map_score(
     if picture is not None:
         draw_score(found, picture)
     if as_json:
-        import json
-
         typer.echo(json.dumps(found.details(), ensure_ascii=False))
     else:
         for words in found.left_out:

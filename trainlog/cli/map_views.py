@@ -11,19 +11,25 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trainlog.cli.map import map_app
-from trainlog.cli.options import destination
+from trainlog.cli.options import (
+    AtOption,
+    JsonOption,
+    LayersOption,
+    MapArgument,
+    ZoneOption,
+    destination,
+    moment,
+    zone_assumed,
+)
 from trainlog.cli.terminal import console, wrote
 from trainlog.errors import InputError, TrainlogError
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from trainlog.railway import Line, TrackConditionMap
 
 app = typer.Typer()
 """Empty: these commands stand among those of the map."""
 
-MapArgument = Annotated[Path, typer.Argument(help="Map file.")]
 CourseOption = Annotated[
     Path | None,
     typer.Option(
@@ -32,24 +38,6 @@ CourseOption = Annotated[
         " coordinates. Default: a sample line of the map's name, or that of its logs.",
     ),
 ]
-LayersOption = Annotated[
-    list[str] | None, typer.Option("--layer", help="Only this layer; may be given several times.")
-]
-AtOption = Annotated[
-    str | None,
-    typer.Option(
-        "--at",
-        help="Time of the expected condition: 2026-11-22T06:00+01:00. Default: right after the"
-        " last evidence.",
-    ),
-]
-ZoneOption = Annotated[
-    str | None,
-    typer.Option("--zone", help="Zone of a time that states none: Europe/Zurich. Default: UTC."),
-]
-
-
-JsonOption = Annotated[bool, typer.Option("--json", help="State it as JSON.")]
 
 
 @map_app.command("show")
@@ -91,6 +79,8 @@ def map_show(
     track = read_map(condition)
     known = course(track, line, condition)
     state = map_state(track, when, line=known, layers=layer)
+    assumed = zone_assumed(at, zone)
+    state = replace(state, notes=(*state.notes, assumed)) if assumed else state
     if picture is not None:
         shown = (
             track if layer is None else replace(track, layers={n: track.layer(n) for n in layer})
@@ -102,9 +92,6 @@ def map_show(
         typer.echo(json.dumps(state.as_json(), ensure_ascii=False, allow_nan=False))
         return
     console.print(state_table(state, model=model))
-    _state_later(track, when)
-    if when is not None and zone_assumed(at, zone):
-        console.print(f"  {at} states no zone: taken for UTC (--zone names another)")
     if picture is not None:
         wrote(picture)
 
@@ -189,6 +176,14 @@ def map_history(
     km: Annotated[float, typer.Option("--km", help="The operator's kilometre of the place.")],
     layer: LayersOption = None,
     line: CourseOption = None,
+    days: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Make the estimate as it was known then for so many days at most, chosen evenly;"
+            " each takes as long as that of an update. Default: 12.",
+        ),
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw it here; of several layers, their names are added to the file's."),
@@ -197,12 +192,15 @@ def map_history(
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day.
 
+    Where more than --days days have evidence nearby, it states for how many of them the estimate
+    was made.
+
     Example: trainlog map history results/wil.map --km 12.3 --layer wet --picture place.png
     """
     if picture is not None:
         destination(picture, ".png")
 
-    from analysis.adhesion.map_history import history_table, map_history, position_of
+    from analysis.adhesion.map_history import MOST_DAYS, history_table, map_history, position_of
     from analysis.adhesion.map_plot import draw_history
     from trainlog.formats.condition import read_map
 
@@ -210,7 +208,8 @@ def map_history(
     known = course(track, line, condition)
     position = position_of(track, known, km)
     names = list(track.layers) if layer is None else layer
-    found = [map_history(track, position, name, line=known) for name in names]
+    most = MOST_DAYS if days is None else days
+    found = [map_history(track, position, name, line=known, days=most) for name in names]
     written = []
     if picture is not None:
         for each in found:
@@ -258,27 +257,16 @@ def map_export(
     """
     when = moment(at, zone)
 
+    from analysis.adhesion.condition_table import counted_later
     from analysis.adhesion.export import export_map, exported_suffix
     from trainlog.formats.condition import read_map
 
     exported_suffix(output)
     track = read_map(condition)
     export_map(track, output, line=course(track, line, condition), at=when, layers=layer)
-    _state_later(track, when)
+    for words in filter(None, [counted_later(track, when), zone_assumed(at, zone)]):
+        console.print(f"  {words}", highlight=False, soft_wrap=True)
     wrote(output)
-
-
-def _state_later(track: TrackConditionMap, when: pd.Timestamp | None) -> None:
-    """State whether what is expected at a time counts evidence that is not from before its day."""
-    from trainlog.condition import later_evidence
-
-    later = "" if when is None else later_evidence(track, when)
-    if later:
-        console.print(
-            f"  expected as known now: {later}, is counted in, which is not from before the day"
-            " of --at",
-            highlight=False,
-        )
 
 
 def course(track: TrackConditionMap, given: Path | None, condition: Path) -> Line | None:
@@ -322,42 +310,3 @@ def _line_of_log(log: Path) -> Line:
     trip = read_log(log, topics=[])
     line = line_of(trip)
     return line.reversed() if trip.metadata.get("direction") == "reverse" else line
-
-
-def moment(at: str | None, zone: str | None) -> pd.Timestamp | None:
-    """A time as given by ``--at`` and ``--zone``, in UTC.
-
-    Raises
-    ------
-    InputError
-        If it is no time, the zone is unknown, or the time is skipped or comes twice there.
-    """
-    if at is None:
-        return None
-    import pandas as pd
-
-    from trainlog.spans import utc
-
-    if zone is None or not _zoneless(at):
-        return utc(at)
-    try:
-        return utc(pd.Timestamp(at).tz_localize(zone))
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"'{at}' is not one time in the zone '{zone}'",
-            remedy="write it with its offset, as 2026-11-22T06:00+01:00",
-        ) from error
-
-
-def zone_assumed(at: str | None, zone: str | None) -> bool:
-    """Whether a time states no zone, and none is given."""
-    return at is not None and zone is None and _zoneless(at)
-
-
-def _zoneless(at: str) -> bool:
-    import pandas as pd
-
-    try:
-        return pd.Timestamp(at).tzinfo is None
-    except ValueError:
-        return False

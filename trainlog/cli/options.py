@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from trainlog.cli.terminal import console
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
 from trainlog.units import NANOSECONDS
@@ -17,7 +18,7 @@ from trainlog.units import NANOSECONDS
 if TYPE_CHECKING:
     import pandas as pd
 
-    from trainlog.railway import Line, Train
+    from trainlog.railway import Line, TrackConditionMap, Train
     from trainlog.simulation import Change
     from trainlog.trip import Trip
 
@@ -46,6 +47,23 @@ RunTimeOption = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
+MapArgument = Annotated[Path, typer.Argument(help="Map file.")]
+LayersOption = Annotated[
+    list[str] | None, typer.Option("--layer", help="Only this layer; may be given several times.")
+]
+AtOption = Annotated[
+    str | None,
+    typer.Option(
+        "--at",
+        help="Time of the expected condition: 2026-11-22T06:00+01:00. Default: right after the"
+        " last evidence.",
+    ),
+]
+ZoneOption = Annotated[
+    str | None,
+    typer.Option("--zone", help="Zone of a time that states none: Europe/Zurich. Default: UTC."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="State it as JSON.")]
 
 
 TopicOption = Annotated[
@@ -184,6 +202,79 @@ def _moment(
             remedy=f"the log begins {known[0]:%Y-%m-%dT%H:%M:%SZ} and ends "
             f"{known[1]:%Y-%m-%dT%H:%M:%SZ}",
         ) from error
+
+
+def moment(at: str | None, zone: str | None) -> pd.Timestamp | None:
+    """A time as given by ``--at`` and ``--zone``, in UTC.
+
+    Raises
+    ------
+    InputError
+        If it is no time, the zone is unknown, or the time is skipped or comes twice there.
+    """
+    if at is None:
+        return None
+    import pandas as pd
+
+    from trainlog.spans import utc
+
+    if zone is None or not _zoneless(at):
+        return utc(at)
+    try:
+        return utc(pd.Timestamp(at).tz_localize(zone))
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"'{at}' is not one time in the zone '{zone}'",
+            remedy="write it with its offset, as 2026-11-22T06:00+01:00",
+        ) from error
+
+
+def zone_assumed(at: str | None, zone: str | None) -> str:
+    """That a time is taken for UTC, where it states no zone and none is given; else empty."""
+    if at is None or zone is not None or not _zoneless(at):
+        return ""
+    return f"{at} states no zone: taken for UTC (--zone names another)"
+
+
+def _zoneless(at: str) -> bool:
+    import pandas as pd
+
+    try:
+        return pd.Timestamp(at).tzinfo is None
+    except ValueError:
+        return False
+
+
+def map_of_run(condition: Path, at: str | None) -> tuple[TrackConditionMap, pd.Timestamp | None]:
+    """The map, made of the evidence of the days before the time of the run alone, and that time.
+
+    What is left out is printed. Without a time all evidence counts.
+
+    Raises
+    ------
+    InputError
+        If the file is no map, the time is none, or no evidence is of a day before.
+    """
+    from trainlog.condition import known_before
+    from trainlog.formats.condition import read_map
+
+    time, track = moment(at, None), read_map(condition)
+    if time is None:
+        return track, None
+    words = left_out(track, time)
+    if words:
+        console.print(f"  {condition.name}: read {words}", highlight=False, soft_wrap=True)
+    return known_before(track, time), time
+
+
+def left_out(track: TrackConditionMap, time: pd.Timestamp) -> str:
+    """Which evidence of a map is not used for a time, as it is not from before; empty: none."""
+    from trainlog.condition import later_evidence
+
+    later = later_evidence(track, time)
+    if not later:
+        return ""
+    return f"without the {later}, which is not from before the day of --at (UTC)"
 
 
 def source_span(source: Path) -> Callable[[], tuple[pd.Timestamp, pd.Timestamp] | None]:

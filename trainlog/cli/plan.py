@@ -17,6 +17,7 @@ from trainlog.cli.options import (
     line_and_train,
     load_of,
     logs_in,
+    map_of_run,
     stretch,
 )
 from trainlog.cli.terminal import console, working, wrote
@@ -144,7 +145,6 @@ def optimise(
     from analysis.comparison.cost import fastest_nonstop
     from analysis.trajectory.optimiser import optimise as solve
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-    from trainlog.cli.map_of_run import map_of_run
 
     destination(output, ".json")
     ends = {"--km": km, "--initial-speed": initial_speed, "--final-speed": final_speed}

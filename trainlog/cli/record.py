@@ -27,6 +27,7 @@ from trainlog.cli.options import (
     lasting_change,
     line_and_train,
     logs_in,
+    map_of_run,
     pairs,
     source_span,
     stretch,
@@ -156,8 +157,6 @@ def simulate(
     the_line, the_train = line_and_train(line, train)
     the_map = time = None
     if condition is not None and (trajectory is not None or traction == "cooperative"):
-        from trainlog.cli.map_of_run import map_of_run
-
         the_map, time = map_of_run(condition, None if trajectory is None else at)
     over_days = None
     if trajectory is None:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trainlog.display import as_html, as_text, picture, span
+from trainlog.display import as_html, as_text, lateness, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.train import Configuration
 from trainlog.units import JOULES_PER_KWH, KMH, clock
@@ -141,7 +141,7 @@ class Trajectory:
             )
         if "audit" in certificate:
             rows["audit"] = (
-                f"passed, latest arrival {certificate['audit']['lateness']:+.4f} s,"
+                f"passed, latest arrival {lateness(certificate['audit']['lateness'])},"
                 f" last {certificate['hardest']}"
             )
         fastest = KMH * self.speeds.max(axis=1)
