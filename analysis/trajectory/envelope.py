@@ -1,8 +1,9 @@
 """The fastest run: speed envelope and least time of each configuration.
 
 The envelope is the lower of two curves: full traction from the start, and full braking towards
-every speed limit and the end. It holds for the continuous controls, on a grid much finer than the
-trajectory's, so no trajectory is faster.
+every speed limit and the end, each with the efforts of every instant. It holds for the continuous
+controls, on a grid much finer than the trajectory's, so no trajectory is faster. Where one curve
+takes over from another inside a cell its time is found in many parts.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
@@ -22,8 +24,8 @@ from trainlog.railway.motion import (
     Motion,
     Traction,
     brake_backwards,
+    effort_at,
     in_parts,
-    pull_forwards,
     speed_of,
 )
 from trainlog.units import KMH
@@ -42,13 +44,18 @@ class Envelope:
     ----------
     positions : (n + 1,) array [m]
     speeds : (q, n + 1) array [m/s]
-    times : (q,) array [s]
-        Least time from start to end.
+    elapsed : (q, n + 1) array [s]
+        Time since the start.
     """
 
     positions: FloatArray
     speeds: FloatArray
-    times: FloatArray
+    elapsed: FloatArray
+
+    @property
+    def times(self) -> FloatArray:
+        """Least time from start to end, (q,) [s]."""
+        return self.elapsed[:, -1]
 
     def at(self, positions: FloatArray) -> FloatArray:
         """Speeds at other positions, (q, n + 1) [m/s]."""
@@ -60,10 +67,7 @@ class Envelope:
 
     def times_at(self, positions: Sequence[float]) -> FloatArray:
         """Time of the fastest run from the start to other positions, (q, p) [s]."""
-        mean = 0.5 * (self.speeds[:, :-1] + self.speeds[:, 1:])
-        times = np.cumsum(np.diff(self.positions) / mean, axis=1)
-        times = np.column_stack((np.zeros(times.shape[0]), times))
-        return np.array([np.interp(positions, self.positions, row) for row in times])
+        return np.array([np.interp(positions, self.positions, row) for row in self.elapsed])
 
 
 def fastest_run(run: TrajectoryProblem) -> Envelope:
@@ -75,7 +79,33 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
         If a configuration cannot climb the line, or cannot brake for a limit or for the end.
     """
     problem = discretise(run, _fine_grid(run))
-    curve = braking_curves(problem)
+    traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
+    if problem.curves is not None:
+        # As published, not as plans keep to it: no trajectory is faster.
+        traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
+    brakes, limits = _brakes_of(problem), 0.5 * run.permitted_speed(_middles(problem)) ** 2
+    curve, z, seconds = in_parts(
+        problem.shape[0],
+        lambda part: fastest_below(
+            problem.ceiling, limits, (problem.initial, problem.final), traction.rows(part),
+            brakes.rows(part), motion.rows(part),
+        ),
+    )  # fmt: skip
+    _check_brakes(run, problem, curve)
+    stands = (z[:, 1:-1] <= 0.0) & (curve[:, 1:-1] > 0.0)
+    for a in np.flatnonzero(stands.any(axis=1)).tolist():
+        raise InfeasibleError(
+            f"configuration '{run.configurations[a].name}' comes to a stand at"
+            f" km {problem.positions[np.argmax(stands[a])] / 1e3:.3f}: full traction does not"
+            " overcome the line there",
+            remedy="less load, more adhesion, or a run that begins elsewhere",
+        )
+    elapsed = np.column_stack((np.zeros(z.shape[0]), np.cumsum(seconds, axis=1)))
+    return Envelope(problem.positions, np.sqrt(2.0 * z), elapsed)
+
+
+def _check_brakes(run: TrajectoryProblem, problem: DiscreteProblem, curve: FloatArray) -> None:
+    """Refuse a slope on which a configuration cannot brake, and a start that is too fast."""
     low = np.argmin(curve, axis=1)
     for a, configuration in enumerate(run.configurations):
         # A curve that reaches 0 before its end: the slope is too steep.
@@ -92,27 +122,6 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
                 f" {KMH * float(speed_of(curve[a, 0])):.1f} km/h",
                 remedy="begin the run slower or end it faster",
             )
-    traction, motion = Traction.of(problem.traction, problem.power), _motion_of(problem)
-    if problem.curves is not None:
-        # As published, not as plans keep to it: no trajectory is faster.
-        traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
-    z, stalled = in_parts(
-        problem.shape[0],
-        lambda part: pull_forwards(
-            curve[part], problem.initial, traction.rows(part), motion.rows(part)
-        ),
-    )
-    for a, configuration in enumerate(run.configurations):
-        if stalled[a] >= 0:
-            raise InfeasibleError(
-                f"configuration '{configuration.name}' comes to a stand at"
-                f" km {problem.positions[stalled[a]] / 1e3:.3f}: full traction does not overcome"
-                " the line there",
-                remedy="less load, more adhesion, or a run that begins elsewhere",
-            )
-    speeds = np.sqrt(2.0 * z)
-    times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
-    return Envelope(problem.positions, speeds, times)
 
 
 def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None) -> FloatArray:
@@ -143,12 +152,7 @@ def braking_curves(problem: DiscreteProblem, traction: FloatArray | None = None)
                 fastest = np.minimum(fastest, by_curve)
             highest = np.maximum(0.5 * fastest**2 - problem.bulge, 0.0)
             ceiling[:, nodes] = np.minimum(ceiling[:, nodes], highest)
-    curves = problem.dynamic_curves
-    brakes = Brakes(
-        problem.braking, problem.friction, problem.dynamic, problem.dynamic_power,
-        *arrays_of(None if curves is None else curves.kept),
-    )  # fmt: skip
-    motion = _motion_of(problem)
+    brakes, motion = _brakes_of(problem), _motion_of(problem)
     return in_parts(
         problem.shape[0],
         lambda part: (
@@ -163,6 +167,18 @@ def _motion_of(problem: DiscreteProblem) -> Motion:
     return Motion(problem.gain, problem.drag0, problem.drag1, problem.drag2, problem.step)
 
 
+def _brakes_of(problem: DiscreteProblem) -> Brakes:
+    curves = problem.dynamic_curves
+    return Brakes(
+        problem.braking, problem.friction, problem.dynamic, problem.dynamic_power,
+        *arrays_of(None if curves is None else curves.kept),
+    )  # fmt: skip
+
+
+def _middles(problem: DiscreteProblem) -> FloatArray:
+    return problem.positions[:-1] + 0.5 * problem.step
+
+
 def _fine_grid(run: TrajectoryProblem) -> FloatArray:
     """The breakpoints, cells of 10 m, and cells that shrink towards both ends."""
     edges = run.breakpoints
@@ -174,3 +190,136 @@ def _fine_grid(run: TrajectoryProblem) -> FloatArray:
     gap = np.abs(points - edges[np.searchsorted(edges, points).clip(0, edges.size - 1)])
     below = np.abs(points - edges[(np.searchsorted(edges, points) - 1).clip(0)])
     return np.unique(np.concatenate((edges, points[np.minimum(gap, below) > 5e-3])))
+
+
+_PARTS = 64
+"""Parts of a cell in which one curve takes over from another."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _pulled(
+    z: float, h: float, limit: float, power: float, speeds: FloatArray, efforts: FloatArray,
+    gain: float, drag0: float, drag1: float, drag2: float,
+) -> float:  # fmt: skip
+    """``z`` after `h` metres of full traction: Runge-Kutta of order four."""
+    k = np.empty(4)
+    for j in range(4):
+        y = z if j == 0 else z + (1.0 if j == 3 else 0.5) * h * k[j - 1]
+        v = speed_of(y)
+        effort = min(limit, power / v) if v > 0.0 else limit
+        effort = min(effort, effort_at(v, speeds, efforts))
+        k[j] = gain * effort - drag0 - drag1 * v - drag2 * v * v
+    return float(z + h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3]))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _braked(
+    z: float, h: float, limit: float, friction: float, dynamic: float, power: float,
+    speeds: FloatArray, efforts: FloatArray, gain: float, drag0: float, drag1: float, drag2: float,
+) -> float:  # fmt: skip
+    """``z`` so many metres before, under full braking from there: Runge-Kutta of order four."""
+    k = np.empty(4)
+    for j in range(4):
+        y = z if j == 0 else z + (1.0 if j == 3 else 0.5) * h * k[j - 1]
+        v = speed_of(y)
+        by_speed = min(dynamic, power / v) if v > 0.0 else dynamic
+        if speeds.size > 1:
+            by_speed = min(by_speed, effort_at(v, speeds, efforts))
+        k[j] = gain * min(limit, friction + by_speed) + drag0 + drag1 * v + drag2 * v * v
+    return float(z + h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3]))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _time_through(z: float, middle: float, after: float, h: float) -> float:
+    """Time of a cell by the speeds at its ends and in its middle, extrapolated to order four."""
+    v, v_middle, v_after = speed_of(z), speed_of(middle), speed_of(after)
+    if v + v_after <= 0.0 or v_middle <= 0.0:
+        return np.inf
+    whole = 2.0 * h / (v + v_after)
+    halves = h / (v + v_middle) + h / (v_middle + v_after)
+    return float((4.0 * halves - whole) / 3.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def fastest_below(
+    ceiling: FloatArray, limits: FloatArray, ends: tuple[float, float], traction: Traction,
+    brakes: Brakes, motion: Motion,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Full braking backwards from the end, then full traction from the start below that curve.
+
+    Parameters
+    ----------
+    ceiling : (n + 1,) array [m²/s²]
+        Largest permitted ``z`` at the nodes.
+    limits : (n,) array [m²/s²]
+        The same inside the cells.
+    ends : (float, float) [m²/s²]
+        ``z`` at the start, and the most at the end.
+    traction : Traction
+    brakes : Brakes
+    motion : Motion
+
+    Returns
+    -------
+    curve, z : (q, n + 1) array [m²/s²]
+        Of the braking, and of the run; 0 from where on it cannot go on.
+    times : (q, n) array [s]
+        In each cell.
+    """
+    gain, drag0, drag1, drag2, step = motion
+    q, n = drag2.shape
+    curve, z, times = np.empty((q, n + 1)), np.empty((q, n + 1)), np.empty((q, n))
+    ahead, behind = np.empty(_PARTS + 1), np.empty(_PARTS + 1)
+    mean = np.empty(n)
+    for a in range(q):
+        for k in range(n):
+            d = drag0[a, k]
+            mean[k] = (0.5 * (d[0] + d[-1]) + d[1:-1].sum()) / (d.size - 1)
+        curve[a, n] = min(ends[1], ceiling[n])
+        for k in range(n - 1, -1, -1):
+            brake = (
+                brakes.limit[a, k], brakes.friction[a, k], brakes.dynamic[a, k],
+                brakes.dynamic_power, brakes.speeds, brakes.efforts, gain[a], mean[k], drag1[a],
+                drag2[a, k],
+            )  # fmt: skip
+            middle = _braked(curve[a, k + 1], 0.5 * step[k], *brake)
+            before = _braked(middle, 0.5 * step[k], *brake)
+            curve[a, k] = max(min(before, ceiling[k]), 0.0)
+        z[a, 0] = min(ends[0], curve[a, 0])
+        for k in range(n):
+            h, y = step[k], z[a, k]
+            pull = (
+                traction.limit[k], traction.power[a], traction.speeds[a], traction.efforts, gain[a],
+                mean[k], drag1[a], drag2[a, k],
+            )  # fmt: skip
+            middle = _pulled(y, 0.5 * h, *pull)
+            after = _pulled(max(middle, 0.0), 0.5 * h, *pull)
+            if after <= curve[a, k + 1]:
+                z[a, k + 1] = max(after, 0.0)
+                times[a, k] = _time_through(y, middle, after, h)
+                continue
+            target, limit = curve[a, k + 1], limits[k]
+            z[a, k + 1] = target
+            if y == limit and target == limit:
+                times[a, k] = h / speed_of(limit)
+                continue
+            brake = (
+                brakes.limit[a, k], brakes.friction[a, k], brakes.dynamic[a, k],
+                brakes.dynamic_power, brakes.speeds, brakes.efforts, gain[a], mean[k], drag1[a],
+                drag2[a, k],
+            )  # fmt: skip
+            middle = _braked(target, 0.5 * h, *brake)
+            if y == _braked(middle, 0.5 * h, *brake):
+                times[a, k] = _time_through(y, middle, target, h)
+                continue
+            ahead[0], behind[_PARTS] = y, target
+            part = h / _PARTS
+            for j in range(_PARTS):
+                ahead[j + 1] = min(_pulled(ahead[j], part, *pull), limit)
+                behind[_PARTS - j - 1] = min(_braked(behind[_PARTS - j], part, *brake), limit)
+            spent = 0.0
+            for j in range(_PARTS):
+                v = speed_of(min(ahead[j], behind[j]))
+                spent += 2.0 * part / (v + speed_of(min(ahead[j + 1], behind[j + 1])))
+            times[a, k] = spent
+    return curve, z, times
