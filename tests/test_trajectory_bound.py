@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, hilly_line, observed, optimised
 
 from analysis.trajectory.active_set import initial_guess
-from analysis.trajectory.certificate import lower_bound
+from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import Relaxation
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
