@@ -1,0 +1,187 @@
+"""Updaters of one map that are killed: run by the tests in a process of its own.
+
+    python tests/killed_updaters.py append FOLDER UPDATERS KILLS EACH [KILLS EACH]
+    python tests/killed_updaters.py update FOLDER LOGS UPDATERS ROUNDS
+
+The updaters are forked from this process, which has imported everything: each begins within
+milliseconds. What they had stated until they were killed is printed as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from test_map_file import part, recording
+from test_traction_map import LINE, piece
+
+from analysis import update_map
+from analysis.adhesion.condition_map import empty_map
+from trainlog.cli.main import run
+from trainlog.formats.mapfile import MapFile
+from trainlog.formats.recordings import Recording
+
+EMPTY = empty_map(LINE)
+SHARED = {900 + n: part(900 + n, 3 * n, 3 * n + 9 + n) for n in range(5)}
+SHARED |= {990: piece(990, "wet")}
+"""Given to all updaters: recordings of one drive that replace each other, and one of another."""
+
+
+def recording_of(seed: int) -> Recording:
+    """The recording whose trip is named after a seed."""
+    return recording(SHARED.get(seed) or piece(seed, ("dry", "wet")[seed % 2]))
+
+
+class Updater:
+    """A process that does some work; what it prints is read from a pipe."""
+
+    def __init__(self, work: Callable[[], object], complaints: Path) -> None:
+        self.shown = b""
+        self.status: int | None = None
+        self.complaints = complaints
+        self.pipe, write = os.pipe()
+        errors = os.open(complaints, os.O_WRONLY | os.O_CREAT)
+        self.pid = os.fork()
+        if self.pid:
+            os.close(write)
+            os.close(errors)
+            return
+        status = 1
+        try:
+            os.dup2(write, 1)
+            os.dup2(errors, 2)
+            status = int(work() or 0)
+        except BaseException:  # noqa: BLE001 - the child must not go on as the parent
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
+
+    def read(self) -> bool:
+        """Read what it has printed; False when it has ended."""
+        data = os.read(self.pipe, 65_536)
+        self.shown += data
+        return bool(data)
+
+    def end(self) -> int:
+        """Read the rest; its exit status, negative if it was killed."""
+        while self.read():
+            pass
+        os.close(self.pipe)
+        self.status = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        return self.status
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines that it printed whole."""
+        return self.shown.decode().split("\n")[:-1]
+
+
+def wait_for(running: Sequence[Updater], lines: int) -> None:
+    """Until all updaters together have printed so many lines, or have ended."""
+    with selectors.DefaultSelector() as selector:
+        for each in running:
+            selector.register(each.pipe, selectors.EVENT_READ, each)
+        while selector.get_map() and sum(len(each.lines) for each in running) < lines:
+            for key, _ in selector.select():
+                if not key.data.read():
+                    selector.unregister(key.fileobj)
+
+
+def kill(running: Sequence[Updater], rng: np.random.Generator, within: float) -> int:
+    """Kill all, one after the other at random instants; how many had not ended."""
+    for each in running:
+        time.sleep(float(rng.uniform(0.0, within)))
+        os.kill(each.pid, signal.SIGKILL)
+    return sum(each.end() == -signal.SIGKILL for each in running)
+
+
+def append(path: Path, seeds: Sequence[int]) -> None:
+    """Add recordings to a map's file, and state each when it is on the disk."""
+    with MapFile(path, EMPTY) as file:
+        for seed in seeds:
+            file.append(recording_of(seed))
+            print(seed, flush=True)
+
+
+def kill_and_append(folder: Path, updaters: int, kills: int, each: int) -> dict[str, Any]:
+    """Updaters with recordings of their own, and with some that all are given, are killed.
+
+    None of those that begin together with 0 kills. Returns the map, how many were killed and how
+    many ended, and the seeds that each updater had stated.
+    """
+    path, rng = folder / "a.map", np.random.default_rng(1)
+    stated: list[list[int]] = []
+    number = killed = 0
+    while killed < kills or not number:
+        running = []
+        for _ in range(updaters):
+            own = list(range(1000 + each * number, 1000 + each * (number + 1)))
+            seeds = [*own[:2], *SHARED, *own[2:]]
+            running.append(Updater(partial(append, path, seeds), folder / f"{number}"))
+            number += 1
+        if kills:
+            wait_for(running, int(rng.integers(updaters * each // 2)))
+            killed += kill(running, rng, 0.005)
+        else:
+            for found in running:
+                found.end()
+        stated += [[int(line) for line in found.lines] for found in running]
+        assert {found.status for found in running} <= {0, -signal.SIGKILL}, "an updater failed"
+        if path.exists():
+            with MapFile(path) as file:
+                file.trips()
+    assert not any((folder / f"{n}").read_text() for n in range(number)), "an updater complained"
+    ended = number - killed
+    return {"map": str(path), "killed": killed, "ended": ended, "stated": stated}
+
+
+def kill_and_update(folder: Path, logs: Path, updaters: int, rounds: int) -> list[dict[str, Any]]:
+    """Commands that update one map from one folder of logs are killed, then all may end.
+
+    Returns of each round the map, what was stated by the killed and by those that ended (with
+    exit status and complaints), how many were killed, and which trips counted between the two.
+    """
+    rng, found = np.random.default_rng(2), []
+    for number in range(rounds):
+        path = folder / f"killed-{number}.map"
+        words = ["map", "update", str(logs), "--map", str(path)]
+        running = [Updater(partial(run, words), folder / f"{number}-{n}") for n in range(updaters)]
+        wait_for(running, 1)
+        killed = kill(running, rng, 0.05)
+        with MapFile(path) as file:
+            counted = [row.known.name for row in file.trips() if row.counted]
+        again = [Updater(partial(run, words), folder / f"{number}+{n}") for n in range(updaters)]
+        ended = [(each.end(), each.lines, each.complaints.read_text()) for each in again]
+        stated = [line for each in running for line in each.lines]
+        found.append(
+            {"map": str(path), "killed": killed, "stated": stated, "counted": counted}
+            | {"ended": ended}
+        )
+    return found
+
+
+if __name__ == "__main__":
+    work, folder, *given = sys.argv[1:]
+    if work == "append":
+        updaters, *pairs = map(int, given)
+        result: Any = []
+        for kills, each in zip(pairs[::2], pairs[1::2], strict=True):
+            own = Path(folder) / f"{kills}-kills"
+            own.mkdir()
+            result.append(kill_and_append(own, updaters, kills, each))
+    else:
+        # Compiled functions are loaded once, by all updaters together.
+        update_map(given[0], Path(folder) / "first.map")
+        result = kill_and_update(Path(folder), Path(given[0]), *map(int, given[1:]))
+    print(json.dumps(result))
