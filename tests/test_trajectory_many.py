@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from trajectory_cases import FLIRT, drawn, hilly_line, optimised
+from trajectory_cases import FLIRT, drawn, hilly_line, level_line, optimised
 
 from analysis.trajectory import active_set
 from analysis.trajectory.discretisation import discretise
@@ -14,13 +14,13 @@ OPTIONS = {"reserve": 0.1, "cells": 80}
 
 
 def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPatch) -> None:
-    configurations = drawn(FLIRT, 24, seed=2)
+    configurations = drawn(FLIRT, 24, seed=2, spread=0.03)
     found = {}
     for few in (12, 24):
         monkeypatch.setattr(active_set, "MOST_EXPLICIT", few)
         found[few] = optimised(
-            hilly_line(), FLIRT, configurations, objective="expected", **OPTIONS
-        ).certificate  # type: ignore[arg-type]
+            hilly_line(), FLIRT, configurations, objective="expected", reserve=0.2, cells=80
+        ).certificate
     some, everyone = found[12], found[24]
     assert len(some["active"]) < 16
     assert len(everyone["active"]) == 24
@@ -31,7 +31,17 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     assert some["energy"] >= everyone["lower_bound"]
     assert some["energy"] <= 1.002 * everyone["energy"]
     assert some["lower_bound"] <= everyone["energy"]
-    assert some["gap"] <= 5e-3
+    assert some["gap"] <= active_set.REPRESENTED
+
+
+def test_configurations_that_few_cannot_represent_enter_the_program() -> None:
+    """Short of time and of the dynamic brake's power, on a level line: a per cent was wasted."""
+    configurations = drawn(FLIRT, 24, seed=2)
+    found = optimised(level_line(8_000.0), FLIRT, configurations, objective="expected", **OPTIONS)  # type: ignore[arg-type]
+    certificate = found.certificate
+    assert certificate["gap"] <= active_set.REPRESENTED
+    assert certificate["certified"]
+    assert certificate["audit"]["passed"]
 
 
 def test_weights_of_many_are_kept_and_those_without_weight_have_no_say() -> None:
@@ -76,7 +86,7 @@ def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
     weights = tuple(np.arange(1.0, 21.0).tolist())
     run = TrajectoryProblem(line, FLIRT, configurations, weights=weights)
     problem = discretise(run, run.breakpoints)
-    rows = active_set.representatives(problem, slowest=7)
+    rows = active_set.representatives(problem, [7])
     assert len(rows) == 1 + active_set.REPRESENTATIVES
     assert len(set(rows)) == len(rows)
     shares = active_set.shares_of(problem, rows, {7})

@@ -7,7 +7,7 @@ In the expected energy every configuration counts. What one regains depends smoo
 properties: a program for few representatives, each with the weight of all that it represents,
 finds nearly the same traction; what the others regain under it is driven and counted one by one,
 and the bound holds for all of them: a configuration takes its share of the multipliers of its
-representatives.
+representatives. Where energy and bound lie apart more enter the program, up to all.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.convex import NoSolutionError, Relaxation
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.feasibility import (
@@ -40,6 +41,7 @@ from analysis.trajectory.rollout import (
 )
 from analysis.trajectory.sqp import (
     EXACT,
+    NEGLIGIBLE_ENERGY,
     Multipliers,
     Solution,
     Tolerances,
@@ -54,6 +56,12 @@ MOST_EXPLICIT = 12
 
 REPRESENTATIVES = 10
 """Configurations that represent the others, where there are more."""
+
+REPRESENTED = 2e-3
+"""Gap between energy and bound up to which representatives are enough, relative."""
+
+_NEARLY_ALL = 1.5
+"""Times the representatives, up to which it takes hardly longer to have all in the program."""
 
 _SHORT = 1.1
 """Worth of traction over the usual, from which a configuration is short of time."""
@@ -81,17 +89,20 @@ class Shares:
     weights: FloatArray
 
 
-def representatives(problem: DiscreteProblem, slowest: int) -> list[int]:
-    """Rows of few configurations that differ most, the slowest among them (farthest first).
+def representatives(
+    problem: DiscreteProblem, begin: Sequence[int], count: int = REPRESENTATIVES + 1
+) -> list[int]:
+    """Rows of `count` configurations that differ most, those to `begin` with among them.
 
-    Those without weight do not count in what is expected.
+    Farthest first. Those without weight do not count in what is expected; where it would be nearly
+    all that do, it is all of them.
     """
     counted = np.flatnonzero(problem.weights > 0.0)
-    if counted.size <= MOST_EXPLICIT:
-        return counted.tolist()
-    unit, found = _properties(problem)[counted], [slowest]
+    if counted.size <= max(MOST_EXPLICIT, _NEARLY_ALL * count):
+        return sorted({*begin, *counted.tolist()})
+    unit, found = _properties(problem)[counted], list(begin)
     others = _properties(problem)[found]
-    while len(found) <= REPRESENTATIVES:
+    while len(found) < count:
         away = np.linalg.norm(unit[:, None] - others, axis=2).min(axis=1)
         found.append(int(counted[np.argmax(away)]))
         others = np.vstack((others, unit[np.argmax(away)]))
@@ -290,7 +301,7 @@ def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: fl
         rows |= {int(np.argmin(times))}
     chosen = tuple(sorted(rows))
     if problem.run.objective == "expected":
-        chosen = tuple(sorted(rows | set(representatives(problem, int(np.argmax(times))))))
+        chosen = tuple(sorted(rows | set(representatives(problem, [int(np.argmax(times))]))))
     part = problem.select(chosen)
     return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
 
@@ -374,6 +385,8 @@ def search(
             short = alone | short_of_time(part, rows, solution.multipliers)
         everyone = _brake_as_leader(problem, rows, solution, everyone, running_time + overdue)
         new = _violators(problem, everyone, running_time + overdue, rows) - set(rows)
+        if not new and not short > alone and problem.run.objective == "expected":
+            new = _unrepresented(problem, rows, short, solution, everyone, speeds, running_time)
         budget = solution.energy + overdue * float(solution.time_price.sum())
         if coarse:
             solution = replace(solution, energy=budget)
@@ -458,6 +471,28 @@ def _brake_as_representatives(
     kept &= ~idle | (driven.dynamic @ problem.step > found.dynamic @ problem.step)
     found.put(kept, driven, kept)
     return found
+
+
+def _unrepresented(
+    problem: DiscreteProblem,
+    rows: list[int],
+    alone: frozenset[int],
+    solution: Solution,
+    driven: Plan,
+    speeds: FloatArray,
+    running_time: float,
+) -> set[int]:
+    """Further representatives, twice as many, where these do not bound the expected energy."""
+    if set(np.flatnonzero(problem.weights).tolist()) <= set(rows):
+        return set()
+    shares = shares_of(problem, rows, alone)
+    every = multipliers_for_all(problem, shares, solution.multipliers)
+    spare, start = spare_times(problem, driven), np.sqrt(2.0 * driven.z)
+    bound = lower_bound(problem, every, start, running_time, spare, speeds)
+    energy = energy_of(problem, driven)
+    if energy - bound <= REPRESENTED * max(abs(bound), NEGLIGIBLE_ENERGY):
+        return set()
+    return set(representatives(problem, rows, 2 * len(rows))) - set(rows)
 
 
 def _brake_as_leader(
