@@ -241,7 +241,7 @@ def route_tables(
     found = RouteTables(
         origin=origin,
         end=run.end,
-        track=run.line.track_acceleration(places),
+        track=run.track_acceleration(places),
         tunnel=run.train.tunnel_coefficient(run.line.tunnel_cross_section(places)),
         pulling=ADHESION_SHARE * _lowest_around(pulling),
         adhesion=ADHESION_SHARE * _lowest_around(braking),

@@ -295,7 +295,7 @@ def prepare(
             index,
             dynamic,
             pneumatic,
-            acceleration + line.track_acceleration(np.nan_to_num(position)),
+            acceleration + line.track_acceleration(np.nan_to_num(position), train.strip_length),
             train,
         ),
         "slip": _slipping(time, wheels, smooth),
@@ -311,8 +311,8 @@ def prepare(
         effort=traction - dynamic - np.nan_to_num(pneumatic) - tunnel * speed**2,
         braking=dynamic,
         rotating_momentum=_rotating_momentum(train, speed, wheels),
-        track=line.track_acceleration(position),
-        track_slope=track_slope(line, position),
+        track=line.track_acceleration(position, train.strip_length),
+        track_slope=track_slope(line, position, train.strip_length),
         section=section,
         nearest_edge=nearest,
         usable=~bad,
@@ -555,10 +555,13 @@ def widened(time: FloatArray, mask: BoolArray) -> BoolArray:
     return np.asarray(marked[last] > marked[first])
 
 
-def track_slope(line: Line, position: FloatArray) -> FloatArray:
+def track_slope(line: Line, position: FloatArray, train_length: float = 0.0) -> FloatArray:
     """Change of the track's deceleration with chainage [m/s² per m] at each position [m]."""
-    ahead, behind = position + POSITION_STEP, position - POSITION_STEP
-    change = line.track_acceleration(ahead) - line.track_acceleration(behind)
+    ahead, behind = (
+        line.track_acceleration(position + change, train_length)
+        for change in (POSITION_STEP, -POSITION_STEP)
+    )
+    change = ahead - behind
     return np.asarray(change / (2.0 * POSITION_STEP))
 
 

@@ -127,7 +127,7 @@ def audit(
     train, line = run.train, run.line
     step = np.diff(positions)
     substeps = int(np.clip(_PARTS // step.size, _FEWEST, _MOST))
-    track = line.track_acceleration(inside(positions, 2 * substeps))
+    track = line.track_acceleration(inside(positions, 2 * substeps), train.strip_length)
     points = positions[:-1, None] + step[:, None] * (np.arange(substeps) + 0.5) / substeps
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(points))
     limit = run.permitted_speed(points)

@@ -98,7 +98,8 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
             f"configuration '{run.configurations[a].name}' comes to a stand at"
             f" km {problem.positions[np.argmax(stands[a])] / 1e3:.3f}: full traction does not"
             " overcome the line there",
-            remedy="less load, more adhesion, or a run that begins elsewhere",
+            remedy="less load, more adhesion, or a run that begins elsewhere"
+            + run.steepness(float(problem.positions[np.argmax(stands[a])])),
         )
     elapsed = np.column_stack((np.zeros(z.shape[0]), np.cumsum(seconds, axis=1)))
     return Envelope(problem.positions, np.sqrt(2.0 * z), elapsed)
@@ -113,7 +114,8 @@ def _check_brakes(run: TrajectoryProblem, problem: DiscreteProblem, curve: Float
             raise InfeasibleError(
                 f"configuration '{configuration.name}' cannot brake on the slope at"
                 f" km {problem.positions[low[a]] / 1e3:.3f}",
-                remedy="check its mass, the gradient there and the braking effort",
+                remedy="check its mass, the gradient there and the braking effort"
+                + run.steepness(float(problem.positions[low[a]])),
             )
         if problem.initial > curve[a, 0] * (1.0 + 1e-9) + 1e-9:
             raise InfeasibleError(

@@ -157,6 +157,9 @@ def _settings(problem: TrajectoryProblem, options: OptimiserOptions) -> dict[str
             adhesion["assumed"] = problem.assumed_adhesion
     return settings | {
         "planned_for": problem.planned_for,
+        "curve_resistance": problem.line.curve_resistance,
+        "mass_model": problem.train.mass_model,
+        "acceleration_limits": problem.train.acceleration_limits,
         "weights": list(problem.weights),
         "adhesion": adhesion,
         "protected_length": problem.protected_length,

@@ -16,7 +16,7 @@ from analysis.adhesion.demonstrated import UsableAdhesion, usable_adhesion
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
-from trainlog.units import KMH
+from trainlog.units import GRAVITY, KMH, PER_MILLE
 
 FloatArray = NDArray[np.float64]
 Braking = Literal["recourse", "common"]
@@ -351,14 +351,35 @@ class TrajectoryProblem:
         """Highest permitted speed [m/s] at each position: line and train."""
         return np.minimum(self.limits(position), self.train.max_speed)
 
+    def track_acceleration(self, position: FloatArray) -> FloatArray:
+        """Deceleration by gradient and curves [m/s²], as the train's mass meets them."""
+        return self.line.track_acceleration(position, self.train.strip_length)
+
+    def steepness(self, position: float) -> str:
+        """What a refusal at a place [m] adds where the length of the train would level the line."""
+        train, line = self.train, self.line
+        if train.strip_length > 0.0:
+            return f"; gradients are averaged over the train's {train.length:.0f} m"
+        ahead = np.linspace(position, min(position + max(train.length, 100.0), line.length), 201)
+        there = PER_MILLE * float(np.abs(line.gradient(ahead)).max())
+        if train.length == 0.0:
+            return f"; the gradient reaches {there:.0f} per mille there, for a train without length"
+        means = line.track_acceleration(ahead, train.length) / GRAVITY
+        mean = PER_MILLE * float(np.abs(means).max())
+        if mean > 0.9 * there:
+            return ""
+        return (
+            f"; the gradient reaches {there:.0f} per mille there, but {mean:.0f} averaged over the"
+            f" train's {train.length:.0f} m: state 'mass_model': 'homogeneous_strip' in its file"
+        )
+
     @property
     def breakpoints(self) -> FloatArray:
         """Positions [m] from start to end at which something about the line changes."""
         points = np.concatenate(
             (
-                self.line.breakpoints,
+                self.line.edges(self.train.strip_length),
                 self.limits.positions,
-                _inflections(self.line),
                 [point.position for point in self.windows],
             )
         )
@@ -449,15 +470,3 @@ class OptimiserOptions:
 
 
 DEFAULT_OPTIONS = OptimiserOptions()
-
-
-def _inflections(line: Line) -> FloatArray:
-    """Positions [m] inside the curve elements at which one bend turns into the opposite one."""
-    profile = line.curvatures
-    if profile is None:
-        return np.empty(0)
-    turns = profile.start * profile.end < 0.0
-    first, last = profile.start[turns], profile.end[turns]
-    ends = np.append(profile.positions[1:], line.length)[turns]
-    begins = profile.positions[turns]
-    return np.asarray(begins + (ends - begins) * first / (first - last))

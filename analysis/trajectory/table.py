@@ -46,6 +46,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
             f"{trajectory.running_time:.1f} s ({clock(trajectory.running_time)}), {reserve}",
         ),
         ("planned for", trajectory.planned_for or "not known"),
+        ("forces", trajectory.model or "not known"),
         ("configurations", deciding),
         (trajectory.energy_label, f"{kwh(certificate['energy'])}, {bound}"),
         ("optimality gap", f"{certificate['gap']:.3%} of the problem on {cells}"),

@@ -39,6 +39,7 @@ from trainlog.railway.line import (
     Survey,
     Tunnel,
 )
+from trainlog.railway.resistance import CurveFormula
 
 _POSITION = Column("position", "m", "m")
 _Length = Annotated[float, Quantity("m", "m")]
@@ -114,6 +115,7 @@ class _LineFile(File):
     geometry: _Geometry | None = None
     assumed: list[str] | None = None
     reference: _Reference | None = None
+    curve_resistance: CurveFormula | None = None
 
     def content(self) -> Line:
         return self.line()
@@ -149,6 +151,7 @@ class _LineFile(File):
             survey=survey,
             assumed=tuple(self.assumed or ()),
             reference=reference,
+            curve_resistance=self.curve_resistance or "proportional",
         )
 
     @staticmethod
@@ -166,6 +169,9 @@ class _LineFile(File):
             tunnels=tunnel_columns(line.tunnels),
             braking_parameters=line.braking_parameters or None,
             assumed=list(line.assumed) or None,
+            curve_resistance=None
+            if line.curve_resistance == "proportional"
+            else line.curve_resistance,
             reference=None
             if own is None
             else _Reference.holding(own, kilometres=(own.positions, own.start, own.end)),

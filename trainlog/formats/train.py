@@ -23,7 +23,14 @@ from trainlog.railway.axle_loads import AxleGeometry
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.resistance import RunningResistance
-from trainlog.railway.train import Axles, Brake, BrakingCurves, Train
+from trainlog.railway.train import (
+    AccelerationLimits,
+    Axles,
+    Brake,
+    BrakingCurves,
+    MassModel,
+    Train,
+)
 
 Mass = Annotated[float, Quantity("t", "kg")]
 Effort = Annotated[float, Quantity("kN", "N")]
@@ -131,6 +138,8 @@ class _TrainFile(File):
     braking_curves: _BrakingCurves | None = None
     traction_curve: _EffortCurve | None = None
     dynamic_braking_curve: _EffortCurve | None = None
+    mass_model: MassModel | None = None
+    acceleration_limits: AccelerationLimits | None = None
 
     def content(self) -> Train:
         return self.train()
@@ -148,6 +157,8 @@ class _TrainFile(File):
                 **given,
                 length=self.length or 0.0,
                 max_load=self.max_load or 0.0,
+                mass_model=self.mass_model or "mass_point",
+                acceleration_limits=self.acceleration_limits or "gross",
                 assumed=tuple(self.assumed or ()),
                 resistance=RunningResistance(**dict(self.running_resistance)),
                 tunnel_resistance=pairs(self.tunnel_resistance),
@@ -173,6 +184,10 @@ class _TrainFile(File):
             train,
             length=train.length or None,
             max_load=train.max_load or None,
+            mass_model=None if train.mass_model == "mass_point" else train.mass_model,
+            acceleration_limits=None
+            if train.acceleration_limits == "gross"
+            else train.acceleration_limits,
             assumed=list(train.assumed) or None,
             running_resistance=_Resistance.holding(train.resistance),
             tunnel_resistance=columns(train.tunnel_resistance),
@@ -206,6 +221,8 @@ _SAME = {field.name for field in fields(Train)} & set(_TrainFile.model_fields) -
     "braking_curves",
     "traction_curve",
     "dynamic_braking_curve",
+    "mass_model",
+    "acceleration_limits",
 }
 """Fields that are the same in the file and in the train."""
 

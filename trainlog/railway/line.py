@@ -24,10 +24,23 @@ from trainlog.railway.profiles import (
     check_positions as check_positions,
     hold_as_arrays,
 )
-from trainlog.railway.resistance import curve_force_per_weight
+from trainlog.railway.resistance import (
+    CURVE_FORMULAS,
+    LEAST_RADIUS,
+    CurveFormula,
+    curve_coefficients,
+    curve_force_per_weight,
+    specific_curve_resistance,
+)
 from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
+
+STEEPEST, STEEP_OVER, STEEPEST_POINT = 0.2, 100.0, 1.0
+"""Mean gradient over so many metres [m] that no railway has, and that no point of a survey has."""
+
+LONGEST_PIECE = 5.0
+"""Of a line averaged over a train [m]: where curves are, its mean is not linear between edges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,21 +168,27 @@ class Survey:
 
 
 class Pieces(NamedTuple):
-    """Pieces of a line in which gradient and tunnel are constant; (n,) arrays.
+    """Pieces of a line as compiled code reads it; (n,) arrays.
 
     Attributes
     ----------
     start, width : [m]
-    sine : of the gradient's angle
+    sine, climb : of the gradient's angle, [1/m]
+        At the start, and its change along the piece: 0 unless it is averaged over a train.
     curvature, bend : [1/m], [1/m²]
         At the start, and its change along the piece.
+    coefficient, offset : [m]
+        Of the curve resistance; see `trainlog.railway.resistance.CURVE_FORMULAS`.
     """
 
     start: FloatArray
     width: FloatArray
     sine: FloatArray
+    climb: FloatArray
     curvature: FloatArray
     bend: FloatArray
+    coefficient: FloatArray
+    offset: FloatArray
 
 
 @dataclass(frozen=True, repr=False)
@@ -201,6 +220,8 @@ class Line:
         what needs them refuses the line.
     reference : LineReference or None
         What the operator calls the line, and its kilometres; None: they are the chainage.
+    curve_resistance : {"proportional", "roeckl", "roeckl_small_radius"}
+        Formula of the curve resistance, `trainlog.railway.resistance.CURVE_FORMULAS`.
 
     Examples
     --------
@@ -232,6 +253,7 @@ class Line:
     survey: Survey | None = None
     assumed: tuple[str, ...] = ()
     reference: LineReference | None = None
+    curve_resistance: CurveFormula = "proportional"
 
     def __post_init__(self) -> None:
         problems = list(self._problems())
@@ -251,7 +273,10 @@ class Line:
                 f"{_and_more(stopped)}",
                 remedy="a train could never pass; give the permitted speed there",
             )
-        steep = self.gradients.positions[np.abs(self.gradients.values) > 0.2]
+        edges, over = self.gradients.positions, min(STEEP_OVER, self.length)
+        first = np.clip(edges, 0.0, self.length - over)
+        means = np.abs(self.gradients.mean(first, first + over))
+        steep = edges[(means > STEEPEST) | (np.abs(self.gradients.values) > STEEPEST_POINT)]
         if steep.size:
             yield InputError(
                 f"{where}: gradient at km {steep[0] / 1e3:.3f} is steeper than 200 per mille"
@@ -277,6 +302,7 @@ class Line:
                     f" '{before.name}' at km {before.position / 1e3:.3f}",
                     remedy="order the stations by position",
                 )
+        yield from self._curve_problems(where)
         for tunnel in self.tunnels:
             if not (0.0 < tunnel.length < np.inf and 0.0 < tunnel.cross_section < np.inf):
                 yield InputError(
@@ -287,6 +313,28 @@ class Line:
             if tunnel.position < 0.0 or tunnel.position + tunnel.length > self.length:
                 yield InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
+                )
+
+    def _curve_problems(self, where: str) -> Iterator[InputError]:
+        """A formula that is not known, or does not hold for the curves of the line."""
+        if self.curve_resistance not in CURVE_FORMULAS:
+            yield InputError(
+                f"{where}: no such curve_resistance '{self.curve_resistance}'",
+                remedy=f"it is one of {', '.join(CURVE_FORMULAS)}",
+            )
+        elif self.curvatures is not None:
+            size = np.maximum(np.abs(self.curvatures.start), np.abs(self.curvatures.end))
+            offset = curve_coefficients(size, self.curve_resistance)[1]
+            sharp = np.flatnonzero(LEAST_RADIUS * offset * size > 1.0)
+            if sharp.size:
+                at = sharp[0]
+                yield InputError(
+                    f"{where}: the curve resistance '{self.curve_resistance}' does not hold for the"
+                    f" radius of {1.0 / size[at]:.0f} m at"
+                    f" km {self.curvatures.positions[at] / 1e3:.3f}"
+                    f"{_and_more(self.curvatures.positions[sharp])}",
+                    remedy=f"it needs {LEAST_RADIUS * offset[at]:.0f} m; correct the radius, or"
+                    " state 'proportional'",
                 )
 
     def __repr__(self) -> str:
@@ -317,6 +365,8 @@ class Line:
             rows["curves"] = (
                 f"{self.curvatures.positions.size} elements"
                 + f", radius {1.0 / sharpest:.0f} m at least" * (sharpest > 0.0)
+                + f", resistance {self.curve_resistance}"
+                * (self.curve_resistance != "proportional")
             )
         if self.tunnels:
             rows["tunnels"] = f"{len(self.tunnels)}, {sum(t.length for t in self.tunnels):.0f} m"
@@ -347,10 +397,19 @@ class Line:
             return np.zeros(np.shape(position))
         return self.curvatures.at(position, self.length)
 
-    def track_acceleration(self, position: ArrayLike) -> FloatArray:
+    def track_acceleration(self, position: ArrayLike, train_length: float = 0.0) -> FloatArray:
         """Deceleration by the track itself [m/s²]: gradient and curves, for any mass.
 
-        ``g (sin(alpha) + k_C |curvature|)``; Amirhosseini et al. (2024), eq. (6) and (7).
+        ``g (sin(alpha) + k / (R - b))``; Amirhosseini et al. (2024), eq. (6) and (7), with the
+        line's `curve_resistance`.
+
+        Parameters
+        ----------
+        position : array [m]
+            Of the train's front.
+        train_length : float [m]
+            Length over which the mass is spread: gradient and curves are the mean of what lies
+            under it, from the front backwards. 0: all of it is at the front.
 
         Examples
         --------
@@ -358,10 +417,49 @@ class Line:
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> line.track_acceleration([1_000.0, 5_000.0]).round(4).tolist()
         [-0.0971, 0.0573]
+        >>> line.track_acceleration([1_000.0, 5_000.0], train_length=400.0).round(4).tolist()
+        [-0.1043, 0.0317]
         """
-        slope = self.gradient(position)
+        s = np.asarray(position, dtype=np.float64)
+        if train_length > 0.0:
+            return np.asarray((self._work(s) - self._work(s - train_length)) / train_length)
+        slope = self.gradient(s)
         sine = slope / np.sqrt(1.0 + slope**2)
-        return np.asarray(GRAVITY * (sine + curve_force_per_weight(self.curvature(position))))
+        curves = curve_force_per_weight(self.curvature(s), self.curve_resistance)
+        return np.asarray(GRAVITY * (sine + curves))
+
+    def _work(self, position: FloatArray) -> FloatArray:
+        """Integral of the track acceleration from the line's start [m²/s²].
+
+        Before the start and beyond the end the line goes on as it begins and ends.
+        """
+        pieces, sums = self._summed
+        row = np.maximum(np.searchsorted(pieces.start, position, side="right") - 1, 0)
+        within = position - pieces.start[row]
+        return np.asarray(sums[row] + within * self._mean(pieces, row, within))
+
+    @cached_property
+    def _summed(self) -> tuple[Pieces, FloatArray]:
+        """Pieces without an inflection, and the work from the line's start to each."""
+        pieces = self._pieces_between(self.edges())
+        row = np.arange(pieces.start.size)
+        works = pieces.width * self._mean(pieces, row, pieces.width)
+        return pieces, np.concatenate(([0.0], np.cumsum(works)[:-1]))
+
+    @staticmethod
+    def _mean(pieces: Pieces, row: NDArray[np.int64], width: FloatArray) -> FloatArray:
+        """Mean track acceleration over the first `width` of pieces, by Gauss' three points."""
+        found = pieces.sine[row].copy()
+        # A train that reaches beyond an end finds the curvature of that end.
+        inside = np.clip(width, 0.0, pieces.width[row])
+        for point, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
+            bend = pieces.curvature[row] + pieces.bend[row] * inside * (0.5 + 0.5 * point)
+            found += (
+                0.5
+                * weight
+                * specific_curve_resistance(bend, pieces.coefficient[row], pieces.offset[row])
+            )
+        return np.asarray(GRAVITY * found)
 
     def tunnel_cross_section(self, position: ArrayLike) -> FloatArray:
         """Cross-section of the tunnel [m²] at each position; 0 in the open."""
@@ -394,17 +492,74 @@ class Line:
         points = np.unique(np.concatenate(pieces))
         return points[(points >= 0.0) & (points <= self.length)]
 
-    def pieces(self) -> Pieces:
-        """The line between its breakpoints, as compiled code reads it."""
-        start = self.breakpoints
-        start = start[start < self.length]
+    def edges(self, train_length: float = 0.0) -> FloatArray:
+        """Positions [m] between which the track acceleration is smooth.
+
+        The breakpoints, where one bend turns into the opposite one, where another row of the
+        curve resistance begins, and where the rear of a train passes all these.
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> line.breakpoints.size, line.edges().size, line.edges(58.6).size
+        (396, 396, 787)
+        """
+        points = np.concatenate((self.breakpoints, *map(self._crossings, self._steps())))
+        if train_length > 0.0:
+            points = np.concatenate((points, points + train_length))
+        return np.unique(points[(points >= 0.0) & (points <= self.length)])
+
+    def _steps(self) -> list[float]:
+        """Signed curvatures at which the curve resistance changes its formula or its sign."""
+        steps = [row[0] for row in CURVE_FORMULAS[self.curve_resistance][1:]]
+        return [0.0, *steps, *(-step for step in steps)]
+
+    def _crossings(self, curvature: float) -> FloatArray:
+        """Positions [m] inside the curve elements at which they pass a curvature."""
+        profile = self.curvatures
+        if profile is None:
+            return np.empty(0)
+        first, last = profile.start - curvature, profile.end - curvature
+        passes = first * last < 0.0
+        first, last = first[passes], last[passes]
+        ends = np.append(profile.positions[1:], self.length)[passes]
+        begins = profile.positions[passes]
+        return np.asarray(begins + (ends - begins) * first / (first - last))
+
+    def pieces(self, train_length: float = 0.0) -> Pieces:
+        """The line between its breakpoints, as compiled code reads it.
+
+        Averaged over a train, the curves are part of the sine, which is linear in each piece.
+        """
+        if train_length > 0.0:
+            return self._pieces_under(train_length)
+        changes = [self._crossings(step) for step in self._steps()[1:]]
+        return self._pieces_between(np.unique(np.concatenate((self.breakpoints, *changes))))
+
+    def _pieces_between(self, edges: FloatArray) -> Pieces:
+        start = edges[edges < self.length]
         width = np.diff(np.append(start, self.length))
         inside = start + 1e-6 * width
         nearly = start + (1.0 - 1e-6) * width
         slope = self.gradient(start)
         curvature = self.curvature(inside)
         bend = (self.curvature(nearly) - curvature) / (nearly - inside)
-        return Pieces(start, width, slope / np.hypot(1.0, slope), curvature, bend)
+        of_curves = curve_coefficients(curvature + 0.5 * width * bend, self.curve_resistance)
+        sine = slope / np.hypot(1.0, slope)
+        return Pieces(start, width, sine, np.zeros(start.size), curvature, bend, *of_curves)
+
+    def _pieces_under(self, train_length: float) -> Pieces:
+        """Pieces of at most `LONGEST_PIECE` between the edges, for a train of a length."""
+        edges = self.edges(train_length)
+        counts = np.ceil(np.diff(edges) / LONGEST_PIECE).astype(np.int64)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        share = (np.arange(counts.sum()) - first) / np.repeat(counts, counts)
+        start = np.repeat(edges[:-1], counts) + share * np.repeat(np.diff(edges), counts)
+        width = np.diff(np.append(start, self.length))
+        sine = self.track_acceleration(np.append(start, self.length), train_length) / GRAVITY
+        none = np.zeros(start.size)
+        return Pieces(start, width, sine[:-1], np.diff(sine) / width, none, none, none, none)
 
     def limits_over(self, train_length: float) -> StepProfile:
         """The speed limits [m/s] as a train meets them whose rear must have passed a restriction.
@@ -465,6 +620,7 @@ class Line:
             survey=self.survey,
             assumed=self.assumed,
             reference=None if self.reference is None else self.reference.reversed(self.length),
+            curve_resistance=self.curve_resistance,
         )
 
 

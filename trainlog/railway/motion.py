@@ -490,7 +490,7 @@ def running_time(
         np.array([lever * train.max_traction_power / inertia]),
         None if curve is None else curve.over(inertia / lever),
     )
-    motion = _motion_of(line, positions, train.resistance, mass, inertia)
+    motion = _motion_of(line, positions, train.resistance, mass, inertia, train.strip_length)
     run, _ = _run(positions, limits, deceleration, traction, motion, 0.5 * SLOWEST**2)
     return run.running_time
 
@@ -580,10 +580,16 @@ def _run(
 
 
 def _motion_of(
-    line: Line, positions: FloatArray, resistance: RunningResistance, mass: float, inertia: float
+    line: Line,
+    positions: FloatArray,
+    resistance: RunningResistance,
+    mass: float,
+    inertia: float,
+    strip_length: float = 0.0,
 ) -> Motion:
     """One train on a line, with the track's force where each cell begins, per unit inertia."""
-    drag0 = (resistance.r0 + mass * line.track_acceleration(positions[:-1])) / inertia
+    track = line.track_acceleration(positions[:-1], strip_length)
+    drag0 = (resistance.r0 + mass * track) / inertia
     return Motion(
         np.ones(1),
         np.repeat(drag0[None, :, None], SUBSTEPS + 1, axis=2),

@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trainlog.errors import InputError
 
-CURVE_COEFFICIENT = 0.6
-"""k_C [m]: curve resistance is weight times k_C over the radius; Amirhosseini et al. (2024),
-eq. (6), corrected."""
+CurveFormula = Literal["proportional", "roeckl", "roeckl_small_radius"]
 
+CURVE_FORMULAS: dict[CurveFormula, tuple[tuple[float, float, float], ...]] = {
+    "proportional": ((0.0, 0.6, 0.0),),
+    "roeckl": ((0.0, 0.65, 55.0), (1.0 / 300.0, 0.5, 30.0)),
+    "roeckl_small_radius": ((0.0, 0.5, 30.0),),
+}
+"""Curve resistance over weight, ``k / (R - b)`` of the radius R: rows of the curvature [1/m] beyond
+which it holds, k [m] and b [m].
+
+``proportional``: 0.6/R; Amirhosseini et al. (2024), eq. (6), corrected. ``roeckl``: 0.65/(R - 55)
+from a radius of 300 m on, 0.5/(R - 30) below it; Roeckl's formula as in Wende, D. (2003),
+*Fahrdynamik des Schienenverkehrs*. ``roeckl_small_radius``: 0.5/(R - 30) for every radius.
+"""
+
+LEAST_RADIUS = 2.0
+"""Radius over b of a formula up to which it holds: nearer to its pole it means nothing."""
 
 TUNNEL_COEFFICIENT = 1.3e-7
 """k_T [1/m]: tunnel resistance is weight times k_T times the tunnel's length, where no coefficient
@@ -64,21 +78,58 @@ class RunningResistance:
         return RunningResistance(self.r0 * factor, self.r1 * factor, self.r2 * factor)
 
 
-def curve_force_per_weight(curvature: ArrayLike) -> NDArray[np.float64]:
-    """Curve resistance over weight, ``k_C |curvature|``.
+def specific_curve_resistance(curvature: Any, coefficient: Any, offset: Any) -> Any:
+    """Curve resistance over weight, ``k / (R - b)``; of arrays, and compiled of single values.
 
-    Source: Amirhosseini et al. (2024), eq. (6) as corrected.
+    Parameters
+    ----------
+    curvature : [1/m]
+    coefficient, offset : [m]
+        k and b of a formula.
+
+    Examples
+    --------
+    >>> round(specific_curve_resistance(-1.0 / 305.0, 0.65, 55.0), 9)
+    0.0026
+    """
+    size = abs(curvature)
+    return coefficient * size / (1.0 - offset * size)
+
+
+def curve_coefficients(
+    curvature: ArrayLike, formula: CurveFormula = "proportional"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Coefficients k and b [m] of a formula at each curvature [1/m].
+
+    Examples
+    --------
+    >>> curve_coefficients([1.0 / 300.0, 1.0 / 299.0], "roeckl")
+    (array([0.65, 0.5 ]), array([55., 30.]))
+    """
+    beyond, coefficient, offset = np.array(CURVE_FORMULAS[formula]).T
+    row = np.searchsorted(beyond[1:], np.abs(np.asarray(curvature, dtype=np.float64)))
+    return coefficient[row], offset[row]
+
+
+def curve_force_per_weight(
+    curvature: ArrayLike, formula: CurveFormula = "proportional"
+) -> NDArray[np.float64]:
+    """Curve resistance over weight by one of the `CURVE_FORMULAS`.
 
     Parameters
     ----------
     curvature : array [1/m]
+    formula : {"proportional", "roeckl", "roeckl_small_radius"}
 
     Examples
     --------
     >>> curve_force_per_weight(1.0 / 300.0).item()
     0.002
+    >>> round(curve_force_per_weight(1.0 / 300.0, "roeckl").item(), 6)
+    0.002653
     """
-    return np.asarray(CURVE_COEFFICIENT * np.abs(np.asarray(curvature, dtype=np.float64)))
+    bend = np.asarray(curvature, dtype=np.float64)
+    return np.asarray(specific_curve_resistance(bend, *curve_coefficients(bend, formula)))
 
 
 def tunnel_force_per_weight(length: ArrayLike) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,9 @@ from trainlog.railway.effort import EffortCurve
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import GRAVITY, KMH
+
+MassModel = Literal["mass_point", "homogeneous_strip"]
+AccelerationLimits = Literal["gross", "net"]
 
 POWER_OF_FILE = "train file"
 """Where the power of a configuration is from that no trip showed (`ParameterSet.details`)."""
@@ -122,6 +125,13 @@ class Train:
     axles : Axles
     brake : Brake
     braking_curves : BrakingCurves or None
+    mass_model : {"mass_point", "homogeneous_strip"}
+        Where the mass is for gradients and curves: at the train's front, or spread evenly over its
+        length, so that they are averaged under it; Brünger and Dahlhaus (2014), in *Railway
+        Timetabling & Operations*.
+    acceleration_limits : {"gross", "net"}
+        What `max_acceleration` and `max_deceleration` limit: the effort over the inertia, whatever
+        resists; or the train's own acceleration, on a gradient and in a curve, too.
     source : str
     assumed : tuple of str
         Fields that the source does not give: they hold assumptions.
@@ -160,6 +170,8 @@ class Train:
     coaches: int | None = None
     source: str = ""
     assumed: tuple[str, ...] = ()
+    mass_model: MassModel = "mass_point"
+    acceleration_limits: AccelerationLimits = "gross"
 
     def __post_init__(self) -> None:
         problems = list(self._problems())
@@ -195,6 +207,17 @@ class Train:
                     f"{where}: {name} {getattr(self, name)} is not between 0 and 1",
                     remedy="give it as a share, for example 90 %",
                 )
+        for name, kind in (("mass_model", MassModel), ("acceleration_limits", AccelerationLimits)):
+            if getattr(self, name) not in get_args(kind):
+                yield InputError(
+                    f"{where}: no such {name} '{getattr(self, name)}'",
+                    remedy=f"it is one of {', '.join(get_args(kind))}",
+                )
+        if self.mass_model == "homogeneous_strip" and self.length == 0.0:
+            yield InputError(
+                f"{where}: a homogeneous_strip has a length, and none is given",
+                remedy="give 'length', or the mass_model 'mass_point'",
+            )
         try:
             if self.axles.geometry is not None:
                 self.axles.geometry.vehicles(self.axles.count)
@@ -235,8 +258,14 @@ class Train:
             + _points(self.dynamic_braking_curve),
             "resistance": f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²",
             "speed": f"{KMH * self.max_speed:.0f} km/h at most",
-            "length": f"{self.length:.1f} m, {self.axles.count} powered axles",
+            "length": f"{self.length:.1f} m, {self.axles.count} powered axles"
+            + ", mass spread over it" * (self.strip_length > 0.0),
         } | ({"assumed": ", ".join(self.assumed)} if self.assumed else {})
+
+    @property
+    def strip_length(self) -> float:
+        """Length over which gradients and curves are averaged [m]; 0 for a mass point."""
+        return self.length if self.mass_model == "homogeneous_strip" else 0.0
 
     @property
     def rotating_mass(self) -> float:
@@ -316,7 +345,7 @@ class Train:
 
     def track_force(self, line: Line, position: ArrayLike, mass: float) -> NDArray[np.float64]:
         """Resistance of the track [N] that does not depend on speed: gradient and curves."""
-        return np.asarray(mass * line.track_acceleration(position))
+        return np.asarray(mass * line.track_acceleration(position, self.strip_length))
 
     def adhesive_weight(self, load: float = 0.0) -> float:
         """Weight on the powered axles [N] with `load` [kg] spread evenly over the train."""

@@ -218,6 +218,17 @@ class Trajectory:
         return str(self.provenance.get("settings", {}).get("planned_for", ""))
 
     @property
+    def model(self) -> str:
+        """What is stated of the forces: curve resistance, mass and limits of acceleration."""
+        settings = self.provenance.get("settings", {})
+        names = ("curve_resistance", "mass_model", "acceleration_limits")
+        curves, mass, limits = (settings.get(name) for name in names)
+        if curves is None:
+            return ""
+        words = f"curve resistance {curves}, {mass}, {limits} acceleration limits"
+        return words.replace("_", " ")
+
+    @property
     def energy_label(self) -> str:
         """What the ``energy`` of the certificate is, and where it is taken, in words."""
         return _ENERGY.get(self.objective, "energy")

@@ -21,7 +21,7 @@ from trainlog.simulation.particles import WORKS
 
 FloatArray = NDArray[np.float64]
 
-LEVEL_TRACK = np.array([[-np.inf, 0.0, 0.0, 0.0, 0.0, 0.0], [np.inf, 0.0, 0.0, 0.0, 0.0, 0.0]])
+LEVEL_TRACK = np.array([[start] + 7 * [0.0] for start in (-np.inf, np.inf)])
 """Table of a track without gradients, curves and tunnels."""
 
 FINEST = 1.0
@@ -357,17 +357,20 @@ def track_table(line: Line) -> FloatArray:
 
     Returns
     -------
-    (n + 1, 6) array
-        Columns `particles.START` to `particles.TUNNEL`.
+    (n + 1, 8) array
+        Columns `particles.START` to `particles.RADIUS_OFFSET`.
     """
-    start, width, sine, curvature, bend = line.pieces()
+    start, width, sine, _, curvature, bend, coefficient, offset = line.pieces()
     height = np.concatenate(([0.0], np.cumsum(sine * width)[:-1]))
     tunnel = np.zeros(start.size)
     for each in line.tunnels:
         here = (start >= each.position) & (start < each.position + each.length)
         tunnel[here] = tunnel_force_per_weight(each.length)
     table = np.column_stack(
-        [start, height - sine * start, sine, curvature - bend * start, bend, tunnel]
-    )
+        (
+            start, height - sine * start, sine, curvature - bend * start, bend, tunnel,
+            coefficient, offset,
+        )
+    )  # fmt: skip
     table[0, particles.START] = -np.inf
     return np.ascontiguousarray(np.vstack([table, LEVEL_TRACK[-1]]))

@@ -293,7 +293,7 @@ class TimetableDriver:
         self._ceiling = braking_curve(
             grid, np.maximum(limits - self.habits.margin, 1.0), self.habits.deceleration
         )
-        self._slope = line.track_acceleration(np.minimum(grid, line.length))
+        self._slope = line.track_acceleration(np.minimum(grid, line.length), train.strip_length)
         # Time [s] from each grid point to the line's end at the ceiling speed.
         lasting = GRID / (0.5 * (self._ceiling[1:] + self._ceiling[:-1]))
         self._time_to_end = np.append(np.cumsum(lasting[::-1])[::-1], 0.0)

@@ -3,7 +3,7 @@
 The train is a single particle; each powered axle has its own wheel speed and pulls the train only
 through the adhesion between wheel and rail:
 
-    M dv/dt   = sum F_i - R(v) - m g (sin alpha + k_C |kappa|) - r_T v² - F_B
+    M dv/dt   = sum F_i - R(v) - m g (sin alpha + k / (R - b)) - r_T v² - F_B
     J dw_i/dt = T_i - F_i,        F_i = mu(w_i - v; mu_max(s)) W
 
 (Zhao et al. (2025), eq. 1, 8, 10; Amirhosseini et al. (2024), eq. 1, 5, 6, 10). `M` moves with the
@@ -31,7 +31,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from trainlog.railway.axle_loads import LEAST_LOAD
-from trainlog.railway.resistance import CURVE_COEFFICIENT
+from trainlog.railway.resistance import specific_curve_resistance
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -118,6 +118,9 @@ at the slips ``LEAST_SLIP (exp(i SLIP_STEP) - 1)``, the last at all greater ones
 
 LEAST_SLIP, SLIP_STEP, SLIPS = 1e-4, 0.03, 430
 """Slips [1] or [m/s] at which a characteristic is tabulated: from 0 to 39."""
+
+
+curve_resistance = njit(cache=True, error_model="numpy")(specific_curve_resistance)
 
 
 @njit(cache=True, error_model="numpy")
@@ -234,8 +237,9 @@ def held_back(
 ) -> tuple[float, float, float]:
     """Running resistance, force along the track and friction braking effort on the train [N]."""
     resistance = p.r0 + (p.r1 + (p.r2 + track[4]) * v) * v
-    curvature = track[2] + track[3] * (y[0] - track[0])
-    along = p.mass * GRAVITY * (track[1] + CURVE_COEFFICIENT * abs(curvature))
+    within = y[0] - track[0]
+    curves = curve_resistance(track[2] + track[3] * within, track[6], track[7])
+    along = p.mass * GRAVITY * (track[1] + track[5] * within + curves)
     friction = min(y[2], rail[1] * p.trailing_weight) + holding_effort(y[1], command, rail, p)
     return resistance, along, friction
 
@@ -283,7 +287,7 @@ def shift_loads(
     net = total - resistance - along - friction
     # At rest the brakes hold what is left over.
     acceleration = net / p.body_inertia if y[1] > 0.0 or net > 0.0 else 0.0
-    specific = acceleration + GRAVITY * track[1]
+    specific = acceleration + GRAVITY * (track[1] + track[5] * (y[0] - track[0]))
     for i in range(n):
         change = transfer[i, n] * specific
         for j in range(n):

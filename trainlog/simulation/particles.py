@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from trainlog.railway.resistance import CURVE_COEFFICIENT
+from trainlog.simulation.dynamics import curve_resistance
 from trainlog.units import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -44,10 +44,11 @@ middles at rest [m]."""
 STIFFNESS, NONLINEARITY, LARGEST = range(3)
 """Columns of a spring, from where it begins."""
 
-START, OFFSET, SINE, CURVATURE, BEND, TUNNEL = range(6)
+START, OFFSET, SINE, CURVATURE, BEND, TUNNEL, COEFFICIENT, RADIUS_OFFSET = range(8)
 """Columns of the table of the track: a piece from START [m] to that of the next row, in which the
 height is ``OFFSET + SINE x`` [m], the curvature ``CURVATURE + BEND x`` [1/m], and a tunnel resists
-with TUNNEL over weight. The first piece begins at minus infinity; a row at infinity ends it."""
+with TUNNEL over weight; the last two are k and b [m] of the curve resistance. The first piece
+begins at minus infinity; a row at infinity ends it."""
 
 TAKE_UP = 0.005
 """Travel behind the slack [m] over which a coupler's damper takes hold."""
@@ -139,7 +140,9 @@ def derivative(
             below = track[k, OFFSET] + track[k, SINE] * (x - half)
             rise = (above - below) / vehicles[i, LENGTH]
         bend = track[m, CURVATURE] + track[m, BEND] * x
-        resisting = CURVE_COEFFICIENT * abs(bend) + track[m, TUNNEL]
+        resisting = track[m, TUNNEL] + curve_resistance(
+            bend, track[m, COEFFICIENT], track[m, RADIUS_OFFSET]
+        )
         effort = pull[i]
         if effort * v > vehicles[i, POWER]:
             effort = vehicles[i, POWER] / v
@@ -303,5 +306,6 @@ def _stands(
         bend = track[m, CURVATURE] + track[m, BEND] * y[i]
         drive += pull[i] - weight * (above - below) / length
         hold += brake[i] + vehicles[i, R0]
-        hold += weight * (CURVE_COEFFICIENT * abs(bend) + track[m, TUNNEL])
+        curves = curve_resistance(bend, track[m, COEFFICIENT], track[m, RADIUS_OFFSET])
+        hold += weight * (curves + track[m, TUNNEL])
     return abs(drive) <= hold

@@ -440,13 +440,16 @@ def track_table(line: Line, train: Train) -> FloatArray:
 
     Returns
     -------
-    (n, 5) array
-        Start [m], sine of the gradient, curvature at the start [1/m], its change [1/m²], and the
-        tunnel's quadratic resistance [N/(m/s)²].
+    (n, 8) array
+        Start [m], sine of the gradient, curvature at the start [1/m], its change [1/m²], the
+        tunnel's quadratic resistance [N/(m/s)²], the change of the sine [1/m], and k and b of the
+        curve resistance [m].
     """
-    start, _, sine, curvature, bend = line.pieces()
+    start, _, sine, climb, curvature, bend, coefficient, offset = line.pieces(train.strip_length)
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(start))
-    return np.ascontiguousarray(np.column_stack([start, sine, curvature, bend, tunnel]))
+    return np.ascontiguousarray(
+        np.column_stack([start, sine, curvature, bend, tunnel, climb, coefficient, offset])
+    )
 
 
 def rail_table(maximum_adhesion: StepProfile) -> FloatArray:

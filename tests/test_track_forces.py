@@ -1,0 +1,168 @@
+"""What a line and a train's file state of the forces: curve resistance, and where the mass is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis import OptimiserOptions, TrajectoryProblem, optimise
+from analysis.resistance.recording import track_slope
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
+from trainlog.railway import (
+    Axles,
+    CurvatureProfile,
+    Line,
+    RunningResistance,
+    Station,
+    StepProfile,
+    Train,
+)
+from trainlog.railway.motion import running_time
+from trainlog.simulation.dynamics import held_back
+from trainlog.simulation.plant import Plant
+from trainlog.units import GRAVITY
+
+WIL, FLIRT = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+
+FREIGHT = Train(
+    "freight", 1.2e6, 0.05, RunningResistance(18e3, 100.0, 60.0), 300e3, 4e6, 150e3, 4e6, 800e3,
+    28.0, 0.3, 0.3, length=400.0, axles=Axles(8, 170e3),
+)  # fmt: skip
+
+
+def line_of(gradients: StepProfile, length: float, limit: float = 25.0) -> Line:
+    ends = (Station("A", 0.0), Station("B", length))
+    return Line("survey", length, ends, StepProfile([0.0], [limit]), gradients)
+
+
+def curved(*radii: float, formula: str = "roeckl") -> Line:
+    """Arcs of 500 m, joined by straight track and transitions of 100 m."""
+    positions, start, end = [0.0], [0.0], [0.0]
+    for radius in radii:
+        at = positions[-1] + 100.0
+        positions += [at, at + 100.0, at + 600.0, at + 700.0]
+        start += [0.0, 1.0 / radius, 1.0 / radius, 0.0]
+        end += [1.0 / radius, 1.0 / radius, 0.0, 0.0]
+    level = line_of(StepProfile([0.0], [0.0]), positions[-1] + 100.0)
+    profile = CurvatureProfile(np.array(positions), np.array(start), np.array(end))
+    return replace(level, curvatures=profile, curve_resistance=formula)
+
+
+@pytest.mark.parametrize(
+    ("formula", "radius", "per_mille"),
+    [
+        ("proportional", 300.0, 2.0),
+        ("roeckl", 705.0, 1.0),
+        ("roeckl", 300.0, 650.0 / 245.0),
+        ("roeckl", 280.0, 2.0),
+        ("roeckl_small_radius", 530.0, 1.0),
+    ],
+)
+def test_curve_resistance_is_that_of_the_formula_in_plan_and_simulation(
+    formula: str, radius: float, per_mille: float
+) -> None:
+    line = curved(radius, -radius, formula=formula)
+    assert line.track_acceleration([450.0, 1250.0]) == pytest.approx(GRAVITY * per_mille / 1e3)
+    plant = Plant.of(line, FLIRT, maximum_adhesion=StepProfile([0.0], [0.3]))
+    rail, rows = np.array([0.0, 0.3, 1.0, 1.0, 0.3]), plant.track
+    for at in np.linspace(1.0, line.length - 1.0, 60):
+        row = rows[np.searchsorted(rows[:, 0], at, side="right") - 1]
+        state = np.zeros(3)
+        state[0], state[1] = at, 10.0
+        along = held_back(state, 10.0, np.zeros(1), row, rail, plant.parameters)[1]
+        assert along / FLIRT.mass == pytest.approx(line.track_acceleration(at), abs=1e-7)
+
+
+def test_a_formula_outside_its_radii_is_refused() -> None:
+    with pytest.raises(InputError, match="does not hold for the radius of 50 m at km"):
+        curved(50.0)
+    with pytest.raises(InputError, match="no such curve_resistance"):
+        curved(400.0, formula="roeckel")
+
+
+def test_files_state_the_choices_and_leave_the_defaults_out() -> None:
+    for formula in ("roeckl", "proportional"):
+        line = replace(WIL, curve_resistance=formula)
+        again = line_from_bytes(line_to_bytes(line))
+        assert again == line
+        assert again.reversed().curve_resistance == formula
+    train = replace(FLIRT, mass_model="homogeneous_strip", acceleration_limits="net")
+    assert train_from_bytes(train_to_bytes(train)) == train
+    assert b"mass_model" not in train_to_bytes(FLIRT)
+    assert b"curve_resistance" not in line_to_bytes(WIL)
+    with pytest.raises(InputError, match="a homogeneous_strip has a length"):
+        replace(train, length=0.0)
+    with pytest.raises(InputError, match="no such mass_model 'strip'"):
+        replace(train, mass_model="strip")
+
+
+@pytest.mark.parametrize("formula", ["proportional", "roeckl"])
+def test_a_strip_feels_the_mean_of_what_many_masses_under_it_feel(formula: str) -> None:
+    line = replace(WIL, curve_resistance=formula)
+    fronts = np.random.default_rng(1).uniform(0.0, line.length, 40)
+    for length in (58.6, 400.0):
+        masses = fronts - length * (np.arange(20_000)[:, None] + 0.5) / 20_000
+        mean = line.track_acceleration(masses).mean(axis=0)
+        # Before its start the line goes on as it begins.
+        np.testing.assert_allclose(line.track_acceleration(fronts, length), mean, atol=3e-6)
+        pieces = line.pieces(length)
+        row = np.searchsorted(pieces.start, fronts, side="right") - 1
+        linear = pieces.sine[row] + pieces.climb[row] * (fronts - pieces.start[row])
+        np.testing.assert_allclose(GRAVITY * linear, mean, atol=2e-5)
+    change = np.diff([line.track_acceleration(fronts + x, 400.0) for x in (-1.0, 1.0)], axis=0)
+    assert track_slope(line, fronts, 400.0).shape == change[0].shape
+
+
+def test_spikes_of_a_survey_are_averaged_or_refused_with_the_reason() -> None:
+    """2,531 gradients, a few of 244 per mille over 25 m: a heavy train climbs none of them alone."""
+    edges = np.arange(2_531) * 10.0
+    values = 0.004 * np.sin(edges / 4e3)
+    for at in (600, 1_300, 2_000):
+        values[at : at + 3], values[at + 3 : at + 6] = 0.244, -0.244
+    line = line_of(StepProfile(edges, values), 25_310.0, limit=8.0)
+    with pytest.raises(
+        InfeasibleError, match=r"km 6.0\d\d; .*244 per mille there, but 21 averaged .*strip"
+    ):
+        optimise(TrajectoryProblem.nominal(line, FREIGHT))
+    strip = replace(FREIGHT, mass_model="homogeneous_strip", length=600.0)
+    found = optimise(TrajectoryProblem.nominal(line, strip))
+    assert found.certificate["certified"]
+    assert "homogeneous strip" in found.model
+    # By hand: the work against track and resistance is what traction and brakes put in.
+    run = TrajectoryProblem.nominal(line, strip)
+    fine = np.linspace(0.0, line.length, 400_001)
+    middle = 0.5 * (fine[1:] + fine[:-1])
+    cell, speed = found.cell_of(middle), found.speed_at(0, middle)
+    force = found.tractive_effort_at(middle) - found.braking_effort[0, cell]
+    held = strip.resistance(speed) + strip.mass * run.track_acceleration(middle)
+    left = float(((force - held) * np.diff(fine)).sum())
+    assert abs(left) < 1e-3 * float((np.abs(force) * np.diff(fine)).sum())
+
+
+def test_timetables_and_plans_count_on_the_strip() -> None:
+    spike = line_of(StepProfile([0.0, 3e3, 3.05e3], [0.0, 0.05, 0.0]), 6e3)
+    strip = replace(FREIGHT, mass_model="homogeneous_strip")
+    times = [running_time(spike, train, 0.0, 6e3) for train in (FREIGHT, strip)]
+    assert times[0] != times[1]
+    assert TrajectoryProblem.nominal(spike, strip).track_acceleration(np.array([3_200.0]))[
+        0
+    ] == pytest.approx(GRAVITY * 0.05 / np.hypot(1.0, 0.05) * 50.0 / 400.0)
+
+
+def test_the_result_states_the_formula(tmp_path: Path) -> None:
+    options = OptimiserOptions(cells=60)
+    energies = {}
+    for formula in ("proportional", "roeckl"):
+        line = replace(WIL, curve_resistance=formula)
+        found = optimise(
+            TrajectoryProblem.nominal(line, FLIRT, end=6e3, running_time=260.0), options
+        )
+        assert found.provenance["settings"]["curve_resistance"] == formula
+        energies[formula] = found.certificate["energy"]
+    assert energies["roeckl"] > 1.001 * energies["proportional"]
