@@ -120,7 +120,7 @@ def test_a_strip_feels_the_mean_of_what_many_masses_under_it_feel(formula: str) 
 
 
 def test_spikes_of_a_survey_are_averaged_or_refused_with_the_reason() -> None:
-    """2,531 gradients, a few of 244 per mille over 25 m: a heavy train climbs none of them alone."""
+    """Of 2,531 gradients a few have 244 per mille: a heavy train climbs none of them as a point."""
     edges = np.arange(2_531) * 10.0
     values = 0.004 * np.sin(edges / 4e3)
     for at in (600, 1_300, 2_000):

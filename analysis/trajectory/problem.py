@@ -110,7 +110,7 @@ class TrajectoryProblem:
     The train as its file describes it, without a set of observed configurations:
 
     >>> TrajectoryProblem.nominal(line, train, load=8_000.0, end=9_613.0).planned_for
-    "the train of the file, without a band of observed trips"
+    'the train of the file, without a band of observed trips'
     """
 
     line: Line
