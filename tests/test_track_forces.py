@@ -7,26 +7,33 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
+from analysis.control.route import effort_limits, route_tables, train_limits
 from analysis.resistance.recording import track_slope
+from analysis.trajectory.audit import audit
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
 from trainlog.railway import (
     Axles,
+    Configuration,
     CurvatureProfile,
     Line,
     RunningResistance,
     Station,
     StepProfile,
     Train,
+    Trajectory,
 )
 from trainlog.railway.motion import running_time
 from trainlog.simulation.dynamics import held_back
 from trainlog.simulation.plant import Plant
 from trainlog.units import GRAVITY
+
+FloatArray = NDArray[np.float64]
 
 WIL, FLIRT = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
 
@@ -166,3 +173,61 @@ def test_the_result_states_the_formula(tmp_path: Path) -> None:
         assert found.provenance["settings"]["curve_resistance"] == formula
         energies[formula] = found.certificate["energy"]
     assert energies["roeckl"] > 1.001 * energies["proportional"]
+
+
+HILLS = line_of(StepProfile([0.0, 700.0, 3e3, 5e3], [-0.03, 0.0, -0.02, 0.03]), 6e3)
+NET = replace(FLIRT, max_acceleration=0.5, max_deceleration=0.5, acceleration_limits="net")
+
+
+def own_accelerations(found: Trajectory, train: Train) -> FloatArray:
+    """Accelerations of the train at the beginning of each cell [m/s²], by Newton's law."""
+    speed, at = found.speeds[0, :-1], found.positions[:-1] + 1e-6
+    force = found.tractive_effort + 0.5 * found.tractive_effort_fall - found.braking_effort[0]
+    force = force - train.resistance(speed) - train.mass * HILLS.track_acceleration(at)
+    return np.asarray(force / Configuration.of(train).inertia)
+
+
+def test_net_limits_hold_for_the_trains_own_acceleration_on_hills() -> None:
+    gross = replace(NET, acceleration_limits="gross")
+    options, runs = OptimiserOptions(cells=120), {}
+    for train in (gross, NET):
+        run = TrajectoryProblem.nominal(HILLS, train, reserve=0.02)
+        found = optimise(run, options)
+        assert found.certificate["certified"]
+        runs[train.acceleration_limits] = (run, found)
+        used = own_accelerations(found, train)
+        pulls = found.tractive_effort > 1e-3 * found.tractive_effort.max()
+        brakes = found.braking_effort[0] > 1e-3 * found.braking_effort.max()
+        reached = used[pulls].max(), -used[brakes].min()
+        if train is gross:
+            # Downhill it gains more than its effort alone gives, uphill it brakes harder.
+            assert min(reached) > 0.7
+        else:
+            assert max(reached) <= 0.5 + 1e-6
+            # What is left is the resistance that grows with the speed.
+            assert min(reached) > 0.4
+    # The audit of the one finds the other's efforts too large.
+    run, found = runs["net"][0], runs["gross"][1]
+    checked = audit(
+        run, found.positions, found.tractive_effort, 0.5 * found.tractive_effort_fall,
+        found.braking_effort,
+    )  # fmt: skip
+    assert checked.effort[0] > 1.4
+    assert checked.braking[0] > 1.4
+
+
+def test_a_follower_keeps_net_limits() -> None:
+    reached = {}
+    for train in (NET, replace(NET, acceleration_limits="gross")):
+        run = TrajectoryProblem.nominal(HILLS, train)
+        limits = train_limits(run)
+        tables = route_tables(run, optimise(run, OptimiserOptions(cells=60)), limits)
+        speeds, places = np.array([5.0, 20.0]), np.array([300.0, 5_500.0])
+        pull, _ = effort_limits(places[0], speeds[0], tables, limits)
+        _, brake = effort_limits(places[1], speeds[1], tables, limits)
+        held = train.resistance(speeds) + train.mass * HILLS.track_acceleration(places)
+        forces = np.array([pull, -brake]) - held
+        reached[train.acceleration_limits] = np.abs(forces) / Configuration.of(train).inertia
+    assert reached["net"].max() <= 0.5 + 1e-9
+    assert reached["net"].min() > 0.45
+    assert reached["gross"].min() > 0.6

@@ -109,6 +109,9 @@ class TrainLimits(NamedTuple):
         Rotating mass of the powered axles.
     corners : (4, 5) array
         Mass, inertia, r0, r1, r2 of light and heavy trains with little and much resistance.
+    net_pull, net_brake : float [N]
+        What gives the lightest train its largest acceleration and deceleration where nothing
+        resists, if they limit its own acceleration; else infinite.
     """
 
     traction: float
@@ -129,6 +132,8 @@ class TrainLimits(NamedTuple):
     lag: float
     spinning: float
     corners: FloatArray
+    net_pull: float = np.inf
+    net_brake: float = np.inf
 
 
 class RouteTables(NamedTuple):
@@ -194,10 +199,13 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
     r0, r1, r2 = (0.5 * (drags.min(axis=0) + drags.max(axis=0))).tolist()
     least = min(c.max_power for c in every)
     pull, brake = train.traction_curve_with(least), train.dynamic_braking_curve
+    net = train.acceleration_limits == "net"
+    most = train.max_acceleration * inertias[0], train.max_deceleration * inertias[0]
     return TrainLimits(
-        traction=min(train.max_tractive_effort, train.max_acceleration * inertias[0]),
+        traction=train.max_tractive_effort if net else min(train.max_tractive_effort, most[0]),
         power=least,
-        braking=BLENDING * min(train.max_braking_effort, train.max_deceleration * inertias[0]),
+        braking=BLENDING
+        * (train.max_braking_effort if net else min(train.max_braking_effort, most[1])),
         dynamic=train.max_dynamic_braking_effort,
         dynamic_power=train.max_dynamic_braking_power,
         friction=train.max_pneumatic_braking_effort,
@@ -213,6 +221,8 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
         lag=max(train.brake.lag, 1e-3),
         spinning=train.axles.count * train.axles.rotating_mass,
         corners=np.array(corners, dtype=np.float64),
+        net_pull=most[0] if net else np.inf,
+        net_brake=BLENDING * most[1] if net else np.inf,
     )
 
 
@@ -323,6 +333,11 @@ def effort_limits(
     if limits.pull_curve.shape[1] > 1:
         pull = min(pull, effort_at(v, limits.pull_curve[0], limits.pull_curve[1]))
     brake = min(limits.braking, grip * limits.on_all)
+    if limits.net_pull < np.inf:
+        mass, _, r0, r1, r2 = limits.corners[1]
+        along = mass * value(route.track, route.origin, p)
+        pull = min(pull, max(limits.net_pull + along + limits.corners[0, 2], 0.0))
+        brake = min(brake, max(limits.net_brake - along - r0 - (r1 + r2 * v) * v, 0.0))
     # The dynamic brake is used first, and it acts on the powered axles alone.
     quick = dynamic_braking(v, limits)
     if limits.brake_curve.shape[1] > 1:

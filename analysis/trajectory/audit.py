@@ -132,6 +132,8 @@ def audit(
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(points))
     limit = run.permitted_speed(points)
     adhesion = run.adhesion_at(points)
+    # A limit of the train's own acceleration is no limit of its efforts.
+    gross = 1.0 if train.acceleration_limits == "gross" else np.inf
     constants = np.array(
         [
             [
@@ -143,8 +145,10 @@ def audit(
                 c.max_power,
                 train.adhesive_weight(c.mass - train.mass),
                 GRAVITY * c.mass,
-                min(train.max_tractive_effort, train.max_acceleration * c.inertia),
-                min(train.max_braking_effort, train.max_deceleration * c.inertia),
+                min(train.max_tractive_effort, gross * train.max_acceleration * c.inertia),
+                min(train.max_braking_effort, gross * train.max_deceleration * c.inertia),
+                np.inf if gross == 1.0 else train.max_acceleration,
+                np.inf if gross == 1.0 else train.max_deceleration,
             ]
             for c in run.configurations
         ]
@@ -245,7 +249,8 @@ def _roll(
     speeds, times = np.zeros((q, n + 1)), np.zeros((q, n + 1))
     found = np.zeros((q, 7))
     for a in range(q):
-        mass, inertia, r0, r1, r2, power, adhesive, weight, pull, brake = constants[a]
+        mass, inertia, r0, r1, r2, power, adhesive, weight, pull, brake = constants[a, :10]
+        most, least = constants[a, 10], -constants[a, 11]
         found[a, 1] = -np.inf
         half, time, stopped = 0.5 * initial_speed**2, 0.0, False
         speeds[a, 0] = initial_speed
@@ -265,6 +270,10 @@ def _roll(
                 drag = r2 + tunnel[k, j]
                 v = np.sqrt(2.0 * half)
                 k1 = (first - _force(v, r0, r1, drag)) / inertia
+                if begun > 1.0:
+                    found[a, 3] = max(found[a, 3], k1 / most)
+                if braking[a, k] > 1e-6 * brake:
+                    found[a, 4] = max(found[a, 4], k1 / least)
                 u = np.sqrt(max(v * v + h * k1, 0.0))
                 k2 = (middle - _force(u, r0, r1, drag)) / inertia
                 u = np.sqrt(max(v * v + h * k2, 0.0))

@@ -532,7 +532,10 @@ class EffortLimits:
 def effort_limits(run: TrajectoryProblem, positions: FloatArray) -> EffortLimits:
     """Efforts that machine, comfort and adhesion allow in the cells between `positions`.
 
-    Traction and the dynamic brake act on the powered axles, all brakes together on every axle.
+    Traction and the dynamic brake act on the powered axles, all brakes together on every axle. A
+    limit of the train's own acceleration is what the effort leaves against gradient, curves and the
+    constant part of the resistance; one of its deceleration counts all resistance at the permitted
+    speed, so that neither is exceeded at any speed.
     """
     train, adhesion = run.train, run.adhesion(positions)
     cells = adhesion.size
@@ -547,9 +550,18 @@ def effort_limits(run: TrajectoryProblem, positions: FloatArray) -> EffortLimits
         lowest = np.minimum.reduce(np.broadcast_arrays(*limits))
         return np.ascontiguousarray(np.broadcast_to(lowest, (len(run.configurations), cells)))
 
-    comfort = train.max_deceleration * inertia
+    pull, comfort = train.max_acceleration * inertia, train.max_deceleration * inertia
+    if train.acceleration_limits == "net":
+        track = run.track_acceleration(inside(positions, SUBSTEPS))
+        middle = positions[:-1] + 0.5 * np.diff(positions)
+        speed = run.permitted_speed(middle)
+        tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(middle)) * speed**2
+        drag = np.array([c.resistance(speed) + tunnel for c in run.configurations])
+        starting = np.array([[c.resistance.r0] for c in run.configurations])
+        pull = np.maximum(pull + starting + mass * track.min(axis=1), 0.0)
+        comfort = np.maximum(comfort - drag - mass * track.max(axis=1), 0.0)
     return EffortLimits(
-        traction=least(train.max_tractive_effort, train.max_acceleration * inertia, on_powered),
+        traction=least(train.max_tractive_effort, pull, on_powered),
         braking=least(train.max_braking_effort, comfort, on_all),
         friction=least(train.max_pneumatic_braking_effort, comfort, on_all),
         dynamic=least(train.max_dynamic_braking_effort, comfort, on_powered),
