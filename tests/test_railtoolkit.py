@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from trainlog.cli import main as cli
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railtoolkit import read_rolling_stock, read_running_paths
+from trainlog.formats.train import read_train
+from trainlog.formats.trajectory import read_trajectory
 from trainlog.railway import EffortCurve
 from trainlog.railway.consist import Formation, RollingVehicle
 from trainlog.railway.motion import shortest_run
@@ -239,3 +242,75 @@ def test_effort_curves_that_cannot_be_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=words):
         EffortCurve(np.array(speeds), np.array(efforts))
+
+
+STOCK = """
+schema: https://railtoolkit.org/schema/rolling-stock.json
+schema_version: "2022.05"
+vehicles:
+"""
+LOCOMOTIVE = (
+    STOCK + "  - {id: V90, name: V90, vehicle_type: traction unit, length: 14, mass: 80,"
+    " mass_traction: 80, speed_limit: 80, rotation_mass: 1.09, base_resistance: 2.2,"
+    " air_resistance: 10, tractive_effort: [[0, 180000], [20, 100000], [80, 25000]]}\n"
+)
+WAGON = (
+    STOCK + "  - {id: Facs, name: Facs, vehicle_type: freight, length: 19, mass: 25,"
+    " load_limit: 59, speed_limit: 100, rotation_mass: 1.03, base_resistance: 1.4,"
+    " air_resistance: 3.9}\n"
+)
+
+
+def test_a_formation_of_several_files_is_planned_for_from_the_keyboard(tmp_path: Path) -> None:
+    (tmp_path / "v90.yaml").write_text(LOCOMOTIVE)
+    (tmp_path / "facs.yaml").write_text(WAGON)
+    path_file(
+        tmp_path,
+        "      - {position: 0, speed: 80, resistance: 0}\n"
+        "      - {position: 3000, speed: 60, resistance: 4}\n"
+        "      - {position: 6000, speed: 60}\n",
+    )
+    files = [str(tmp_path / name) for name in ("v90.yaml", "facs.yaml", "path.yaml")]
+    out = ["-o", str(tmp_path)]
+    made = ["--formation", "V90, 10 Facs", "--name", "ore", "--loaded", "50"]
+    assert cli.run(["import", *files[:2], *made, "--mass-model", "homogeneous_strip", *out]) == 0
+    assert cli.run(["import", files[2], "--curve-resistance", "roeckl", *out]) == 0
+    train = read_train(tmp_path / "ore.train.json")
+    assert (train.length, train.mass, train.max_load) == (204.0, 625e3, 295e3)
+    assert train.strip_length == 204.0
+    # Half of the load: 545 t of wagons at 1.4 per mille, the locomotive at 2.2.
+    wind = 10e-3 * 80e3 * GRAVITY * 0.15**2
+    assert train.resistance(0.0) == pytest.approx(GRAVITY * (545 * 1.4 + 80 * 2.2) + wind)
+    assert train.tractive_effort_limit([0.0, 20 / 3.6]) == pytest.approx([180e3, 100e3])
+    line = tmp_path / "path.line.json"
+    plan = ["--train", str(tmp_path / "ore.train.json"), "--line", str(line), "--cells", "60"]
+    assert cli.run(["optimise", *plan, "-o", str(tmp_path / "plan.json")]) == 0
+    found = read_trajectory(tmp_path / "plan.json")
+    assert found.certificate["certified"]
+    assert found.model == ("curve resistance roeckl, homogeneous strip, gross acceleration limits")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("v90.yaml", "--formation", "V90, 3 Fals"), "no vehicle 'Fals' in the files given"),
+        (("v90.yaml", "--formation", "V90, 0 V90"), "no vehicle 'V90' in the files"),
+        (("v90.yaml", "--name", "x"), "--name is that of a formation"),
+        (("v90.yaml", "--curve-resistance", "roeckl"), "is not a line: curve resistance cannot"),
+        (("path.yaml", "--mass-model", "mass_point"), "is not a train: mass model cannot go"),
+        (("train.yaml",), "the vehicles of train 'ore' are not in the file.*--formation 'V90, F'"),
+    ],
+    ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",
+)
+def test_what_an_import_cannot_use_is_refused(
+    words: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "v90.yaml").write_text(LOCOMOTIVE)
+    (tmp_path / "train.yaml").write_text(
+        STOCK.replace("vehicles:", "trains: [{id: ore, name: ore, formation: [V90, F]}]")
+    )
+    rows = (f"      - {{position: {at}, speed: 80}}\n" for at in (0, 900))
+    path_file(tmp_path, "".join(rows))
+    with pytest.raises(InputError, match=message):
+        cli.run(["import", str(tmp_path / words[0]), *words[1:], "-o", str(tmp_path / "out")])
+    assert not list(tmp_path.glob("out/*"))

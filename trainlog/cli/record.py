@@ -461,21 +461,58 @@ def import_(
     braking_curve: Annotated[
         Path | None, typer.Option(help="The same of its dynamic brake.")
     ] = None,
+    formation: Annotated[
+        str | None,
+        typer.Option(
+            help="A train of vehicles of these railtoolkit files, by id, from front to rear:"
+            " 'DB_V90, 10 Facs124'."
+        ),
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="With --formation: name of the train.")] = None,
+    loaded: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, max=100.0, help="Of a railtoolkit train: per cent of its load on board."
+        ),
+    ] = None,
+    mass_model: Annotated[
+        Literal["mass_point", "homogeneous_strip"] | None,
+        typer.Option(help="Of a train: gradients at its front, or averaged over its length."),
+    ] = None,
+    acceleration_limits: Annotated[
+        Literal["gross", "net"] | None,
+        typer.Option(help="Of a train: limits of effort over inertia, or of its own acceleration."),
+    ] = None,
+    curve_resistance: Annotated[
+        Literal["proportional", "roeckl", "roeckl_small_radius"] | None,
+        typer.Option(help="Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30)."),
+    ] = None,
 ) -> None:
     """Turn tracks, trains and journeys of TTOBench, OSRD and railtoolkit into trainlog's files.
 
+    Line and train files of trainlog are taken with an option that changes them.
+
     Example: trainlog import CH_StGallen_Wil.json CH_Stadler_FLIRT_TPF.json -o railway
+
+    trainlog import DB_V90.yaml Facs124.yaml --formation "DB_V90, 10 Facs124" -o railway
     """
     from trainlog.formats.effort import read_effort_curve
-    from trainlog.formats.imports import ImportOptions, import_file
+    from trainlog.formats.imports import ImportOptions, import_file, import_formation
 
     traction, braking = (
         None if path is None else read_effort_curve(path)
         for path in (traction_curve, braking_curve)
     )
-    options = ImportOptions(electrification, traction, braking)
+    options = ImportOptions(
+        electrification, traction, braking, mass_model, acceleration_limits, curve_resistance,
+        None if loaded is None else loaded / 100.0,
+    )  # fmt: skip
+    if formation is None and name is not None:
+        raise InputError("--name is that of a formation", remedy="give --formation, too")
     with output_folder(output):
-        for file in files:
+        if formation is not None:
+            wrote(import_formation(files, formation, output, options, name).path)
+        for file in files if formation is None else ():
             for each in import_file(file, output, options):
                 wrote(each.path)
                 if each.dropped:

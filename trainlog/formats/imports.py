@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from trainlog.formats.files import parse_json, read_bytes
 from trainlog.formats.plausible import check_line, check_train
 from trainlog.formats.schema import built
 from trainlog.railway import EffortCurve, Journey, Line, Train
+from trainlog.railway.resistance import CurveFormula
+from trainlog.railway.train import AccelerationLimits, MassModel
 
 _SUFFIXES = {Line: "line", Train: "train", Journey: "journey"}
 
@@ -40,16 +43,54 @@ class ImportOptions:
         Of a train with efforts for several; default: that which its file calls its default.
     traction_curve, braking_curve : EffortCurve or None
         Efforts over speed, in the place of the file's.
+    mass_model, acceleration_limits : str or None
+        Of a train: see `Train`.
+    curve_resistance : str or None
+        Of a line: see `Line`.
+    loaded : float
+        Share of the heaviest load that is on board of a formation of railtoolkit.
     """
 
     electrification: str | None = None
     traction_curve: EffortCurve | None = None
     braking_curve: EffortCurve | None = None
+    mass_model: MassModel | None = None
+    acceleration_limits: AccelerationLimits | None = None
+    curve_resistance: CurveFormula | None = None
+    loaded: float | None = None
 
     @property
-    def curves(self) -> bool:
-        """Whether there is a curve."""
-        return self.traction_curve is not None or self.braking_curve is not None
+    def of_train(self) -> dict[str, Any]:
+        """What is given for a train, by name."""
+        names = ("traction_curve", "braking_curve", "mass_model", "acceleration_limits")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+    def applied(self, thing: Line | Train | Journey, path: str | Path) -> Line | Train | Journey:
+        """A line or a train as the options state it.
+
+        Raises
+        ------
+        InputError
+            If an option is for the other of the two.
+        """
+        of_line = [] if self.curve_resistance is None else ["curve_resistance"]
+        stray = [*([] if isinstance(thing, Train) else self.of_train)]
+        stray += [] if isinstance(thing, Line) else of_line
+        if stray:
+            what = "train" if stray[0] in self.of_train else "line"
+            raise InputError(
+                f"is not a {what}: {stray[0].replace('_', ' ')} cannot go into it",
+                file=path,
+                remedy=f"give it with a {what} alone",
+            )
+        if isinstance(thing, Train) and self.of_train:
+            changes = {
+                name: value for name, value in self.of_train.items() if not name.endswith("curve")
+            }
+            return replace(with_curves(thing, self.traction_curve, self.braking_curve), **changes)
+        if isinstance(thing, Line) and self.curve_resistance is not None:
+            return replace(thing, curve_resistance=self.curve_resistance)
+        return thing
 
 
 def with_curves(
@@ -88,7 +129,7 @@ def import_file(
 ) -> list[Imported]:
     """Write a file of TTOBench, OSRD or railtoolkit anew in the project's own formats.
 
-    A train file of the project itself is taken, too, where there is a curve to put into it.
+    A line or train file of the project itself is taken, too, where an option changes it.
 
     Parameters
     ----------
@@ -112,23 +153,50 @@ def import_file(
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
     options = options or ImportOptions()
-    stem = Path(path).stem.removesuffix(".train")
+    stem = Path(path).stem.removesuffix(".train").removesuffix(".line")
     found = _things(path, options)
     written = []
     for name, thing, dropped in found:
-        if isinstance(thing, Train):
-            thing = with_curves(thing, options.traction_curve, options.braking_curve)
-        elif options.curves:
-            raise InputError(
-                "is not a train: a curve of effort cannot go into it",
-                file=path,
-                remedy="give the curve with a train alone",
-            )
+        thing = built(lambda thing=thing: options.applied(thing, path), path)  # type: ignore[misc]
         kind = next(word for each, word in _SUFFIXES.items() if isinstance(thing, each))
         target = Path(folder) / f"{stem if len(found) == 1 else name}.{kind}.json"
         built(lambda thing=thing, target=target: _write(thing, target), path)  # type: ignore[misc]
         written.append(Imported(target, dropped))
     return written
+
+
+def import_formation(
+    paths: Sequence[str | Path],
+    formation: str,
+    folder: str | Path,
+    options: ImportOptions | None = None,
+    name: str | None = None,
+) -> Imported:
+    """Write a train of vehicles that stand in several files of railtoolkit.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Rolling stock of railtoolkit (YAML).
+    formation : str
+        Identifiers of its vehicles from the front to the rear, with a number where there are
+        several: ``"DB_V90, 10 Facs124"``.
+    folder : str or Path
+        For the train file.
+    options : ImportOptions, optional
+    name : str, optional
+        Of the train and its file; default: the formation.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or a vehicle is in none of them.
+    """
+    options = options or ImportOptions()
+    train = railtoolkit.train_of(paths, formation, options.loaded or 0.0, name)
+    target = Path(folder) / f"{name or '-'.join(formation.replace(',', ' ').split())}.train.json"
+    _write(options.applied(train, paths[0]), target)
+    return Imported(target, ["names of its vehicles"])
 
 
 def _things(
@@ -137,19 +205,27 @@ def _things(
     """Everything in the file, each with a name and what of the file it does not hold."""
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         _refuse_electrification(path, options)
-        return [*railtoolkit.read_any(path)]
+        return [*railtoolkit.read_any(path, options.loaded)]
+    if options.loaded is not None:
+        raise InputError(
+            "is no formation of railtoolkit",
+            file=path,
+            remedy="leave the load out; add it to a plan",
+        )
     data = read_bytes(path)
     content = parse_json(data, file=path)
     if osrd.is_rolling_stock(content):
         train, dropped = osrd.read_train(path, options.electrification)
         return [(train.name, train, dropped)]
     _refuse_electrification(path, options)
-    own = isinstance(content, dict) and content.get("format") == "trainlog/train"
-    thing = (
-        train_format.train_from_bytes(data, file=path)
-        if own and options.curves
-        else ttobench.import_file(path)
-    )
+    own = content.get("format") if isinstance(content, dict) else None
+    thing: Line | Train | Journey
+    if own == "trainlog/train" and options.of_train:
+        thing = train_format.train_from_bytes(data, file=path)
+    elif own == "trainlog/line" and options.curve_resistance is not None:
+        thing = line_format.line_from_bytes(data, file=path)
+    else:
+        thing = ttobench.import_file(path)
     return [(thing.name, thing, [])]
 
 

@@ -7,7 +7,9 @@ sections with their permitted speed and resistance.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -189,10 +191,54 @@ def read_running_paths(path: str | Path) -> dict[str, Line]:
     return lines
 
 
-def read_any(path: str | Path) -> list[tuple[str, Line | Train, list[str]]]:
+def train_of(
+    paths: Sequence[str | Path], formation: str, loaded: float = 0.0, name: str | None = None
+) -> Train:
+    """A train of vehicles that stand in several files.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+    formation : str
+        Identifiers from the front to the rear: ``"DB_V90, 10 Facs124"``.
+    loaded : float
+        Share of the heaviest load that is on board.
+    name : str, optional
+        Default: the formation.
+
+    Raises
+    ------
+    InputError
+        As `read_rolling_stock`, or if a vehicle is in none of the files.
+    """
+    vehicles: dict[str, RollingVehicle] = {}
+    for path in paths:
+        vehicles |= read_rolling_stock(path)[0]
+    parts: list[RollingVehicle] = []
+    for word in filter(None, (part.strip() for part in formation.split(","))):
+        number, _, rest = word.partition(" ")
+        count, own = (int(number), rest.strip()) if number.isdigit() and rest else (1, word)
+        if own not in vehicles or count < 1:
+            raise InputError(
+                f"formation '{formation}': no vehicle '{own}' in the files given",
+                remedy=f"vehicles: {', '.join(vehicles)}; as in '1 locomotive, 20 wagon'",
+            )
+        parts += count * [vehicles[own]]
+    return _train(Formation(name or formation, tuple(parts), SCHEMA), loaded)
+
+
+def read_any(
+    path: str | Path, loaded: float | None = None
+) -> list[tuple[str, Line | Train, list[str]]]:
     """Every train or line of a file, by its id, and what of it the train or line does not hold.
 
     Trains are the formations of the file; without formations, its vehicles that pull, each alone.
+
+    Parameters
+    ----------
+    path : str or Path
+    loaded : float, optional
+        Share of the heaviest load that is on board of a train.
 
     Raises
     ------
@@ -203,6 +249,15 @@ def read_any(path: str | Path) -> list[tuple[str, Line | Train, list[str]]]:
     if isinstance(content, dict) and content.get("schema") == SCHEMA + "running-path.json":
         return [(name, line, []) for name, line in read_running_paths(path).items()]
     vehicles, formations = read_rolling_stock(path)
+    absent = [each for each in content.get("trains") or () if each["id"] not in formations]
+    if absent:
+        raise InputError(
+            f"the vehicles of train '{absent[0]['id']}' are not in the file",
+            file=path,
+            place="trains",
+            remedy="import the files of its vehicles with --formation"
+            f" '{', '.join(absent[0]['formation'])}'",
+        )
     if not formations:
         formations = {
             name: Formation(each.name, (each,), SCHEMA)
@@ -216,15 +271,24 @@ def read_any(path: str | Path) -> list[tuple[str, Line | Train, list[str]]]:
             place="trains",
             remedy="add a formation with a traction unit or a multiple unit",
         )
+    share = 0.0 if loaded is None else loaded
     return [
-        (name, built(lambda each=each: _train(each), path), ["names of its vehicles"])  # type: ignore[misc]
+        (name, built(partial(_train, each, share), path), ["names of its vehicles"])
         for name, each in formations.items()
     ]
 
 
-def _train(formation: Formation) -> Train:
-    """A formation as a train, empty; what is not published is listed in its ``assumed``."""
-    mass, inertia = formation.mass(0.0), formation.inertia(0.0)
+def _train(formation: Formation, loaded: float) -> Train:
+    """A formation as a train that carries a share of its load.
+
+    What is not published is listed in its ``assumed``.
+    """
+    if not 0.0 <= loaded <= 1.0:
+        raise InputError(
+            f"a share of {loaded:g} of the load is not between 0 and 1",
+            remedy="give 0 to 100 per cent",
+        )
+    mass, inertia = formation.mass(loaded), formation.inertia(loaded)
     knots = formation.effort_knots
     curve = EffortCurve(knots, formation.tractive_effort(knots))
     effort, rotating = float(curve.efforts.max()), inertia / mass - 1.0
@@ -233,10 +297,11 @@ def _train(formation: Formation) -> Train:
     limited = np.isfinite(formation.max_speed)
     return Train(
         name=formation.name,
-        source=f"railtoolkit rolling stock ({SCHEMA})",
+        source=f"railtoolkit rolling stock ({SCHEMA})"
+        + f", {100.0 * loaded:g} per cent of its load on board" * (loaded > 0.0),
         mass=mass,
         rotating_mass_factor=rotating,
-        resistance=formation.resistance(0.0),
+        resistance=formation.resistance(loaded),
         max_tractive_effort=effort,
         max_traction_power=curve.peak_power,
         max_pneumatic_braking_effort=formation.deceleration * inertia,
@@ -244,7 +309,7 @@ def _train(formation: Formation) -> Train:
         max_acceleration=effort / inertia,
         max_deceleration=formation.deceleration,
         max_load=formation.mass(1.0) - mass,
-        length=formation.length,
+        length=round(formation.length, 6),
         axles=replace(axles, adhesive_mass=min(adhesive, mass) or axles.adhesive_mass),
         traction_curve=curve,
         assumed=_ASSUMED if limited else ("max_speed", *_ASSUMED),
