@@ -98,6 +98,15 @@ def insert_estimates(
         database.execute("INSERT OR REPLACE INTO estimates VALUES (?, ?, ?)", values)
 
 
+def amount_in(database: sqlite3.Connection) -> tuple[int, int]:
+    """How many trips count, and of how many days."""
+    (trips,) = database.execute("SELECT count(*) FROM trips WHERE counted").fetchone()
+    days = database.execute(
+        "SELECT DISTINCT first_day, last_day FROM trips WHERE counted AND first_day IS NOT NULL"
+    ).fetchall()
+    return int(trips), len({day for first, last in days for day in range(first, last + 1)})
+
+
 # ------------------------------------------------------------------------------ the database
 
 
@@ -156,9 +165,8 @@ def serialized(database: sqlite3.Connection) -> bytes:
     set_total(database)
     database.execute("COMMIT")
     database.execute("VACUUM")
-    data = bytearray(database.serialize())
-    data[96:100] = bytes(4)
-    return bytes(data)
+    data = database.serialize()
+    return b"".join((data[:96], bytes(4), memoryview(data)[100:]))
 
 
 _HEADER = ("bin_length", "length", "levels", "line", "settings")

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from isal import isal_zlib
+from isal.igzip_lib import IsalError
 
 from trainlog.errors import InputError
 from trainlog.formats.files import refuse_reading, sha256
@@ -28,6 +30,7 @@ from trainlog.formats.mapdatabase import (
     PATIENCE,
     SELECT,
     add_to_total,
+    amount_in,
     begin,
     check_kind,
     check_start,
@@ -191,12 +194,20 @@ class MapFile:
     def _raw(self, data: bytes, digest: str, layer: str = "") -> bytes:
         """Evidence of a digest, decompressed and verified."""
         try:
-            raw = zlib.decompress(data)
-        except (zlib.error, TypeError) as error:
+            raw = isal_zlib.decompress(data)
+        except (IsalError, TypeError) as error:  # type: ignore[misc]  # the stubs' mistake
             raise damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
         if sha256(layer.encode() + raw) != digest:
             raise damaged(self.path, f"evidence {digest[:16]}", "its checksum fails")
         return raw
+
+    def _raws(self, digests: Sequence[str]) -> list[bytes]:
+        """Evidence of each digest, decompressed and verified."""
+        with refusing(self.path):
+            every = ",".join("?" * len(digests))
+            command = f"SELECT digest, data FROM evidence WHERE digest IN ({every})"
+            known = dict(self._database.execute(command, tuple(digests)).fetchall())
+        return [self._raw(known.get(each, b""), each) for each in digests]
 
     def _joined(self, raw: Sequence[bytes], digest: str) -> DailyEvidence:
         """The rows of several pieces of evidence, one behind the other."""
@@ -247,7 +258,7 @@ class MapFile:
             digests = [piece.digest for piece in group]
             for start in range(0, len(digests), _TOGETHER):
                 some = digests[start : start + _TOGETHER]
-                rows = self._joined([self._raw(self._data(each), each) for each in some], some[0])
+                rows = self._joined(self._raws(some), some[0])
                 latest = [DailyEvidence.total([*latest, rows])]
         return DailyEvidence.total([*done, *latest])
 
@@ -268,12 +279,7 @@ class MapFile:
     def amount(self) -> tuple[int, int]:
         """How many trips count, and of how many days."""
         with refusing(self.path):
-            (trips,) = self._database.execute("SELECT count(*) FROM trips WHERE counted").fetchone()
-            days = self._database.execute(
-                "SELECT DISTINCT first_day, last_day FROM trips"
-                " WHERE counted AND first_day IS NOT NULL"
-            ).fetchall()
-        return int(trips), len({day for first, last in days for day in range(first, last + 1)})
+            return amount_in(self._database)
 
     def estimate(self, layer: str, made_from: str) -> bytes | None:
         """The estimate of a layer that was kept, if it was made from this; else None."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from trainlog.errors import InputError
 from trainlog.formats.files import write_bytes
-from trainlog.formats.mapdatabase import INSERT, insert_sums, new_database, serialized
+from trainlog.formats.mapdatabase import INSERT, amount_in, insert_sums, new_database, serialized
 from trainlog.formats.mapfile import MapFile, reasons_of
 from trainlog.formats.recordings import Row, changed_row
 from trainlog.identity import overlapping, same_drives
@@ -71,10 +71,9 @@ def merge_files(paths: Sequence[str | Path], output: str | Path) -> tuple[int, i
         database.executemany("INSERT INTO evidence VALUES (?, ?)", ((d, blobs[d]) for d in used))
         for layer in sorted(sums):
             insert_sums(database, layer, DailyEvidence.total(sums[layer]))
-        data = serialized(database)
-    write_bytes(output, data)
-    with MapFile.of_bytes(data, output) as merged:
-        return merged.amount()
+        found = amount_in(database)
+        write_bytes(output, serialized(database))
+    return found
 
 
 def _chosen(first: Row | None, second: Row, path: str | Path) -> Row:

@@ -70,7 +70,8 @@ def unpack_joined(
 ) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
     """Facts of each, and their arrays, one behind the other: faster than one by one.
 
-    Arrays of more than one dimension must be of one piece of data alone.
+    Arrays of more than one dimension must be of one piece of data alone. One whose numbers are all
+    the same may be a view of that number, which cannot be written to.
 
     Raises
     ------
@@ -125,16 +126,18 @@ def _joined(parts: Sequence[_Part], kind: np.dtype[Any]) -> NDArray[Any]:
             continue
         sizes = [part[2] for part in run]
         if how == "one":
+            if len(run) == len(parts) > 1 and np.all(values == values[0]):
+                return np.broadcast_to(values.astype(kind)[0], sum(sizes))
             there = [size for size in sizes if size]
             found.append(values.astype(kind).repeat(there))
             continue
-        values = values.cumsum(dtype=kind)
+        values = values.astype(kind)
         if len(run) > 1:
-            # The sum begins anew with each part.
-            starts = np.cumsum(sizes[:-1])
-            before = np.zeros(len(run), kind)
-            before[1:][starts > 0] = values[starts[starts > 0] - 1]
-            values -= before.repeat(sizes)
+            # The sum begins anew with each part: its first step takes back those before it.
+            starts = np.cumsum([0, *sizes[:-1]])[np.array(sizes) > 0]
+            ends = np.add.reduceat(values, starts) if starts.size else values
+            values[starts[1:]] -= ends[:-1]
+        np.cumsum(values, out=values)
         found.append(values)
     return found[0] if len(found) == 1 else np.concatenate(found)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any
 
 from trainlog.formats.files import plain, sha256
@@ -19,6 +20,7 @@ COLUMNS = (
 _EVIDENCE = tuple(
     each.name for each in fields(DailyEvidence) if each.name not in ("bins", "levels")
 )
+_COLUMNS_OF = attrgetter(*COLUMNS)
 _SORTED_BY = ("layer", "trip", "sha256", "identity")
 
 
@@ -116,7 +118,8 @@ class Row:
     @property
     def values(self) -> tuple[Any, ...]:
         """The columns."""
-        return tuple(getattr(self, name) for name in COLUMNS)
+        found: tuple[Any, ...] = _COLUMNS_OF(self)
+        return found
 
     @property
     def full(self) -> tuple[Any, ...]:

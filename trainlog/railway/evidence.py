@@ -232,23 +232,31 @@ def _added(
 ) -> dict[str, Any]:
     """Keys and sums of the rows of all pieces, in the keys' order; sizes are those of the last."""
     given = [piece for piece in pieces if getattr(piece, keys[0]).size] or pieces[:1]
-    parts = {name: _joined(given, name) for name in columns}
-    if _are_increasing(_places(piece, keys, sizes) for piece in given):
-        return parts | {name: _joined(given, name) for name in keys}
-    one = np.concatenate([_places(piece, keys, sizes) for piece in given])
+    places = [_places(piece, keys, sizes) for piece in given]
+    if _are_increasing(places):
+        return {name: _joined(given, name) for name in (*keys, *columns)}
+    one = places[0] if len(places) == 1 else np.concatenate(places)
     low = int(one.min())
     span = int(one.max()) - low + 1
     if span <= _DENSE * one.size:
         # Many pieces of few days: counting is several times faster than sorting.
         one -= low
-        there = np.flatnonzero(np.bincount(one, minlength=span))
-        found: dict[str, Any] = {
-            name: np.bincount(one, parts[name], minlength=span)[there] for name in columns
-        }
+        rows = np.bincount(one, minlength=span)
+        there = np.flatnonzero(rows > 0)
+        found: dict[str, Any] = {}
+        for name in columns:
+            values = _joined(given, name)
+            alike = bool(np.all(values == values[0]))
+            sums = rows[there] * values[0] if alike else np.bincount(one, values, span)[there]
+            found[name] = sums.astype(np.float64, copy=False)
         rest = there.astype(np.int64) + low
         for name, size in zip(keys[:0:-1], sizes[::-1], strict=True):
-            rest, found[name] = np.divmod(rest, size)
+            # Several times faster than `divmod`.
+            before = rest // size
+            found[name] = rest - before * size
+            rest = before
         return found | {keys[0]: rest}
+    parts = {name: _joined(given, name) for name in columns}
     order = np.argsort(one, kind="stable")
     starts = np.flatnonzero(np.diff(one[order], prepend=one[order[0]] - 1))
     return {name: _joined(given, name)[order][starts] for name in keys} | {
@@ -257,9 +265,11 @@ def _added(
 
 
 def _joined(pieces: list[DailyEvidence], name: str) -> NDArray[Any]:
-    """A column of all pieces."""
-    columns = [getattr(piece, name) for piece in pieces]
-    return columns[0] if len(columns) == 1 else np.concatenate(columns)
+    """A column of all pieces; one that may be written to."""
+    columns: list[NDArray[Any]] = [getattr(piece, name) for piece in pieces]
+    if len(columns) == 1 and columns[0].flags.writeable:
+        return columns[0]
+    return np.concatenate(columns)
 
 
 def _are_increasing(places: Iterable[IntArray]) -> bool:
@@ -274,8 +284,14 @@ def _are_increasing(places: Iterable[IntArray]) -> bool:
 
 def _places(piece: DailyEvidence, keys: tuple[str, ...], sizes: tuple[int, ...]) -> IntArray:
     """One number for the keys of each row, in their order."""
-    found: IntArray = getattr(piece, keys[0]).astype(np.int64)
+    first = getattr(piece, keys[0])
+    # A view of one number is multiplied once.
+    found: IntArray = (first[:1] if first.strides == (0,) else first).astype(np.int64)
     for name, size in zip(keys[1:], sizes, strict=True):
         found *= size
-        found += getattr(piece, name)
+        other: IntArray = getattr(piece, name)
+        if found.size < other.size:
+            found = found + other
+        else:
+            found += other
     return found
