@@ -37,7 +37,9 @@ from analysis.trajectory.rollout import (
     energy_of,
     realise,
     rollout,
+    rollout_at,
     rollout_behind,
+    rollout_gently,
 )
 from analysis.trajectory.sqp import (
     EXACT,
@@ -192,6 +194,9 @@ _BEFORE_CORRECTION = Tolerances(energy=3e-5, lateness=0.05)
 
 _COARSE = Tolerances(energy=1e-4, lateness=0.05, smoothing=0.0)
 """On the coarse grid, where a search only prepares another."""
+
+_RESPONSE = Tolerances(energy=1e-4, lateness=0.02)
+"""Where the brakes of configurations are sought that are not in the program."""
 
 _VIOLATION = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
@@ -367,13 +372,22 @@ def search(
     # What may be corrected afterwards the programs need not find to the last digit.
     exact = problem.common or bool(np.isfinite(problem.earliest).any())
     exact = exact or problem.run.objective == "expected"
+    again = set[int]()
     alone, even = guess.alone | {_slowest(problem, speeds)}, problem
     for turns in count(1):
         part = _program(even, rows, alone)
         tolerances = EXACT if exact else nearly
         solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances)
-        problem, part = even.tapered(solution.taper), part.tapered(solution.taper)
         statuses.extend(solution.statuses)
+        kept = _deciding(part, solution, [row in again for row in rows])
+        if len(kept) < len(rows):
+            again |= {row for each, row in enumerate(rows) if each not in kept}
+            rows, part, solution = (
+                [rows[each] for each in kept],
+                part.select(kept),
+                solution.select(kept),
+            )
+        problem, part = even.tapered(solution.taper), part.tapered(solution.taper)
         everyone = _roll_out(problem, rows, part, solution.plan)
         own = delays(part, everyone.select(rows), running_time)[0]
         overdue = max(float(own.max()), 0.0)
@@ -383,7 +397,7 @@ def search(
         ):
             everyone = _brake_as_representatives(problem, rows, alone, everyone, running_time)
             short = alone | short_of_time(part, rows, solution.multipliers)
-        everyone = _brake_as_leader(problem, rows, solution, everyone, running_time + overdue)
+        everyone = _brake_gently(problem, rows, everyone, running_time + overdue)
         new = _violators(problem, everyone, running_time + overdue, rows) - set(rows)
         if not new and not short > alone and problem.run.objective == "expected":
             new = _unrepresented(problem, rows, short, solution, everyone, speeds, running_time)
@@ -407,6 +421,20 @@ def search(
     raise AssertionError  # it adds at least one configuration in each turn
 
 
+def _deciding(problem: DiscreteProblem, solution: Solution, settled: Sequence[bool]) -> list[int]:
+    """Which of the program's configurations decide the optimum, and those `settled` to be in it.
+
+    The others need not be in it: the optimum leaves open how they drive, and programs would not
+    settle on it. How they drive best is found afterwards.
+    """
+    everyone = list(range(problem.shape[0]))
+    if problem.common or problem.run.objective == "expected" or np.isfinite(problem.earliest).any():
+        return everyone
+    influence = np.abs(solution.multipliers.pull / problem.step).max(axis=1)
+    active = influence > _INACTIVE
+    return [row for row in everyone if active[row] or settled[row]] if active.any() else everyone
+
+
 def _corrected(
     problem: DiscreteProblem,
     rows: list[int],
@@ -423,7 +451,7 @@ def _corrected(
     if traction is None:
         return None
     everyone = _roll_out(problem, rows, part, replace(solution.plan, traction=traction))
-    everyone = _brake_as_leader(problem, rows, solution, everyone, running_time)
+    everyone = _brake_gently(problem, rows, everyone, running_time)
     driven = everyone.select(rows)
     others = _violators(problem, everyone, running_time, rows)
     energy = energy_of(part, driven)
@@ -495,25 +523,50 @@ def _unrepresented(
     return set(representatives(problem, rows, 2 * len(rows))) - set(rows)
 
 
-def _brake_as_leader(
-    problem: DiscreteProblem, rows: list[int], solution: Solution, driven: Plan, running_time: float
+def _brake_gently(
+    problem: DiscreteProblem, rows: list[int], driven: Plan, running_time: float
 ) -> Plan:
-    """The same traction; one that regains less than all in the program brakes like the leader.
+    """The same traction; one that regains less than all in the program regains what it can.
 
-    The leader is the one shortest of time. Only at the line, and where each brakes for itself. A
-    configuration that brakes late regains less than it could, no reason to optimise for it.
+    Only at the line, and where each brakes for itself. A configuration that brakes late regains
+    less than it could, no reason to optimise for it. First by what a rollout finds, then by a
+    program for the brakes of those that still seem to regain too little.
     """
-    regained = driven.dynamic @ problem.step
-    costlier = np.flatnonzero(regained < regained[rows].min()).tolist()
-    if problem.run.objective != "line" or problem.common or not costlier:
+    if problem.run.objective != "line" or problem.common:
         return driven
-    some = problem.select(costlier)
-    leader = rows[int(np.argmax(solution.time_price))]
-    ahead = np.broadcast_to(driven.z[leader], (len(costlier), driven.z.shape[1]))
-    behind = rollout_behind(some, driven.traction, ahead, running_time)
-    better = behind.dynamic @ problem.step > regained[costlier]
-    driven.put(np.asarray(costlier)[better], behind, better)
+    regained = driven.dynamic @ problem.step
+    least = regained[rows].min()
+    found = np.flatnonzero(regained < least)
+    for respond in (_rolled_gently, _best_responses):
+        if not found.size:
+            break
+        some, own = problem.select(found.tolist()), driven.select(found.tolist())
+        gentle = respond(some, own, running_time)
+        better = gentle.dynamic @ problem.step > own.dynamic @ problem.step
+        better &= np.max(_excesses(some, gentle, running_time), axis=0) <= _VIOLATION
+        driven.put(found[better], gentle, better)
+        found = found[(driven.dynamic @ problem.step)[found] < least]
     return driven
+
+
+def _rolled_gently(problem: DiscreteProblem, driven: Plan, running_time: float) -> Plan:
+    return rollout_gently(problem, driven.traction, running_time)
+
+
+def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float) -> Plan:
+    """How each regains most under the traction that all have, by one program for them all."""
+    q = problem.shape[0]
+    apart = replace(
+        problem,
+        run=replace(problem.run, objective="expected", weights=()),
+        weights=np.full(q, 1.0 / q),
+    )
+    sooner = running_time - _RESPONSE.lateness
+    try:
+        best = minimise(apart, driven, np.zeros(q), sooner, _RESPONSE, iterations=5, given=True)
+    except NoSolutionError:
+        return driven
+    return rollout_at(problem, driven.traction, best.plan.z)
 
 
 def _roll_out(
@@ -533,18 +586,7 @@ def _violators(
     active: list[int],
 ) -> set[int]:
     """The worst of the others of each kind: late, short of power or brake, too fast, too costly."""
-    by_speed = problem.dynamic_by_speed(plan.z)
-    brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
-    ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
-    late, soon = delays(problem, plan, running_time)
-    excesses = [
-        late * (_VIOLATION / LATE),
-        soon * (_VIOLATION / LATE),
-        ((problem.floor - plan.z) / problem.ceiling.max()).max(axis=1),
-        (plan.traction / problem.traction_by_power(plan.z)).max(axis=1) - 1.0,
-        ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
-        ((plan.z - ceiling) / problem.ceiling.max()).max(axis=1),
-    ]
+    excesses = _excesses(problem, plan, running_time)
     if problem.run.objective == "line" and active:
         spent = -(plan.dynamic @ problem.step)
         excesses.append((spent - spent[active].max()) / (plan.traction @ problem.step))
@@ -553,6 +595,22 @@ def _violators(
         excess[active] = -np.inf
         found |= _worst(excess, _VIOLATION)
     return found
+
+
+def _excesses(problem: DiscreteProblem, plan: Plan, running_time: float) -> list[FloatArray]:
+    """By how much each is late, early, too slow, short of power or brake, or too fast; (q,)."""
+    by_speed = problem.dynamic_by_speed(plan.z)
+    brakes = np.minimum(problem.braking, problem.friction + np.minimum(problem.dynamic, by_speed))
+    ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
+    late, soon = delays(problem, plan, running_time)
+    return [
+        late * (_VIOLATION / LATE),
+        soon * (_VIOLATION / LATE),
+        ((problem.floor - plan.z) / problem.ceiling.max()).max(axis=1),
+        (plan.traction / problem.traction_by_power(plan.z)).max(axis=1) - 1.0,
+        ((plan.braking - brakes) / problem.braking.max()).max(axis=1),
+        ((plan.z - ceiling) / problem.ceiling.max()).max(axis=1),
+    ]
 
 
 def _worst(amounts: FloatArray, limit: float) -> set[int]:

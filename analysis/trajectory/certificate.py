@@ -60,11 +60,13 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
         bound = max(bound, _bounded(part, solution, running_time, speeds[rows]))
         if bound >= close * answer.solution.energy:
             return bound, "multipliers of those short of time"
+    # Those that are not short of time still limit the common traction and brake.
+    part, rows = problem.select(answer.active), list(answer.active)
     try:
         relaxed = Relaxation(part, speeds[rows], speeds[rows]).least_energy(running_time)
     except NoSolutionError:
         return bound, "multipliers"
-    spare = spare_times(part, solution.plan)
+    spare = spare_times(part, answer.solution.plan)
     # The cone solver's value may be above the least by what it stops at.
     value = relaxed.bound - _CONE_TOLERANCE * (1.0 + abs(relaxed.bound))
     relaxation = value - float(relaxed.time_price @ spare)

@@ -241,15 +241,62 @@ def rollout_behind(
     return found
 
 
+def rollout_gently(problem: DiscreteProblem, traction: FloatArray, running_time: float) -> Plan:
+    """How each configuration runs under a common traction, with little friction and in time.
+
+    It brakes the earlier the less friction there is, and the dynamic brake takes more.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    traction : (n,) array [m/s²]
+    running_time : float [s]
+    """
+    curves = braking_curves(problem, traction)
+    found = _rollout_below(problem, traction, curves)
+    low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
+    for turn in range(_TRIALS):
+        share = low if turn == 0 else 0.5 * (low + high)
+        gentle = _dynamic_brake_curves(problem, traction, curves, share)
+        trial = _rollout_below(problem, traction, gentle)
+        late = delays(problem, trial, running_time)[0] > 0.0
+        found.put(~late, trial, ~late)
+        if turn == 0:
+            high = np.where(late, high, 0.0)
+            continue
+        low, high = np.where(late, share, low), np.where(late, high, share)
+    return found
+
+
 def _dynamic_brake_curves(
-    problem: DiscreteProblem, traction: FloatArray, curves: FloatArray
+    problem: DiscreteProblem,
+    traction: FloatArray,
+    curves: FloatArray,
+    friction: FloatArray | None = None,
 ) -> FloatArray:
-    """The braking curves of the dynamic brake alone, for those that it can bring to a stand."""
-    dynamic = np.minimum(problem.braking, problem.dynamic)
-    alone = replace(problem, braking=dynamic, friction=np.zeros_like(dynamic))
-    gentle = braking_curves(alone, traction)
+    """The braking curves of the dynamic brake alone, for those that it can bring to a stand.
+
+    With a share of the `friction` brake besides, (q,), if given.
+    """
+    share = np.zeros_like(problem.friction) if friction is None else friction[:, None]
+    others = share * problem.friction
+    limit = np.minimum(problem.braking, problem.dynamic + others)
+    gentle = braking_curves(replace(problem, braking=limit, friction=others), traction)
     able = np.all(gentle[:, 1:-1] > 0.0, axis=1) & (gentle[:, 0] >= problem.initial)
     return np.where(able[:, None], gentle, curves)
+
+
+def rollout_at(problem: DiscreteProblem, traction: FloatArray, planned: FloatArray) -> Plan:
+    """How each configuration runs under a common traction, nowhere faster than planned.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    traction : (n,) array [m/s²]
+    planned : (q, n + 1) array [m²/s²]
+    """
+    curves = braking_curves(problem, traction)
+    return _rollout_below(problem, traction, np.minimum(curves, planned))
 
 
 def _rollout_below(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> Plan:

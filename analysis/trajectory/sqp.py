@@ -154,6 +154,12 @@ class Solution:
     statuses: tuple[str, ...] = ()
     converged: bool = False
 
+    def select(self, rows: Sequence[int]) -> Solution:
+        """Of some of the configurations: the others had no part in it."""
+        chosen = list(rows)
+        plan, multipliers = self.plan.select(chosen), self.multipliers.select(chosen)
+        return replace(self, plan=plan, multipliers=multipliers)
+
     @property
     def time_price(self) -> FloatArray:
         """What a second less on the way costs each configuration, (q,) [J/(kg s)]."""
@@ -201,8 +207,11 @@ class QPSubproblem:
     The unknowns are changes of speed to first order, ``dz = scale · change``, and the efforts.
     """
 
-    def __init__(self, problem: DiscreteProblem, plan: Plan, price: FloatArray) -> None:
-        self.problem, self.plan, self.price = problem, plan, price
+    def __init__(
+        self, problem: DiscreteProblem, plan: Plan, price: FloatArray, *, given: bool = False
+    ) -> None:
+        """With a common traction that is `given` as the plan has it only the brakes are free."""
+        self.problem, self.plan, self.price, self.given = problem, plan, price, given
         self.motion = Motion.about(problem, plan)
         self.speed = np.sqrt(2.0 * plan.z)
         self.scale = np.maximum(self.speed, SLOW)
@@ -253,6 +262,8 @@ class QPSubproblem:
         spare = np.abs(problem.taper.fall)
         unknowns.low[unknowns.traction] = spare
         unknowns.high[unknowns.traction] = np.maximum(problem.traction - spare, spare)
+        if self.given:
+            unknowns.low[unknowns.traction] = unknowns.high[unknowns.traction] = plan.traction
         priced = cost.copy()
         priced[self.late] = lateness_price
         bends = curvature + smoothing * self._effort_changes()
@@ -539,6 +550,7 @@ def minimise(
     tolerances: Tolerances = EXACT,
     *,
     iterations: int = 40,
+    given: bool = False,
 ) -> Solution:
     """Minimise the worst-case energy, beginning from a plan.
 
@@ -554,6 +566,8 @@ def minimise(
     tolerances : Tolerances
     iterations : int
         Most quadratic programs to solve.
+    given : bool
+        Whether the common traction stays as it is, and only the brakes are free.
 
     Raises
     ------
@@ -566,8 +580,8 @@ def minimise(
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
-        tapered = problem.tapered(taper_along(problem, plan))
-        program = QPSubproblem(tapered, plan, price)
+        tapered = problem if given else problem.tapered(taper_along(problem, plan))
+        program = QPSubproblem(tapered, plan, price, given=given)
         solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
