@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from trajectory_cases import FLIRT, drawn, hilly_line, level_line, optimised
+from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
 
 from analysis.trajectory import active_set
 from analysis.trajectory.discretisation import discretise
@@ -78,6 +78,19 @@ def test_a_gentle_brake_takes_no_more_than_the_few_that_decide_at_the_line() -> 
         hilly_line(), FLIRT, deciding, objective="line", running_time=many.running_time, cells=80
     ).certificate
     assert few["energy"] == pytest.approx(certificate["energy"], rel=2e-4)
+
+
+def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak() -> None:
+    """Whoever has time brakes early, without friction: no reason to optimise for all of them."""
+    configurations = drawn(VIRM6, 20, seed=1)
+    found = optimised(
+        hilly_line(), VIRM6, configurations, objective="line", reserve=0.07, cells=80
+    ).certificate
+    assert found["audit"]["passed"]
+    assert len(found["active"]) <= 6
+    assert found["solver"]["iterations"] <= 25
+    assert found["energy"] == max(found["line_energy"])
+    assert found["gap"] < 5e-3
 
 
 def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:

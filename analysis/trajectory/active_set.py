@@ -1,7 +1,9 @@
 """Active set over the configurations: optimise for a few, roll out all, add those that fail.
 
 The optimum for some configurations that all the others can follow is the optimum for all, and the
-lower bound for some is one for all. Few are ever active: the slowest, and those short of power.
+lower bound for some is one for all. Few are ever active: the slowest, those short of power, and at
+the line those that regain least. How the others drive the optimum leaves open; those that do not
+decide leave the program, and are judged by the best that they can make of the common traction.
 
 In the expected energy every configuration counts. What one regains depends smoothly on its
 properties: a program for few representatives, each with the weight of all that it represents,
