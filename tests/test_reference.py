@@ -165,3 +165,15 @@ def test_stops_out_of_order_are_refused() -> None:
 def test_an_adhesion_of_zero_is_refused() -> None:
     with pytest.raises(InputError, match=r"maximum adhesion 0\.0 at km 0\.000"):
         section(200.0, StepProfile(np.zeros(1), np.zeros(1)))
+
+
+def test_what_breaks_a_constraint_between_its_checks_is_solved_with_more_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spot = StepProfile(np.array([0.0, 230.0, 235.0]), np.array([0.3, 0.012, 0.3]))
+    asked = section(200.0, spot, slope=0.012)
+    monkeypatch.setattr(shooting, "CHECKS", (1,))
+    with pytest.raises(InfeasibleError, match="rollout of the solution breaks a constraint"):
+        reference(asked)
+    monkeypatch.setattr(shooting, "CHECKS", (1, 8))
+    assert reference(asked).worst.max() <= 0.0
