@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from typer.testing import CliRunner
 
 import trainlog
 from analysis import update_map
+from analysis.adhesion import updating
 from analysis.adhesion.condition_map import adhesion_map, empty_map
 from trainlog.cli.main import app
 from trainlog.errors import InputError
@@ -273,6 +275,69 @@ class TestCommand:
         assert (status, complaint) == (0, "")
         assert (found["added"], found["held"], found["trips"], found["days"]) == (0, 3, 3, 1)
         assert {each["outcome"] for each in found["logs"]} == {"held"}
+
+    def test_a_log_that_stays_bad_is_reported_once(self, logs: Path, path: Path) -> None:
+        """Every night the same folder: a mail on the first, and when something changes."""
+        bad, words = logs / "bad.mcap", ("map", "update", logs, "--map", path)
+
+        def give(data: bytes) -> None:
+            bad.write_bytes(data)
+            os.utime(bad, (1_700_000_000 + len(data), 1_700_000_000))
+
+        give(b"anything at all")
+        held = "0 trips added, 3 held already"
+        status, shown, complaint = self.run(*words)
+        assert (status, shown) == (1, f"{held}, 1 refused; the map holds 3 trips of 1 day\n")
+        assert "bad.mcap, byte 0: is not an MCAP file but text" in complaint
+        before = f"{held}, 1 refused before (--retry states why); the map holds 3 trips of 1 day\n"
+        assert self.run(*words) == (0, before, "")
+        status, shown, complaint = self.run(*words, "--json")
+        found = json.loads(shown)
+        assert (status, complaint) == (0, "")
+        assert (found["refused"], found["refused_before"]) == (0, 1)
+        reasons = {each["log"]: each["reason"] for each in found["logs"]}
+        assert reasons[str(bad)].startswith(f"{bad}, byte 0: is not an MCAP file but text; ")
+        bad.rename(logs / "moved.mcap")
+        assert self.run(*words) == (0, before, "")
+        (logs / "moved.mcap").unlink()
+        with MapFile(path) as file:
+            assert not {"bad.mcap", "moved.mcap"} & {log.name for log in file.unchanged_logs()}
+        give(b"")  # its content changes: reported again, once
+        status, _, complaint = self.run(*words)
+        assert status == 1
+        assert "bad.mcap, byte 0: is empty" in complaint
+        assert self.run(*words)[0] == 0
+        status, _, complaint = self.run(*words, "--retry")
+        assert status == 1
+        assert "bad.mcap, byte 0: is empty" in complaint
+        status, shown, _ = self.run("map", "update", bad, "--map", path)
+        assert (status, shown) == (0, before.replace(held, "0 trips added"))
+
+    def test_a_refused_log_is_tried_again_where_more_is_known(
+        self, trips: list[Trip], path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """With a rail condition, or by another version; the same reason is not reported again."""
+        known = {name: value for name, value in trips[0].metadata.items() if name != "weather"}
+        log = path.with_name("unstated.mcap")
+        write_log(replace(trips[0], metadata=known), log)
+        with MapFile(path) as file:
+            file.remove([trips[0].name])
+        assert len(update_map(log, path).refused) == 1
+        tried = []
+        analysed = updating._analysed
+
+        def seen(*given: Any) -> Any:
+            tried.append(given)
+            return analysed(*given)
+
+        monkeypatch.setattr(updating, "_analysed", seen)
+        assert len(update_map(log, path).refused_before) == 1
+        assert not tried
+        monkeypatch.setattr(updating, "code_version", lambda: "another")
+        assert len(update_map(log, path).refused_before) == 1
+        assert len(update_map(log, path).refused_before) == 1
+        assert len(tried) == 1, "by the other version once"
+        assert len(update_map(log, path, "dry").added) == 1
 
     def test_nothing_usable_is_an_error(self, tmp_path: Path) -> None:
         bad = tmp_path / "bad.mcap"

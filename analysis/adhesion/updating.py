@@ -6,19 +6,22 @@ folder can be given again and again: what the map holds is neither read nor coun
 
 from __future__ import annotations
 
+import pickle
 import time
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
+from functools import cached_property
 from os import stat_result
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.files import logs_of, refuse_reading, sha256_of
+from trainlog.formats.files import logs_of, refuse_reading, sha256, sha256_of
 from trainlog.formats.mapfile import MapFile
-from trainlog.formats.recordings import Recording
+from trainlog.formats.recordings import Recording, Refusal
+from trainlog.version import code_version
 
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 _SETTLED = 2_000_000_000
 """A file that was changed so shortly before [ns] may change again within one step of its clock."""
 
-Outcome = Literal["added", "held", "same drive", "refused"]
+Outcome = Literal["added", "held", "same drive", "refused", "refused before"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +45,9 @@ class LogOutcome:
     ----------
     log : str
         Its path.
-    outcome : {"added", "held", "same drive", "refused"}
+    outcome : {"added", "held", "same drive", "refused", "refused before"}
         Counted from now on; this very log was there already; kept, but a fuller recording of the
-        drive counts; not usable.
+        drive counts; not usable; not usable for the reason that an earlier update reported.
     trip, layer : str
         Empty where that is not known.
     reason : str
@@ -110,8 +113,13 @@ class MapUpdate:
 
     @property
     def refused(self) -> tuple[LogOutcome, ...]:
-        """The logs that could not be used."""
+        """The logs that could not be used, and that no earlier update reported."""
         return self.of("refused")
+
+    @property
+    def refused_before(self) -> tuple[LogOutcome, ...]:
+        """The logs that cannot be used for a reason that an earlier update reported."""
+        return self.of("refused before")
 
     @property
     def elsewhere(self) -> tuple[LogOutcome, ...]:
@@ -126,6 +134,7 @@ class MapUpdate:
             ("held", "held already"),
             ("same drive", "of a drive that counts already"),
             ("refused", "refused"),
+            ("refused before", "refused before (--retry states why)"),
         ):
             number = len(self.of(outcome))  # type: ignore[arg-type]
             parts += [f"{number} {words}"] if number else []
@@ -141,6 +150,7 @@ class MapUpdate:
             "held": len(self.of("held")),
             "same_drive": len(self.of("same drive")),
             "refused": len(self.refused),
+            "refused_before": len(self.refused_before),
         }
         return {
             "map": str(self.path),
@@ -157,6 +167,7 @@ def update_map(
     layer: str | None = None,
     weather: Weather | None = None,
     *,
+    retry: bool = False,
     report: Callable[[LogOutcome], None] | None = None,
 ) -> MapUpdate:
     """Add the trips of logs to the file of a track-condition map.
@@ -165,7 +176,9 @@ def update_map(
     interrupts the update afterwards, giving the same logs again adds the others. What counts does
     not depend on the order in which logs come: of several recordings of one drive the fullest, in
     place of a poorer one that was there (see `trainlog.identity`). A log that cannot be used is
-    reported and does not keep the others from being added.
+    reported and does not keep the others from being added. The map remembers it by its content:
+    later updates state it as ``"refused before"``, and try it again where code, `layer` or
+    `weather` are others.
 
     Parameters
     ----------
@@ -178,6 +191,8 @@ def update_map(
     weather : Weather, optional
         At the line: the rail's condition where neither the call nor the trip states it, and what
         is kept with each trip.
+    retry : bool, optional
+        Try logs that were refused before again, and report those that are refused as new.
     report : callable, optional
         Is given the outcome of each log.
 
@@ -201,43 +216,90 @@ def update_map(
     >>> again.sentence
     '0 trips added, 1 held already; the map holds 2 trips of 1 day'
     """
-    target = Path(path)
+    update = _Update(Path(path), layer, weather, retry)
     outcomes: list[LogOutcome] = []
-    file = MapFile(target) if target.exists() else None
     try:
         given = [logs] if isinstance(logs, str | Path) else logs
         for log in (log for each in given for log in logs_of(Path(each))):
-            try:
-                state = _state(log)
-                known = file.digest_of(log, state) if file else ""
-                digest = known or sha256_of(log)
-            except TrainlogError as error:
-                outcome = LogOutcome(str(log), "refused", reason=str(error))
-            else:
-                found = _held(file, log, digest, layer) or _analysed(
-                    file, log, digest, layer, weather
-                )
-                if isinstance(found, LogOutcome):
-                    outcome = found
-                else:
-                    piece, track, damage = found
-                    if _has_changed(log, state):
-                        outcome = _refused(log, "changed while it was read", piece)
-                    else:
-                        file = file or MapFile(target, track)
-                        outcome = _added(file, log, piece, damage)
-                if file and not known and outcome.outcome != "refused" and _is_settled(state):
-                    file.remember(log, state, digest)
-            outcomes.append(outcome)
+            outcomes.append(update.outcome(log))
             if report is not None:
-                report(outcome)
+                report(outcomes[-1])
         if not outcomes:
             raise InputError("no log was given", remedy="name logs, or folders of logs")
-        trips, days = file.amount() if file else (0, 0)
+        trips, days = update.file.amount() if update.file else (0, 0)
     finally:
-        if file is not None:
-            file.close()
-    return MapUpdate(target, tuple(outcomes), trips, days)
+        update.close()
+    return MapUpdate(update.path, tuple(outcomes), trips, days)
+
+
+class _Update:
+    """An update of a map's file, which is begun with the first trip if it is not there."""
+
+    def __init__(self, path: Path, layer: str | None, weather: Weather | None, retry: bool) -> None:
+        self.path, self.layer, self.weather, self.retry = path, layer, weather, retry
+        self.file = MapFile(path) if path.exists() else None
+        self._refusals: dict[str, Refusal] = {}
+        """Not in the file yet, by SHA-256."""
+
+    def close(self) -> None:
+        """Close the file, with what is to be remembered."""
+        if self.file is None:
+            return
+        try:
+            if self._refusals:
+                self.file.remember_refusals(self._refusals.values())
+        finally:
+            self.file.close()
+
+    def outcome(self, log: Path) -> LogOutcome:
+        """Add a log's trip, if it is usable and new."""
+        try:
+            state = _state(log)
+            known = self.file.digest_of(log, state) if self.file else ""
+            digest = known or sha256_of(log)
+        except TrainlogError as error:
+            return LogOutcome(str(log), "refused", reason=str(error))
+        found = _held(self.file, log, digest, self.layer) or self._refused_before(log, digest)
+        found = found or self._tried(log, state, digest)
+        remembered = found.outcome != "refused" or digest in self._refusals
+        if self.file and not known and remembered and _is_settled(state):
+            self.file.remember(log, state, digest)
+        return found
+
+    def _tried(self, log: Path, state: stat_result, digest: str) -> LogOutcome:
+        """The outcome of a log that the map does not hold."""
+        try:
+            piece, track, damage = _analysed(self.file, log, digest, self.layer, self.weather)
+        except TrainlogError as error:
+            if _has_changed(log, state) or isinstance(error.__cause__, OSError):
+                # Not because of what the log holds.
+                return LogOutcome(str(log), "refused", reason=str(error))
+            return self._refused(log, digest, str(error))
+        if _has_changed(log, state):
+            return _changed(log, piece)
+        self.file = self.file or MapFile(self.path, track)
+        return _added(self.file, log, piece, damage)
+
+    def _refused_before(self, log: Path, digest: str) -> LogOutcome | None:
+        """The outcome of a log that was refused when nothing else was given; else None."""
+        found = self.file.refusal(digest) if self.file and not self.retry else None
+        if found is None or found.tried != self._conditions:
+            return None
+        return LogOutcome(str(log), "refused before", reason=found.reason)
+
+    def _refused(self, log: Path, digest: str, reason: str) -> LogOutcome:
+        """The outcome of a log that is refused now, which is remembered."""
+        new = Refusal(digest, str(log), reason, self._conditions)
+        earlier = self.file.refusal(digest) if self.file else None
+        self._refusals[digest] = new
+        again = earlier is not None and not self.retry and earlier.is_repeated_by(new)
+        return LogOutcome(str(log), "refused before" if again else "refused", reason=reason)
+
+    @cached_property
+    def _conditions(self) -> str:
+        """What the outcome of a log depends on besides what it holds."""
+        known = "" if self.weather is None else sha256(pickle.dumps(astuple(self.weather)))
+        return f"{code_version()} {self.layer or ''} {known}"
 
 
 def _state(log: Path) -> stat_result:
@@ -268,14 +330,15 @@ def _held(file: MapFile | None, log: Path, digest: str, layer: str | None) -> Lo
     return LogOutcome(str(log), "held", known.name, row.layer, reason)
 
 
-def _refused(log: Path, problem: str, piece: Evidence) -> LogOutcome:
-    error = InputError(problem, file=log, remedy="give it again when its recording has ended")
+def _changed(log: Path, piece: Evidence) -> LogOutcome:
+    remedy = "give it again when its recording has ended"
+    error = InputError("changed while it was read", file=log, remedy=remedy)
     return LogOutcome(str(log), "refused", piece.trip, piece.layer, str(error))
 
 
 def _analysed(
     file: MapFile | None, log: Path, digest: str, layer: str | None, weather: Weather | None
-) -> LogOutcome | tuple[Evidence, TrackConditionMap, str]:
+) -> tuple[Evidence, TrackConditionMap, str]:
     """The evidence of a log, the map that it is for, without trips, and what of the log is lost."""
     from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
     from trainlog.mcap import DamageWarning, read_log
@@ -286,8 +349,9 @@ def _analysed(
             track = file.without_evidence if file else empty_map(own_line(read_log(log, topics=[])))
             piece = evidence_of_log(log, track, layer, weather, sha256=digest)
     except TrainlogError as error:
-        problem = error if error.file else type(error)(error.problem, file=log, remedy=error.remedy)
-        return LogOutcome(str(log), "refused", reason=str(problem))
+        if error.file:
+            raise
+        raise type(error)(error.problem, file=log, remedy=error.remedy) from error
     losses = ""
     for each in caught:
         warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)

@@ -37,6 +37,9 @@ def map_update(
             " logs that state none, and what is kept with each trip."
         ),
     ] = None,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Try logs that were refused before again.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="State the outcome as JSON.")] = False,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
@@ -46,7 +49,8 @@ def map_update(
     and several processes may add to one map.
 
     Exit status 1 if some logs could not be used, or are held under another rail condition than the
-    one given; 2 if none could be used.
+    one given; 2 if none could be used. A log that cannot be used is reported once: the map
+    remembers it by its content, and later updates only count it.
 
     Example: trainlog map update results/trips --map results/wil.map
     """
@@ -67,16 +71,19 @@ def map_update(
         def report(outcome: LogOutcome) -> None:
             if outcome.outcome == "refused":
                 print_error(outcome.reason)
-            elif not as_json and (outcome.outcome != "held" or outcome.reason):
+            elif outcome.outcome == "refused before" or as_json:
+                return
+            elif outcome.outcome != "held" or outcome.reason:
                 progress.console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
 
-        result = update_map(every, condition, layer, stated, report=report)
+        result = update_map(every, condition, layer, stated, retry=retry, report=report)
     if as_json:
         typer.echo(json.dumps(result.details(), ensure_ascii=False))
     else:
         console.print(result.sentence, highlight=False, soft_wrap=True)
     if result.refused:
-        raise typer.Exit(2 if len(result.refused) == len(result.logs) else 1)
+        unusable = len(result.refused) + len(result.refused_before)
+        raise typer.Exit(2 if unusable == len(result.logs) else 1)
     if result.elsewhere:
         raise typer.Exit(1)
 

@@ -45,6 +45,15 @@ CREATE TABLE files (
 );
 """
 
+REFUSED = """
+CREATE TABLE IF NOT EXISTS refused (
+    sha256 TEXT PRIMARY KEY, path TEXT NOT NULL, reason TEXT NOT NULL, tried TEXT NOT NULL
+)
+"""
+"""A table that a map has once a log was refused."""
+
+HAS_REFUSED = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'refused'"
+
 SELECT = f"SELECT {', '.join((*COLUMNS, 'digest'))} FROM trips"
 INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(COLUMNS) + 1))})"
 

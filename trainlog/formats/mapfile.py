@@ -26,8 +26,10 @@ from isal.igzip_lib import IsalError
 from trainlog.errors import InputError
 from trainlog.formats.files import refuse_reading, sha256
 from trainlog.formats.mapdatabase import (
+    HAS_REFUSED,
     INSERT,
     PATIENCE,
+    REFUSED,
     SELECT,
     add_to_total,
     amount_in,
@@ -49,6 +51,7 @@ from trainlog.formats.packed import unpack_joined
 from trainlog.formats.recordings import (
     Appended,
     Recording,
+    Refusal,
     Row,
     changed_row,
     packed_evidence,
@@ -433,7 +436,10 @@ class MapFile:
     def unchanged_logs(self) -> Iterator[Path]:
         """The logs that trips were added from and that are still where they were, unchanged."""
         with refusing(self.path):
-            known = self._database.execute("SELECT path, size, changed FROM files ORDER BY path")
+            known = self._database.execute(
+                "SELECT path, size, changed FROM files WHERE sha256 IN (SELECT key FROM trips)"
+                " ORDER BY path"
+            )
             rows = known.fetchall()
         for path, size, changed in rows:
             with suppress(OSError):
@@ -448,6 +454,22 @@ class MapFile:
                 "INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?)",
                 (str(path.resolve()), state.st_size, state.st_mtime_ns, digest),
             )
+
+    def refusal(self, digest: str) -> Refusal | None:
+        """How a log with this SHA-256 was refused when it was given last; None if it was not."""
+        with refusing(self.path):
+            if not self._database.execute(HAS_REFUSED).fetchone():
+                return None
+            found = self._database.execute(
+                "SELECT path, reason, tried FROM refused WHERE sha256 = ?", (digest,)
+            ).fetchone()
+        return Refusal(digest, *map(str, found)) if found else None
+
+    def remember_refusals(self, refusals: Iterable[Refusal]) -> None:
+        """Keep that logs were refused, in place of what is known of them."""
+        with self._writing() as database:
+            database.execute(REFUSED)
+            database.executemany("INSERT OR REPLACE INTO refused VALUES (?, ?, ?, ?)", refusals)
 
     def compact(self, before: int) -> int:
         """Replace the evidence of trips by sums of days; returns of how many trips.

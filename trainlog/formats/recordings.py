@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from trainlog.formats.files import plain, sha256
 from trainlog.formats.packed import pack
@@ -97,6 +97,31 @@ class Appended:
     held: bool = False
     reason: str = ""
     replaced: tuple[str, ...] = ()
+
+
+class Refusal(NamedTuple):
+    """That a log could not be used, as a map's file keeps it.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the log.
+    path : str
+        Where it was.
+    reason : str
+        In words, with the path.
+    tried : str
+        What the outcome depends on besides the log: code, rail condition and weather given.
+    """
+
+    sha256: str
+    path: str
+    reason: str
+    tried: str
+
+    def is_repeated_by(self, other: Refusal) -> bool:
+        """Whether the other states the same, of the log where it is then."""
+        return self.reason.replace(self.path, "") == other.reason.replace(other.path, "")
 
 
 @dataclass(frozen=True, slots=True)
