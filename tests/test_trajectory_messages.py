@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 from trajectory_cases import FLIRT, hilly_line, observed, optimised
 
+from analysis.trajectory import active_set, optimiser
 from analysis.trajectory.plot import _title
 from analysis.trajectory.table import trajectory_table
 from trainlog.errors import InfeasibleError, InputError
@@ -66,6 +67,8 @@ def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
         raise cp.SolverError("Try another solver, or solve with verbose=True")
 
     monkeypatch.setattr(cp.Problem, "solve", broken)
+    monkeypatch.setattr(active_set, "descend", lambda *_: None)
+    monkeypatch.setattr(optimiser, "_paced", lambda *_: None)
     with pytest.raises(InfeasibleError, match="beyond the solver's arithmetic") as refusal:
         optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
     assert "verbose" not in str(refusal.value)

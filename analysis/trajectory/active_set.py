@@ -14,8 +14,9 @@ representatives. Where energy and bound lie apart more enter the program, up to 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import count, product
 
 import numpy as np
@@ -24,6 +25,7 @@ from scipy.optimize import nnls
 
 from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.convex import NoSolutionError, Relaxation
+from analysis.trajectory.descent import DrivenPlan, descend
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.feasibility import (
     LATE,
@@ -376,10 +378,12 @@ def search(
     exact = exact or problem.run.objective == "expected"
     again = set[int]()
     alone, even = guess.alone | {_slowest(problem, speeds)}, problem
+    together = cache(partial(DrivenPlan.together, problem, speeds, running_time))
     for turns in count(1):
         part = _program(even, rows, alone)
         tolerances = EXACT if exact else nearly
-        solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances)
+        start = partial(DrivenPlan.of_rows, together, tuple(rows), part.weights)
+        solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances, start)
         statuses.extend(solution.statuses)
         kept = _deciding(part, solution, [row in again for row in rows])
         if len(kept) < len(rows):
@@ -639,8 +643,11 @@ def _optimum(
     speeds: FloatArray,
     running_time: float,
     tolerances: Tolerances,
+    start: Callable[[], DrivenPlan],
 ) -> Solution:
     """The optimum for these configurations, from a plan, or else from their relaxation.
+
+    Where both do not settle, what is found from a plan that is driven in time, `start`.
 
     Raises
     ------
@@ -657,6 +664,9 @@ def _optimum(
     try:
         relaxed = relaxation.least_energy(running_time)
     except NoSolutionError as status:
+        safe = descend(problem, start(), running_time, tolerances)
+        if safe is not None:
+            return safe
         if problem.common:
             raise brakes_explained(problem, speeds, running_time) from None
         raise time_explained(problem, relaxation, running_time, str(status)) from None
@@ -667,6 +677,9 @@ def _optimum(
         refusal = still_late(problem, running_time, solution.lateness)
     except NoSolutionError as failure:
         refusal = unsettled(problem, running_time, f"a convex step is {failure}")
+    safe = descend(problem, start(), running_time, tolerances)
+    if safe is not None:
+        return replace(safe, statuses=(relaxed.status, *safe.statuses))
     if problem.common:
         raise brakes_explained(problem, speeds, running_time)
     raise refusal

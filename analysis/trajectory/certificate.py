@@ -49,7 +49,7 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
     bound = _bounded(part, solution, running_time, speeds[list(answer.active)])
     if bound >= close * solution.energy:
         return bound, "multipliers"
-    short = solution.time_price > _SHORT_PRICE * solution.time_price.max()
+    short = solution.time_price >= _SHORT_PRICE * solution.time_price.max()
     priced = np.flatnonzero(short | (expected & (part.weights > 0.0))).tolist()
     rows = [answer.active[row] for row in priced]
     if len(priced) < len(answer.active):

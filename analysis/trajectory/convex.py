@@ -50,6 +50,9 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 """What the solvers stop at: beyond it the rounding of large programs makes some of them stall."""
 
 
+_ROUNDING = 1e-9
+"""By which rounding may have a lower bound exceed the upper one."""
+
 SOLVER_FAILED = (
     "beyond the solver's arithmetic (numbers too far apart: check the lengths and the masses)"
 )
@@ -192,7 +195,8 @@ def solve(
                 # The status states what the warning would, and the certificate carries it.
                 warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
                 program.solve(solver=solver, **_SETTINGS.get(solver, {}))
-        except cp.SolverError:
+        except (cp.SolverError, ValueError, ArithmeticError):
+            # Numbers that are none, or too large, are refused before any solver runs.
             status = SOLVER_FAILED
             continue
         status = str(program.status)
@@ -209,7 +213,17 @@ def solve(
 
 
 def bounded(unknowns: Unknowns) -> cp.Variable:
-    """All unknowns as one variable of CVXPY, between their bounds."""
+    """All unknowns as one variable of CVXPY, between their bounds.
+
+    Raises
+    ------
+    NoSolutionError
+        If bounds exclude each other by more than rounding, or are no numbers.
+    """
+    apart = unknowns.low - unknowns.high
+    if not np.all(apart <= _ROUNDING):
+        raise NoSolutionError("infeasible")
+    unknowns.high = np.maximum(unknowns.low, unknowns.high)
     return cp.Variable(unknowns.size, bounds=[unknowns.low, unknowns.high])
 
 

@@ -9,7 +9,7 @@ takes over from another inside a cell its time is found in many parts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -32,6 +32,12 @@ from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
+_LOSS = 0.1
+"""Part of its speed that a train at full traction may lose in a cell of the trajectory."""
+
+_PACES = 16
+"""How many top speeds are tried for a running time."""
+
 _CELL = 10.0
 """Longest cell of the envelope's grid [m]."""
 
@@ -46,11 +52,14 @@ class Envelope:
     speeds : (q, n + 1) array [m/s]
     elapsed : (q, n + 1) array [s]
         Time since the start.
+    pulling : (q, n) array of bool
+        Where full traction is on through the whole cell.
     """
 
     positions: FloatArray
     speeds: FloatArray
     elapsed: FloatArray
+    pulling: NDArray[np.bool_]
 
     @property
     def times(self) -> FloatArray:
@@ -65,13 +74,35 @@ class Envelope:
         squares = self.speeds[:, left] ** 2 * (1.0 - share) + self.speeds[:, right] ** 2 * share
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
+    def split_on_climbs(self, positions: FloatArray) -> FloatArray:
+        """A grid with cells split where the slowest loses much of its speed at full traction.
+
+        The slower it is the more its power gives: within long cells it would stall on paper.
+        """
+        row = int(np.argmax(self.times))
+        v = np.maximum(self.speeds[row], 1e-3)
+        lost = np.where(self.pulling[row], np.maximum(np.log(v[:-1] / v[1:]), 0.0), 0.0)
+        total = np.concatenate(([0.0], np.cumsum(lost)))
+        parts = np.ceil(np.diff(np.interp(positions, self.positions, total)) / _LOSS)
+        inner = [
+            np.linspace(positions[k], positions[k + 1], int(parts[k]) + 1)[1:-1]
+            for k in np.flatnonzero(parts > 1.0).tolist()
+        ]
+        return np.unique(np.concatenate((positions, *inner)))
+
     def times_at(self, positions: Sequence[float]) -> FloatArray:
         """Time of the fastest run from the start to other positions, (q, p) [s]."""
         return np.array([np.interp(positions, self.positions, row) for row in self.elapsed])
 
 
-def fastest_run(run: TrajectoryProblem) -> Envelope:
+def fastest_run(run: TrajectoryProblem, cruising: float = np.inf) -> Envelope:
     """Speed envelope and least time of each configuration of `run`.
+
+    Parameters
+    ----------
+    run : TrajectoryProblem
+    cruising : float [m/s]
+        Speed that is not exceeded.
 
     Raises
     ------
@@ -83,11 +114,13 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
     if problem.curves is not None:
         # As published, not as plans keep to it: no trajectory is faster.
         traction = Traction(problem.traction, problem.power, *problem.curves.own_arrays)
-    brakes, limits = _brakes_of(problem), 0.5 * run.permitted_speed(_middles(problem)) ** 2
+    middles = problem.positions[:-1] + 0.5 * problem.step
+    limits = 0.5 * np.minimum(run.permitted_speed(middles), cruising) ** 2
+    ceiling, brakes = np.minimum(problem.ceiling, 0.5 * cruising**2), _brakes_of(problem)
     curve, z, seconds = in_parts(
         problem.shape[0],
         lambda part: fastest_below(
-            problem.ceiling, limits, (problem.initial, problem.final), traction.rows(part),
+            ceiling, limits, (problem.initial, problem.final), traction.rows(part),
             brakes.rows(part), motion.rows(part),
         ),
     )  # fmt: skip
@@ -102,7 +135,40 @@ def fastest_run(run: TrajectoryProblem) -> Envelope:
             + run.steepness(float(problem.positions[np.argmax(stands[a])])),
         )
     elapsed = np.column_stack((np.zeros(z.shape[0]), np.cumsum(seconds, axis=1)))
-    return Envelope(problem.positions, np.sqrt(2.0 * z), elapsed)
+    pulling = z[:, 1:] < curve[:, 1:]
+    return Envelope(problem.positions, np.sqrt(2.0 * z), elapsed, pulling)
+
+
+def paced_envelope(run: TrajectoryProblem, running_time: float) -> Envelope | None:
+    """Runs of all configurations at one top speed, the lowest that keeps the time, with one power.
+
+    Under the power of the weakest all can follow the slowest, those that could be faster by
+    braking: with traction in common too, a feasible run, but for what a grid takes from it.
+
+    Returns
+    -------
+    Envelope or None
+        None if not even the fastest such run is in time.
+    """
+    weakest = min(configuration.max_power for configuration in run.configurations)
+    alike = [replace(each, max_power=weakest) for each in run.configurations]
+    run = replace(run, configurations=alike)
+    slow = max(run.initial_speed, 0.5 * (run.end - run.start) / running_time)
+    fast = max(slow, float(run.train.max_speed))
+    try:
+        found = fastest_run(run)
+    except InfeasibleError:
+        return None
+    if found.times.max() > running_time:
+        return None
+    for _ in range(_PACES):
+        middle = 0.5 * (slow + fast)
+        trial = fastest_run(run, middle)
+        if trial.times.max() > running_time:
+            slow = middle
+        else:
+            fast, found = middle, trial
+    return found
 
 
 def _check_brakes(run: TrajectoryProblem, problem: DiscreteProblem, curve: FloatArray) -> None:
@@ -175,10 +241,6 @@ def _brakes_of(problem: DiscreteProblem) -> Brakes:
         problem.braking, problem.friction, problem.dynamic, problem.dynamic_power,
         *arrays_of(None if curves is None else curves.kept),
     )  # fmt: skip
-
-
-def _middles(problem: DiscreteProblem) -> FloatArray:
-    return problem.positions[:-1] + 0.5 * problem.step
 
 
 def _fine_grid(run: TrajectoryProblem) -> FloatArray:

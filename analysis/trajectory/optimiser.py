@@ -16,8 +16,10 @@ from analysis.trajectory.active_set import (
     interpolated_guess,
     search,
 )
-from analysis.trajectory.audit import Audit, audit
+from analysis.trajectory.attempts import searched, together
+from analysis.trajectory.audit import Audit
 from analysis.trajectory.certificate import certificate_of
+from analysis.trajectory.descent import DrivenPlan
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
     REGAINING_WEIGHT,
@@ -25,7 +27,7 @@ from analysis.trajectory.discretisation import (
     discretise,
     graded_mesh,
 )
-from analysis.trajectory.envelope import Envelope, fastest_run
+from analysis.trajectory.envelope import Envelope, fastest_run, paced_envelope
 from analysis.trajectory.feasibility import check_time
 from analysis.trajectory.problem import (
     DEFAULT_OPTIONS,
@@ -43,6 +45,9 @@ FloatArray = NDArray[np.float64]
 
 COARSE_CELLS = 120
 """Of the coarse grid on which the active configurations are found."""
+
+_IN_HAND = (2e-4, 2e-3, 2e-2)
+"""Parts of the running time that a run at a constant pace has in hand, one after another."""
 
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
@@ -192,7 +197,8 @@ def _with_time_to_allow(
 def _mesh(run: TrajectoryProblem, through: FloatArray, fastest: Envelope, cells: int) -> FloatArray:
     speeds = fastest.speeds[int(np.argmax(fastest.times))]
     weight = REGAINING_WEIGHT if run.at_line else BRAKING_WEIGHT
-    return graded_mesh(through, fastest.positions, speeds, cells, weight)
+    graded = graded_mesh(through, fastest.positions, speeds, cells, weight)
+    return fastest.split_on_climbs(graded)
 
 
 def _discretised(run: TrajectoryProblem, fastest: Envelope, cells: int) -> DiscreteProblem:
@@ -225,41 +231,65 @@ def _audited(
 ) -> _Audited:
     """The optimum on a grid on which it passes its audit.
 
-    A grid too coarse for the line shows in the audit; then it is made finer. It is made finer once
-    where a configuration by itself seems not to keep a time longer than its least.
+    A grid too coarse for the line shows in the audit, or in that a configuration by itself seems
+    not to keep a time longer than its least. Where the search about the fastest run fails, one
+    about a run at a constant pace follows, and then a finer grid.
     """
     # Hundreds of gradients would make as many cells; the coarse grid blurs them.
     many = run.breakpoints.size > COARSE_CELLS // 2
     through = run.hard_breakpoints if many else run.breakpoints
     coarse = _mesh(run, through, fastest, COARSE_CELLS)
-    found, words = None, ""
-    finer = [cells * 2**times for times in range(REFINEMENTS + 1)]
-    for count in [each for each in finer if each <= MOST_CELLS]:
+    found: Answer | None = None
+    failures = list[TrainlogError]()
+    for count in [each for each in _counts(cells) if each <= MOST_CELLS]:
         positions = _mesh(run, run.breakpoints, fastest, count)
-        problem, envelope = discretise(run, positions), fastest.at(positions)
+        problem, speeds = discretise(run, positions), fastest.at(positions)
         if found is None and coarse.size < 0.6 * positions.size:
             found = _coarse_optimum(run, fastest, coarse, running_time)
-        guess = initial_guess(problem, envelope, running_time)
+        guess = initial_guess(problem, speeds, running_time)
         if found is not None:
             guess = interpolated_guess(found, coarse, problem, range(problem.shape[0]))
+        coarser = None if found is None else (coarse.size - 1, found.solution.energy)
         try:
-            answer = search(problem, guess, envelope, running_time)
-        except InfeasibleError:
-            if problem.shape[0] > 1 or count > cells:
-                raise
+            return _Audited(*searched(problem, guess, speeds, running_time), coarser)
+        except TrainlogError as failure:
+            failures.append(failure)
+        safe = _paced(run, running_time, count)
+        if safe is not None:
+            return safe
+        if problem.shape[0] > 1 and isinstance(failures[-1], InfeasibleError):
+            break
+    raise failures[0]
+
+
+def _counts(cells: int) -> list[int]:
+    """Cells of the grids that are tried, one after another."""
+    return [cells * 2**times for times in range(REFINEMENTS + 1)]
+
+
+def _paced(run: TrajectoryProblem, running_time: float, cells: int) -> _Audited | None:
+    """An answer that begins from a run at a constant pace, on a grid about that; None if none is.
+
+    Its grid costs a little of its time, so the pace has a little more in hand.
+    """
+    for part in _IN_HAND:
+        paced = paced_envelope(run, (1.0 - part) * running_time)
+        if paced is None:
+            return None
+        problem = discretise(run, _mesh(run, run.breakpoints, paced, cells))
+        speeds = paced.at(problem.positions)
+        if DrivenPlan.together(problem, speeds, running_time).late > 0.0:
             continue
-        traction = answer.plan.traction * problem.reference
-        taper = answer.problem.taper.fall * problem.reference
-        rollout = audit(run, positions, traction, taper, answer.plan.braking * problem.reference)
-        failures = rollout.failures(run, running_time)
-        if not failures:
-            coarser = None if found is None else (coarse.size - 1, found.solution.energy)
-            return _Audited(answer, rollout, coarser)
-        words = failures[0] + (f" and {len(failures) - 1} more" if len(failures) > 1 else "")
-    raise TrainlogError(
-        f"the trajectory does not pass its audit: {words}",
-        remedy="more cells, or more reserve",
-    )
+        guess = initial_guess(problem, speeds, running_time)
+        try:
+            return _Audited(*searched(problem, guess, speeds, running_time), None)
+        except TrainlogError:
+            pass
+        try:
+            return _Audited(*together(problem, paced, running_time), None)
+        except TrainlogError:
+            continue
+    return None
 
 
 def _coarse_optimum(

@@ -18,7 +18,7 @@ from analysis.trajectory.convex import power_cells, separates_dynamic_brake
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import paced_run
-from analysis.trajectory.sqp import LEAST_Z
+from analysis.trajectory.sqp import least_z
 from trainlog.railway.motion import SUBSTEPS
 
 FloatArray = NDArray[np.float64]
@@ -175,7 +175,7 @@ def _bounded(
 ) -> tuple[Any, FloatArray, FloatArray, FloatArray]:
     """All unknowns in one vector, with their bounds and where they start."""
     q, n = problem.shape
-    low_z = np.tile(np.maximum(problem.floor, LEAST_Z), (q, 1))
+    low_z = np.tile(np.maximum(problem.floor, least_z(problem)), (q, 1))
     high_z = np.tile(problem.ceiling, (q, 1))
     low_z[:, 0] = high_z[:, 0] = problem.initial
     low_z[:, n], high_z[:, n] = 0.0, problem.final_ceiling

@@ -29,6 +29,12 @@ FloatArray = NDArray[np.float64]
 _TRIALS = 6
 """Of how much faster than another a configuration has to be to arrive in time."""
 
+_TAPERINGS = 2
+"""How often traction is tapered along a run."""
+
+_FALSI = 24
+"""Most turns of the search for the traction that power allows in a cell."""
+
 _CRAWL = 0.5 * 0.3**2
 """``z`` that a common brake leaves to the slowest configuration between the stops [m²/s²]."""
 
@@ -51,6 +57,36 @@ def paced_run(problem: DiscreteProblem, running_time: float) -> Plan:
         else:
             fast, plan = middle, trial
     return plan
+
+
+def run_together(problem: DiscreteProblem, speeds: FloatArray) -> tuple[DiscreteProblem, Plan]:
+    """The fastest run of all below given speeds, with the traction tapered along it.
+
+    Where each brakes for itself nobody is faster than the slowest could be, so that no other's
+    power limits it more than it has to.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        Not tapered.
+    speeds : (q, n + 1) array [m/s]
+        Of a run of each configuration by itself.
+
+    Returns
+    -------
+    DiscreteProblem, Plan
+        The tapered problem, and the run in it.
+    """
+    times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
+    v = np.broadcast_to(speeds.min(axis=0), speeds.shape)
+    plan = _plan_of(problem, v, int(np.argmax(times)))
+    for _ in range(_TAPERINGS):
+        tapered = problem.tapered(taper_along(problem, plan))
+        curves = braking_curves(tapered)
+        if not problem.common:
+            curves = np.minimum(curves, 0.5 * v**2)
+        plan = _run_at(tapered, curves, float(v.max()))
+    return tapered, plan
 
 
 def least_time_together(problem: DiscreteProblem) -> float:
@@ -416,6 +452,39 @@ def _secant_share(late: Callable[[float], float]) -> float | None:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
+def _most_traction(
+    z: float, begin: float, highest: float, limits: tuple[float, float, float], speeds: FloatArray,
+    efforts: FloatArray, gain: float, drag0: FloatArray, drag1: float, drag2: float, step: float,
+) -> float:  # fmt: skip
+    """The most traction up to `begin` that the power allows where a cell ends: regula falsi.
+
+    The more it is the faster the cell ends, and the less is allowed; the brake keeps it from being
+    faster than `highest` [m²/s²] there. `limits` are the power, the
+    part of the curve of effort, and the fall of the taper.
+    """
+    low, high, under, over = 0.0, begin, 0.0, 0.0
+    u = begin
+    for turn in range(_FALSI):
+        reached, _t = advance(z, gain * u, drag0, drag1, drag2, step)
+        v = speed_of(min(reached, highest))
+        limit = min(limits[0] / max(v, 1e-9), limits[1] * effort_at(v, speeds, efforts))
+        left = min(limit + limits[2], 2.0 * begin) - u
+        if left >= 0.0:
+            if turn == 0 or left <= 1e-9 * begin:
+                return u
+            low, under = u, left
+            over *= 0.5
+        else:
+            high, over = u, left
+            under *= 0.5
+        if turn == 0 or turn % 3 == 2 or under - over <= 0.0:
+            u = 0.5 * (low + high)
+        else:
+            u = low + (high - low) * under / (under - over)
+    return low
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def cruise(
     curves: FloatArray, cruising_speed: float, common: bool, initial: float,
     traction: FloatArray, gain: FloatArray, power: FloatArray, speeds: FloatArray,
@@ -436,17 +505,15 @@ def cruise(
         most, hold = traction[k] - abs(fall[k]), abs(fall[k])
         for a in range(q):
             y, cell = z[a, k], (drag0[a, k], drag1[a], drag2[a, k], step[k])
-            # Power counts at both ends of the cell; an odd number of turns ends below it.
+            # Power counts at both ends of the cell.
             usable = power[a] * (1.0 - crest[k])
             part, v = 1.0 - crest[k], speed_of(y)
             limit = min(usable / max(v, 1e-9), part * effort_at(v, speeds[a], efforts))
             begin = min(traction[k] - abs(fall[k]), limit - fall[k])
-            u = begin
-            for _ in range(3):
-                reached, _t = advance(y, gain[a] * u, *cell)
-                v = speed_of(reached)
-                limit = min(usable / max(v, 1e-9), part * effort_at(v, speeds[a], efforts))
-                u = min(begin, limit + fall[k])
+            highest = np.inf if common else curves[a, k + 1]
+            u = _most_traction(
+                y, begin, highest, (usable, part, fall[k]), speeds[a], efforts, gain[a], *cell
+            )
             most = min(most, u)
             safe = landing(y, curves[a, k + 1], *cell) / gain[a]
             most = min(most, braking[a, k] + safe)

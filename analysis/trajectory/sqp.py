@@ -35,8 +35,15 @@ FloatArray = NDArray[np.float64]
 _Limited = tuple[int, NDArray[np.int64], NDArray[np.int64]]
 """A configuration, cells in which its power is limited, and the rows of these limits."""
 
-LEAST_Z = 1e-5
-"""Smallest ``z`` between the two ends [m²/s²]."""
+_LEAST_Z, _LEAST_SLOPE = 1e-2, 2e-3
+"""Smallest ``z`` between the two ends [m²/s²], and its slope from and to them [m/s²].
+
+A model about a train that all but stands is good for nothing, and less speed saves no energy.
+"""
+
+_STANDING, _LONGER = 1e-3, 4.0
+"""Sum of a cell's end speeds that counts as standing [m/s]; and the most that the time of a cell
+counts, over that of its end speeds: efforts under which a train stands have none."""
 
 _NEAR_POWER = 1.5
 """A power limit above this many times the largest effort is left out of a program."""
@@ -193,8 +200,11 @@ class Motion:
 
     @staticmethod
     def about(problem: DiscreteProblem, plan: Plan) -> Motion:
-        """Linearise about `plan`."""
+        """Linearise about `plan`; where a train stands its time is that of the planned speeds."""
         reached, times = integrate_cells(problem, plan)
+        speed = np.sqrt(2.0 * plan.z)
+        planned = 2.0 * problem.step / np.maximum(speed[:, :-1] + speed[:, 1:], _STANDING)
+        times = np.minimum(times, _LONGER * planned)
         decay = problem.drag1[:, None] * times + 2.0 * problem.drag2 * problem.step
         mean = np.where(np.abs(decay) > 1e-9, -np.expm1(-decay) / np.where(decay, decay, 1.0), 1.0)
         push = problem.gain[:, None] * problem.step * mean
@@ -378,9 +388,11 @@ class QPSubproblem:
         """Speed limits, initial and final speed, and the region where the model is trusted."""
         problem, z = self.problem, self.plan.z
         nearer = np.maximum(self.speed - radius * self.scale, 0.5 * self.speed)
-        low = np.maximum(0.5 * nearer**2, LEAST_Z)
+        least = least_z(problem)
         high = np.minimum(problem.ceiling, 0.5 * (self.speed + radius * self.scale) ** 2)
+        low = np.maximum(np.minimum(0.5 * nearer**2, high), np.minimum(least, problem.ceiling))
         low = np.maximum(low, problem.floor)
+        high = np.maximum(high, low)
         low[:, 0] = high[:, 0] = problem.initial
         low[:, -1], high[:, -1] = 0.0, problem.final_ceiling
         self.unknowns.low[self.unknowns.z] = (low - z) / self.scale
@@ -483,6 +495,12 @@ class QPSubproblem:
         return a, at, self.below.add(most, (effort[at], 1.0), (change, slope))
 
 
+def least_z(problem: DiscreteProblem) -> FloatArray:
+    """Least ``z`` that programs allow at the nodes, (n + 1,) [m²/s²]; 0 at both ends."""
+    left = problem.positions - problem.positions[0], problem.positions[-1] - problem.positions
+    return np.asarray(np.minimum(_LEAST_Z, _LEAST_SLOPE * np.minimum(*left)))
+
+
 def _until(gradient: FloatArray, node: int) -> FloatArray:
     """Gradient of the time up to a node by the changes up to there, from that of every cell."""
     found = np.zeros((gradient.shape[1], node + 1))
@@ -512,7 +530,7 @@ def _gathered(duals: FloatArray, limits: list[_Limited], shape: tuple[int, int])
 NEGLIGIBLE_ENERGY = 1e-3
 """Energy beside which differences do not count [J/kg]: that of a train at 5 cm/s."""
 
-_LATENESS_PRICE = 100.0
+LATENESS_PRICE = 100.0
 """Price of lateness over the multiplier of the time; more than a feasible run would pay."""
 
 _FREE_ITERATIONS = 10
@@ -576,7 +594,7 @@ def minimise(
     """
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
-    lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
+    lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
     while True:
@@ -612,7 +630,7 @@ def with_costates(problem: DiscreteProblem, solution: Solution, running_time: fl
     """
     plan, price = solution.plan, solution.multipliers.cell_prices(problem)
     program = QPSubproblem(problem, plan, price)
-    lateness_price = _LATENESS_PRICE * max(float(price.max()), 1.0)
+    lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
     try:
         found = program.solve(running_time, 1.0, lateness_price, smoothing=0.0)
     except NoSolutionError:

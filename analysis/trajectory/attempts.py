@@ -1,0 +1,151 @@
+"""Attempts at an answer on one grid: searched, driven by the audit, corrected, or paced instead.
+
+What the audit finds beyond a limit by little is rounding, of the programs or of the integration:
+the same search within slightly stricter limits removes it. Where no search ends with an answer that
+can be driven, a run at a constant pace is one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory.active_set import Answer, Guess, initial_guess, interpolated_guess, search
+from analysis.trajectory.audit import Audit, audit
+from analysis.trajectory.descent import DrivenPlan, unpriced
+from analysis.trajectory.discretisation import DiscreteProblem
+from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.errors import TrainlogError
+
+FloatArray = NDArray[np.float64]
+
+_CORRECTIONS = 3
+"""How often limits are made stricter by what an audit found beyond them."""
+
+_LITTLE = 1e-3
+"""Part of a limit up to which an excess is corrected so."""
+
+_MORE = 1.5
+"""Times the excess by which a limit becomes stricter."""
+
+
+def driven(answer: Answer) -> Audit:
+    """The audit of an answer."""
+    problem, unit = answer.problem, answer.problem.reference
+    plan, fall = answer.plan, problem.taper.fall * unit
+    return audit(problem.run, problem.positions, plan.traction * unit, fall, plan.braking * unit)
+
+
+def searched(
+    problem: DiscreteProblem, guess: Guess, speeds: FloatArray, running_time: float
+) -> tuple[Answer, Audit]:
+    """The optimum, if need be within stricter limits, so that it passes its audit.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        With all configurations, not tapered.
+    guess : Guess
+    speeds : (q, n + 1) array [m/s]
+        Of a fast run of each configuration.
+    running_time : float [s]
+
+    Raises
+    ------
+    InfeasibleError
+        If the search finds no trajectory.
+    TrainlogError
+        If the one that it finds does not pass.
+    """
+    strict, asked = problem, running_time
+    for _ in range(_CORRECTIONS + 1):
+        answer = search(strict, guess, speeds, asked)
+        found = driven(answer)
+        failures = found.failures(problem.run, running_time)
+        if not failures:
+            # The bound is to hold for the limits as they are.
+            return replace(answer, problem=problem.tapered(answer.problem.taper)), found
+        late = float(found.arrival.max()) - running_time
+        if not _is_little(found, problem.run, late / running_time):
+            break
+        strict, asked = _stricter(strict, found), asked - max(_MORE * late, 0.0)
+        guess = interpolated_guess(answer, problem.positions, strict, range(strict.shape[0]))
+    raise _not_passed(failures)
+
+
+def _is_little(found: Audit, run: TrajectoryProblem, late: float) -> bool:
+    """Whether every excess is so small that slightly stricter limits remove it."""
+    worst = (late, *(float(each.max()) - 1.0 for each in _used(found)))
+    way = float(found.shortfall.max()) / (run.end - run.start)
+    end = float(found.end_speed.max()) - run.final_speed
+    over = float(found.overspeed.max()) / float(found.speeds.max())
+    return max(*worst, way, over) <= _LITTLE and end <= 0.1
+
+
+def _used(found: Audit) -> tuple[FloatArray, ...]:
+    return found.power, found.effort, found.braking, found.adhesion
+
+
+def _stricter(problem: DiscreteProblem, found: Audit) -> DiscreteProblem:
+    """The problem with limits lowered by what the audit found beyond them."""
+    power, effort, braking, adhesion = (
+        1.0 - _MORE * max(float(each.max()) - 1.0, 0.0) for each in _used(found)
+    )
+    over = _MORE * max(float(found.overspeed.max()), 0.0)
+    ceiling = problem.ceiling - over * np.sqrt(2.0 * problem.ceiling)
+    ceiling[0] = max(ceiling[0], problem.initial)
+    pull, brake = min(effort, adhesion), min(braking, adhesion)
+    return replace(
+        problem,
+        power=power * problem.power,
+        traction=pull * problem.traction,
+        braking=brake * problem.braking,
+        friction=brake * problem.friction,
+        dynamic=brake * problem.dynamic,
+        dynamic_power=brake * problem.dynamic_power,
+        ceiling=np.maximum(ceiling, np.minimum(problem.floor, problem.ceiling)),
+    )
+
+
+def together(
+    problem: DiscreteProblem, paced: Envelope, running_time: float
+) -> tuple[Answer, Audit]:
+    """The run of all at one pace, as an answer that nothing was optimised in.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        With all configurations, not tapered.
+    paced : Envelope
+        Runs at one pace, in time.
+    running_time : float [s]
+
+    Raises
+    ------
+    TrainlogError
+        If it does not pass its audit on these cells.
+    """
+    speeds = paced.at(problem.positions)
+    strict = replace(problem, power=(1.0 - 0.1 * _LITTLE) * problem.power)
+    run = DrivenPlan.together(strict, speeds, running_time)
+    rows = initial_guess(problem, speeds, running_time).rows
+    tapered = problem.tapered(run.problem.taper)
+    few = DrivenPlan(tapered.select(rows), run.plan.select(rows), run.late)
+    words = ("run at a constant pace",)
+    answer = Answer(tapered, run.plan, rows, unpriced(few), 0, words)
+    found = driven(answer)
+    failures = found.failures(problem.run, running_time)
+    if failures:
+        raise _not_passed(failures)
+    return answer, found
+
+
+def _not_passed(failures: list[str]) -> TrainlogError:
+    words = failures[0] + (f" and {len(failures) - 1} more" if len(failures) > 1 else "")
+    return TrainlogError(
+        f"the trajectory does not pass its audit: {words}",
+        remedy="more cells, or another running time",
+    )
