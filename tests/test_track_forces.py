@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.control.route import effort_limits, route_tables, train_limits
-from analysis.resistance.recording import track_slope
+from analysis.resistance.fit import fit_trip
+from analysis.resistance.recording import TripRefusedError, track_slope
 from analysis.trajectory.audit import audit
 from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.attached import TRAIN_ATTACHMENT
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
@@ -29,6 +31,7 @@ from trainlog.railway import (
     Trajectory,
 )
 from trainlog.railway.motion import running_time
+from trainlog.simulation import draw_scenarios, drive, recorded
 from trainlog.simulation.dynamics import held_back
 from trainlog.simulation.plant import Plant
 from trainlog.units import GRAVITY
@@ -231,3 +234,16 @@ def test_a_follower_keeps_net_limits() -> None:
     assert reached["net"].max() <= 0.5 + 1e-9
     assert reached["net"].min() > 0.45
     assert reached["gross"].min() > 0.6
+
+
+def test_a_train_that_is_a_strip_is_identified_as_one() -> None:
+    strip = replace(FLIRT, length=300.0, mass_model="homogeneous_strip")
+    scenario = draw_scenarios(WIL, strip, count=3, seed=11)[2]
+    trip = recorded(scenario, drive(scenario))
+    speeds = np.linspace(10.0, 35.0, 26)
+    fit = fit_trip(trip)
+    assert fit.resistance(speeds) == pytest.approx(scenario.resistance(speeds), rel=0.03)
+    point = train_to_bytes(replace(strip, mass_model="mass_point"))
+    mistaken = replace(trip, attachments={**trip.attachments, TRAIN_ATTACHMENT: point})
+    with pytest.raises(TripRefusedError, match="the curve is known to"):
+        fit_trip(mistaken)
