@@ -116,21 +116,27 @@ def many_trips(folder: Path, count: int) -> None:
                 file.append(each)
     each = (perf_counter() - begin) / count
     print(f"{count} trips appended: {1e3 * each:.1f} ms each without waiting for the disk")
-    begin, used = perf_counter(), process_time()
-    merge_files([folder / "0.map", folder / "1.map"], folder / "both.map")
-    merging, processor = perf_counter() - begin, process_time() - used
-    size = (folder / "both.map").stat().st_size / 1e6
+    merging, adding = [], []
+    for number in range(5):
+        both = folder / f"both-{number}.map"
+        begin, used = perf_counter(), process_time()
+        merge_files([folder / "0.map", folder / "1.map"], both)
+        merging.append((process_time() - used, perf_counter() - begin))
+        begin, used = perf_counter(), process_time()
+        with MapFile(both) as file:
+            total = file.layers(file.trips())["wet"][0]
+        adding.append((process_time() - used, perf_counter() - begin))
+    together = sorted(one[0] + other[0] for one, other in zip(merging, adding, strict=True))
     print(
-        f"two files of {count // 2} trips merged into one of {size:.0f} MB: {merging:.2f} s,"
-        f" processor {processor:.2f} s"
+        f"two files of {count // 2} trips merged into one of"
+        f" {(folder / 'both-0.map').stat().st_size / 1e6:.0f} MB:"
+        f" processor {min(merging)[0]:.2f} s, {min(merging)[1]:.2f} s"
     )
-    begin, used = perf_counter(), process_time()
-    with MapFile(folder / "both.map") as file:
-        total = file.layers(file.trips())["wet"][0]
     print(
-        f"all added up from the file, {total.used_day.size} rows: {perf_counter() - begin:.2f} s,"
-        f" processor {process_time() - used:.2f} s"
+        f"all added up from the file, {total.used_day.size} rows:"
+        f" processor {min(adding)[0]:.2f} s, {min(adding)[1]:.2f} s"
     )
+    print(f"both, processor, least and median of 5: {together[0]:.2f} s, {together[2]:.2f} s")
     part = recordings[: min(count, 1000)]
     for number, one in enumerate(part):
         used = (one.evidence or {})["wet"]

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pandas import Timestamp
-from scipy.special import ndtr, ndtri
 
 from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
@@ -63,6 +62,9 @@ class AdhesionEstimate:
         adhesion : float or (n,) array
         """
         log = np.broadcast_to(np.log(np.asarray(adhesion, dtype=np.float64)), self.log_mean.shape)
+        # Imported where it is used: an update that finds nothing new begins without it.
+        from scipy.special import ndtr
+
         if self.log_levels is None or self.probability is None:
             return np.asarray(ndtr((log - self.log_mean) / self.log_std))
         edges, cumulated = self._cumulated
@@ -80,6 +82,8 @@ class AdhesionEstimate:
         adhesion : (k,) array
         """
         log = np.log(np.asarray(adhesion, dtype=np.float64))
+        from scipy.special import ndtr
+
         if self.log_levels is None or self.probability is None:
             return np.asarray(ndtr((log - self.log_mean[:, None]) / self.log_std[:, None]))
         edges, cumulated = self._cumulated
@@ -97,6 +101,8 @@ class AdhesionEstimate:
         """
         if not 0.0 < share < 1.0:
             raise InputError(f"a quantile's share must be between 0 and 1, not {share:g}")
+        from scipy.special import ndtri
+
         if self.log_levels is None or self.probability is None:
             return np.asarray(np.exp(self.log_mean + ndtri(share) * self.log_std))
         edges, cumulated = self._cumulated
@@ -117,6 +123,8 @@ class AdhesionEstimate:
         """
         if self.log_levels is None or self.probability is None:
             return np.asarray(np.exp(self.log_mean - sigmas * self.log_std))
+        from scipy.special import ndtr
+
         return self.quantile(float(np.clip(ndtr(-sigmas), 1e-12, 1.0 - 1e-12)))
 
     def log_density(self, adhesion: ArrayLike) -> FloatArray:
