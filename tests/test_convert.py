@@ -231,6 +231,9 @@ def test_the_command_converts_and_cuts(
     words = ["convert", str(folder), "-o", str(part), "--km", "1.2:1.5", "--to", "end-1s"]
     assert run([*words, "--topic", TRAIN_STATE.name]) == 0
     assert "31 rows in 1 topics" in capsys.readouterr().out
+    # A section that is none is stated as it was given, in kilometres.
+    with pytest.raises(InputError, match=r"no stretch from km 5\.000 to km 3\.000; give the lower"):
+        run([*words[:-4], "--km", "5:3"])
     assert read_log(part)[TRAIN_STATE.name]["position"].iloc[[0, -1]].tolist() == [1200.0, 1500.0]
 
 

@@ -26,12 +26,23 @@ from trainlog.formats.parameters import read_parameters
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import describe
 
+NONSTOP = "trip-01,trip-07,trip-09"
+"""The configurations of the trips without a stop, to which the driven ones are compared."""
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+DRIVEN = {NONSTOP: 3, "all": 12}
+"""Trips along the trajectory, by the configurations that drive it."""
+
+
+@pytest.fixture(scope="module", params=[NONSTOP, pytest.param("all", marks=pytest.mark.long)])
+def results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the demo's commands; of "all" configurations three drive it, unless long."""
     output = tmp_path_factory.mktemp("demo") / "results"
+
+    def run(step: list[str]) -> int:
+        return cli.run([request.param if word == "all" else word for word in step])
+
     with (output.parent / "reported.txt").open("w", encoding="utf-8") as reported:
-        demo.run_demo(output, Console(file=reported, width=110), cli.run)
+        demo.run_demo(output, Console(file=reported, width=110), run)
     return output
 
 
@@ -151,12 +162,14 @@ def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
         assert trip["/reference"].speed.notna().any()
 
 
-def test_with_the_map_trips_are_on_time_and_hardly_slip(results: Path) -> None:
+def test_with_the_map_trips_are_on_time_and_hardly_slip(
+    results: Path, request: pytest.FixtureRequest
+) -> None:
     known, blind = (
         punctuality(sorted((results / folder).glob("*.mcap")))
         for folder in ("driven", "driven-blind")
     )
-    assert known.trips == blind.trips == 12
+    assert known.trips == blind.trips == DRIVEN[request.node.callspec.params["results"]]
     assert abs(known.late) <= 1.0
     assert known.slips <= 0.1 * blind.slips
     for log in (results / "driven").glob("*.mcap"):

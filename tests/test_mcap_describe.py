@@ -70,6 +70,8 @@ def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
     assert found.count == 120 * len(TOPICS)
     position = trip[TRAIN_STATE.name]["position"]
     assert found.position_span == (position.min(), position.max())
+    first, last = position.min() / 1e3, position.max() / 1e3
+    assert f"position  km {first:.3f} to km {last:.3f}" in repr(found)
     assert (found.chunks, found.compression) == (1, ("zstd",))
     assert 0 < found.stored_size < found.content_size
 

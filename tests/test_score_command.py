@@ -12,7 +12,7 @@ import pytest
 import typer
 from test_forecast_scores import BINS, FIRST, TRACK, evidence
 
-from analysis.verification.scoring import score_rolling
+from analysis.verification.scoring import Score, score_rolling
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
@@ -66,16 +66,25 @@ def scored(capsys: pytest.CaptureFixture[str], *words: object) -> dict:  # type:
     return found
 
 
-def test_each_day_is_forecast_from_the_days_before_alone() -> None:
+@pytest.fixture(scope="module")
+def rolling() -> tuple[Score, list[tuple[int, int]]]:
+    """The month scored day by day, and the days that were reported meanwhile."""
+    days: list[tuple[int, int]] = []
+    return score_rolling(month(), None, lambda *each: days.append(each)), days
+
+
+def test_each_day_is_forecast_from_the_days_before_alone(
+    rolling: tuple[Score, list[tuple[int, int]]],
+) -> None:
     whole = month()
     cut = replace(
         whole,
         layers={
-            "wet": ConditionLayer.unestimated(whole.layer("wet").evidence.between(0, FIRST + 8))
+            "wet": ConditionLayer.unestimated(whole.layer("wet").evidence.between(0, FIRST + 6))
         },
     )
-    days: list[tuple[int, int]] = []
-    long = score_rolling(whole, None, lambda *each: days.append(each)).layers["wet"]
+    found, days = rolling
+    long = found.layers["wet"]
     assert list(dict.fromkeys(days)) == [(day, 11) for day in range(1, 12)]
     short = score_rolling(cut).layers["wet"]
     # What came later does not change how a day was forecast; only the demand uses all days.
@@ -87,15 +96,19 @@ def test_each_day_is_forecast_from_the_days_before_alone() -> None:
     assert long.alarms[steady, 0, 4] == long.slips[steady] == 6.0
 
 
-def test_a_map_is_scored_day_by_day(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_map_is_scored_day_by_day(
+    folder: Path,
+    rolling: tuple[Score, list[tuple[int, int]]],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     picture = folder / "score.png"
     found = scored(capsys, folder / "month.map", "--rolling", "--picture", picture)
     assert picture.exists()
     wet = found["layers"]["wet"]
     assert wet["days"] == 11
     assert wet["log_score"]["onsets"]["gain_over_prior"]["low"] > 0.0
-    assert run(["map", "score", str(folder / "month.map"), "--rolling"]) == 0
-    printed = capsys.readouterr().out
+    assert json.loads(json.dumps(rolling[0].details())) == found
+    printed = rolling[0]._repr_html_()
     for words in ("gain over persistence", "slips foreseen", "Reliability", "false alarms"):
         assert words in printed
 

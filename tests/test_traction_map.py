@@ -223,7 +223,7 @@ class TestBounds:
 
 
 class TestMerging:
-    @settings(max_examples=6, deadline=None)
+    @settings(max_examples=3, deadline=None)
     @given(st.permutations(range(6)), st.lists(st.integers(0, 6), min_size=2, max_size=2))
     def test_any_order_and_grouping_gives_the_same_bytes(
         self, order: list[int], cuts: list[int]

@@ -101,7 +101,7 @@ def position_limits(start: float | None = None, end: float | None = None) -> tup
         ) from error
     if not first <= last:
         raise InputError(
-            f"there is no stretch from {first:g} m to {last:g} m",
+            f"there is no stretch from km {first / 1e3:.3f} to km {last / 1e3:.3f}",
             remedy="give the lower chainage first",
         )
     return first, last

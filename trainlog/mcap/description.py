@@ -143,7 +143,7 @@ class LogDescription:
             lines.append(f"  time      {self.first:{_TIME}} to {self.last:{_TIME}} UTC")
         if self.position_span is not None:
             start, end = self.position_span
-            lines.append(f"  position  {round(start)} m to {round(end)} m")
+            lines.append(f"  position  km {start / 1e3:.3f} to km {end / 1e3:.3f}")
         lines.append(f"  messages  {self.count:,} of {counted(len(self.topics), 'topic')}")
         lines.append(f"  state     {self.account.sentence}")
         return "\n".join(lines)

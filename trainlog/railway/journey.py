@@ -68,7 +68,8 @@ class Journey:
         if len(self.points) < 2:
             raise InputError(f"{where}: needs at least a departure and an arrival")
         if self.points[0].position < 0.0:
-            raise InputError(f"{where}: begins before the line, at {self.points[0].position} m")
+            place = self.points[0].position / 1e3
+            raise InputError(f"{where}: begins before the line, at km {place:.3f}")
         for before, point in zip(self.points, self.points[1:], strict=False):
             if point.position < before.position:
                 raise InputError(
