@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from trainlog.railway import ConditionLayer, TrackConditionMap
 
 # A slow machine, or a first call that compiles, is no failure.
 settings.register_profile("trainlog", deadline=None)
@@ -16,3 +24,31 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="write what the golden replays give now as their references; review the difference",
     )
+
+
+@pytest.fixture(scope="session")
+def estimates() -> dict[bytes, ConditionLayer]:
+    """Estimates of layers of maps that were made, by their evidence and settings."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def remembered_estimates(estimates: dict[bytes, ConditionLayer]) -> Iterator[None]:
+    """A layer's estimate is made once of the same evidence and settings, however often it is read.
+
+    For tests of what is made of maps, which read the sample map again and again.
+    """
+    from trainlog import condition
+
+    made = condition._estimated
+
+    def known(track: TrackConditionMap, name: str) -> ConditionLayer:
+        given = replace(track, layers={}, trips=()), name, track.layers[name].evidence
+        key = pickle.dumps(given)
+        if key not in estimates:
+            estimates[key] = made(track, name)
+        return estimates[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(condition, "_estimated", known)
+        yield

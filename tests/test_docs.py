@@ -14,6 +14,8 @@ from trainlog.formats.samples import copy_samples
 from trainlog.mcap import records
 from trainlog.topics import TOPICS
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 CHECKOUT = Path(__file__).parents[1]
 PAGES = sorted([CHECKOUT / "README.md", *(CHECKOUT / "docs").glob("*.md")])
 

@@ -10,6 +10,8 @@ import pytest
 
 from trainlog.formats.samples import copy_samples
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 CHECKOUT = Path(__file__).parents[1]
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 

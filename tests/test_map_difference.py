@@ -31,6 +31,8 @@ from trainlog.railway import Line, LineReference, Station, StepProfile, TrackCon
 from trainlog.railway.condition import ConditionChange, ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 DAY = 20_600
 CHANGED = slice(150, 162)
 """Bins whose maximum rises by half on the day 30."""

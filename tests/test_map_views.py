@@ -29,6 +29,8 @@ from trainlog.railway.condition import (
     PassingSpot,
 )
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 AT = pd.Timestamp("2024-10-09T06:00", tz="UTC")
 SPOT = PassingSpot(9_675.0, 9_750.0, 0.07, 0.06, 0.08, 20_003, 20_003, 20_003, 0.9, 2.0)
 CHANGE = ConditionChange(100.0, 150.0, 20_002, 20_001, 20_003, 0.10, 0.14, 0.05, 0.05, 8.0)

@@ -23,6 +23,8 @@ from trainlog.railway import Configuration, Trajectory
 from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 MAP = ("--map", sample("CH_StGallen_Wil.map"))
 
 

@@ -245,11 +245,8 @@ def score_forecast(
     Parameters
     ----------
     forecast : AdhesionForecast
-    logs : iterable of path
-    layer : str, optional
-        Rail condition of the trips; default: what each states.
-    weather : Weather, optional
-        Condition of trips that state none.
+    logs, layer, weather
+        As of `score_map`.
 
     Raises
     ------
