@@ -8,7 +8,9 @@ from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimi
 
 from analysis.trajectory import active_set
 from analysis.trajectory.discretisation import discretise
-from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from trainlog.errors import InputError
 
 OPTIONS = {"reserve": 0.1, "cells": 80}
 
@@ -91,6 +93,28 @@ def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak() -> None:
     assert found["solver"]["iterations"] <= 25
     assert found["energy"] == max(found["line_energy"])
     assert found["gap"] < 5e-3
+
+
+@pytest.mark.parametrize("objective", ["line", "expected"])
+def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(objective: str) -> None:
+    problem = TrajectoryProblem(
+        hilly_line(), VIRM6, drawn(VIRM6, 8, seed=1), objective=objective, reserve=0.07
+    )
+    soon, whole = (
+        optimise(problem, OptimiserOptions(80, time_limit=limit)).certificate
+        for limit in (1e-3, None)
+    )
+    assert "time limit" in soon["solver"]["statuses"]
+    assert "time limit" not in whole["solver"]["statuses"]
+    assert soon["audit"]["passed"]
+    assert soon["gap"] > whole["gap"]
+    assert not soon["certified"]
+    assert soon["lower_bound"] <= whole["energy"] < soon["energy"]
+
+
+def test_a_time_limit_is_some_time() -> None:
+    with pytest.raises(InputError, match="time limit must be more than 0 s"):
+        OptimiserOptions(time_limit=0.0)
 
 
 def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:

@@ -24,12 +24,19 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from analysis.trajectory.bound import lower_bound, spare_times
-from analysis.trajectory.convex import NoSolutionError, Relaxation
-from analysis.trajectory.descent import DrivenPlan, descend
+from analysis.trajectory.convex import (
+    NoSolutionError,
+    OutOfTimeError,
+    Relaxation,
+    time_left,
+    time_limit,
+)
+from analysis.trajectory.descent import DrivenPlan, descend, unpriced
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.feasibility import (
     LATE,
     brakes_explained,
+    names_of,
     still_late,
     time_explained,
     unsettled,
@@ -39,6 +46,7 @@ from analysis.trajectory.rollout import (
     correct_lateness,
     delays,
     energy_of,
+    paced_run,
     realise,
     rollout,
     rollout_at,
@@ -54,6 +62,7 @@ from analysis.trajectory.sqp import (
     minimise,
     with_costates,
 )
+from trainlog.errors import InfeasibleError
 
 FloatArray = NDArray[np.float64]
 
@@ -210,6 +219,12 @@ _CORRECTION_LOSS = 1e-5
 
 _INACTIVE = 1e-3
 """Switching function below which a configuration is inactive, and leaves a prepared set."""
+
+_MIXTURES = 10
+"""Trials of how much of a run in time brings all in time."""
+
+_COARSE_TIME, _SEARCH_TIME = 0.25, 0.8
+"""Parts of the time that is left, for a search on the coarse grid and on the other."""
 
 _MANY = 40
 """Configurations above which the coarse grid begins with the extreme ones."""
@@ -369,8 +384,20 @@ def search(
     Raises
     ------
     InfeasibleError
-        If there is no such trajectory; with the figures.
+        If there is no such trajectory, with the figures; or none was found in the time that is left
+        (see `convex.time_limit`).
     """
+    with time_limit((_COARSE_TIME if coarse else _SEARCH_TIME) * time_left()):
+        return _searched(problem, guess, speeds, running_time, coarse)
+
+
+def _searched(
+    problem: DiscreteProblem,
+    guess: Guess,
+    speeds: FloatArray,
+    running_time: float,
+    coarse: bool,
+) -> Answer:
     rows, plan, price = list(guess.rows), guess.plan, guess.price
     statuses, nearly = list(guess.statuses), _COARSE if coarse else _BEFORE_CORRECTION
     # What may be corrected afterwards the programs need not find to the last digit.
@@ -383,7 +410,13 @@ def search(
         part = _program(even, rows, alone)
         tolerances = EXACT if exact else nearly
         start = partial(DrivenPlan.of_rows, together, tuple(rows), part.weights)
-        solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances, start)
+        try:
+            solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances, start)
+        except OutOfTimeError as stop:
+            last = stop.found or unpriced(DrivenPlan(part, plan, np.inf))
+            words = (*statuses, *last.statuses, "time limit")
+            stopped = Answer(even, plan, tuple(rows), last, turns, words, alone)
+            return _stopped(stopped, together(), running_time)
         statuses.extend(solution.statuses)
         kept = _deciding(part, solution, [row in again for row in rows])
         if len(kept) < len(rows):
@@ -425,6 +458,73 @@ def search(
         plan = solution.plan.joined(everyone.select(sorted(new)))
         rows += sorted(new)
     raise AssertionError  # it adds at least one configuration in each turn
+
+
+def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer:
+    """The best that all can drive of what a search has when its time is over.
+
+    The efforts of the last program, with as much of the run of all at one pace as brings all in
+    time; or that run. The bound is that of the last program's multipliers, for its configurations.
+
+    Parameters
+    ----------
+    last : Answer
+        Of an untapered problem; its plan need not be one for all.
+    fast : DrivenPlan
+        The fastest run of all together.
+    running_time : float [s]
+
+    Raises
+    ------
+    InfeasibleError
+        If there is none.
+    """
+    problem, solution = last.problem, last.solution
+    planned = problem.tapered(solution.taper)
+    able: list[tuple[float, DiscreteProblem, Plan]] = []
+    if fast.late <= LATE:
+        able.append((energy_of(fast.problem, fast.plan), fast.problem, fast.plan))
+    for each in (planned, problem):
+        paced = paced_run(each, running_time)
+        plans = [paced, _mixed(each, solution.plan, paced, running_time)]
+        if problem.run.at_line and not problem.common:
+            plans += [rollout_gently(each, plan.traction, running_time) for plan in plans]
+        driven = [
+            plan for plan in plans if np.max(_excesses(each, plan, running_time)) <= _VIOLATION
+        ]
+        able += [(energy_of(each, plan), each, plan) for plan in driven]
+    if not able:
+        raise InfeasibleError(
+            f"no trajectory of {names_of(problem)} for {running_time:.1f} s was found within the"
+            " time limit",
+            remedy="a longer time limit, or fewer configurations",
+        )
+    _, tapered, plan = min(able, key=lambda each: each[0])
+    return replace(last, problem=tapered, plan=plan)
+
+
+def _mixed(problem: DiscreteProblem, planned: Plan, paced: Plan, running_time: float) -> Plan:
+    """The common efforts of a plan, with as little of a run in time as brings all in time."""
+
+    def run(share: float) -> Plan:
+        traction = (1.0 - share) * planned.traction + share * paced.traction
+        if problem.common:
+            brake = (1.0 - share) * planned.braking[0] + share * paced.braking[0]
+            return rollout(problem, traction, brake)
+        return rollout(problem, traction, None)
+
+    low, high, found = 0.0, 1.0, run(1.0)
+    for turn in range(_MIXTURES):
+        share = low if turn == 0 else 0.5 * (low + high)
+        trial = run(share)
+        in_time = delays(problem, trial, running_time)[0].max() <= 0.0
+        if in_time:
+            found, high = trial, share
+        else:
+            low = share
+        if high == 0.0:
+            break
+    return found
 
 
 def _deciding(problem: DiscreteProblem, solution: Solution, settled: Sequence[bool]) -> list[int]:
@@ -572,7 +672,9 @@ def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float)
         best = minimise(apart, driven, np.zeros(q), sooner, _RESPONSE, iterations=5, given=True)
     except NoSolutionError:
         return driven
-    return rollout_at(problem, driven.traction, best.plan.z)
+    except OutOfTimeError as stop:
+        best = stop.found
+    return driven if best is None else rollout_at(problem, driven.traction, best.plan.z)
 
 
 def _roll_out(

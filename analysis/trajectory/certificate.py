@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from analysis.trajectory.active_set import Answer, multipliers_for_all, shares_of
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.bound import lower_bound, spare_times
-from analysis.trajectory.convex import NoSolutionError, Relaxation
+from analysis.trajectory.convex import (
+    NoSolutionError,
+    OutOfTimeError,
+    Relaxation,
+    time_left,
+    time_limit,
+)
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
@@ -25,6 +31,9 @@ _SHORT_PRICE = 0.05
 
 _CONE_TOLERANCE = 1e-8
 """Of the cone solver's value, absolute [J/kg] and relative."""
+
+_BOUND_TIME = 5.0
+"""Time that a relaxation has at least [s], that an answer has its gap."""
 
 _CLOSE = 0.1
 """Gap, times the number of cells, above which a better bound is looked for."""
@@ -52,7 +61,7 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
     short = solution.time_price >= _SHORT_PRICE * solution.time_price.max()
     priced = np.flatnonzero(short | (expected & (part.weights > 0.0))).tolist()
     rows = [answer.active[row] for row in priced]
-    if len(priced) < len(answer.active):
+    if 0 < len(priced) < len(answer.active):
         part = problem.select(rows)
         multipliers = solution.multipliers.select(priced)
         alone = replace(solution, plan=solution.plan.select(priced), multipliers=multipliers)
@@ -63,8 +72,9 @@ def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple
     # Those that are not short of time still limit the common traction and brake.
     part, rows = problem.select(answer.active), list(answer.active)
     try:
-        relaxed = Relaxation(part, speeds[rows], speeds[rows]).least_energy(running_time)
-    except NoSolutionError:
+        with time_limit(max(time_left(), _BOUND_TIME)):
+            relaxed = Relaxation(part, speeds[rows], speeds[rows]).least_energy(running_time)
+    except (NoSolutionError, OutOfTimeError):
         return bound, "multipliers"
     spare = spare_times(part, answer.solution.plan)
     # The cone solver's value may be above the least by what it stops at.

@@ -14,8 +14,11 @@ the trajectory has to keep it at the faster end.
 
 from __future__ import annotations
 
+import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -61,6 +64,32 @@ SOLVER_FAILED = (
 
 class NoSolutionError(Exception):
     """The solver's status where it found no solution: infeasible, unbounded, or a failure."""
+
+
+class OutOfTimeError(Exception):
+    """The time that a search may take is over; with what was found so far, if anything."""
+
+    def __init__(self, found: Any = None) -> None:
+        super().__init__("time limit")
+        self.found = found
+
+
+_DEADLINE = ContextVar("deadline", default=np.inf)
+
+
+@contextmanager
+def time_limit(seconds: float | None) -> Iterator[None]:
+    """Start no program in here after so many seconds; None: no limit."""
+    token = _DEADLINE.set(np.inf if seconds is None else time.monotonic() + seconds)
+    try:
+        yield
+    finally:
+        _DEADLINE.reset(token)
+
+
+def time_left() -> float:
+    """Time that is left [s]; not positive where it is over."""
+    return float(_DEADLINE.get() - time.monotonic())
 
 
 class Rows:
@@ -180,6 +209,8 @@ def solve(
     ------
     NoSolutionError
         With the solver's status, or `SOLVER_FAILED`.
+    OutOfTimeError
+        If no time is left.
     """
     x = bounded(unknowns) if variable is None else variable
     objective = cost @ x
@@ -189,12 +220,18 @@ def solve(
     limits = below.matrix(unknowns.size) @ x <= below.right
     status = ""
     for solver in (cp.CLARABEL,) if cones else (cp.PIQP, cp.CLARABEL):
+        left = time_left()
+        if left <= 0.0:
+            raise OutOfTimeError
+        settings = dict(_SETTINGS.get(solver, {}))
+        if solver == cp.CLARABEL and left < np.inf:
+            settings["time_limit"] = left
         program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
         try:
             with warnings.catch_warnings():
                 # The status states what the warning would, and the certificate carries it.
                 warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
-                program.solve(solver=solver, **_SETTINGS.get(solver, {}))
+                program.solve(solver=solver, **settings)
         except (cp.SolverError, ValueError, ArithmeticError):
             # Numbers that are none, or too large, are refused before any solver runs.
             status = SOLVER_FAILED
@@ -209,6 +246,8 @@ def solve(
                 float(program.value),
                 f"{solver} {status}",
             )
+    if time_left() <= 0.0:
+        raise OutOfTimeError
     raise NoSolutionError(status)
 
 

@@ -19,6 +19,7 @@ from analysis.trajectory.active_set import (
 from analysis.trajectory.attempts import searched, together
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.certificate import certificate_of
+from analysis.trajectory.convex import time_limit
 from analysis.trajectory.descent import DrivenPlan
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
@@ -70,7 +71,8 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
     Raises
     ------
     InfeasibleError
-        If no trajectory keeps the timetable or the speeds asked for; with the figures.
+        If no trajectory keeps the timetable or the speeds asked for, with the figures; or if none
+        was found within the time limit.
     InputError
         If so much time is given that the train would stand on the way.
     TrainlogError
@@ -97,6 +99,11 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
     >>> round(trajectory.certificate["energy"] / 3.6e6, 1)  # kWh
     32.6
     """
+    with time_limit(options.time_limit):
+        return _optimised(problem, options)
+
+
+def _optimised(problem: TrajectoryProblem, options: OptimiserOptions) -> Trajectory:
     fastest = fastest_run(problem)
     running_time = _running_time(problem, fastest, options.cells)
     try:

@@ -445,22 +445,31 @@ class OptimiserOptions:
         Cells of the grid, about; a line with many breakpoints gets more.
     referee : bool
         Have IPOPT solve the same problem too, and put what it found into the certificate.
+    time_limit : float or None [s]
+        After which the best that was found is the answer, with its gap; what has begun is finished.
+        None: no limit.
 
     Raises
     ------
     InputError
-        If there are too few or too many cells.
+        If there are too few or too many cells, or no time at all.
 
     Examples
     --------
     >>> OptimiserOptions(cells=200)
-    OptimiserOptions(cells=200, referee=False)
+    OptimiserOptions(cells=200, referee=False, time_limit=None)
     """
 
     cells: int = 500
     referee: bool = False
+    time_limit: float | None = None
 
     def __post_init__(self) -> None:
+        if self.time_limit is not None and not self.time_limit > 0.0:
+            raise InputError(
+                f"trajectory: the time limit must be more than 0 s, not {self.time_limit:g}",
+                remedy="leave it out, or give some seconds",
+            )
         if not FEWEST_CELLS <= self.cells <= MOST_CELLS:
             raise InputError(
                 f"trajectory: the grid must have {FEWEST_CELLS} to {MOST_CELLS} cells, not"

@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from analysis.trajectory.convex import (
     SLOW,
     NoSolutionError,
+    OutOfTimeError,
     Rows,
     Unknowns,
     brake_limits,
     energy_cost,
     power_cells,
     solve,
+    time_left,
 )
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_along
@@ -591,13 +593,18 @@ def minimise(
     ------
     NoSolutionError
         If the solver finds a quadratic program infeasible, or fails.
+    OutOfTimeError
+        If no time is left; with the last solution.
     """
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
     radius, energy = 1.0, np.inf
     statuses: list[str] = []
+    solution = None
     while True:
+        if time_left() <= 0.0:
+            raise OutOfTimeError(solution)
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
         program = QPSubproblem(tapered, plan, price, given=given)
         solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
@@ -620,7 +627,7 @@ def with_costates(problem: DiscreteProblem, solution: Solution, running_time: fl
     """A solution with the multipliers of its program as it stands, without smoothing.
 
     They are the costates of the robust maximum principle, and give the lower bound. Where the
-    solver does not find them to be optimal, the solution keeps those it has.
+    solver does not find them to be optimal, or no time is left, the solution keeps those it has.
 
     Parameters
     ----------
@@ -633,7 +640,7 @@ def with_costates(problem: DiscreteProblem, solution: Solution, running_time: fl
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
     try:
         found = program.solve(running_time, 1.0, lateness_price, smoothing=0.0)
-    except NoSolutionError:
+    except (NoSolutionError, OutOfTimeError):
         return solution
     return replace(
         solution,

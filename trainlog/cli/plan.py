@@ -126,6 +126,13 @@ def optimise(
     pareto: Annotated[
         bool, typer.Option("--pareto", help="Energy against running time too, and its picture.")
     ] = False,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            help="Seconds after which the best that was found is taken, with its gap; what has"
+            " begun is finished. Of each section, with --journey."
+        ),
+    ] = None,
     referee: Annotated[
         bool, typer.Option("--referee", help="Solve it again with CasADi and IPOPT, and compare.")
     ] = False,
@@ -200,7 +207,7 @@ def optimise(
         layer=layer or "wet",
         **{name: value for name, value in given.items() if value is not None},
     )
-    options = OptimiserOptions(cells, referee)
+    options = OptimiserOptions(cells, referee, time_limit=time_limit)
     if journey is not None:
         _journey(problem, options, journey, dwell or 0.0, output)
         return
