@@ -72,7 +72,7 @@ def merge_files(paths: Sequence[str | Path], output: str | Path) -> tuple[int, i
         for layer in sorted(sums):
             insert_sums(database, layer, DailyEvidence.total(sums[layer]))
         found = amount_in(database)
-        write_bytes(output, serialized(database))
+        write_bytes(output, serialized(database, in_order=True))
     return found
 
 
