@@ -219,7 +219,7 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
         f" {len(trajectory.configurations)} configurations in {trajectory.running_time:.0f} s"
     )
     proof = (
-        f"gap {certificate['gap']:.3%}, latest arrival {lateness(audit['lateness'])},"
+        f"{trajectory.optimality}, latest arrival {lateness(audit['lateness'])},"
         f" speed over the limit: {overspeed(audit['overspeed'])}"
     )
     return ("trajectory", energy, str(path)), ("certificate", proof, "")

@@ -48,7 +48,7 @@ def test_power_is_kept_at_both_ends_of_every_cell(set_of_twelve: Trajectory) -> 
 def test_all_the_power_is_used_inside_the_cells() -> None:
     """Traction that is constant in a cell would waste half of what the speed gains there."""
     train = Configuration.of(FLIRT)
-    found = optimised(hilly_line(), FLIRT, [train], reserve=0.05, cells=120)
+    found = optimised(hilly_line(), FLIRT, [train], reserve=0.05, cells=120, tolerance=np.inf)
     middle = 0.5 * (found.positions[1:] + found.positions[:-1])
     speed = np.interp(middle, found.positions, found.speeds[0] ** 2) ** 0.5
     used = found.tractive_effort_at(middle) * speed / train.max_power

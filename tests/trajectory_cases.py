@@ -14,7 +14,7 @@ import numpy as np
 from analysis.studies.cunillera_2022.model import TRAIN
 from analysis.trajectory.journey import JourneyPlan, optimise_journey
 from analysis.trajectory.optimiser import optimise
-from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
 from trainlog.railway import (
     Configuration,
     CurvatureProfile,
@@ -79,11 +79,12 @@ def optimised(
     *,
     cells: int = 500,
     referee: bool = False,
+    tolerance: float = DEFAULT_OPTIONS.tolerance,
     **question: Any,
 ) -> Trajectory:
     """The optimum of a problem that is given by its attributes."""
     problem = TrajectoryProblem(line, train, configurations, **question)
-    return optimise(problem, OptimiserOptions(cells, referee))
+    return optimise(problem, OptimiserOptions(cells, referee, tolerance))
 
 
 def optimised_journey(

@@ -25,6 +25,7 @@ from scipy.optimize import nnls
 
 from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.convex import (
+    Multipliers,
     NoSolutionError,
     OutOfTimeError,
     Relaxation,
@@ -56,7 +57,6 @@ from analysis.trajectory.rollout import (
 from analysis.trajectory.sqp import (
     EXACT,
     NEGLIGIBLE_ENERGY,
-    Multipliers,
     Solution,
     Tolerances,
     minimise,

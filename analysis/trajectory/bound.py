@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dptsv
 
-from analysis.trajectory.convex import MEAN_SPEED, SLOW, power_cells, reachable
+from analysis.trajectory.convex import MEAN_SPEED, SLOW, Multipliers, power_cells, reachable
 from analysis.trajectory.curves import Bounds, Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import cell_times, realise
-from analysis.trajectory.sqp import Multipliers
 
 FloatArray = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from analysis.trajectory.convex import (
 )
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.hamiltonian import ContinuousBound, continuous_bound
 from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY, Solution, with_costates
@@ -36,51 +37,124 @@ _BOUND_TIME = 5.0
 """Time that a relaxation has at least [s], that an answer has its gap."""
 
 _CLOSE = 0.1
-"""Gap, times the number of cells, above which a better bound is looked for."""
+"""Gap on cells, times their number, above which a better bound is looked for."""
+
+OF_OPTIMUM = "multipliers"
+"""Source of bounds that rest on the multipliers of the optimum itself."""
+
+_CLOSE_TOTAL = 5e-4
+"""Total gap up to which none is."""
 
 
-def best_bound(answer: Answer, speeds: FloatArray, running_time: float) -> tuple[float, str]:
-    """Lower bound of the worst-case energy [J/kg], and how it was found.
+@dataclass(frozen=True, eq=False)
+class LowerBounds:
+    """Lower bounds of the energy of all trajectories.
 
-    The multipliers of the optimum give it; or those of an optimum for the configurations alone to
-    which time is worth something, for the bound cannot hold the power of others; or, if none of
-    this comes close, the cone relaxation.
+    Attributes
+    ----------
+    cells : float [J/kg]
+        Of those on the cells of a problem.
+    continuous : float [J/kg]
+        Of all, wherever their controls change; not above the other.
+    excess : (n,) array [J/kg]
+        What each cell adds to the difference between a plan and the latter.
+    source : str
+        Where the bound on the cells comes from.
+    """
+
+    cells: float
+    continuous: float
+    excess: FloatArray
+    source: str
+
+    def total_gap(self, energy: float) -> float:
+        """By how much an energy [J/kg] is above that of any trajectory at most, relative."""
+        return _relative_gap(energy, self.continuous)
+
+    def by_cells(self, energy: float, tolerance: float) -> bool:
+        """Whether it is the cells that leave an energy more than a tolerance above the bound."""
+        # Else it is what the relaxation leaves out, where the multipliers did not come close.
+        cost = self.total_gap(energy) - _relative_gap(energy, self.cells)
+        return self.source == OF_OPTIMUM or cost > 0.5 * tolerance
+
+
+def _relative_gap(energy: float, bound: float) -> float:
+    # Down a hill next to no energy may be needed: a part of it would mean nothing.
+    return (energy - bound) / max(abs(bound), NEGLIGIBLE_ENERGY)
+
+
+def best_bounds(answer: Answer, fastest: Envelope, running_time: float) -> LowerBounds:
+    """Lower bounds of the energy, and how they were found.
+
+    The multipliers of the optimum give them; or those of an optimum for the configurations alone to
+    which time is worth something, for the bound on cells cannot hold the power of others; or, if
+    none of this comes close, the cone relaxation.
     """
     problem, solution = answer.problem, answer.solution
-    part = problem.select(answer.active)
+    part, rows = problem.select(answer.active), list(answer.active)
+    speeds = fastest.at(problem.positions)
     expected = problem.run.objective == "expected"
     if expected and not set(np.flatnonzero(problem.weights).tolist()) <= set(answer.active):
         shares = shares_of(problem, answer.active, answer.alone)
         every = multipliers_for_all(problem, shares, solution.multipliers)
         spare, start = spare_times(problem, answer.plan), np.sqrt(2.0 * answer.plan.z)
-        return lower_bound(problem, every, start, running_time, spare, speeds), "shared multipliers"
-    close = 1.0 - _CLOSE / problem.shape[1]
-    bound = _bounded(part, solution, running_time, speeds[list(answer.active)])
-    if bound >= close * solution.energy:
-        return bound, "multipliers"
+        bound = lower_bound(problem, every, start, running_time, spare, speeds)
+        whole = continuous_bound(problem, answer.plan, every, fastest, running_time, problem.run)
+        return _together(bound, whole, "shared multipliers")
+    bound = _bounded(part, solution, running_time, speeds[rows])
+    whole = _continuous(answer, solution, fastest, rows, running_time)
+    best = _together(bound, whole, OF_OPTIMUM)
+    if _close(best, solution.energy, problem):
+        return best
     short = solution.time_price >= _SHORT_PRICE * solution.time_price.max()
     priced = np.flatnonzero(short | (expected & (part.weights > 0.0))).tolist()
-    rows = [answer.active[row] for row in priced]
-    if 0 < len(priced) < len(answer.active):
+    if 0 < len(priced) < len(rows):
+        rows = [answer.active[row] for row in priced]
         part = problem.select(rows)
         multipliers = solution.multipliers.select(priced)
         alone = replace(solution, plan=solution.plan.select(priced), multipliers=multipliers)
         solution = with_costates(part, alone, running_time)
         bound = max(bound, _bounded(part, solution, running_time, speeds[rows]))
-        if bound >= close * answer.solution.energy:
-            return bound, "multipliers of those short of time"
+        other = _continuous(answer, solution, fastest, rows, running_time)
+        whole = max(whole, other, key=lambda each: each.value)
+        best = _together(bound, whole, "multipliers of those short of time")
+        if _close(best, answer.solution.energy, problem):
+            return best
     # Those that are not short of time still limit the common traction and brake.
     part, rows = problem.select(answer.active), list(answer.active)
     try:
         with time_limit(max(time_left(), _BOUND_TIME)):
             relaxed = Relaxation(part, speeds[rows], speeds[rows]).least_energy(running_time)
     except (NoSolutionError, OutOfTimeError):
-        return bound, "multipliers"
+        return best
     spare = spare_times(part, answer.solution.plan)
     # The cone solver's value may be above the least by what it stops at.
     value = relaxed.bound - _CONE_TOLERANCE * (1.0 + abs(relaxed.bound))
     relaxation = value - float(relaxed.time_price @ spare)
-    return max(bound, relaxation), f"cone relaxation: {relaxed.status}"
+    found = replace(answer.solution, multipliers=relaxed.multipliers)
+    other = _continuous(answer, found, fastest, rows, running_time)
+    whole = max(whole, other, key=lambda each: each.value)
+    return _together(max(bound, relaxation), whole, f"cone relaxation: {relaxed.status}")
+
+
+def _together(cells: float, whole: ContinuousBound, source: str) -> LowerBounds:
+    # What holds for all trajectories holds for those on the cells.
+    return LowerBounds(max(cells, whole.value), whole.value, whole.excess, source)
+
+
+def _close(bounds: LowerBounds, energy: float, problem: DiscreteProblem) -> bool:
+    """Whether bounds come so close to an energy that no others are looked for."""
+    on_cells = _relative_gap(energy, bounds.cells) <= _CLOSE / problem.shape[1]
+    return on_cells or bounds.total_gap(energy) <= _CLOSE_TOTAL
+
+
+def _continuous(
+    answer: Answer, solution: Solution, fastest: Envelope, rows: list[int], running_time: float
+) -> ContinuousBound:
+    """By a solution for some of the configurations."""
+    part, run = answer.problem.select(rows), answer.problem.run
+    own = replace(fastest, speeds=fastest.speeds[rows], elapsed=fastest.elapsed[rows])
+    return continuous_bound(part, solution.plan, solution.multipliers, own, running_time, run)
 
 
 def _bounded(
@@ -91,11 +165,21 @@ def _bounded(
 
 
 GAP_TOLERANCE = 2e-3
-"""Largest gap between energy and lower bound that is called certified."""
+"""Largest total gap between energy and lower bound that is called certified."""
+
+
+def energy_of_audit(answer: Answer, rollout: Audit) -> float:
+    """What a run minimises, as its audit found it [J]."""
+    run = answer.problem.run
+    energies = rollout.line_energy if run.at_line else rollout.wheel_energy
+    if run.objective == "expected":
+        return float(answer.problem.weights @ energies)
+    return float(energies.max())
 
 
 def certificate_of(
     answer: Answer,
+    bounds: LowerBounds,
     fastest: Envelope,
     rollout: Audit,
     running_time: float,
@@ -106,19 +190,18 @@ def certificate_of(
     `coarser` are the cells of the grid that was searched before, and the energy there [J/kg].
     """
     problem, run, solution = answer.problem, answer.problem.run, answer.solution
-    lower = best_bound(answer, fastest.at(problem.positions), running_time)
-    energies = rollout.line_energy if run.at_line else rollout.wheel_energy
-    energy, bound = float(energies.max()), lower[0] * problem.reference
-    if run.objective == "expected":
-        energy = float(problem.weights @ energies)
-    # Down a hill next to no energy may be needed: a part of it would mean nothing.
-    gap = (energy - bound) / max(abs(bound), NEGLIGIBLE_ENERGY * problem.reference)
+    energy = energy_of_audit(answer, rollout)
+    per_mass = energy / problem.reference
+    gap, total = _relative_gap(per_mass, bounds.cells), bounds.total_gap(per_mass)
     names = [configuration.name for configuration in run.configurations]
     return {
         "energy": energy,
-        "lower_bound": bound,
+        "lower_bound": bounds.cells * problem.reference,
         "gap": gap,
-        "certified": gap <= GAP_TOLERANCE,
+        "continuous_bound": bounds.continuous * problem.reference,
+        "cells_cost": total - gap,
+        "total_gap": total,
+        "certified": total <= GAP_TOLERANCE,
         "bound_holds_for": "the problem cut into these cells" + _left_out(answer),
         "wheel_energy": rollout.wheel_energy.tolist(),
         "line_energy": rollout.line_energy.tolist(),
@@ -141,7 +224,7 @@ def certificate_of(
         },
         "solver": {
             "statuses": list(answer.statuses),
-            "bound": lower[1],
+            "bound": bounds.source,
             "iterations": len(answer.statuses),
             "turns": answer.turns,
         },

@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -323,6 +323,63 @@ def power_cells(problem: DiscreteProblem, power: float, most: FloatArray) -> NDA
     return np.flatnonzero(power / fastest < most)
 
 
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Lagrange multipliers of an optimum, per unit reference inertia.
+
+    Attributes
+    ----------
+    pull : (q, n) array
+        Of the motion through a cell, times what the common effort does to it: energy that a unit
+        of effort is worth in the cell. Its sum over the configurations is ``step · switching``.
+    time : (q,) array [J/(kg s)]
+        Of the running time.
+    passing : (q, p) array [J/(kg s)]
+        Of the latest times at the passing points.
+    opening : (q, p) array [J/(kg s)]
+        Of the earliest times there.
+    power, dynamic_power : (q, n) array
+        Of the limits of power, both ends of a cell together.
+    share : (q,) array
+        Of the energy that is regained; it weighs the configurations, the worst alone as a rule.
+    """
+
+    pull: FloatArray
+    time: FloatArray
+    passing: FloatArray
+    opening: FloatArray
+    power: FloatArray
+    dynamic_power: FloatArray
+    share: FloatArray
+
+    def cell_prices(self, problem: DiscreteProblem) -> FloatArray:
+        """What a second in each cell is worth: that of all it makes late, (q, n) [J/(kg s)].
+
+        Less than nothing where the train must lose time, before a point not to be passed earlier.
+        """
+        before = np.arange(problem.shape[1]) < problem.passed[:, None]
+        return np.asarray(self.time[:, None] + (self.passing - self.opening) @ before)
+
+    def select(self, rows: Sequence[int]) -> Multipliers:
+        """Those of some of the configurations."""
+        chosen = list(rows)
+        return Multipliers(**{name: values[chosen] for name, values in vars(self).items()})
+
+    def convex(self) -> Multipliers:
+        """The same with no more on the earliest times than leaves every second worth something.
+
+        ``t(point) >= earliest`` is not convex, but with ``t(end) <= T`` it means that the rest
+        takes at most ``T - earliest``, which is: price on price, the Lagrange function is the
+        same as long as no cell's price is negative.
+        """
+        left, opening = self.time.copy(), self.opening.copy()
+        for point in range(opening.shape[1] - 1, -1, -1):
+            left += self.passing[:, point]
+            opening[:, point] = np.minimum(opening[:, point], left)
+            left -= opening[:, point]
+        return replace(self, opening=opening)
+
+
 _AROUND = (0.7, 0.85, 0.93, 1.0, 1.07, 1.15)
 """Times the speeds, at which the relaxation bounds a curve of effort."""
 
@@ -340,6 +397,7 @@ class Relaxed:
         No trajectory of the discretised problem has less worst-case energy.
     plan : Plan
         Feasible but for the power limit, by the change of speed over a cell.
+    multipliers : Multipliers
     time_price : (q,) array [J/(kg s)]
     status : str
         The solver's status.
@@ -347,6 +405,7 @@ class Relaxed:
 
     bound: float
     plan: Plan
+    multipliers: Multipliers
     time_price: FloatArray
     status: str
 
@@ -391,31 +450,35 @@ class Relaxation:
         self.tau = self.unknowns.more((q, n))  # time per metre, times the mean of the scales
         self.longest = int(self.unknowns.more((1,))[0])
         self.equal, self.below = Rows(), Rows()
-        self._motion()
+        self.motion, self.pull = self._motion()
         # The resistance acts on the mean of a cell's end speeds, which the true mean slightly
         # exceeds; the brake gets that much more, so that no trajectory is excluded.
         spare = MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
         brake_limits(problem, self.unknowns, self.below, spare)
+        self.pulled: list[tuple[int, IntArray, IntArray]] = []
+        self.braked: list[tuple[int, IntArray, IntArray]] = []
         self._power()
-        self.cost, _ = energy_cost(problem, self.unknowns, self.below)
+        self.cost, self.shares = energy_cost(problem, self.unknowns, self.below)
         last = np.full(q, self.longest)
         seconds = 2.0 * problem.step / self.total
         self.arrival = self.below.add(np.zeros(q), (self.tau, seconds), (last, -1.0))
-        self.passing = [
-            self.below.add(np.full(q, latest), (self.tau[:, :node], seconds[:, :node]))
-            for node, latest in zip(problem.passed.tolist(), problem.latest.tolist(), strict=True)
-            if latest < np.inf
-        ]
+        self.passing = {
+            number: self.below.add(
+                np.full(q, problem.latest[number]), (self.tau[:, :node], seconds[:, :node])
+            )
+            for number, node in enumerate(problem.passed.tolist())
+            if problem.latest[number] < np.inf
+        }
         # Not before a time, and at the end by another: the rest takes no more than what is left.
-        self.passing += [
-            self.below.add(
-                np.full(q, -earliest), (self.tau[:, node:], seconds[:, node:]), (last, -1.0)
+        self.opening = {
+            number: self.below.add(
+                np.full(q, -problem.earliest[number]),
+                (self.tau[:, node:], seconds[:, node:]),
+                (last, -1.0),
             )
-            for node, earliest in zip(
-                problem.passed.tolist(), problem.earliest.tolist(), strict=True
-            )
-            if earliest > -np.inf
-        ]
+            for number, node in enumerate(problem.passed.tolist())
+            if problem.earliest[number] > -np.inf
+        }
 
     def least_energy(self, running_time: float) -> Relaxed:
         """Minimise the worst-case energy within `running_time` [s].
@@ -432,9 +495,33 @@ class Relaxation:
         traction = np.maximum(found.unknowns[unknowns.traction], 0.0)
         braking = np.maximum(found.unknowns[unknowns.braking], 0.0)
         plan = Plan(z, traction, braking, dynamic_share(problem, z, braking))
-        rows = [self.arrival, *self.passing]
-        price = np.sum([np.maximum(found.below[each], 0.0) for each in rows], axis=0)
-        return Relaxed(found.value, plan, price, found.status)
+        multipliers = self._multipliers(found)
+        price = multipliers.time + multipliers.passing.sum(axis=1)
+        return Relaxed(found.value, plan, multipliers, np.asarray(price), found.status)
+
+    def _multipliers(self, found: ProgramSolution) -> Multipliers:
+        """The duals of its rows, in the measures of the problem."""
+        problem, duals = self.problem, np.maximum(found.below, 0.0)
+        points = (problem.shape[0], problem.passed.size)
+        passing, opening = np.zeros(points), np.zeros(points)
+        for number, rows in self.passing.items():
+            passing[:, number] = duals[rows]
+        for number, rows in self.opening.items():
+            opening[:, number] = duals[rows]
+        power, dynamic_power = np.zeros(problem.shape), np.zeros(problem.shape)
+        for limits, into in ((self.pulled, power), (self.braked, dynamic_power)):
+            for row, at, rows in limits:
+                into[row, at] += duals[rows]
+        return Multipliers(
+            pull=found.equal[self.motion] * self.pull,
+            # What is left of the way from a point takes no more than what is left of the time.
+            time=duals[self.arrival] + opening.sum(axis=1),
+            passing=passing,
+            opening=opening,
+            power=power,
+            dynamic_power=dynamic_power,
+            share=problem.weights if self.shares is None else duals[self.shares],
+        )
 
     def least_time(self) -> float:
         """No trajectory takes less time than this [s], whatever its energy.
@@ -454,8 +541,11 @@ class Relaxation:
         cones = self._cones(x)
         return solve(self.unknowns, cost, self.equal, self.below, cones=cones, variable=x)
 
-    def _motion(self) -> None:
-        """Eq. (2) over a cell, exact for the quadratic resistance; rows scaled by the speed."""
+    def _motion(self) -> tuple[IntArray, FloatArray]:
+        """Eq. (2) over a cell, exact for the quadratic resistance; rows scaled by the speed.
+
+        Returns the rows, and what a unit of effort does in each.
+        """
         problem, step, unknowns = self.problem, self.problem.step, self.unknowns
         z, w = unknowns.z, self.w
         decay = 2.0 * problem.drag2 * step
@@ -464,7 +554,7 @@ class Relaxation:
         push, half = step * mean * row, 0.5 * self.scale**2
         ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
         linear, pull = 0.5 * push * problem.drag1[:, None], push * problem.gain[:, None]
-        self.equal.add(
+        rows = self.equal.add(
             -push * problem.mean_drag0,
             (z[:, 1:], half[:, 1:] * row),
             (z[:, :-1], -half[:, :-1] * np.exp(-decay) * row),
@@ -485,6 +575,7 @@ class Relaxation:
         self.below.add(np.zeros(shares.shape), (z[:, limited], shares), (w[:, limited], -1.0))
         if self._stops:
             unknowns.low[z[:, -1]] = unknowns.low[w[:, -1]] = unknowns.high[w[:, -1]] = 0.0
+        return rows, pull
 
     @property
     def _stops(self) -> bool:
@@ -514,22 +605,26 @@ class Relaxation:
         """Eq. (5), with the cell's time per metre in the place of ``1 / v``; so with the curves."""
         problem, unknowns, inverse = self.problem, self.unknowns, 2.0 / self.total
         for a in range(problem.shape[0]):
-            self._tangents(problem.curves, a, unknowns.traction)
+            self.pulled += self._tangents(problem.curves, a, unknowns.traction)
             if unknowns.dynamic is not None:
-                self._tangents(problem.dynamic_curves, a, unknowns.dynamic[a])
+                self.braked += self._tangents(problem.dynamic_curves, a, unknowns.dynamic[a])
         for a, power in enumerate(problem.power):
-            limits = [(unknowns.traction, float(power), problem.traction)]
+            limits = [(self.pulled, unknowns.traction, float(power), problem.traction)]
             if unknowns.dynamic is not None:
-                limits.append((unknowns.dynamic[a], problem.dynamic_power, problem.dynamic[a]))
-            for effort, most, ceiling in limits:
+                own = unknowns.dynamic[a], problem.dynamic_power, problem.dynamic[a]
+                limits.append((self.braked, *own))
+            for into, effort, most, ceiling in limits:
                 at = power_cells(problem, most, ceiling)
-                slope = -most * inverse[a, at]
-                self.below.add(np.zeros(at.size), (effort[at], 1.0), (self.tau[a, at], slope))
+                terms = (effort[at], 1.0), (self.tau[a, at], -most * inverse[a, at])
+                into.append((a, at, self.below.add(np.zeros(at.size), *terms)))
 
-    def _tangents(self, curves: Curves | None, row: int, effort: IntArray) -> None:
+    def _tangents(
+        self, curves: Curves | None, row: int, effort: IntArray
+    ) -> list[tuple[int, IntArray, IntArray]]:
         """Bounds of a curve's effort, ``offset + power / v``, tangent at the speeds and around."""
         if curves is None:
-            return
+            return []
+        found = []
         speeds = 0.5 * self.total[row]
         inverse = 1.0 / speeds
         reach = np.maximum(self.fastest[row, :-1], self.fastest[row, 1:])
@@ -537,7 +632,7 @@ class Relaxation:
             at = np.maximum(np.minimum(factor * speeds, reach), SLOW)
             bound = curves.bounds(row, at, reach, squares=squares)
             half = -0.5 * bound.slope
-            self.below.add(
+            rows = self.below.add(
                 bound.offset,
                 (effort, 1.0),
                 (self.tau[row], -bound.power * inverse),
@@ -546,3 +641,5 @@ class Relaxation:
                 (self.unknowns.z[row, :-1], -0.25 * bound.square * self.scale[row, :-1] ** 2),
                 (self.unknowns.z[row, 1:], -0.25 * bound.square * self.scale[row, 1:] ** 2),
             )
+            found.append((row, np.arange(effort.size), rows))
+        return found

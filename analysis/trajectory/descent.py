@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.convex import NoSolutionError
+from analysis.trajectory.convex import Multipliers, NoSolutionError
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, taper_along
 from analysis.trajectory.rollout import (
     correct_lateness,
@@ -28,7 +28,6 @@ from analysis.trajectory.sqp import (
     EXACT,
     LATENESS_PRICE,
     NEGLIGIBLE_ENERGY,
-    Multipliers,
     QPSubproblem,
     Solution,
     Tolerances,

@@ -36,6 +36,9 @@ BRAKING_WEIGHT, REGAINING_WEIGHT = 0.25, 1.3
 but wastes power of a dynamic brake that feeds back. Chosen with `_SPEED_SHARE` for the least gap on
 five lines."""
 
+_EXCESS_SHARE = 0.5
+"""Share of the cells of a refined mesh that goes where a plan may be improved."""
+
 
 def graded_mesh(
     breakpoints: FloatArray,
@@ -71,6 +74,40 @@ def graded_mesh(
     share = even
     if change.sum() > 0.0:
         share = (1.0 - _SPEED_SHARE) * even + _SPEED_SHARE * change / change.sum()
+    return _even_in(breakpoints, positions, share, cells)
+
+
+def refined_mesh(
+    breakpoints: FloatArray, positions: FloatArray, excess: FloatArray, cells: int
+) -> FloatArray:
+    """Positions of the nodes: half of the cells as they were, half where a plan may be improved.
+
+    What a plan loses in a cell goes with the cube of its length where controls change steadily;
+    so the cube root of it is what cells share evenly.
+
+    Parameters
+    ----------
+    breakpoints : (m,) array [m]
+        As for `graded_mesh`, as `cells`.
+    positions : (n + 1,) array [m]
+        The mesh of the plan.
+    excess : (n,) array
+        What the plan loses in each of its cells, in any unit.
+    cells : int
+    """
+    # Where a control changes, and with it the loss, moves to a neighbouring cell.
+    around = np.convolve(excess, (0.25, 0.5, 0.25), mode="same")
+    root = np.cbrt(around)
+    share = np.full(excess.size, 1.0 / excess.size)
+    if root.sum() > 0.0:
+        share = (1.0 - _EXCESS_SHARE) * share + _EXCESS_SHARE * root / root.sum()
+    return _even_in(breakpoints, positions, share, cells)
+
+
+def _even_in(
+    breakpoints: FloatArray, positions: FloatArray, share: FloatArray, cells: int
+) -> FloatArray:
+    """Nodes through all breakpoints, between which the cells share evenly what `share` is."""
     mass = np.concatenate(([0.0], np.cumsum(share)))
     at = np.interp(breakpoints, positions, mass)
     counts = _allot(np.diff(at), max(cells, breakpoints.size - 1 + cells // 4))
@@ -439,7 +476,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         if point.highest_speed is not None:
             ceiling[node] = min(ceiling[node], 0.5 * point.highest_speed**2)
         floor[node] = 0.5 * (point.lowest_speed or 0.0) ** 2
-    efforts = effort_limits(run, positions)
+    efforts = effort_limits(run, inside(positions, SUBSTEPS), run.adhesion(positions))
     power, fastest = np.array([c.max_power for c in run.configurations]), run.train.max_speed
     own, braking = train.traction_curve, train.dynamic_braking_curve
     return DiscreteProblem(
@@ -529,15 +566,22 @@ class EffortLimits:
     dynamic: FloatArray
 
 
-def effort_limits(run: TrajectoryProblem, positions: FloatArray) -> EffortLimits:
-    """Efforts that machine, comfort and adhesion allow in the cells between `positions`.
+def effort_limits(run: TrajectoryProblem, places: FloatArray, adhesion: FloatArray) -> EffortLimits:
+    """Efforts that machine, comfort and adhesion allow at all of some places together.
 
+    Parameters
+    ----------
+    places : (n, m) array [m]
+    adhesion : (n,) array
+
+    Notes
+    -----
     Traction and the dynamic brake act on the powered axles, all brakes together on every axle. A
     limit of the train's own acceleration is what the effort leaves against gradient, curves and the
     constant part of the resistance; one of its deceleration counts all resistance at the permitted
     speed, so that neither is exceeded at any speed.
     """
-    train, adhesion = run.train, run.adhesion(positions)
+    train = run.train
     cells = adhesion.size
     if np.all(adhesion == adhesion[0]):
         adhesion = adhesion[:1]
@@ -552,8 +596,7 @@ def effort_limits(run: TrajectoryProblem, positions: FloatArray) -> EffortLimits
 
     pull, comfort = train.max_acceleration * inertia, train.max_deceleration * inertia
     if train.acceleration_limits == "net":
-        track = run.track_acceleration(inside(positions, SUBSTEPS))
-        middle = positions[:-1] + 0.5 * np.diff(positions)
+        track, middle = run.track_acceleration(places), places.mean(axis=1)
         speed = run.permitted_speed(middle)
         tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(middle)) * speed**2
         drag = np.array([c.resistance(speed) + tunnel for c in run.configurations])

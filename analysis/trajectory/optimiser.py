@@ -18,8 +18,13 @@ from analysis.trajectory.active_set import (
 )
 from analysis.trajectory.attempts import searched, together
 from analysis.trajectory.audit import Audit
-from analysis.trajectory.certificate import certificate_of
-from analysis.trajectory.convex import time_limit
+from analysis.trajectory.certificate import (
+    LowerBounds,
+    best_bounds,
+    certificate_of,
+    energy_of_audit,
+)
+from analysis.trajectory.convex import time_left, time_limit
 from analysis.trajectory.descent import DrivenPlan
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
@@ -27,6 +32,7 @@ from analysis.trajectory.discretisation import (
     DiscreteProblem,
     discretise,
     graded_mesh,
+    refined_mesh,
 )
 from analysis.trajectory.envelope import Envelope, fastest_run, paced_envelope
 from analysis.trajectory.feasibility import check_time
@@ -52,6 +58,12 @@ _IN_HAND = (2e-4, 2e-3, 2e-2)
 
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
+
+RENEWALS = 2
+"""How often cells are laid anew about the plan found."""
+
+_WORTH = 0.8
+"""Part of the total gap that is left at most where another renewal is worth its time."""
 
 
 def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
@@ -109,10 +121,11 @@ def _optimised(problem: TrajectoryProblem, options: OptimiserOptions) -> Traject
     try:
         check_time(problem, fastest, running_time)
         found = _audited(problem, fastest, running_time, options.cells)
+        found, bounds = _renewed(found, fastest, running_time, options)
     except InfeasibleError as refusal:
         raise _with_time_to_allow(refusal, problem, fastest, running_time, options.cells) from None
     discrete, answer = found.problem, found.answer
-    certificate = certificate_of(answer, fastest, found.audit, running_time, found.coarser)
+    certificate = certificate_of(answer, bounds, fastest, found.audit, running_time, found.coarser)
     if options.referee:
         # Only here: it brings CasADi.
         from analysis.trajectory.referee import refereed
@@ -231,6 +244,55 @@ class _Audited:
     @property
     def problem(self) -> DiscreteProblem:
         return self.answer.problem
+
+    @property
+    def energy(self) -> float:
+        """What was minimised [J/kg]."""
+        return energy_of_audit(self.answer, self.audit) / self.problem.reference
+
+
+def _renewed(
+    found: _Audited, fastest: Envelope, running_time: float, options: OptimiserOptions
+) -> tuple[_Audited, LowerBounds]:
+    """The best plan, on cells laid anew where the bounds of the last state that it loses most."""
+    cells = found.problem.shape[1]
+    bounds = best_bounds(found.answer, fastest, running_time)
+    last = found, bounds
+    for _ in range(RENEWALS):
+        total = bounds.total_gap(found.energy)
+        enough = total <= options.tolerance or time_left() <= 0.0
+        if enough or not bounds.by_cells(found.energy, options.tolerance):
+            break
+        excess = last[1].excess
+        again = _searched_again(last[0], excess, cells, fastest, running_time)
+        if again is None:
+            again = _searched_again(last[0], excess, 2 * cells, fastest, running_time)
+        if again is None:
+            break
+        last = again, best_bounds(again.answer, fastest, running_time)
+        highest = max(bounds.continuous, last[1].continuous)
+        if again.energy <= found.energy or last[1].total_gap(again.energy) < total:
+            found, bounds = last
+        bounds = replace(bounds, continuous=highest, cells=max(bounds.cells, highest))
+        if bounds.total_gap(found.energy) > _WORTH * total:
+            break
+    return found, bounds
+
+
+def _searched_again(
+    found: _Audited, excess: FloatArray, cells: int, fastest: Envelope, running_time: float
+) -> _Audited | None:
+    """The optimum on other cells, begun from the one found; None where it does not end well."""
+    run = found.problem.run
+    positions = refined_mesh(run.breakpoints, found.problem.positions, excess, cells)
+    problem = discretise(run, positions)
+    every = range(problem.shape[0])
+    guess = interpolated_guess(found.answer, found.problem.positions, problem, every)
+    try:
+        answer, rollout = searched(problem, guess, fastest.at(positions), running_time)
+    except TrainlogError:
+        return None
+    return _Audited(answer, rollout, found.coarser)
 
 
 def _audited(

@@ -95,7 +95,7 @@ def _title(trajectory: Trajectory) -> str:
         return words
     return (
         f"{words}\n{trajectory.energy_label} {certificate['energy'] / JOULES_PER_KWH:.1f} kWh,"
-        f" gap {100.0 * certificate['gap']:.3f} %"
+        f" {trajectory.optimality}"
     )
 
 

@@ -445,6 +445,8 @@ class OptimiserOptions:
         Cells of the grid, about; a line with many breakpoints gets more.
     referee : bool
         Have IPOPT solve the same problem too, and put what it found into the certificate.
+    tolerance : float
+        Total gap, relative, above which the cells are laid anew about the plan found.
     time_limit : float or None [s]
         After which the best that was found is the answer, with its gap; what has begun is finished.
         None: no limit.
@@ -452,19 +454,26 @@ class OptimiserOptions:
     Raises
     ------
     InputError
-        If there are too few or too many cells, or no time at all.
+        If there are too few or too many cells, the tolerance is negative, or there is no time.
 
     Examples
     --------
     >>> OptimiserOptions(cells=200)
-    OptimiserOptions(cells=200, referee=False, time_limit=None)
+    OptimiserOptions(cells=200, referee=False, tolerance=0.0005, time_limit=None)
     """
 
     cells: int = 500
     referee: bool = False
+    tolerance: float = 5e-4
     time_limit: float | None = None
 
     def __post_init__(self) -> None:
+        if not self.tolerance >= 0.0:
+            raise InputError(
+                f"trajectory: the tolerance of the total gap must be 0 or more, not"
+                f" {self.tolerance:g}",
+                remedy="0.0005 asks for 0.05 per cent",
+            )
         if self.time_limit is not None and not self.time_limit > 0.0:
             raise InputError(
                 f"trajectory: the time limit must be more than 0 s, not {self.time_limit:g}",

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.convex import (
     SLOW,
+    Multipliers,
     NoSolutionError,
     OutOfTimeError,
     Rows,
@@ -68,63 +69,6 @@ _SHORT_CELL = 20.0
 
 _LEAST_POWER = 0.02
 """The same over the mean power; where a timetable is so slack that time is worth nothing."""
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Lagrange multipliers of an optimum, per unit reference inertia.
-
-    Attributes
-    ----------
-    pull : (q, n) array
-        Of the motion through a cell, times what the common effort does to it: energy that a unit
-        of effort is worth in the cell. Its sum over the configurations is ``step · switching``.
-    time : (q,) array [J/(kg s)]
-        Of the running time.
-    passing : (q, p) array [J/(kg s)]
-        Of the latest times at the passing points.
-    opening : (q, p) array [J/(kg s)]
-        Of the earliest times there.
-    power, dynamic_power : (q, n) array
-        Of the limits of power, both ends of a cell together.
-    share : (q,) array
-        Of the energy that is regained; it weighs the configurations, the worst alone as a rule.
-    """
-
-    pull: FloatArray
-    time: FloatArray
-    passing: FloatArray
-    opening: FloatArray
-    power: FloatArray
-    dynamic_power: FloatArray
-    share: FloatArray
-
-    def cell_prices(self, problem: DiscreteProblem) -> FloatArray:
-        """What a second in each cell is worth: that of all it makes late, (q, n) [J/(kg s)].
-
-        Less than nothing where the train must lose time, before a point not to be passed earlier.
-        """
-        before = np.arange(problem.shape[1]) < problem.passed[:, None]
-        return np.asarray(self.time[:, None] + (self.passing - self.opening) @ before)
-
-    def select(self, rows: Sequence[int]) -> Multipliers:
-        """Those of some of the configurations."""
-        chosen = list(rows)
-        return Multipliers(**{name: values[chosen] for name, values in vars(self).items()})
-
-    def convex(self) -> Multipliers:
-        """The same with no more on the earliest times than leaves every second worth something.
-
-        ``t(point) >= earliest`` is not convex, but with ``t(end) <= T`` it means that the rest
-        takes at most ``T - earliest``, which is: price on price, the Lagrange function is the
-        same as long as no cell's price is negative.
-        """
-        left, opening = self.time.copy(), self.opening.copy()
-        for point in range(opening.shape[1] - 1, -1, -1):
-            left += self.passing[:, point]
-            opening[:, point] = np.minimum(opening[:, point], left)
-            left -= opening[:, point]
-        return replace(self, opening=opening)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,674 @@
+"""Lower bound of the problem that is not cut into cells: the Hamiltonian's least value by place.
+
+Weak duality for the continuous problem of Cunillera et al. (2022), eq. (1) to (10). With any price
+of time ``mu`` and any costate ``lambda``, a function of the position that is continuous except
+where the speed is limited, no trajectory takes less energy than::
+
+    integral of min H(s, v, u) ds over v and u  -  mu T  +  what the ends add,
+
+    H = c u_f - eta u_d + mu / v + lambda (drag(v) - gain (u_f - u_b)) - lambda' v²/2
+
+with ``c`` the price of traction and ``eta`` that of what the dynamic brake feeds back. Controls may
+change anywhere, and the least value over the speed is a global one; nothing depends on cells. The
+costates of an optimum on cells, interpolated such that they satisfy the adjoint equation along its
+speeds, make the bound as close as the optimum on cells is to that without. The Hamiltonian of the
+plan less the least one, in each cell, states what the cell costs, and where cells must be shorter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory.convex import Multipliers
+from analysis.trajectory.curves import Curves
+from analysis.trajectory.discretisation import DiscreteProblem, Plan, effort_limits
+from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.problem import TrajectoryProblem
+
+FloatArray = NDArray[np.float64]
+
+_POINTS = 4
+"""Of Gauss and Legendre in each segment."""
+
+_MANY_VALUES = 400_000
+"""Of the Hamiltonian, from which half of the points have to do."""
+
+_NEWTON_STEPS = 8
+
+_REACH, _ROUNDING = 1e-3, 1e-4
+"""By which the fastest run may be faster than its grid has it, relative and [m/s]."""
+
+_CREEPING = 2.0
+"""Speed below which a train that starts or stops does so at its fastest [m/s]."""
+
+_AT_LIMIT = 1e-5
+"""Part of the permitted ``z`` within which a plan is at its limit."""
+
+_LEVEL = 1e-5
+"""Within which a costate is at the level where a control is partial."""
+
+_CUT = 0.98
+"""Part of a cell up to which the costate leaves its level in it."""
+
+_LEAST_SPEED = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousBound:
+    """What no trajectory comes below, however its controls change.
+
+    Attributes
+    ----------
+    value : float [J/kg]
+    excess : (n,) array [J/kg]
+        By how much the plan is above it in each cell; where it is large cells are too long.
+    """
+
+    value: float
+    excess: FloatArray
+
+
+def continuous_bound(
+    problem: DiscreteProblem,
+    plan: Plan,
+    multipliers: Multipliers,
+    fastest: Envelope,
+    running_time: float,
+    run: TrajectoryProblem,
+) -> ContinuousBound:
+    """Lower bound of the energy of all trajectories, on these cells or any others.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    plan : Plan
+        The optimum of the problem on its cells.
+    multipliers : Multipliers
+        Its multipliers.
+    fastest : Envelope
+        Of the same configurations; no trajectory is faster anywhere.
+    running_time : float [s]
+    run : TrajectoryProblem
+        With all configurations, whose traction is one; the problem may be of some of them.
+    """
+    prices = _Prices.of(problem, multipliers.convex())
+    points = _POINTS if problem.drag2.size * _POINTS <= _MANY_VALUES else _POINTS // 2
+    whole = _Segments.of(problem, np.arange(problem.shape[1]), problem.positions, points)
+    costate = _costate(_Hamiltonian(problem, plan, prices, fastest, run, whole), multipliers)
+    segments = costate.segments
+    hamiltonian = _Hamiltonian(problem, plan, prices, fastest, run, segments)
+    values, slopes = costate.along(hamiltonian)
+    least, spent = hamiltonian.least(values, slopes), hamiltonian.of_plan(values, slopes)
+    total = float((least * segments.weights).sum()) + costate.at_nodes
+    total -= prices.of_times(problem, running_time)
+    excess = ((spent - least) * segments.weights).sum(axis=1)
+    return ContinuousBound(total, np.maximum(np.bincount(segments.cell, excess), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Prices:
+    """What traction, regained energy, time and limits are worth.
+
+    Attributes
+    ----------
+    traction : float
+    regained : (q,) array
+    time : (q, n) array [J/(kg s)]
+    share : (q, n) array
+        Of the price of traction at its limit, by whose power it is limited.
+    dynamic : (q, n) array
+        Of the dynamic brake at its power limit.
+    multipliers : Multipliers
+    """
+
+    traction: float
+    regained: FloatArray
+    time: FloatArray
+    share: FloatArray
+    dynamic: FloatArray
+    multipliers: Multipliers
+
+    @staticmethod
+    def of(problem: DiscreteProblem, multipliers: Multipliers) -> _Prices:
+        train, (q, _) = problem.run.train, problem.shape
+        traction, regained = 1.0, np.zeros(q)
+        if problem.run.at_line:
+            traction = 1.0 / train.efficiency_traction
+            share = multipliers.share / max(float(multipliers.share.sum()), 1e-300)
+            regained = train.efficiency_regeneration * share
+        limited = multipliers.power.sum(axis=0)
+        share = multipliers.power / np.maximum(limited, 1e-300)
+        if q == 1:
+            share = np.ones_like(share)
+        dynamic = np.clip(multipliers.dynamic_power / problem.step, 0.0, regained[:, None])
+        time = multipliers.cell_prices(problem)
+        return _Prices(traction, regained, time, share, dynamic, multipliers)
+
+    def of_times(self, problem: DiscreteProblem, running_time: float) -> float:
+        """Times allowed, each at its price [J/kg]."""
+        found = self.multipliers
+        total = running_time * float(found.time.sum())
+        for prices, times, sign in (
+            (found.passing, problem.latest, 1.0),
+            (found.opening, problem.earliest, -1.0),
+        ):
+            bounded = np.isfinite(times)
+            total += sign * float(prices.sum(axis=0)[bounded] @ times[bounded])
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class _Segments:
+    """Parts of cells with points of a quadrature.
+
+    Attributes
+    ----------
+    cell : (k,) array of int
+    length : (k,) array [m]
+    place : (k, p) array
+        Of the points, as parts of the segment's length.
+    weights : (k, p) array [m]
+    positions : (k, p) array [m]
+    gathering : (p, p) array
+        Integrals over parts of a segment, from its beginning to each point.
+    """
+
+    cell: NDArray[np.int64]
+    length: FloatArray
+    place: FloatArray
+    weights: FloatArray
+    positions: FloatArray
+    gathering: FloatArray
+
+    @staticmethod
+    def of(
+        problem: DiscreteProblem, cell: NDArray[np.int64], edges: FloatArray, points: int
+    ) -> _Segments:
+        """Segments between `edges` [m], each in the cell of that number."""
+        nodes, weights = np.polynomial.legendre.leggauss(points)
+        nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
+        length, powers = np.diff(edges), np.arange(points)
+        rising = nodes[:, None] ** (powers + 1) / (powers + 1)
+        gathering = rising @ np.linalg.inv(nodes[:, None] ** powers)
+        place, part = np.tile(nodes, (length.size, 1)), np.tile(weights, (length.size, 1))
+        # Time goes with the root of the way from or to a standstill; so do the points.
+        if problem.initial == 0.0:
+            place[0], part[0] = nodes**2, 2.0 * nodes * weights
+        if problem.final == 0.0:
+            place[-1], part[-1] = 1.0 - (1.0 - nodes) ** 2, 2.0 * (1.0 - nodes) * weights
+        positions = edges[:-1, None] + length[:, None] * place
+        return _Segments(cell, length, place, length[:, None] * part, positions, gathering)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """``offset + power / v + slope v``: an effort over a range of speeds."""
+
+    offset: FloatArray
+    power: FloatArray
+    slope: FloatArray
+
+    @staticmethod
+    def of(
+        effort: FloatArray, power: FloatArray, curves: Curves | None, speed: FloatArray
+    ) -> _Piece:
+        """The limit by effort, power or curve that is lowest at the speeds; none is below it."""
+        none = np.zeros(speed.shape)
+        by_power = power < effort * speed
+        offset = np.where(by_power, 0.0, effort)
+        found = _Piece(offset, np.where(by_power, power, 0.0), none)
+        if curves is None:
+            return found
+        share = curves.share[:, None, None]
+        v, f = curves.own.speeds, curves.own.efforts
+        slopes = np.append(np.diff(f) / np.diff(v), 0.0)
+        at = np.clip(np.searchsorted(v, speed / share, side="right") - 1, 0, v.size - 1)
+        beyond = at == v.size - 1
+        last = np.where(beyond, f[-1] * v[-1] * share, 0.0)
+        line = np.where(beyond, 0.0, f[at] - slopes[at] * v[at])
+        own = _Piece(line, last, np.where(beyond, 0.0, slopes[at] / share))
+        lower = own.at(speed) < found.at(speed)
+        names = ("offset", "power", "slope")
+        return _Piece(*(np.where(lower, getattr(own, n), getattr(found, n)) for n in names))
+
+    def at(self, speed: FloatArray) -> FloatArray:
+        return np.asarray(self.offset + self.power / speed + self.slope * speed)
+
+
+class _Hamiltonian:
+    """The Hamiltonian at the points of segments, for q configurations; arrays (q, k, p)."""
+
+    def __init__(
+        self,
+        problem: DiscreteProblem,
+        plan: Plan,
+        prices: _Prices,
+        fastest: Envelope,
+        run: TrajectoryProblem,
+        segments: _Segments,
+    ) -> None:
+        self.problem, self.plan, self.prices, self.segments = problem, plan, prices, segments
+        self.fastest = fastest
+        s, cell = segments.positions, segments.cell
+        coefficients = np.array(
+            [
+                [c.mass, c.inertia, c.resistance.r0, c.resistance.r2]
+                for c in problem.run.configurations
+            ]
+        )
+        mass, inertia, constant, square = coefficients.T[:, :, None, None]
+        tunnel = run.train.tunnel_coefficient(run.line.tunnel_cross_section(s))
+        self.drag0 = (constant + mass * problem.run.track_acceleration(s)) / inertia
+        self.drag1, self.drag2 = problem.drag1[:, None, None], (square + tunnel) / inertia
+        self.gain, self.time = problem.gain[:, None, None], prices.time[:, cell, None]
+        self.share, self.regained = prices.share[:, cell, None], prices.regained[:, None, None]
+        self.power = problem.power[:, None, None]
+        self.traction = _limits_at(run, problem.reference, s)[0].min(axis=0)
+        brakes = _limits_at(problem.run, problem.reference, s)[1:]
+        self.braking, self.friction, self.dynamic = brakes
+        self.highest = np.minimum(run.permitted_speed(s), _reached(fastest, s))
+        self.highest = np.maximum(self.highest, _LEAST_SPEED)
+        start = problem.positions[cell, None]
+        part = (s - start) / problem.step[cell, None]
+        change = plan.z[:, cell + 1, None] - plan.z[:, cell, None]
+        fall = problem.taper.fall[cell, None]
+        z = plan.z[:, cell, None] + change * part
+        z = z + self.gain * fall * problem.step[cell, None] * part * (1.0 - part)
+        self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), _LEAST_SPEED, self.highest)
+        self.pulled = plan.traction[cell, None] + fall * (1.0 - 2.0 * part)
+
+    def slopes(self, costate: FloatArray) -> FloatArray:
+        """The adjoint equation: what the costate changes by along the plan's speeds."""
+        a, b, c, _ = self._along(costate, self.speed)
+        return np.asarray((b - a / self.speed**2) / self.speed + 2.0 * c)
+
+    def least(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
+        """The least Hamiltonian over all speeds and controls, (k, p) [J/(kg m)]."""
+        edges, found = self._edges(costate.shape), np.full(costate.shape, np.inf)
+        for low, high in pairwise(edges):
+            within = high > low
+            if not within.any():
+                continue
+            a, b, c, constant = self._along(costate, 0.5 * (low + high))
+            value = _least(a, b, c - 0.5 * slope, (low, high), self.speed) + constant
+            found = np.where(within, np.minimum(found, value), found)
+        worth = (costate * self.gain).sum(axis=0) - self.prices.traction
+        alone = np.where(self.share.sum(axis=0) > 0.5, 0.0, self.traction)
+        total = found.sum(axis=0) - alone * np.maximum(worth, 0.0)
+        if self.problem.common:
+            total = total + self._common_brake(costate)
+        return np.asarray(total)
+
+    def of_plan(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
+        """The plan's own Hamiltonian, (k, p) [J/(kg m)]."""
+        v, cell = self.speed, self.segments.cell
+        drag = self.drag0 + self.drag1 * v + self.drag2 * v**2
+        braking = self.gain * self.plan.braking[:, cell, None]
+        own = self.time / v + costate * (drag + braking) - 0.5 * slope * v**2
+        own = own - self.regained * self.plan.dynamic[:, cell, None]
+        worth = self.prices.traction - (costate * self.gain).sum(axis=0)
+        return np.asarray(own.sum(axis=0) + worth * self.pulled)
+
+    def _edges(self, shape: tuple[int, ...]) -> FloatArray:
+        """Speeds between which each limit is one of effort, power, or a line of a curve."""
+        problem = self.problem
+        least = np.full(shape, _LEAST_SPEED)
+        found = [least, self.power / np.maximum(self.traction, 1e-12)]
+        if problem.run.at_line or np.any(problem.friction < problem.braking):
+            found.append(problem.dynamic_power / np.maximum(self.dynamic, 1e-12))
+        for curves in (problem.curves, problem.dynamic_curves):
+            if curves is not None:
+                knots = curves.own.speeds[curves.own.speeds < curves.fastest]
+                found += [knot * curves.share[:, None, None] for knot in knots[1:].tolist()]
+        found.append(self.highest)
+        clipped = [np.clip(np.broadcast_to(e, shape), least, self.highest) for e in found]
+        return np.sort(np.stack(clipped), axis=0)
+
+    def _along(
+        self, costate: FloatArray, speed: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The least over the controls, ``a / v + b v + c v² + constant`` about the speeds."""
+        worth = np.maximum((costate * self.gain).sum(axis=0) - self.prices.traction, 0.0)
+        pull = _Piece.of(self.traction, self.power, self.problem.curves, speed)
+        by_pull, own = worth * self.share, costate * self.gain
+        a = self.time - by_pull * pull.power
+        b = costate * self.drag1 - by_pull * pull.slope
+        constant = costate * self.drag0 - by_pull * pull.offset
+        power = np.asarray(self.problem.dynamic_power)
+        brake = _Piece.of(self.dynamic, power, self.problem.dynamic_curves, speed)
+        if self.problem.common:
+            by_brake = self.prices.dynamic[:, self.segments.cell, None]
+        else:
+            # Against a costate below zero all brakes are worth more than what one regains.
+            short = self.friction + brake.at(speed) < self.braking
+            by_brake = np.maximum(self.regained - np.where(short, own, np.maximum(own, 0.0)), 0.0)
+            most = np.where(short, self.friction, self.braking)
+            constant = constant + np.minimum(own, 0.0) * most
+        return (
+            a - by_brake * brake.power,
+            b - by_brake * brake.slope,
+            costate * self.drag2,
+            constant - by_brake * brake.offset,
+        )
+
+    def _common_brake(self, costate: FloatArray) -> FloatArray:
+        """The least of a braking effort for all: in a corner of its limits, (k, p)."""
+        most = self.braking.min(axis=0)
+        worth = (costate * self.gain).sum(axis=0)
+        left = self.regained - self.prices.dynamic[:, self.segments.cell, None]
+        least = np.zeros(most.shape)
+        for corner in (most, *np.broadcast_to(self.dynamic, costate.shape)):
+            effort = np.minimum(corner, most)
+            value = worth * effort - (left * np.minimum(effort, self.dynamic)).sum(axis=0)
+            least = np.minimum(least, value)
+        return least
+
+
+def _reached(fastest: Envelope, positions: FloatArray) -> FloatArray:
+    """Speeds that no trajectory exceeds, (q, ...) [m/s].
+
+    Between the nodes of the fastest run its ``z`` is at most what the slopes of the cells on either
+    side lead to: it may turn from traction to the brake there.
+    """
+    s, z, place = fastest.positions, 0.5 * fastest.speeds**2, positions.ravel()
+    cell = np.clip(np.searchsorted(s, place, side="right") - 1, 0, s.size - 2)
+    slopes = np.diff(z, axis=1) / np.diff(s)
+    before, after = np.maximum(cell - 1, 0), np.minimum(cell + 1, s.size - 2)
+    bend = np.maximum(slopes[:, before], slopes[:, cell]) - np.minimum(
+        slopes[:, after], slopes[:, cell]
+    )
+    length = s[cell + 1] - s[cell]
+    away = place - s[cell]
+    highest = z[:, cell] + slopes[:, cell] * away + bend * away * (length - away) / length
+    found = np.sqrt(2.0 * np.maximum(highest, 0.0)) * (1.0 + _REACH) + _ROUNDING
+    return np.asarray(found.reshape(-1, *positions.shape))
+
+
+def _limits_at(
+    run: TrajectoryProblem, reference: float, positions: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Limits of traction, all brakes, friction and dynamic brake at positions, (q, k, p) [m/s²]."""
+    places, size = positions.reshape(-1, 1), (len(run.configurations), positions.size)
+    if run.condition_map is None and run.train.acceleration_limits == "gross":
+        places = places[:1]
+    limits = effort_limits(run, places, run.adhesion_at(places[:, 0]))
+    traction, braking, friction, dynamic = (
+        np.broadcast_to(each / reference, size).reshape(-1, *positions.shape)
+        for each in (limits.traction, limits.braking, limits.friction, limits.dynamic)
+    )
+    return traction, braking, friction, dynamic
+
+
+def _least(
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    span: tuple[FloatArray, FloatArray],
+    start: FloatArray,
+) -> FloatArray:
+    """What ``a / v + b v + c v²`` is not below in a span of speeds.
+
+    It bends one way up to some speed and the other way beyond. Where it is concave the least is at
+    an end; where it is convex any tangent bounds it, and Newton's method finds a close one.
+    """
+    low, high = span
+    turn = np.cbrt(np.abs(a) / np.maximum(np.abs(c), 1e-300))
+    begin = np.where((a < 0.0) & (c > 0.0), np.clip(turn, low, high), low)
+    end = np.where((a > 0.0) & (c < 0.0), np.clip(turn, low, high), high)
+    concave = (a <= 0.0) & (c <= 0.0)
+    v, best = np.clip(start, begin, end), np.full(a.shape, -np.inf)
+    for _ in range(_NEWTON_STEPS):
+        slope = b - a / v**2 + 2.0 * c * v
+        down = np.minimum(slope * (begin - v), slope * (end - v))
+        best = np.maximum(best, a / v + b * v + c * v**2 + down)
+        bend = np.maximum(2.0 * (a / v**3 + c), 1e-12)
+        v = np.clip(v - slope / bend, begin, end)
+    ends = np.minimum(*(a / at + b * at + c * at**2 for at in span))
+    return np.asarray(np.where(concave, ends, np.minimum(ends, best)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Costate:
+    """The costate as a function of the position: its values at the ends of segments.
+
+    Attributes
+    ----------
+    segments : _Segments
+    begin, end : (q, k) array
+    even : (q, k) array of bool
+        Where it is linear; elsewhere it follows the adjoint equation.
+    at_nodes : float [J/kg]
+        What its jumps and its values at both ends of the run add to the bound.
+    """
+
+    segments: _Segments
+    begin: FloatArray
+    end: FloatArray
+    even: NDArray[np.bool_]
+    at_nodes: float
+
+    def along(self, hamiltonian: _Hamiltonian) -> tuple[FloatArray, FloatArray]:
+        """Its values and slopes at the points of its segments, (q, k, p)."""
+        segments, change = self.segments, self.end - self.begin
+        line = self.begin[:, :, None] + change[:, :, None] * segments.place
+        shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(line))
+        part = segments.weights / segments.length[:, None]
+        rest = change / segments.length - (shape * part).sum(axis=2)
+        slope = shape + rest[:, :, None]
+        step = segments.length[:, None] * (slope @ segments.gathering.T)
+        return np.where(self.even[:, :, None], line, self.begin[:, :, None] + step), slope
+
+
+def _costate(hamiltonian: _Hamiltonian, multipliers: Multipliers) -> _Costate:
+    """The multipliers of cells as a function of the position.
+
+    A multiplier is the mean of the costate over its cell. Where a control is partial the costate
+    stands at a level. There it joins its neighbours along the adjoint equation, in a part of the
+    cell only: that in which the optimum on cells could not yet change its controls.
+    """
+    problem, plan, step = hamiltonian.problem, hamiltonian.plan, hamiltonian.problem.step
+    mean = multipliers.pull / (step * problem.gain[:, None])
+    shape = hamiltonian.slopes(np.broadcast_to(mean[:, :, None], hamiltonian.speed.shape))
+    limit, floor = _node_limits(hamiltonian)
+    limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
+    held = limited[:, :-1] & limited[:, 1:]
+    partial, alone = _partial(hamiltonian, mean)
+    flat = alone | (held & (shape.mean(axis=2) < 0.0))
+    base = np.where(flat[:, :, None], 0.0, shape)
+    base, even = _together(base, mean, problem.gain, (partial & ~alone, alone, held))
+    flat |= even
+    whole = hamiltonian.segments
+    change = (base * whole.weights).sum(axis=2)
+    gathered = whole.length[:, None] * (base @ whole.gathering.T)
+    begin = mean - (gathered * whole.weights).sum(axis=2) / step
+    end = begin + change
+    # Between two cells; the one that follows the adjoint equation knows better.
+    trust = np.where(partial, 1e-6, 1.0) / step**2
+    left, right = end[:, :-1], begin[:, 1:]
+    middle = (trust[:, :-1] * left + trust[:, 1:] * right) / (trust[:, :-1] + trust[:, 1:])
+    free = limited[:, 1:-1] & (right > left)
+    slow = (floor > 0.0) & (plan.z <= floor * (1.0 + _AT_LIMIT))
+    free |= slow[:, 1:-1] & (right < left)
+    first = np.column_stack((begin[:, :1], np.where(free, right, middle)))
+    last = np.column_stack((np.where(free, left, middle), end[:, -1:]))
+    creeping = _creep(problem, plan, first, last)
+    jump = first[:, 1:] - last[:, :-1]
+    added = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1]).sum()
+    added -= float((first[:, 0] * problem.initial).sum())
+    added += float((np.minimum(last[:, -1], 0.0) * np.minimum(problem.final, limit[:, -1])).sum())
+    values = first, begin, end, last
+    kinds = partial & ~alone & ~creeping, alone & ~creeping, flat | creeping
+    return _with_ramps(hamiltonian, values, shape, kinds, float(added))
+
+
+def _node_limits(hamiltonian: _Hamiltonian) -> tuple[FloatArray, FloatArray]:
+    """Largest ``z`` at the nodes, (q, n + 1), and the least, (n + 1,) [m²/s²]."""
+    problem, run = hamiltonian.problem, hamiltonian.problem.run
+    positions = problem.positions
+    limit = run.permitted_speed(positions[:-1] + 0.5 * problem.step)
+    lowest = np.asarray(np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf)))
+    for node, point in zip(problem.passed.tolist(), run.windows, strict=True):
+        if point.highest_speed is not None:
+            lowest[node] = min(lowest[node], point.highest_speed)
+    own = _reached(hamiltonian.fastest, positions)
+    return 0.5 * np.minimum(lowest, own) ** 2, problem.floor
+
+
+def _partial(
+    hamiltonian: _Hamiltonian, mean: FloatArray
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Cells in which a control is partial, (q, n); and those in which the costate itself is level.
+
+    By common traction, or a common brake, that is the sum of the costates.
+    """
+    problem, prices = hamiltonian.problem, hamiltonian.prices
+    own, regained = mean * problem.gain[:, None], prices.regained[:, None]
+    worth = np.asarray(own.sum(axis=0))
+    shared = np.abs(worth - prices.traction) < _LEVEL
+    if problem.common:
+        shared |= (np.abs(worth) < _LEVEL) | (np.abs(worth - regained.sum()) < _LEVEL)
+        alone = np.zeros(own.shape, dtype=np.bool_)
+    else:
+        alone = np.asarray((np.abs(own) < _LEVEL) | (np.abs(own - regained) < _LEVEL))
+    return np.asarray(shared | alone), alone
+
+
+def _together(
+    base: FloatArray,
+    worth: FloatArray,
+    gain: FloatArray,
+    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Slopes such that the sum of the costates is level where a common control is partial.
+
+    A configuration at its limit takes what the others leave: it stays there under any costate that
+    falls less than the adjoint equation asks for. Where there is none all share it, by what effort
+    is `worth` to them, (q, n).
+
+    Returns
+    -------
+    base : (q, n, p) array
+    even : (q, n) array of bool
+        Whose slope was changed.
+    """
+    shared, alone, held = kinds
+    able = np.asarray(held & ~alone)
+    able = np.where(able.any(axis=0), able, ~alone) & shared
+    weight = np.where(able, np.abs(worth) + 1e-12, 0.0)
+    part = weight / np.maximum(weight.sum(axis=0), 1e-300) / gain[:, None]
+    excess = (gain[:, None, None] * base).sum(axis=0)
+    return base - part[:, :, None] * excess, np.asarray(able)
+
+
+def _creep(
+    problem: DiscreteProblem, plan: Plan, first: FloatArray, last: FloatArray
+) -> NDArray[np.bool_]:
+    """Keep the costate level near a standstill, in place; there trains are at their fastest.
+
+    Any costate that falls less than the adjoint equation asks for leads to the same speed.
+    """
+    fast = np.flatnonzero(plan.z.max(axis=0) > 0.5 * _CREEPING**2)
+    found = np.zeros(problem.shape, dtype=np.bool_)
+    if fast.size < 2:
+        return found
+    begins, ends = int(fast[0]), int(fast[-1])
+    if problem.initial == 0.0:
+        found[:, :begins] = True
+        first[:, :begins] = last[:, :begins] = first[:, begins : begins + 1]
+    if problem.final == 0.0:
+        found[:, ends:] = True
+        first[:, ends:] = last[:, ends:] = last[:, ends - 1 : ends]
+    return found
+
+
+def _with_ramps(
+    hamiltonian: _Hamiltonian,
+    values: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    shape: FloatArray,
+    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
+    at_nodes: float,
+) -> _Costate:
+    """Cells of partial controls cut where the costate leaves its level.
+
+    Parameters
+    ----------
+    values : four (q, n) arrays
+        Where each cell begins, by its neighbours and by itself; where it ends, by itself and by
+        its neighbours.
+    shape : (q, n, p) array
+        Slopes by the adjoint equation.
+    kinds : three (q, n) arrays of bool
+        Where a common control is partial; where a brake is; where the costate is linear.
+    at_nodes : float [J/kg]
+    """
+    problem, (shared, alone, flat) = hamiltonian.problem, kinds
+    first, begin, end, last = values
+    step, partial = problem.step, shared | alone
+    gain = problem.gain[:, None]
+    before, begun = _ramp(first - begin, -shape[:, :, 0], kinds, gain, step)
+    after, ended = _ramp(last - end, shape[:, :, -1], kinds, gain, step)
+    cut = (before + after > 0.0) & (before + after < _CUT * step)
+    before, after = np.where(cut, before, 0.0), np.where(cut, after, 0.0)
+    starts = np.column_stack((np.zeros_like(step), before, step - after))
+    ends = np.column_stack((before, step - after, step))
+    inner = [_inside(hamiltonian, first, last, shape, at / step) for at in (before, step - after)]
+    drift = (end - begin) / step
+    levels = (
+        np.where(partial, begin + drift * before, inner[0]),
+        np.where(partial, end - drift * after, inner[1]),
+    )
+    one = np.where(before > 0.0, levels[0], first)
+    other = np.where(after > 0.0, levels[1], last)
+    begins, finishes = np.stack((first, one, other), axis=2), np.stack((one, other, last), axis=2)
+    middle = flat & (cut | ~(partial & (begun | ended)))
+    outer = flat & ~partial
+    even = np.stack((outer, middle, outer), axis=2)
+    kept = ends - starts > 1e-9 * step[:, None]
+    cell = np.repeat(np.arange(step.size)[:, None], 3, axis=1)[kept]
+    edges = np.append((problem.positions[:-1, None] + starts)[kept], problem.positions[-1])
+    segments = _Segments.of(problem, cell, edges, shape.shape[2])
+    return _Costate(segments, begins[:, kept], finishes[:, kept], even[:, kept], at_nodes)
+
+
+def _ramp(
+    off: FloatArray,
+    slope: FloatArray,
+    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
+    gain: FloatArray,
+    step: FloatArray,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Length [m] in which costates `off` their level come back to it, and whether they are off.
+
+    At their slopes; (n,) arrays. Of a common control it is their sum; else the farthest off.
+    """
+    shared, alone, _ = kinds
+    columns, together = np.arange(step.size), shared.any(axis=0)
+    row = np.argmax(np.where(alone, np.abs(off), -1.0), axis=0)
+    own = np.where(alone.any(axis=0), off[row, columns], 0.0)
+    off = np.where(together, (gain * off).sum(axis=0), own)
+    slope = np.where(together, (gain * slope).sum(axis=0), slope[row, columns])
+    length = off / np.where(slope == 0.0, 1e-300, slope)
+    length = np.where((length < 0.0) | (length > step), step, length)
+    away = np.asarray(np.abs(off) > _LEVEL)
+    return np.where(away, length, 0.0), away
+
+
+def _inside(
+    hamiltonian: _Hamiltonian,
+    first: FloatArray,
+    last: FloatArray,
+    shape: FloatArray,
+    at: FloatArray,
+) -> FloatArray:
+    """The costate at a part of each cell, as the adjoint equation has it between both ends."""
+    segments, step = hamiltonian.segments, hamiltonian.problem.step
+    nodes = segments.place[segments.place.shape[0] // 2]
+    powers = np.arange(nodes.size)
+    coefficients = shape @ np.linalg.inv(nodes[:, None] ** powers).T
+    risen = (coefficients * at[:, None] ** (powers + 1) / (powers + 1)).sum(axis=2)
+    rest = (last - first) - step * (coefficients / (powers + 1)).sum(axis=2)
+    return np.asarray(first + step * risen + rest * at)
