@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
+from analysis.control.follow import following_scenarios
 from analysis.control.route import effort_limits, route_tables, train_limits
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import TripRefusedError, track_slope
@@ -247,3 +248,13 @@ def test_a_train_that_is_a_strip_is_identified_as_one() -> None:
     mistaken = replace(trip, attachments={**trip.attachments, TRAIN_ATTACHMENT: point})
     with pytest.raises(TripRefusedError, match="the curve is known to"):
         fit_trip(mistaken)
+
+
+def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with() -> None:
+    strip = replace(FLIRT, mass_model="homogeneous_strip")
+    found = optimise(TrajectoryProblem.nominal(WIL, strip, end=6e3), OptimiserOptions(cells=60))
+    found.check_forces(WIL, strip)
+    with pytest.raises(InputError, match=r"mass_model 'homogeneous_strip', train .* 'mass_point'"):
+        following_scenarios(found, WIL, FLIRT)
+    with pytest.raises(InputError, match=r"curve_resistance 'proportional', line .* 'roeckl'"):
+        following_scenarios(found, replace(WIL, curve_resistance="roeckl"), strip)

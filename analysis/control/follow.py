@@ -422,6 +422,7 @@ def run_of(
         See `Follower`.
     """
     trajectory.check(line.name, train.name)
+    trajectory.check_forces(line, train)
     start, end = float(trajectory.positions[0]), float(trajectory.positions[-1])
     if end > line.length + 1.0:
         raise InputError(

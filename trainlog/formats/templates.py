@@ -101,7 +101,9 @@ COMMENTS = {
         "rotating_mass_factor": "Inertia of all rotating parts over the empty mass.",
         "max_load": "Heaviest load of passengers or freight; may be left out.",
         "running_resistance": "r0 + r1 v + r2 v^2 on straight, level, open track.",
-        "max_acceleration": "What the train's control allows.",
+        "length": 'With the key mass_model = "homogeneous_strip" gradients are averaged over it.',
+        "max_acceleration": "What the train's control allows, of effort over inertia; with\n"
+        'acceleration_limits = "net" of the train\'s own acceleration.',
         "max_tractive_effort": "Efforts and powers are at the wheel rims.",
         "max_dynamic_braking_effort": "Of the motors; 0 if there is no such brake.",
         "max_pneumatic_braking_effort": "Of the friction brake.",

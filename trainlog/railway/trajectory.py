@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from trainlog.display import as_html, as_text, lateness, picture, span
 from trainlog.errors import InputError
-from trainlog.railway.train import Configuration
+from trainlog.railway.line import Line
+from trainlog.railway.train import Configuration, Train
 from trainlog.units import JOULES_PER_KWH, KMH, clock
 
 FloatArray = NDArray[np.float64]
@@ -163,6 +164,29 @@ class Trajectory:
                 raise InputError(
                     f"the trajectory was made for {what} '{mine}', not for '{other}'",
                     remedy=f"give that {what}, or optimise for this one",
+                )
+
+    def check_forces(self, line: Line, train: Train) -> None:
+        """Refuse files that state other forces than those it was planned with.
+
+        Raises
+        ------
+        InputError
+            If the curve resistance of the line, or the mass model or the limits of acceleration of
+            the train are others.
+        """
+        settings = self.provenance.get("settings", {})
+        for what, name, thing in (
+            ("line", "curve_resistance", line),
+            ("train", "mass_model", train),
+            ("train", "acceleration_limits", train),
+        ):
+            planned, stated = settings.get(name), getattr(thing, name)
+            if planned not in (None, stated):
+                raise InputError(
+                    f"the trajectory was planned with the {name} '{planned}', {what}"
+                    f" '{thing.name}' states '{stated}'",
+                    remedy=f"give the {what} that it was planned with, or optimise for this one",
                 )
 
     def index_of(self, configuration: str) -> int:

@@ -554,6 +554,7 @@ def trajectory_scenarios(
     ['driven-nominal']
     """
     trajectory.check(line.name, train.name)
+    trajectory.check_forces(line, train)
     _check_brakes(train)
     if float(trajectory.positions[-1]) > line.length + 1.0:
         raise InputError(
