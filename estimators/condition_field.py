@@ -76,6 +76,9 @@ def _grid(now: FieldParameters, bin_length: float) -> LevelGrid:
     return COARSE if smooth else FINE
 
 
+POSITION_STD = 10.0
+"""Error of the place of an onset [m]: position of the train, and of the axle in it."""
+
 ROUNDS = 10
 """Of the messages between the chains of places and days, and of the parameters."""
 
@@ -357,6 +360,7 @@ class _Expected:
     long: FloatArray
     held: FloatArray
     turnover: FloatArray
+    short: FloatArray
 
 
 def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
@@ -470,6 +474,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     origin = dict.fromkeys(FieldParameters.__slots__, (0.0, "assumed"))
     deviations: dict[str, tuple[float, str]] = {}
     cavity: FloatArray | None = None
+    before: FloatArray | None = None
     for turn in range(rounds):
         grid = FINE if turn == rounds - 1 else _grid(now, known.bin_length)
         levels = grid.levels
@@ -479,9 +484,11 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         if cavity is None:
             cavity = np.tile(lasting, (known.bins, 1))
         cavity = grid.of(cavity)
-        plain, short = emissions(
-            rows.onset, rows.used_start, rows.used_level, rows.used_trips, tail, levels,
+        around = _around(before, rows, grid, lasting)
+        plain, short, number = emissions(
+            _steepened(rows, before, levels if before is None else before_levels, known.bin_length), rows.used_start, rows.used_level, rows.used_trips, tail, levels,
             normal_on_grid(now.spot_mean, now.spot_std, levels), now.trip_std, now.met,
+            around, np.searchsorted(rows.bins, rows.bin), ASTRAY / known.bin_length,
         )  # fmt: skip
         log_like, present, long, state, turnover, cut = over_days(
             rows.start, rows.day.astype(np.float64), plain, short, message,
@@ -497,6 +504,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         )
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
+        before, before_levels = posterior, levels
         if turn == rounds - 1:
             posterior = _doubted(posterior, rows, used @ tail, lasting)
             break
@@ -510,7 +518,8 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         )  # fmt: skip
         # Half of the way each round, so that messages do not go back and forth.
         message = 0.5 * (message + fresh)
-        expected = _Expected(grid, posterior, present, long, held, turnover)
+        short_met = (present - long) * (posterior[rows.bin] * number).sum(axis=1)
+        expected = _Expected(grid, posterior, present, long, held, turnover, short_met)
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
         switch /= switch.sum(axis=1, keepdims=True)
         new, origin = _improved(now, assumed, known, rows, used, expected)
@@ -529,6 +538,36 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
         now = replace(now, **new)
     return FieldPosterior(now, origin, posterior, slippery, rows, present, long, state, cut)
+
+
+ASTRAY = POSITION_STD * float(np.sqrt(2.0 / np.pi))
+"""Share of onsets that lie in a neighbour of their bin, times the length of a bin [m]."""
+
+
+def _placing(posterior: FloatArray, levels: FloatArray, bin_length: float) -> FloatArray:
+    """Variance of an onset's log adhesion from the error of its place, by bin."""
+    slope = np.gradient(posterior @ levels) if posterior.shape[0] > 1 else np.zeros(1)
+    return np.asarray((POSITION_STD / bin_length * slope) ** 2)
+
+
+def _steepened(rows, before, levels, bin_length):
+    if before is None:
+        return rows.onset
+    onset = rows.onset.copy()
+    onset[:, 3] += _placing(before, levels, bin_length)[rows.bin]
+    return onset
+
+
+def _around(
+    posterior: FloatArray | None, rows: EvidenceRows, grid: LevelGrid, lasting: FloatArray
+) -> FloatArray:
+    """Distribution of the level in the neighbours of bins with onsets."""
+    if posterior is None:
+        return np.tile(lasting, (rows.bins.size, 1))
+    known = grid.of(posterior)
+    last = known.shape[0] - 1
+    before, after = np.maximum(rows.bins - 1, 0), np.minimum(rows.bins + 1, last)
+    return np.ascontiguousarray(0.5 * (known[before] + known[after]))
 
 
 def _doubted(
@@ -683,12 +722,14 @@ def _improved(
     present, onset = expected.present[seen], rows.onset[seen]
     alike = known.bin_length / now.spot_length
     normal("spot_mean", "spot_std", float(present.sum()) * alike, onset[:, 1], present)
-    new["trip_std"], origin["trip_std"] = _trip_std(assumed, onset, present, expected, rows, seen)
+    new["trip_std"], origin["trip_std"] = _trip_std(
+        assumed, onset, present, expected, rows, seen, known.bin_length
+    )
     share = normal_on_grid(new["spot_mean"], new["spot_std"], levels)
     share = np.cumsum(share) - 0.5 * share
     # Trips that would have met a spot, had there been one.
     exposed = float((used @ np.interp(known.log_levels, levels, share)).sum() + onset[:, 0].sum())
-    short = float((present - expected.long[seen]).sum())
+    short = float(expected.short[seen].sum())
     new["met"] = (short + TRIPS_BY_BIN * assumed.met) / (exposed + TRIPS_BY_BIN)
     found = short * alike + TRIPS_BY_BIN * assumed.met
     origin["met"] = (
@@ -712,12 +753,15 @@ def _trip_std(
     expected: _Expected,
     rows: EvidenceRows,
     seen: BoolArray,
+    bin_length: float,
 ) -> tuple[float, tuple[float, str]]:
     """Spread from trip to trip, where the place is known well and no spot was met."""
     count, mean, scatter, variance = onset.T
-    posterior = expected.posterior[rows.bin[seen]]
-    first = posterior @ expected.grid.levels
-    second = posterior @ expected.grid.levels**2 - first**2
+    variance = variance + _placing(expected.posterior, expected.grid.levels, bin_length)[rows.bin[seen]]
+    place, levels = rows.bin[seen], expected.grid.levels
+    known = expected.posterior @ levels
+    first = known[place]
+    second = expected.posterior[place] @ levels**2 - first**2
     weight = (1.0 - present) * count * (second < 0.15**2)
     square = (mean - first) ** 2 + scatter
     tried = np.exp(np.linspace(np.log(0.02), np.log(0.3), 60))

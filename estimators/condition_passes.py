@@ -219,10 +219,6 @@ WIDE, OFTEN = 3.0, 0.15
 """Some measurements scatter by this factor more, and how often: their errors are not normal."""
 
 
-ASTRAY = 0.03
-"""Probability that the onsets of a day in a bin do not show its own maximum."""
-
-
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def emissions(
     onset: FloatArray,
@@ -234,7 +230,10 @@ def emissions(
     spot: FloatArray,
     trip_std: float,
     met: float,
-) -> tuple[FloatArray, FloatArray]:
+    beside_own: FloatArray,
+    place: IntArray,
+    astray: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Log likelihood of each row (a bin on a day) by level: without spot, and with a short one.
 
     Parameters
@@ -250,14 +249,22 @@ def emissions(
         Distribution of the level of spots.
     met : float
         Short spots that a trip meets in a bin.
+    beside_own : (m, k) array
+        Distribution of the level that the neighbours of a bin with onsets have.
+    place : (r,) int array
+        Row's bin in `beside_own`.
+    astray : float
+        Probability that an onset was in a neighbour of its bin.
 
     Returns
     -------
     plain, short : (r, k) array
+    number : (r, k) array
+        Trips that met short spots, expected where any did.
     """
     rows, size = onset.shape[0], levels.size
     plain = np.zeros((rows, size))
-    short = np.full((rows, size), -np.inf)
+    short, number = np.full((rows, size), -np.inf), np.ones((rows, size))
     bearing = np.zeros(size)
     beyond = np.empty(size)
     left = 1.0
@@ -288,42 +295,45 @@ def emissions(
             two = np.log(OFTEN) + count * (large - 0.5 * away / wide)
             top = max(one, two)
             plain[r, i] = bearing[i] + top + np.log(np.exp(one - top) + np.exp(two - top))
-        # A lone onset that belongs elsewhere: slip that began at a worse place next to it.
-        narrow = variance / count
-        norm = 1.0 / np.sqrt(2.0 * np.pi * narrow)
-        passed = 0.0
-        inner = (count - 1) * constant - 0.5 * np.log(count) - 0.5 * count * scatter / variance
-        for i in range(size):
-            here = norm * np.exp(-0.5 * (mean - levels[i]) ** 2 / narrow)
-            passed += spot[i] * here
-            other = np.log(ASTRAY * (passed + beyond[i] * here) + 1e-300) + bearing[i] + inner
-            top = max(other, plain[r, i])
-            plain[r, i] = top + np.log(np.exp(other - top) + np.exp(plain[r, i] - top))
-        # A short spot met by the lowest k of the onsets, all at one level; the others as ever.
-        ways = 1.0
+        # The lowest k of the onsets were of short spots, each of its own or all of one; the others
+        # as ever.
+        shared = 0.5 * met
         for k in range(1, count + 1):
-            ways *= (trips - k + 1.0) / k
+            shared *= k / (trips - k + 1.0)
             if 6 < k < count:
                 continue
-            weight = np.log(met * trips * ((0.5 if k == 1 else 0.0) + 0.5 / trips) / ways)
             high = mean + np.sqrt(scatter * k / (count - k)) if k < count else 0.0
             below = mean - np.sqrt(scatter * (count - k) / k)
             inner = scatter if k == count else 0.0
-            narrow = variance / k
-            shared = (k - 1) * constant - 0.5 * np.log(k) - 0.5 * k * inner / variance
-            norm = 1.0 / np.sqrt(2.0 * np.pi * narrow)
-            passed = 0.0
+            one = 1.0 / np.sqrt(2.0 * np.pi * variance)
+            all_of = np.exp((k - 1) * constant - 0.5 * np.log(k) - 0.5 * k * inner / variance)
+            all_of *= shared * np.sqrt(k) * one
+            passed, passed_all, near = 0.0, 0.0, 0.0
             for i in range(size):
-                here = norm * np.exp(-0.5 * (below - levels[i]) ** 2 / narrow)
+                away = (below - levels[i]) ** 2 / variance
+                if away < 60.0:
+                    near += beside_own[place[r], i] * np.exp(-0.5 * away)
+            near = k * np.log(astray * one * near + 1e-300)
+            for i in range(size):
+                away = 0.5 * (below - levels[i]) ** 2 / variance
+                here, here_all = one * np.exp(-away), all_of * np.exp(-k * away)
                 passed += spot[i] * here
-                density = passed + beyond[i] * here
-                value = weight + shared + bearing[i] + np.log(density + 1e-300)
+                passed_all += spot[i] * here_all
+                own = (met * (passed + beyond[i] * here)) ** k
+                value = own + passed_all + beyond[i] * here_all
+                value = np.log(value + 1e-300)
+                others = bearing[i]
                 if k < count:
-                    value += (count - k) * (constant - 0.5 * (high - levels[i]) ** 2 / variance)
+                    others += (count - k) * (constant - 0.5 * (high - levels[i]) ** 2 / variance)
+                value, other = value + others, near + others
+                top = max(plain[r, i], other)
+                plain[r, i] = top + np.log(np.exp(plain[r, i] - top) + np.exp(other - top))
                 top = max(short[r, i], value)
                 if top > -np.inf:
-                    short[r, i] = top + np.log(np.exp(short[r, i] - top) + np.exp(value - top))
-    return plain, short
+                    kept, new = np.exp(short[r, i] - top), np.exp(value - top)
+                    short[r, i] = top + np.log(kept + new)
+                    number[r, i] += (k - number[r, i]) * new / (kept + new)
+    return plain, short, number
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -17,6 +17,7 @@ from estimators.condition import Prior, common_std, onset_std
 from estimators.condition_field import (
     DOUBT,
     LEVELS,
+    POSITION_STD,
     SPOT_CELLS,
     FieldChange,
     FieldEvidence,
@@ -24,7 +25,7 @@ from estimators.condition_field import (
     FieldPosterior,
     solve,
 )
-from estimators.condition_passes import ASTRAY, blurred
+from estimators.condition_passes import blurred
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
@@ -39,9 +40,6 @@ from trainlog.railway.condition import (
 from trainlog.railway.evidence import DailyEvidence, day_of
 
 FloatArray = NDArray[np.float64]
-
-POSITION_STD = 10.0
-"""Error of the place of an onset [m]: position of the train, and of the axle in it."""
 
 UNITS = {
     "length": "m",
@@ -248,7 +246,6 @@ def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:
     ]
     constants = (
         ("onset_position_std", "m", POSITION_STD),
-        ("onsets_of_another_place", "1", ASTRAY),
         ("single_trip_doubt", "1", DOUBT),
         ("model_std", "1", setting(track, "model_std")),
     )
