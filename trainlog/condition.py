@@ -222,7 +222,7 @@ def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
     return FieldEvidence(
         bins=known.bins,
         bin_length=track.bin_length,
-        log_levels=np.log(track.levels),
+        log_levels=np.log(track.levels + 0.5 * np.diff(track.levels, append=2.0 * track.levels[-1] - track.levels[-2])),
         day=known.day,
         bin=known.bin,
         trips=known.trips,
