@@ -516,8 +516,8 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             rows.order, rows.day, rows.bin, odds, prior, level, noise,
             float(np.exp(-known.bin_length / now.spot_length)), now.spot_mean, now.spot_std,
         )  # fmt: skip
-        # Half of the way each round, so that messages do not go back and forth.
-        message = 0.5 * (message + fresh)
+        # The mean of all rounds, since messages may go back and forth.
+        message = message + (fresh - message) / (turn + 2.0)
         short_met = (present - long) * (posterior[rows.bin] * number).sum(axis=1)
         expected = _Expected(grid, posterior, present, long, held, turnover, short_met)
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
@@ -728,8 +728,13 @@ def _improved(
     share = normal_on_grid(new["spot_mean"], new["spot_std"], levels)
     share = np.cumsum(share) - 0.5 * share
     # Trips that would have met a spot, had there been one.
-    exposed = float((used @ np.interp(known.log_levels, levels, share)).sum() + onset[:, 0].sum())
-    short = float(expected.short[seen].sum())
+    # One trip alone cannot show what passes.
+    trips = used.sum(axis=1) + np.bincount(rows.bin, rows.onset[:, 0], minlength=known.bins)
+    known_twice = trips > 1.0
+    shown = known_twice[rows.bin[seen]]
+    exposed = float((used @ np.interp(known.log_levels, levels, share))[known_twice].sum())
+    exposed += float(onset[shown, 0].sum())
+    short = float(expected.short[seen][shown].sum())
     new["met"] = (short + TRIPS_BY_BIN * assumed.met) / (exposed + TRIPS_BY_BIN)
     found = short * alike + TRIPS_BY_BIN * assumed.met
     origin["met"] = (
