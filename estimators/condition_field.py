@@ -516,8 +516,9 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             rows.order, rows.day, rows.bin, odds, prior, level, noise,
             float(np.exp(-known.bin_length / now.spot_length)), now.spot_mean, now.spot_std,
         )  # fmt: skip
-        # The mean of all rounds, since messages may go back and forth.
-        message = message + (fresh - message) / (turn + 2.0)
+        # The mean of the rounds, since messages may go back and forth; in the first one the places
+        # have not yet heard of each other.
+        message = message + (fresh - message) / (turn + 1.0) if turn else message
         short_met = (present - long) * (posterior[rows.bin] * number).sum(axis=1)
         expected = _Expected(grid, posterior, present, long, held, turnover, short_met)
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
