@@ -562,12 +562,15 @@ def _steepened(rows, before, levels, bin_length):
 def _around(
     posterior: FloatArray | None, rows: EvidenceRows, grid: LevelGrid, lasting: FloatArray
 ) -> FloatArray:
-    """Distribution of the level in the neighbours of bins with onsets."""
+    """Distribution of the level in the neighbours of bins with onsets.
+
+    What the onsets of one trip show there may be the very slip that is looked at.
+    """
     if posterior is None:
         return np.tile(lasting, (rows.bins.size, 1))
-    known = grid.of(posterior)
-    last = known.shape[0] - 1
-    before, after = np.maximum(rows.bins - 1, 0), np.minimum(rows.bins + 1, last)
+    trips = np.bincount(rows.bin, rows.onset[:, 0], minlength=posterior.shape[0])
+    known = np.where(trips[:, None] > 1.0, grid.of(posterior), lasting)
+    before, after = np.maximum(rows.bins - 1, 0), np.minimum(rows.bins + 1, trips.size - 1)
     return np.ascontiguousarray(0.5 * (known[before] + known[after]))
 
 
