@@ -85,6 +85,9 @@ ROUNDS = 10
 CHANGE_RATE = 1e-3
 """Changes of the lasting condition that are expected on a kilometre a day."""
 
+CHANGE_ODDS = float(np.log(19.0))
+"""Log odds from which a change counts: it is then as probable as a 95 % band is to hold."""
+
 CHANGE_GAP = 0.02
 """Log odds against a change, for each bin without onsets within it."""
 
@@ -421,7 +424,7 @@ def _changes(found: FieldPosterior, bin_length: float) -> list[FieldChange]:
     changes: list[FieldChange] = []
     while True:
         odds, day, first, last = _best_stretch(score, gaps)
-        if odds <= price:
+        if odds <= price + CHANGE_ODDS:
             break
         profile = score[:, first : last + 1].sum(axis=1)
         share = np.cumsum(np.exp(profile - logsumexp(profile)))
