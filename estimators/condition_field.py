@@ -493,6 +493,9 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             normal_on_grid(now.spot_mean, now.spot_std, levels), now.trip_std, now.met,
             around, np.searchsorted(rows.bins, rows.bin), ASTRAY / known.bin_length,
         )  # fmt: skip
+        if turn:
+            passed = _of_short(message, present, long, rows)
+            short += (passed - message)[:, None]
         log_like, present, long, state, turnover, cut = over_days(
             rows.start, rows.day.astype(np.float64), plain, short, message,
             np.ascontiguousarray(cavity[rows.bins]), levels, grid.cells,
@@ -575,6 +578,20 @@ def _around(
     known = np.where(trips[:, None] > 1.0, grid.of(posterior), lasting)
     before, after = np.maximum(rows.bins - 1, 0), np.minimum(rows.bins + 1, trips.size - 1)
     return np.ascontiguousarray(0.5 * (known[before] + known[after]))
+
+
+def _of_short(
+    message: FloatArray, present: FloatArray, long: FloatArray, rows: EvidenceRows
+) -> FloatArray:
+    """Log odds that a row's neighbours on its day give a short spot: as far as theirs is short."""
+    order = rows.order
+    total, brief = np.full(message.size, 1e-9), np.full(message.size, 1e-9)
+    same = rows.day[order[1:]] == rows.day[order[:-1]]
+    for own, other in ((order[1:][same], order[:-1][same]), (order[:-1][same], order[1:][same])):
+        total[own] += present[other]
+        brief[own] += present[other] - long[other]
+    share = np.clip(brief / total, 1e-9, 1.0)
+    return np.asarray(np.logaddexp(np.log1p(1e-12 - share), np.log(share) + message))
 
 
 def _doubted(
