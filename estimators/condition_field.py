@@ -79,6 +79,9 @@ def _grid(now: FieldParameters, bin_length: float) -> LevelGrid:
 POSITION_STD = 10.0
 """Error of the place of an onset [m]: position of the train, and of the axle in it."""
 
+ASTRAY = POSITION_STD * float(np.sqrt(2.0 / np.pi))
+"""Share of onsets that were in a neighbour of their bin, times the length of a bin [m]."""
+
 ROUNDS = 10
 """Of the messages between the chains of places and days, and of the parameters."""
 
@@ -360,10 +363,9 @@ class _Expected:
     grid: LevelGrid
     posterior: FloatArray
     present: FloatArray
-    long: FloatArray
     held: FloatArray
     turnover: FloatArray
-    short: FloatArray
+    met: FloatArray
 
 
 def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
@@ -477,7 +479,8 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     origin = dict.fromkeys(FieldParameters.__slots__, (0.0, "assumed"))
     deviations: dict[str, tuple[float, str]] = {}
     cavity: FloatArray | None = None
-    before: FloatArray | None = None
+    placing = np.zeros(known.bins)
+    own = np.searchsorted(rows.bins, rows.bin)
     for turn in range(rounds):
         grid = FINE if turn == rounds - 1 else _grid(now, known.bin_length)
         levels = grid.levels
@@ -487,15 +490,16 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         if cavity is None:
             cavity = np.tile(lasting, (known.bins, 1))
         cavity = grid.of(cavity)
-        around = _around(before, rows, grid, lasting)
+        near = _near(posterior if turn else None, rows, grid, lasting)
+        onset = rows.onset.copy()
+        onset[:, 3] += placing[rows.bin]
         plain, short, number = emissions(
-            _steepened(rows, before, levels if before is None else before_levels, known.bin_length), rows.used_start, rows.used_level, rows.used_trips, tail, levels,
+            onset, rows.used_start, rows.used_level, rows.used_trips, tail, levels,
             normal_on_grid(now.spot_mean, now.spot_std, levels), now.trip_std, now.met,
-            around, np.searchsorted(rows.bins, rows.bin), ASTRAY / known.bin_length,
+            near, own, ASTRAY / known.bin_length,
         )  # fmt: skip
         if turn:
-            passed = _of_short(message, present, long, rows)
-            short += (passed - message)[:, None]
+            short += (_of_short(message, present, long, rows) - message)[:, None]
         log_like, present, long, state, turnover, cut = over_days(
             rows.start, rows.day.astype(np.float64), plain, short, message,
             np.ascontiguousarray(cavity[rows.bins]), levels, grid.cells,
@@ -510,7 +514,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         )
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
-        before, before_levels = posterior, levels
+        placing = _placing(posterior, levels, known.bin_length)
         if turn == rounds - 1:
             posterior = _doubted(posterior, rows, used @ tail, lasting)
             break
@@ -522,11 +526,11 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             rows.order, rows.day, rows.bin, odds, prior, level, noise,
             float(np.exp(-known.bin_length / now.spot_length)), now.spot_mean, now.spot_std,
         )  # fmt: skip
-        # The mean of the rounds, since messages may go back and forth; in the first one the places
-        # have not yet heard of each other.
-        message = message + (fresh - message) / (turn + 1.0) if turn else message
-        short_met = (present - long) * (posterior[rows.bin] * number).sum(axis=1)
-        expected = _Expected(grid, posterior, present, long, held, turnover, short_met)
+        # The mean of the rounds, since messages may go back and forth; but for the first, in which
+        # no bin knows of its neighbours yet.
+        message += (fresh - message) / (turn + 1.0) * min(turn, 1)
+        met = (present - long) * (posterior[rows.bin] * number).sum(axis=1)
+        expected = _Expected(grid, posterior, present, held, turnover, met)
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
         switch /= switch.sum(axis=1, keepdims=True)
         new, origin = _improved(now, assumed, known, rows, used, expected)
@@ -547,25 +551,13 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     return FieldPosterior(now, origin, posterior, slippery, rows, present, long, state, cut)
 
 
-ASTRAY = POSITION_STD * float(np.sqrt(2.0 / np.pi))
-"""Share of onsets that lie in a neighbour of their bin, times the length of a bin [m]."""
-
-
 def _placing(posterior: FloatArray, levels: FloatArray, bin_length: float) -> FloatArray:
     """Variance of an onset's log adhesion from the error of its place, by bin."""
     slope = np.gradient(posterior @ levels) if posterior.shape[0] > 1 else np.zeros(1)
     return np.asarray((POSITION_STD / bin_length * slope) ** 2)
 
 
-def _steepened(rows, before, levels, bin_length):
-    if before is None:
-        return rows.onset
-    onset = rows.onset.copy()
-    onset[:, 3] += _placing(before, levels, bin_length)[rows.bin]
-    return onset
-
-
-def _around(
+def _near(
     posterior: FloatArray | None, rows: EvidenceRows, grid: LevelGrid, lasting: FloatArray
 ) -> FloatArray:
     """Distribution of the level in the neighbours of bins with onsets.
@@ -576,7 +568,9 @@ def _around(
         return np.tile(lasting, (rows.bins.size, 1))
     trips = np.bincount(rows.bin, rows.onset[:, 0], minlength=posterior.shape[0])
     known = np.where(trips[:, None] > 1.0, grid.of(posterior), lasting)
-    before, after = np.maximum(rows.bins - 1, 0), np.minimum(rows.bins + 1, trips.size - 1)
+    last = trips.size - 1
+    before = np.clip(np.abs(rows.bins - 1), 0, last)
+    after = np.clip(last - np.abs(last - rows.bins - 1), 0, last)
     return np.ascontiguousarray(0.5 * (known[before] + known[after]))
 
 
@@ -758,7 +752,7 @@ def _improved(
     shown = known_twice[rows.bin[seen]]
     exposed = float((used @ np.interp(known.log_levels, levels, share))[known_twice].sum())
     exposed += float(onset[shown, 0].sum())
-    short = float(expected.short[seen][shown].sum())
+    short = float(expected.met[seen][shown].sum())
     new["met"] = (short + TRIPS_BY_BIN * assumed.met) / (exposed + TRIPS_BY_BIN)
     found = short * alike + TRIPS_BY_BIN * assumed.met
     origin["met"] = (
@@ -786,11 +780,11 @@ def _trip_std(
 ) -> tuple[float, tuple[float, str]]:
     """Spread from trip to trip, where the place is known well and no spot was met."""
     count, mean, scatter, variance = onset.T
-    variance = variance + _placing(expected.posterior, expected.grid.levels, bin_length)[rows.bin[seen]]
     place, levels = rows.bin[seen], expected.grid.levels
-    known = expected.posterior @ levels
-    first = known[place]
-    second = expected.posterior[place] @ levels**2 - first**2
+    variance = variance + _placing(expected.posterior, levels, bin_length)[place]
+    posterior = expected.posterior[place]
+    first = posterior @ levels
+    second = posterior @ levels**2 - first**2
     weight = (1.0 - present) * count * (second < 0.15**2)
     square = (mean - first) ** 2 + scatter
     tried = np.exp(np.linspace(np.log(0.02), np.log(0.3), 60))

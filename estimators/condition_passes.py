@@ -230,7 +230,7 @@ def emissions(
     spot: FloatArray,
     trip_std: float,
     met: float,
-    beside_own: FloatArray,
+    near: FloatArray,
     place: IntArray,
     astray: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -249,10 +249,10 @@ def emissions(
         Distribution of the level of spots.
     met : float
         Short spots that a trip meets in a bin.
-    beside_own : (m, k) array
+    near : (m, k) array
         Distribution of the level that the neighbours of a bin with onsets have.
     place : (r,) int array
-        Row's bin in `beside_own`.
+        Row's bin in `near`.
     astray : float
         Probability that an onset was in a neighbour of its bin.
 
@@ -295,8 +295,8 @@ def emissions(
             two = np.log(OFTEN) + count * (large - 0.5 * away / wide)
             top = max(one, two)
             plain[r, i] = bearing[i] + top + np.log(np.exp(one - top) + np.exp(two - top))
-        # The lowest k of the onsets were of short spots, each of its own or all of one; the others
-        # as ever.
+        # The lowest k of the onsets were of short spots, each of its own or all of one, or in a
+        # neighbouring bin; the others as ever.
         shared = 0.5 * met
         for k in range(1, count + 1):
             shared *= k / (trips - k + 1.0)
@@ -308,12 +308,12 @@ def emissions(
             one = 1.0 / np.sqrt(2.0 * np.pi * variance)
             all_of = np.exp((k - 1) * constant - 0.5 * np.log(k) - 0.5 * k * inner / variance)
             all_of *= shared * np.sqrt(k) * one
-            passed, passed_all, near = 0.0, 0.0, 0.0
+            passed, passed_all, strayed = 0.0, 0.0, 0.0
             for i in range(size):
                 away = (below - levels[i]) ** 2 / variance
                 if away < 60.0:
-                    near += beside_own[place[r], i] * np.exp(-0.5 * away)
-            near = k * np.log(astray * one * near + 1e-300)
+                    strayed += near[place[r], i] * np.exp(-0.5 * away)
+            strayed = k * np.log(astray * one * strayed + 1e-300)
             for i in range(size):
                 away = 0.5 * (below - levels[i]) ** 2 / variance
                 here, here_all = one * np.exp(-away), all_of * np.exp(-k * away)
@@ -325,7 +325,7 @@ def emissions(
                 others = bearing[i]
                 if k < count:
                     others += (count - k) * (constant - 0.5 * (high - levels[i]) ** 2 / variance)
-                value, other = value + others, near + others
+                value, other = value + others, strayed + others
                 top = max(plain[r, i], other)
                 plain[r, i] = top + np.log(np.exp(plain[r, i] - top) + np.exp(other - top))
                 top = max(short[r, i], value)

@@ -222,7 +222,7 @@ def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
     return FieldEvidence(
         bins=known.bins,
         bin_length=track.bin_length,
-        log_levels=np.log(track.levels + 0.5 * np.diff(track.levels, append=2.0 * track.levels[-1] - track.levels[-2])),
+        log_levels=np.log(_middles(track.levels)),
         day=known.day,
         bin=known.bin,
         trips=known.trips,
@@ -234,6 +234,11 @@ def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
         used_level=known.used_level,
         used_trips=known.used_trips,
     )
+
+
+def _middles(levels: FloatArray) -> FloatArray:
+    """Middle of each step: what was used without slip was counted at the step's lower end."""
+    return np.asarray(levels + 0.5 * np.gradient(levels))
 
 
 def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:
