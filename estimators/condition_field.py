@@ -475,10 +475,16 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     trips = rows.onset[:, 0] + np.diff(first[rows.used_start])
     level = np.where(rows.onset[:, 0] > 0, rows.onset[:, 1], np.nan)
     now, switch = _begun(assumed, rows), _switches(known.bin_length, assumed)
-    likely, message = switch, np.zeros(rows.day.size)
+    likely = switch
+    message, present, long = (
+        np.zeros(rows.day.size),
+        np.zeros(rows.day.size),
+        np.zeros(rows.day.size),
+    )
     origin = dict.fromkeys(FieldParameters.__slots__, (0.0, "assumed"))
     deviations: dict[str, tuple[float, str]] = {}
     cavity: FloatArray | None = None
+    before: FloatArray | None = None
     placing = np.zeros(known.bins)
     own = np.searchsorted(rows.bins, rows.bin)
     for turn in range(rounds):
@@ -490,7 +496,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         if cavity is None:
             cavity = np.tile(lasting, (known.bins, 1))
         cavity = grid.of(cavity)
-        near = _near(posterior if turn else None, rows, grid, lasting)
+        near = _near(before, rows, grid, lasting)
         onset = rows.onset.copy()
         onset[:, 3] += placing[rows.bin]
         plain, short, number = emissions(
@@ -498,8 +504,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
             normal_on_grid(now.spot_mean, now.spot_std, levels), now.trip_std, now.met,
             near, own, ASTRAY / known.bin_length,
         )  # fmt: skip
-        if turn:
-            short += (_of_short(message, present, long, rows) - message)[:, None]
+        short += (_of_short(message, present, long, rows) - message)[:, None]
         log_like, present, long, state, turnover, cut = over_days(
             rows.start, rows.day.astype(np.float64), plain, short, message,
             np.ascontiguousarray(cavity[rows.bins]), levels, grid.cells,
@@ -514,7 +519,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         )
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
-        placing = _placing(posterior, levels, known.bin_length)
+        before, placing = posterior, _placing(posterior, levels, known.bin_length)
         if turn == rounds - 1:
             posterior = _doubted(posterior, rows, used @ tail, lasting)
             break
