@@ -97,7 +97,9 @@ def along_line(
     """
     bins, size = likelihood.shape
     classes = share.size
-    edge = half.max()
+    edge = 0
+    for c in range(classes):
+        edge = max(edge, half[c])
     ahead = np.empty((1 if likelihood_only else bins, classes, size))
     # With cells of 0 on either side, which the diagonals reach.
     now, behind = np.zeros((classes, size + 2 * edge)), np.zeros((classes, size + 2 * edge))
@@ -338,34 +340,31 @@ def emissions(
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _log_mean_exp(values: FloatArray, weights: FloatArray) -> float:
-    top = values.max()
-    total = 0.0
+    top, total = values[0], 0.0
+    for i in range(values.size):
+        top = max(top, values[i])
     for i in range(values.size):
         total += weights[i] * np.exp(values[i] - top)
     return float(top + np.log(total))
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def blurred(probability: FloatArray, std: FloatArray, step: float) -> FloatArray:
     """Each row of probabilities on a grid, with a normal error of its own added; (n, k) array."""
-    rows, size = probability.shape
-    out = np.zeros((rows, size))
-    for r in range(rows):
-        half = min(int(4.5 * std[r] / step) + 1, size - 1)
-        kernel = np.empty(half + 1)
-        for g in range(half + 1):
-            kernel[g] = np.exp(-0.5 * (g * step / std[r]) ** 2)
-        for i in range(size):
-            if probability[r, i] < 1e-12:
-                continue
-            first, last = max(0, i - half), min(size, i + half + 1)
-            norm = 0.0
-            for j in range(first, last):
-                norm += kernel[abs(j - i)]
-            for j in range(first, last):
-                out[r, j] += probability[r, i] * kernel[abs(j - i)] / norm
-        out[r] /= out[r].sum()
-    return out
+    size = probability.shape[1]
+    half = np.minimum((4.5 * std / step).astype(np.int64) + 1, size - 1)
+    away = np.arange(int(half.max()) + 1)
+    kernel = np.exp(-0.5 * (away * step / std[:, None]) ** 2)
+    kernel[away > half[:, None]] = 0.0
+    sides = np.cumsum(kernel, axis=1)
+    cells = np.arange(size)
+    reach = [np.minimum(each, away[-1]) for each in (cells, size - 1 - cells)]
+    share = probability / (sides[:, reach[0]] + sides[:, reach[1]] - kernel[:, :1])
+    out = kernel[:, :1] * share
+    for g in range(1, away.size):
+        moved = kernel[:, g : g + 1] * share
+        out[:, g:] += moved[:, :-g]
+        out[:, :-g] += moved[:, g:]
+    return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
@@ -547,7 +546,9 @@ def over_days(
                     free /= top
                     for j in range(held):
                         back[j] /= top
-        largest, total = log_likelihood[b].max(), 0.0
+        largest, total = log_likelihood[b, 0], 0.0
+        for i in range(size):
+            largest = max(largest, log_likelihood[b, i])
         for i in range(size):
             weight[i] = cavity[b, i] * np.exp(log_likelihood[b, i] - largest)
             total += weight[i]
