@@ -25,7 +25,7 @@ from estimators.condition_field import (
     FieldPosterior,
     solve,
 )
-from estimators.condition_passes import blurred
+from estimators.condition_passes import OFTEN, blurred
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
@@ -251,6 +251,7 @@ def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:
     ]
     constants = (
         ("onset_position_std", "m", POSITION_STD),
+        ("onsets_of_wide_error", "1", OFTEN),
         ("single_trip_doubt", "1", DOUBT),
         ("model_std", "1", setting(track, "model_std")),
     )
