@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from test_study_tables import check, on_page, tables
 
 from analysis.control import cooperative, multi_motor as model
 from analysis.control.cooperative import (
@@ -19,6 +20,7 @@ from analysis.control.cooperative import (
 )
 from analysis.control.rail_estimate import RailEstimator, rail_ahead
 from analysis.estimates import with_estimates
+from analysis.studies.report import as_markdown
 from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.controller import NonlinearReferee
 from analysis.studies.zhao_2025.plot import draw_rail, draw_start, draw_study
@@ -362,6 +364,18 @@ def test_tables_and_pictures_are_made(
     assert knowledge_table({"known": [exact[2]], "map": [None]}).row_count == 1
     draw_rail([exact[2]], tmp_path / "rail.png")
     assert (tmp_path / "rail.png").stat().st_size > 10_000
+
+
+def test_the_page_has_what_the_cases_reach(
+    literal: dict[int, study.Run], exact: dict[int, study.Run], sensible: dict[int, study.Run]
+) -> None:
+    runs = [each[case.number] for each in (literal, exact, sensible) for case in study.CASES]
+    assumed = study.run(study.CASES[0], integration="euler", first=study.FIRST_TORQUE)
+    made = (published_table(), start_table(runs[0], assumed), torque_table(runs))
+    listed, found = on_page("cooperative-adhesion"), tables("\n".join(map(as_markdown, made)))
+    assert len(found) == 3
+    for title, rows in found.items():
+        check(title, listed[title], rows)
 
 
 def test_the_rail_is_learnt_from_slip_and_adhesion_in_use() -> None:

@@ -6,10 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_study_tables import check, on_page, tables
 
 from analysis.studies.amirhosseini_2024 import simulation as study
+from analysis.studies.amirhosseini_2024.plot import draw_study
 from analysis.studies.amirhosseini_2024.run import trip_of
 from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
+from analysis.studies.amirhosseini_2024.table import (
+    coefficients_table,
+    eight_wagons_table,
+    errors_table,
+)
+from analysis.studies.report import as_markdown
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 
@@ -84,7 +92,7 @@ def test_the_samples_are_the_trains_of_the_paper() -> None:
 
 
 def test_eight_wagons_are_controlled_as_closely_as_one_particle(
-    runs: dict[str, study.Run],
+    runs: dict[str, study.Run], tmp_path: Path
 ) -> None:
     """An edge that passes under 200 m of train is met more gently than one under a point."""
     every, first = (
@@ -105,6 +113,25 @@ def test_eight_wagons_are_controlled_as_closely_as_one_particle(
     assert passed_on == pytest.approx(7.0 / 8.0, abs=0.01)
     log = trip_of(first, seed=1)
     assert log["/train/couplers"].shape[1] == 7
+    made = as_markdown(eight_wagons_table(runs, [every, first]))
+    ((title, rows),) = tables(made).items()
+    check(title, on_page("rls-sliding-mode")[title][: len(rows)], rows)
+    pictures = draw_study(runs, runs, [every, first], tmp_path)
+    assert all(picture.stat().st_size > 10_000 for picture in pictures)
+
+
+def test_the_page_has_the_errors_that_the_estimators_reach(runs: dict[str, study.Run]) -> None:
+    shifted = {name: [run] for name, run in runs.items()}
+    ((title, rows),) = tables(as_markdown(errors_table(runs, runs, shifted))).items()
+    listed = on_page("rls-sliding-mode")[title]
+    check(title, [row[:3] for row in listed], [row[:3] for row in rows])
+    ((title, rows),) = tables(as_markdown(coefficients_table(runs, runs))).items()
+    exact = [
+        [row for row in each if row[1] == "exact"]
+        for each in (on_page("rls-sliding-mode")[title], rows)
+    ]
+    assert len(exact[0]) == 3
+    check(title, *exact)
 
 
 def test_the_slope_acts_from_the_front_to_the_rear() -> None:

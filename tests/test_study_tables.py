@@ -63,10 +63,27 @@ def renewed(page: str, name: str, found: str) -> str:
     return page[: part.start(2)] + "\n" + "\n".join(kept) + "\n" + page[part.end(2) :]
 
 
+def on_page(name: str) -> dict[str, Rows]:
+    """The tables of a command that the page lists, by title."""
+    part = section(name).search(PAGE.read_text(encoding="utf-8"))
+    assert part is not None
+    return tables(part[2])
+
+
+def check(title: str, rows: Rows, now: Rows) -> None:
+    """That the page's rows are those that a study reaches now."""
+    assert len(rows) == len(now), title
+    for row, other in zip(rows, now, strict=True):
+        assert len(row) == len(other), title
+        for cell, reached in zip(row, other, strict=True):
+            assert same(cell, reached), f"{title}: {row[0]}: {cell} on the page, {reached} now"
+
+
+# Of the long ones the tests of each study check what its own runs show.
 STUDIES = [
     pytest.param("robust-minimax"),
-    pytest.param("rls-sliding-mode"),
-    pytest.param("cooperative-adhesion"),
+    pytest.param("rls-sliding-mode", marks=pytest.mark.long),
+    pytest.param("cooperative-adhesion", marks=pytest.mark.long),
     pytest.param("map-mpc", marks=pytest.mark.long),
     pytest.param("map-mpc --as-published", marks=pytest.mark.long),
 ]
@@ -78,21 +95,15 @@ def test_the_page_has_the_tables_that_the_study_prints(
 ) -> None:
     assert command(["study", *name.split(), "-o", str(tmp_path)]) == 0
     found = (tmp_path / "tables.md").read_text(encoding="utf-8")
-    page = PAGE.read_text(encoding="utf-8")
     if request.config.getoption("--renew-golden"):
+        page = PAGE.read_text(encoding="utf-8")
         PAGE.write_text(renewed(page, name, found), encoding="utf-8")
         return
-    part = section(name).search(page)
-    assert part is not None
-    printed, listed = tables(found), tables(part[2])
+    printed, listed = tables(found), on_page(name)
     assert listed
     assert listed.keys() <= printed.keys()
     for title, rows in listed.items():
-        assert len(rows) == len(printed[title]), title
-        for row, other in zip(rows, printed[title], strict=True):
-            assert len(row) == len(other), title
-            for cell, reached in zip(row, other, strict=True):
-                assert same(cell, reached), f"{title}: {row[0]}: {cell} on the page, {reached} now"
+        check(title, rows, printed[title])
 
 
 @pytest.mark.parametrize(
