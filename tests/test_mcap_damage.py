@@ -25,6 +25,9 @@ from trainlog.mcap import Account, DamageWarning, account_of, describe, read_log
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
+TRIES = (150, pytest.param(500, marks=pytest.mark.long))
+"""How often bytes of a log are changed."""
+
 FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 
 
@@ -92,11 +95,14 @@ def small(tmp_path: Path) -> tuple[Trip, bytes]:
     return trip, (tmp_path / "small.mcap").read_bytes()
 
 
-def test_a_file_cut_anywhere_gives_its_whole_chunks_or_says_why_not(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [17, pytest.param(7, marks=pytest.mark.long)])
+def test_a_file_cut_anywhere_gives_its_whole_chunks_or_says_why_not(
+    tmp_path: Path, step: int
+) -> None:
     trip, data = small(tmp_path)
     path = tmp_path / "cut.mcap"
     chunk_end = only_chunk(data)[1]
-    for length in range(0, len(data), 7):
+    for length in range(0, len(data), step):
         path.write_bytes(data[:length])
         found = outcome(read_with_account, path)
         if isinstance(found, LogError):
@@ -132,10 +138,11 @@ def test_a_cut_file_keeps_its_whole_chunks(trip: Trip, data: bytes, tmp_path: Pa
     assert [each.name for each in describe(path).attachments] == sorted(trip.attachments)
 
 
-def test_flipped_bytes_are_noticed(trip: Trip, data: bytes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", TRIES)
+def test_flipped_bytes_are_noticed(trip: Trip, data: bytes, tmp_path: Path, count: int) -> None:
     random = np.random.default_rng(3)
     path = tmp_path / "flipped.mcap"
-    for _ in range(500):
+    for _ in range(count):
         flipped = bytearray(data)
         flipped[random.integers(len(data))] ^= int(random.integers(1, 256))
         path.write_bytes(flipped)
@@ -189,7 +196,8 @@ def without_checksums(data: bytes) -> bytearray:
     return stripped
 
 
-def test_without_checksums_damage_still_raises_nothing_else(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", TRIES)
+def test_without_checksums_damage_still_raises_nothing_else(tmp_path: Path, count: int) -> None:
     """Every parser meets broken bytes here: values may be wrong, other exceptions may not be."""
     trip, data = small(tmp_path)
     stripped = without_checksums(data)
@@ -198,7 +206,7 @@ def test_without_checksums_damage_still_raises_nothing_else(tmp_path: Path) -> N
     assert_same(trip, read_log(path))
     random = np.random.default_rng(4)
     noticed = 0
-    for _ in range(500):
+    for _ in range(count):
         flipped = bytearray(stripped)
         for _ in range(random.integers(1, 4)):
             flipped[random.integers(len(flipped))] = random.integers(256)
@@ -206,7 +214,7 @@ def test_without_checksums_damage_still_raises_nothing_else(tmp_path: Path) -> N
         found = outcome(read_with_account, path)
         noticed += isinstance(found, LogError) or found[1] is not None
         outcome(describe, path)
-    assert noticed > 50
+    assert noticed > count // 10
 
 
 def test_uncompressed_messages_with_broken_bytes(tmp_path: Path) -> None:
