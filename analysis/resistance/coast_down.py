@@ -301,11 +301,12 @@ def _coast_down(sources: Sources, speeds: tuple[float, float] | None) -> CoastDo
         del found[number]
     moved = list(found.values())
     check_not_empty(moved, refused)
-    detection = _detected(moved, expected)
+    strip_length = 0.0 if train is None else train.strip_length
+    detection = _detected(moved, expected, strip_length)
     fits: list[TripCoastDown] = []
     for (motion, travelled), segments in zip(moved, detection.segments, strict=True):
         try:
-            fits.append(fit_segments(motion, travelled, segments, expected))
+            fits.append(fit_segments(motion, travelled, segments, expected, strip_length))
         except NotIdentifiableError as error:
             refused[motion.trip] = str(error)
     check_not_empty(fits, refused)
@@ -496,10 +497,12 @@ def travelled(trip: Trip, line: Line | None) -> Line:
     return line.reversed() if trip.metadata.get("direction") == "reverse" else line
 
 
-def _detected(moved: Sequence[tuple[Motion, Line]], expected: MassRatio) -> Detection:
+def _detected(
+    moved: Sequence[tuple[Motion, Line]], expected: MassRatio, strip_length: float
+) -> Detection:
     blocks = []
     for motion, line in moved:
-        track = line.track_acceleration(np.nan_to_num(motion.position))
+        track = line.track_acceleration(np.nan_to_num(motion.position), strip_length)
         track[~np.isfinite(motion.position)] = np.nan
         blocks.append(blocks_of(motion, track))
     return detect(blocks, (expected.value, expected.std))

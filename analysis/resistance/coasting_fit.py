@@ -214,7 +214,11 @@ class TripCoastDown:
 
 
 def fit_segments(
-    motion: Motion, line: Line, segments: tuple[Segment, ...], expected: MassRatio
+    motion: Motion,
+    line: Line,
+    segments: tuple[Segment, ...],
+    expected: MassRatio,
+    strip_length: float = 0.0,
 ) -> TripCoastDown:
     """Fit the coasting segments of a trip.
 
@@ -227,6 +231,8 @@ def fit_segments(
         In order of time.
     expected : MassRatio
         Mass over inertia before the trip.
+    strip_length : float [m]
+        Over which gradients and curves are averaged; 0 for a mass point.
 
     Raises
     ------
@@ -240,7 +246,7 @@ def fit_segments(
     speed_noise = motion.noise * np.sqrt(motion.period / width)
     noise = replace(ordinary, sizes=replace(ordinary.sizes, speed=speed_noise))
     while True:
-        windows = build_windows(coasting_recording(motion, line, segments), width)
+        windows = build_windows(coasting_recording(motion, line, segments, strip_length), width)
         _check_windows(motion, windows)
         # In the acceleration form k stands in the place of 1/m.
         regression = regress(
@@ -254,7 +260,9 @@ def fit_segments(
     return _result(motion, segments, outlier_segments, windows, regression, expected)
 
 
-def coasting_recording(motion: Motion, line: Line, segments: tuple[Segment, ...]) -> Recording:
+def coasting_recording(
+    motion: Motion, line: Line, segments: tuple[Segment, ...], strip_length: float = 0.0
+) -> Recording:
     """What the windows of `analysis.resistance` are cut from: gravity drives, nothing brakes."""
     time = fine_clock(motion)
     inside = np.zeros(time.size, dtype=bool)
@@ -268,11 +276,11 @@ def coasting_recording(motion: Motion, line: Line, segments: tuple[Segment, ...]
     return Recording(
         time=time,
         speed=np.interp(time, motion.time, motion.speed),
-        effort=-line.track_acceleration(position),
+        effort=-line.track_acceleration(position, strip_length),
         braking=nothing,
         rotating_momentum=nothing,
         track=nothing,
-        track_slope=track_slope(line, position),
+        track_slope=track_slope(line, position, strip_length),
         section=section,
         nearest_edge=nearest,
         # Between two samples both have to be usable.
