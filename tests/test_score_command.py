@@ -96,6 +96,9 @@ def test_each_day_is_forecast_from_the_days_before_alone(
     spot, steady = (np.flatnonzero(long.days == FIRST + day)[0] for day in (5, 4))
     assert long.alarms[spot, 0, 4] < long.slips[spot]
     assert long.alarms[steady, 0, 4] == long.slips[steady] == 6.0
+    # Nor does persistence know it before its second day.
+    persistence = long.scores["persistence"][:, 0]
+    assert persistence[spot] < 0.0 < persistence[[steady, spot + 1]].min()
 
 
 def test_a_map_is_scored_day_by_day(
