@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.trajectory.active_set import Answer, Guess, initial_guess, interpolated_guess, search
 from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.descent import DrivenPlan, unpriced
-from analysis.trajectory.discretisation import DiscreteProblem
+from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import TrainlogError
@@ -27,6 +27,9 @@ _CORRECTIONS = 3
 
 _LITTLE = 1e-3
 """Part of a limit up to which an excess is corrected so."""
+
+_TIMES, _LEAST = 4.0, 1e-3
+"""Ratio of ``z`` at both ends from which a cell is split, and the least ``z`` that counts."""
 
 _MORE = 1.5
 """Times the excess by which a limit becomes stricter."""
@@ -40,17 +43,17 @@ def driven(answer: Answer) -> Audit:
 
 
 def searched(
-    problem: DiscreteProblem, guess: Guess, speeds: FloatArray, running_time: float
+    problem: DiscreteProblem, guess: Guess, envelope: Envelope, running_time: float
 ) -> tuple[Answer, Audit]:
-    """The optimum, if need be within stricter limits, so that it passes its audit.
+    """The optimum, if need be within stricter limits and on more cells, so that it can be driven.
 
     Parameters
     ----------
     problem : DiscreteProblem
         With all configurations, not tapered.
     guess : Guess
-    speeds : (q, n + 1) array [m/s]
-        Of a fast run of each configuration.
+    envelope : Envelope
+        Fast runs of each configuration.
     running_time : float [s]
 
     Raises
@@ -62,18 +65,48 @@ def searched(
     """
     strict, asked = problem, running_time
     for _ in range(_CORRECTIONS + 1):
-        answer = search(strict, guess, speeds, asked)
+        answer = search(strict, guess, envelope.at(strict.positions), asked)
         found = driven(answer)
         failures = found.failures(problem.run, running_time)
         if not failures:
             # The bound is to hold for the limits as they are.
             return replace(answer, problem=problem.tapered(answer.problem.taper)), found
         late = float(found.arrival.max()) - running_time
-        if not _is_little(found, problem.run, late / running_time):
+        split = split_where_slow(problem.positions, answer.plan.z)
+        if split.size > problem.positions.size:
+            problem = strict = discretise(problem.run, split)
+        elif _is_little(found, problem.run, late / running_time):
+            strict, asked = _stricter(strict, found), asked - max(_MORE * late, 0.0)
+        else:
             break
-        strict, asked = _stricter(strict, found), asked - max(_MORE * late, 0.0)
-        guess = interpolated_guess(answer, problem.positions, strict, range(strict.shape[0]))
+        guess = interpolated_guess(answer, answer.problem.positions, strict, range(strict.shape[0]))
     raise _not_passed(failures)
+
+
+def split_where_slow(positions: FloatArray, z: FloatArray) -> FloatArray:
+    """A grid with cells split in which the speed changes by more than a factor of two.
+
+    Near a standstill on the way the resistance changes within metres. New nodes are where ``z``,
+    taken as linear, is four times, sixteen times ... what it is at the slower end.
+
+    Parameters
+    ----------
+    positions : (n + 1,) array [m]
+    z : (q, n + 1) array [m²/s²]
+        Of a plan.
+    """
+    low, high = np.minimum(z[:, 1:-2], z[:, 2:-1]), np.maximum(z[:, 1:-2], z[:, 2:-1])
+    ratio = high / np.maximum(low, _LEAST)
+    row, cells = np.argmax(ratio, axis=0), np.arange(ratio.shape[1])
+    found = [positions]
+    for k in cells[ratio[row, cells] > 1.5 * _TIMES].tolist():
+        a, begin, end = row[k], positions[k + 1], positions[k + 2]
+        count = int(np.ceil(np.log(ratio[a, k]) / np.log(_TIMES)))
+        least, most = max(low[a, k], _LEAST), high[a, k]
+        share = (least * (most / least) ** (np.arange(1, count) / count) - least) / (most - least)
+        slow_first = z[a, k + 1] < z[a, k + 2]
+        found.append(begin + share * (end - begin) if slow_first else end - share * (end - begin))
+    return np.unique(np.concatenate(found))
 
 
 def _is_little(found: Audit, run: TrajectoryProblem, late: float) -> bool:

@@ -290,7 +290,14 @@ def _roll(
                 half = max(half + change, 0.0)
                 after = np.sqrt(2.0 * half)
                 if v + after > 0.0:
-                    time += 2.0 * part * h / (v + after)
+                    spent = 2.0 * part * h / (v + after)
+                    # Constant acceleration in either half; what a whole differs by shows the rest.
+                    inside = 0.25 * (v * v + after * after) + 0.125 * h * (k1 - k4)
+                    if part == 1.0 and inside > 0.0:
+                        between = np.sqrt(2.0 * inside)
+                        halves = h / (v + between) + h / (between + after)
+                        spent += 4.0 / 3.0 * (halves - spent)
+                    time += spent
                 fastest = max(v, after)
                 dynamic = min(brakes[0], brakes[1] / max(fastest, 1e-6), adhesion[k, j] * adhesive)
                 for each in (v, after):

@@ -115,7 +115,11 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
         return _optimised(problem, options)
 
 
-def _optimised(problem: TrajectoryProblem, options: OptimiserOptions) -> Trajectory:
+def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajectory:
+    problem = asked
+    if len(problem.configurations) == 1:
+        # One brakes for all, and so for itself: then its brake may follow the speed it meets.
+        problem = replace(problem, braking="recourse")
     fastest = fastest_run(problem)
     running_time = _running_time(problem, fastest, options.cells)
     try:
@@ -149,7 +153,7 @@ def _optimised(problem: TrajectoryProblem, options: OptimiserOptions) -> Traject
         certificate=certificate,
         provenance={
             "method": "cone relaxation and sequential quadratic programs, Cunillera et al. (2022)",
-            "settings": _settings(problem, options),
+            "settings": _settings(asked, options),
         },
     )
 
@@ -289,7 +293,7 @@ def _searched_again(
     every = range(problem.shape[0])
     guess = interpolated_guess(found.answer, found.problem.positions, problem, every)
     try:
-        answer, rollout = searched(problem, guess, fastest.at(positions), running_time)
+        answer, rollout = searched(problem, guess, fastest, running_time)
     except TrainlogError:
         return None
     return _Audited(answer, rollout, found.coarser)
@@ -320,7 +324,7 @@ def _audited(
             guess = interpolated_guess(found, coarse, problem, range(problem.shape[0]))
         coarser = None if found is None else (coarse.size - 1, found.solution.energy)
         try:
-            return _Audited(*searched(problem, guess, speeds, running_time), coarser)
+            return _Audited(*searched(problem, guess, fastest, running_time), coarser)
         except TrainlogError as failure:
             failures.append(failure)
         safe = _paced(run, running_time, count)
@@ -351,7 +355,7 @@ def _paced(run: TrajectoryProblem, running_time: float, cells: int) -> _Audited 
             continue
         guess = initial_guess(problem, speeds, running_time)
         try:
-            return _Audited(*searched(problem, guess, speeds, running_time), None)
+            return _Audited(*searched(problem, guess, paced, running_time), None)
         except TrainlogError:
             pass
         try:

@@ -48,7 +48,7 @@ class TrajectoryProblem:
         `reserve` on top.
     reserve : float
         Part of the least time. With 0 the run takes the least time in which all arrive together
-        under one common traction: some 1e-6 of it more than the slowest by itself, or more.
+        under one common traction: 0.015 per cent more than the slowest by itself, or more.
     start, end : float [m]
         Section of the line; without them the whole line.
     initial_speed, final_speed : float [m/s]

@@ -38,8 +38,12 @@ _FALSI = 24
 _CRAWL = 0.5 * 0.3**2
 """``z`` that a common brake leaves to the slowest configuration between the stops [m²/s²]."""
 
-LEAST_TIME_MARGIN = 1e-6
-"""What a least time has to spare, relative: its own rounding."""
+_ROUNDING = 1e-6
+"""What a time that is computed has to spare, relative."""
+
+LEAST_TIME_MARGIN = 1.5e-4
+"""What a least time has to spare, relative: next to it a millisecond costs a thousandth of the
+energy, and neither plan nor bound can follow."""
 
 
 def paced_run(problem: DiscreteProblem, running_time: float) -> Plan:
@@ -98,7 +102,7 @@ def least_time_together(problem: DiscreteProblem) -> float:
     fastest = paced_run(problem, 0.0)
     tapered = problem.tapered(taper_along(problem, fastest))
     times = [duration(each, paced_run(each, 0.0)) for each in (problem, tapered)]
-    return min(times) * (1.0 + LEAST_TIME_MARGIN)
+    return min(times) * (1.0 + _ROUNDING)
 
 
 def capped_run(
@@ -135,7 +139,9 @@ def capped_run(
     slower = _plan_of(problem, np.minimum(speeds, 0.98 * fast), slowest)
     saved = float(problem.step @ (plan.traction - slower.traction))
     price = np.zeros(problem.shape[0])
-    price[slowest] = max(saved, 0.0) / (times(0.98 * fast) - times(fast))[slowest]
+    gained = float((times(0.98 * fast) - times(fast))[slowest])
+    # At standstill on the way, or with no speed left to lose, no second has a price.
+    price[slowest] = max(saved, 0.0) / gained if 0.0 < gained < np.inf else 0.0
     return plan, price
 
 

@@ -476,6 +476,9 @@ def _gathered(duals: FloatArray, limits: list[_Limited], shape: tuple[int, int])
 NEGLIGIBLE_ENERGY = 1e-3
 """Energy beside which differences do not count [J/kg]: that of a train at 5 cm/s."""
 
+_EXCESS = 1e-6
+"""By which a plan may exceed speed limits or power as it is driven, relative."""
+
 LATENESS_PRICE = 100.0
 """Price of lateness over the multiplier of the time; more than a feasible run would pay."""
 
@@ -554,17 +557,27 @@ def minimise(
         solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
-        late, early = delays(tapered, realise(tapered, plan), running_time)
+        driven = realise(tapered, plan)
+        late, early = delays(tapered, driven, running_time)
         off = max(float(late.max()), float(early.max())) - solution.lateness
         changed = min(abs(solution.energy - energy), solution.moved)
         enough = tolerances.energy * max(solution.energy, NEGLIGIBLE_ENERGY)
         converged = changed <= enough and off <= tolerances.lateness
+        # With a brake of its own each keeps to the limits however far from them its plan is.
+        converged = converged and not (problem.common and _excess(tapered, driven) > _EXCESS)
         if converged or len(statuses) == iterations:
             return replace(solution, statuses=tuple(statuses), converged=converged)
         energy = solution.energy
         # The iterations contract by themselves; where they do not, ever smaller steps make them.
         if len(statuses) >= _FREE_ITERATIONS:
             radius *= 0.7
+
+
+def _excess(problem: DiscreteProblem, driven: Plan) -> float:
+    """By how much a driven plan is too fast or takes too much power, relative."""
+    ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
+    fast = float(((driven.z - ceiling) / problem.ceiling.max()).max())
+    return max(fast, float((driven.traction / problem.traction_by_power(driven.z)).max()) - 1.0)
 
 
 def with_costates(problem: DiscreteProblem, solution: Solution, running_time: float) -> Solution:
