@@ -209,8 +209,9 @@ def test_net_limits_hold_for_the_trains_own_acceleration_on_hills() -> None:
             assert min(reached) > 0.7
         else:
             assert max(reached) <= 0.5 + 1e-6
-            # What is left is the resistance that grows with the speed.
-            assert min(reached) > 0.4
+            # Braking uses all of it; traction leaves the resistance that grows with the speed.
+            assert reached[0] > 0.45
+            assert reached[1] > 0.5 - 1e-3
     # The audit of the one finds the other's efforts too large.
     run, found = runs["net"][0], runs["gross"][1]
     checked = audit(

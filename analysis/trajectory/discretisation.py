@@ -578,8 +578,8 @@ def effort_limits(run: TrajectoryProblem, places: FloatArray, adhesion: FloatArr
     -----
     Traction and the dynamic brake act on the powered axles, all brakes together on every axle. A
     limit of the train's own acceleration is what the effort leaves against gradient, curves and the
-    constant part of the resistance; one of its deceleration counts all resistance at the permitted
-    speed, so that neither is exceeded at any speed.
+    constant part of the resistance; one of its deceleration counts all resistance at the highest
+    speed from which it can stop so, so that neither is exceeded at any speed.
     """
     train = run.train
     cells = adhesion.size
@@ -597,7 +597,7 @@ def effort_limits(run: TrajectoryProblem, places: FloatArray, adhesion: FloatArr
     pull, comfort = train.max_acceleration * inertia, train.max_deceleration * inertia
     if train.acceleration_limits == "net":
         track, middle = run.track_acceleration(places), places.mean(axis=1)
-        speed = run.permitted_speed(middle)
+        speed = run.highest_speed(places).max(axis=1)
         tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(middle)) * speed**2
         drag = np.array([c.resistance(speed) + tunnel for c in run.configurations])
         starting = np.array([[c.resistance.r0] for c in run.configurations])

@@ -28,6 +28,9 @@ FEWEST_CELLS, MOST_CELLS = 20, 20_000
 
 _ENERGY = {"wheel": "at the wheel", "line": "from the line", "expected": "expected from the line"}
 
+_PIECE = 10.0
+"""Longest piece in which the strongest deceleration is looked at [m]."""
+
 _SLOWEST = 1.0 / KMH
 """Least speed that must be permitted everywhere [m/s]."""
 
@@ -354,6 +357,37 @@ class TrajectoryProblem:
     def track_acceleration(self, position: FloatArray) -> FloatArray:
         """Deceleration by gradient and curves [m/s²], as the train's mass meets them."""
         return self.line.track_acceleration(position, self.train.strip_length)
+
+    def highest_speed(self, position: FloatArray) -> FloatArray:
+        """Bound of the speed [m/s] of a train that brakes no harder than it may of its own.
+
+        From there it can keep all limits ahead with its largest deceleration, or with that of the
+        line and the resistance alone where they are stronger.
+        """
+        nodes, z, decelerations = self._highest
+        cell = np.clip(np.searchsorted(nodes, position, side="right") - 1, 0, nodes.size - 2)
+        braking = z[cell + 1] + decelerations[cell] * (nodes[cell + 1] - position)
+        return np.minimum(np.sqrt(2.0 * np.maximum(braking, 0.0)), self.permitted_speed(position))
+
+    @cached_property
+    def _highest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Nodes [m], highest ``v²/2`` there, and strongest deceleration between them [m/s²]."""
+        pieces = max(int((self.end - self.start) / _PIECE), 1)
+        even = np.linspace(self.start, self.end, pieces + 1)
+        nodes = np.unique(np.concatenate((self.breakpoints, even)))
+        inside = nodes[:-1, None] + np.diff(nodes)[:, None] * np.linspace(1e-9, 1.0 - 1e-9, 5)
+        limit, track = self.permitted_speed(inside[:, 2]), self.track_acceleration(inside)
+        tunnel = self.train.tunnel_coefficient(self.line.tunnel_cross_section(inside[:, 2]))
+        strongest = np.full(limit.size, self.train.max_deceleration)
+        for each in self.configurations:
+            held = each.resistance(limit) + tunnel * limit**2 + each.mass * track.max(axis=1)
+            strongest = np.maximum(strongest, held / each.inertia)
+        ceiling = (
+            0.5 * np.minimum(np.append(limit, self.final_speed), np.insert(limit, 0, np.inf)) ** 2
+        )
+        work = np.concatenate(([0.0], np.cumsum(strongest * np.diff(nodes))))
+        reachable = np.minimum.accumulate((ceiling + work)[::-1])[::-1] - work
+        return nodes, np.maximum(reachable, 0.0), strongest
 
     def steepness(self, position: float) -> str:
         """What a refusal at a place [m] adds where the length of the train would level the line."""
