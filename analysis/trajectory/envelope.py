@@ -256,6 +256,9 @@ def _fine_grid(run: TrajectoryProblem) -> FloatArray:
     return np.unique(np.concatenate((edges, points[np.minimum(gap, below) > 5e-3])))
 
 
+_HELD = 1e-5
+"""Part of a limit's ``z`` within which a train is held by it through a cell."""
+
 _PARTS = 64
 """Parts of a cell in which one curve takes over from another."""
 
@@ -346,6 +349,10 @@ def fastest_below(
                 brakes.dynamic_power, brakes.speeds, brakes.efforts, gain[a], mean[k], drag1[a],
                 drag2[a, k],
             )  # fmt: skip
+            # Where the brake slows a train at the ceiling it does so all through the cell.
+            if curve[a, k + 1] >= ceiling[k] and _braked(ceiling[k], 1e-3, *brake) > ceiling[k]:
+                curve[a, k] = ceiling[k]
+                continue
             middle = _braked(curve[a, k + 1], 0.5 * step[k], *brake)
             before = _braked(middle, 0.5 * step[k], *brake)
             curve[a, k] = max(min(before, ceiling[k]), 0.0)
@@ -356,16 +363,20 @@ def fastest_below(
                 traction.limit[k], traction.power[a], traction.speeds[a], traction.efforts, gain[a],
                 mean[k], drag1[a], drag2[a, k],
             )  # fmt: skip
+            target, limit = curve[a, k + 1], limits[k]
+            held = min(y, target) >= limit * (1.0 - _HELD)
+            if held and _pulled(y, 1e-3, *pull) > y and y >= target:
+                z[a, k + 1], times[a, k] = target, 2.0 * h / (speed_of(y) + speed_of(target))
+                continue
             middle = _pulled(y, 0.5 * h, *pull)
             after = _pulled(max(middle, 0.0), 0.5 * h, *pull)
             if after <= curve[a, k + 1]:
                 z[a, k + 1] = max(after, 0.0)
                 times[a, k] = _time_through(y, middle, after, h)
                 continue
-            target, limit = curve[a, k + 1], limits[k]
             z[a, k + 1] = target
-            if y == limit and target == limit:
-                times[a, k] = h / speed_of(limit)
+            if held:
+                times[a, k] = 2.0 * h / (speed_of(y) + speed_of(target))
                 continue
             brake = (
                 brakes.limit[a, k], brakes.friction[a, k], brakes.dynamic[a, k],
