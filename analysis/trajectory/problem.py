@@ -31,6 +31,12 @@ _ENERGY = {"wheel": "at the wheel", "line": "from the line", "expected": "expect
 _PIECE = 10.0
 """Longest piece in which the strongest deceleration is looked at [m]."""
 
+_RAMP = 2e-3
+"""Part of the permitted ``v²/2`` by which the speed may rise inside a cell of changing gradient."""
+
+_MOST_RAMPS = 6_000
+"""Parts of changing gradient, at most, but for one between any two breakpoints."""
+
 _SLOWEST = 1.0 / KMH
 """Least speed that must be permitted everywhere [m/s]."""
 
@@ -418,7 +424,25 @@ class TrajectoryProblem:
             )
         )
         inside = points[(points > self.start) & (points < self.end)]
-        return np.unique(np.concatenate(([self.start], inside, [self.end])))
+        return self._with_ramps(np.unique(np.concatenate(([self.start], inside, [self.end]))))
+
+    def _with_ramps(self, points: FloatArray) -> FloatArray:
+        """With points in between where the gradient under the train changes.
+
+        In a cell with one effort the speed then rises above its ends, and must stay below the limit.
+        """
+        if self.train.strip_length == 0.0:
+            return points
+        step = np.diff(points)
+        ends = self.track_acceleration(points)
+        squares = 0.5 * self.permitted_speed(points[:-1] + 0.5 * step) ** 2
+        longest = np.sqrt(8.0 * _RAMP * squares * step / np.maximum(np.abs(np.diff(ends)), 1e-9))
+        coarser = max(1.0, float((step / longest).sum()) / _MOST_RAMPS)
+        counts = np.ceil(step / (coarser * longest)).astype(np.int64)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        share = (np.arange(counts.sum()) - first) / np.repeat(counts, counts)
+        between = np.repeat(points[:-1], counts) + share * np.repeat(step, counts)
+        return np.append(between, points[-1])
 
     @property
     def hard_breakpoints(self) -> FloatArray:
