@@ -429,7 +429,7 @@ class TrajectoryProblem:
     def _with_ramps(self, points: FloatArray) -> FloatArray:
         """With points in between where the gradient under the train changes.
 
-        In a cell with one effort the speed then rises above its ends, and must stay below the limit.
+        With one effort the speed then rises inside a cell, and must stay below the limit there.
         """
         if self.train.strip_length == 0.0:
             return points
