@@ -1,11 +1,11 @@
-"""Gap and time of every track and train of TTOBench, from standstill to standstill.
+"""Total gap and time of every track and train of TTOBench, from standstill to standstill.
 
     python benchmarks/trajectory/benchmark_library.py LIBRARY [--cells 500] [--reserves 0.02 0.05]
                                                       [-o runs.csv]
 
 LIBRARY is the folder of TTOBench that holds ``tracks`` and ``trains``. Every run is made with its
-energy at the wheel and at the line; a reserve of 0 is the least-time run. Times are of the
-processor.
+energy at the wheel and at the line; a reserve of 0 is the least-time run. The total gap is that on
+the cells and what the cells cost. Times are of the processor.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from trainlog.formats.files import atomic_write
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Configuration, Line, Train
 
-GAP_ASKED = {500: 5e-4, 1000: 1e-4}
-"""Largest gap asked for, by number of cells."""
+GAP_ASKED = 5e-4
+"""Largest total gap asked for."""
 
 
 def main() -> None:
@@ -55,7 +55,8 @@ def measured(
     begin = time.process_time()
     run: dict[str, Any] = {
         "line": line.name, "train": train.name, "reserve": reserve, "objective": objective,
-        "gap": float("nan"), "programs": 0, "cells": 0, "bound": "",
+        "total_gap": float("nan"), "gap": float("nan"), "cells_cost": float("nan"),
+        "energy": float("nan"), "programs": 0, "cells": 0, "bound": "",
     }  # fmt: skip
     try:
         problem = TrajectoryProblem(
@@ -67,7 +68,7 @@ def measured(
         )
         found = optimise(problem, OptimiserOptions(cells)).certificate
         run |= {
-            "gap": found["gap"],
+            **{name: found[name] for name in ("total_gap", "gap", "cells_cost", "energy")},
             "programs": found["solver"]["iterations"],
             "cells": found["grid"]["cells"],
             "bound": found["solver"]["bound"],
@@ -79,13 +80,12 @@ def measured(
 
 def summary(runs: list[dict[str, Any]], cells: int) -> str:
     """The runs of one reserve in one line."""
-    asked = GAP_ASKED.get(cells, GAP_ASKED[500])
-    gaps = [run["gap"] for run in runs if run["gap"] == run["gap"]]
+    gaps = [run["total_gap"] for run in runs if run["total_gap"] == run["total_gap"]]
     seconds = [run["seconds"] for run in runs]
     return (
         f"{cells} cells, reserve {runs[0]['reserve']:.0%}: {len(gaps)} of {len(runs)} audited,"
-        f" gap {max(gaps, default=float('nan')):.4%} at worst,"
-        f" above {asked:.2%} in {sum(gap > asked for gap in gaps)};"
+        f" total gap {max(gaps, default=float('nan')):.4%} at worst,"
+        f" above {GAP_ASKED:.2%} in {sum(gap > GAP_ASKED for gap in gaps)};"
         f" {sum(seconds):.1f} s, at most {max(seconds):.2f} s,"
         f" {max(run['programs'] for run in runs)} programs"
     )
