@@ -39,11 +39,14 @@ _MANY_VALUES = 400_000
 
 _NEWTON_STEPS = 8
 
-_REACH, _ROUNDING = 1e-3, 1e-4
+_REACH, _ROUNDING = 2e-4, 1e-6
 """By which the fastest run may be faster than its grid has it, relative and [m/s]."""
 
 _CREEPING = 2.0
 """Speed below which a train that starts or stops does so at its fastest [m/s]."""
+
+_AT_FASTEST = 3e-3
+"""Part of the fastest run's ``z`` within which a plan is at it."""
 
 _AT_LIMIT = 1e-5
 """Part of the permitted ``z`` within which a plan is at its limit."""
@@ -495,7 +498,7 @@ def _costate(hamiltonian: _Hamiltonian, multipliers: Multipliers) -> _Costate:
     free |= slow[:, 1:-1] & (right < left)
     first = np.column_stack((begin[:, :1], np.where(free, right, middle)))
     last = np.column_stack((np.where(free, left, middle), end[:, -1:]))
-    creeping = _creep(problem, plan, first, last)
+    creeping = _creep(problem, hamiltonian.fastest, plan, first, last)
     jump = first[:, 1:] - last[:, :-1]
     added = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1]).sum()
     added -= float((first[:, 0] * problem.initial).sum())
@@ -565,23 +568,27 @@ def _together(
 
 
 def _creep(
-    problem: DiscreteProblem, plan: Plan, first: FloatArray, last: FloatArray
+    problem: DiscreteProblem, fastest: Envelope, plan: Plan, first: FloatArray, last: FloatArray
 ) -> NDArray[np.bool_]:
-    """Keep the costate level near a standstill, in place; there trains are at their fastest.
+    """Keep the costate level, in place, where a train starts or stops at its fastest.
 
-    Any costate that falls less than the adjoint equation asks for leads to the same speed.
+    There any costate that falls less than the adjoint equation asks for leads to the same speed; by
+    the equation it grows beyond all bounds towards a standstill.
     """
-    fast = np.flatnonzero(plan.z.max(axis=0) > 0.5 * _CREEPING**2)
+    own = 0.5 * fastest.at(problem.positions) ** 2
+    free = (plan.z > 0.5 * _CREEPING**2) | (plan.z < (1.0 - _AT_FASTEST) * own)
     found = np.zeros(problem.shape, dtype=np.bool_)
-    if fast.size < 2:
-        return found
-    begins, ends = int(fast[0]), int(fast[-1])
-    if problem.initial == 0.0:
-        found[:, :begins] = True
-        first[:, :begins] = last[:, :begins] = first[:, begins : begins + 1]
-    if problem.final == 0.0:
-        found[:, ends:] = True
-        first[:, ends:] = last[:, ends:] = last[:, ends - 1 : ends]
+    n = problem.shape[1]
+    for row in np.flatnonzero(free[:, 1:-1].any(axis=1)).tolist():
+        nodes = np.flatnonzero(free[row])
+        if problem.initial == 0.0:
+            begins = min(max(int(nodes[0]) - 1, 1), n - 1)
+            found[row, :begins] = True
+            first[row, :begins] = last[row, :begins] = first[row, begins]
+        if problem.final == 0.0:
+            ends = max(min(int(nodes[-1]) + 1, n - 1), 1)
+            found[row, ends:] = True
+            first[row, ends:] = last[row, ends:] = last[row, ends - 1]
     return found
 
 

@@ -7,8 +7,7 @@ Random lines and trains of `benchmark_random`, with numbers that nothing else us
 with three configurations, energy at the wheel and at the line in turn, reserves of 1 to 100 per
 cent. Each is planned on the default cells, and then on many more, with cells as they come. A finer
 plan is a trajectory like any other, driven by the audit: where its energy is below the bound that
-the default plan came with, the bound was wrong. So it would be by
-one that a time limit ended early.
+the default plan came with, the bound was wrong. One that the time limit ends early counts, too.
 
 With TIMES, the CSV of another run, the running times are taken from there: so the state of another
 checkout (PYTHONPATH) answers the same questions. Times are of the processor.
