@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
 from analysis.control.follow import following_scenarios
@@ -167,7 +168,7 @@ def test_timetables_and_plans_count_on_the_strip() -> None:
     ] == pytest.approx(GRAVITY * 0.05 / np.hypot(1.0, 0.05) * 50.0 / 400.0)
 
 
-def test_the_result_states_the_formula(tmp_path: Path) -> None:
+def test_the_result_states_the_formula() -> None:
     options = OptimiserOptions(cells=60)
     energies = {}
     for formula in ("proportional", "roeckl"):
@@ -265,3 +266,37 @@ def test_a_plan_is_followed_with_the_forces_that_it_was_planned_with() -> None:
         following_scenarios(found, WIL, FLIRT)
     with pytest.raises(InputError, match=r"curve_resistance 'proportional', line .* 'roeckl'"):
         following_scenarios(found, replace(WIL, curve_resistance="roeckl"), strip)
+
+
+def test_a_plan_for_a_strip_is_what_an_integrator_of_its_own_drives() -> None:
+    """Slow freight on rolling gradients: mean gradient from the heights of front and rear."""
+    generator = np.random.default_rng(4)
+    edges = np.concatenate(([0.0], np.sort(generator.uniform(0.0, 12e3, 40))))
+    values = np.concatenate(([0.0], 0.006 * generator.standard_normal(40)))
+    line = line_of(StepProfile(edges, values), 12e3, limit=9.0)
+    train = replace(FREIGHT, mass_model="homogeneous_strip")
+    found = optimise(TrajectoryProblem.nominal(line, train))
+    assert found.certificate["gap"] < 5e-4
+    known = np.concatenate(([-1e3], edges, [12e3]))
+    sines = np.concatenate(([0.0], values / np.hypot(1.0, values)))
+    heights = np.concatenate(([0.0], np.cumsum(sines * np.diff(known))))
+    inertia, traction = Configuration.of(train).inertia, found.tractive_effort_at
+
+    def slope(s: float, z: FloatArray, braking: float) -> FloatArray:
+        held = train.resistance(np.sqrt(2.0 * np.maximum(z, 0.0)))
+        rise = np.diff(np.interp([s - train.length, s], known, heights))[0] / train.length
+        force = float(traction(s)) - braking - train.mass * GRAVITY * rise
+        return np.asarray((force - held) / inertia)
+
+    z, highest, reached = 0.0, 0.0, [0.0]
+    for k, (begin, end) in enumerate(pairwise(found.positions.tolist())):
+        inside = np.linspace(begin, end, 5).clip(begin + 1e-9, end - 1e-9)
+        solved = solve_ivp(
+            slope, (inside[0], inside[-1]), [z], "DOP853", inside, rtol=1e-9, atol=1e-9,
+            args=(found.braking_effort[0, k],),
+        )  # fmt: skip
+        z = float(solved.y[0, -1])
+        highest = max(highest, float(solved.y.max()))
+        reached.append(z)
+    assert np.sqrt(2.0 * highest) <= 9.0 + 1e-5
+    np.testing.assert_allclose(reached, 0.5 * found.speeds[0] ** 2, atol=2e-3)
