@@ -191,6 +191,24 @@ def import_formation(
     ------
     InputError
         If a file cannot be read, or a vehicle is in none of them.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.formats.train import read_train
+    >>> text = '''
+    ... schema: https://railtoolkit.org/schema/rolling-stock.json
+    ... schema_version: "2022.05"
+    ... vehicles:
+    ...   - {id: unit, name: unit, vehicle_type: multiple unit, length: 42.0, mass: 68.0,
+    ...      speed_limit: 120, tractive_effort: [[0, 78000], [20, 60000], [120, 15000]]}
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     stock = Path(folder) / "stock.yaml"
+    ...     _ = stock.write_text(text)
+    ...     written = import_formation([stock], "2 unit", folder, name="double")
+    ...     read_train(written.path).length
+    84.0
     """
     options = options or ImportOptions()
     train = railtoolkit.train_of(paths, formation, options.loaded or 0.0, name)
