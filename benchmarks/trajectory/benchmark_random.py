@@ -9,7 +9,7 @@ expected, both kinds of braking.
 
 With LIBRARY, the folder of TTOBench that holds ``tracks`` and ``trains``, its runs instead, with
 reserves of 0, 2, 10, 50 and 200 per cent and energy at the wheel and at the line; `--sample` of
-them, drawn with a fixed seed, or all.
+them, drawn with a fixed seed, or all (0), or those of some numbers (`--only`).
 
 Every answer is driven by scipy's DOP853 (`independent`): late by 1e-3 s, over a limit by 1e-6 m/s
 or wrong in energy by 1e-3 counts as wrong. A refusal is right where the independent fastest run
@@ -292,7 +292,7 @@ def main() -> None:
     numbers = arguments.only or range(arguments.first, arguments.first + arguments.problems)
     make: Callable[[int], TrajectoryProblem] = random_problem
     if arguments.library:
-        runs = library_problems(arguments.library, arguments.sample)
+        runs = library_problems(arguments.library, 0 if arguments.only else arguments.sample)
         numbers, make = arguments.only or range(len(runs)), runs.__getitem__
     warmed()
     rows = []

@@ -105,6 +105,10 @@ class Forces:
             number([getattr(c.resistance, name) for c in which]) for name in ("r0", "r1", "r2")
         )
         self.power = number([c.max_power for c in which])
+        # Traction is common: what the lightest may accelerate with is the most for all.
+        lightest = min(c.mass + c.rotating_mass for c in run.configurations)
+        most = run.train.max_acceleration * lightest
+        self.most_traction = min(run.train.max_tractive_effort, most)
 
     def resistance(self, piece: Piece, s: Any, v: Any) -> Any:
         """All that resists."""
@@ -115,10 +119,7 @@ class Forces:
 
     def traction(self, v: Any) -> Any:
         """Most tractive effort."""
-        most = np.minimum(
-            self.train.max_tractive_effort, self.train.max_acceleration * self.inertia
-        )
-        found = np.minimum(most, self.power / np.maximum(v, 1e-9))
+        found = np.minimum(self.most_traction, self.power / np.maximum(v, 1e-9))
         curve = self.train.traction_curve
         if curve is not None:
             share = self.power / self.train.max_traction_power
