@@ -42,8 +42,8 @@ _CLOSE = 0.1
 OF_OPTIMUM = "multipliers"
 """Source of bounds that rest on the multipliers of the optimum itself."""
 
-_CLOSE_TOTAL = 5e-4
-"""Total gap up to which none is."""
+_CLOSE_TOTAL, _NEAR_TOTAL = 1e-4, 5e-4
+"""Total gap up to which none is, and up to which none is by a cone relaxation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def best_bounds(answer: Answer, fastest: Envelope, running_time: float) -> Lower
     bound = _bounded(part, solution, running_time, speeds[rows])
     whole = _continuous(answer, solution, fastest, rows, running_time)
     best = _together(bound, whole, OF_OPTIMUM)
-    if _close(best, solution.energy, problem):
+    if _close(best, solution.energy, problem, _CLOSE_TOTAL):
         return best
     short = solution.time_price >= _SHORT_PRICE * solution.time_price.max()
     priced = np.flatnonzero(short | (expected & (part.weights > 0.0))).tolist()
@@ -118,8 +118,8 @@ def best_bounds(answer: Answer, fastest: Envelope, running_time: float) -> Lower
         other = _continuous(answer, solution, fastest, rows, running_time)
         whole = max(whole, other, key=lambda each: each.value)
         best = _together(bound, whole, "multipliers of those short of time")
-        if _close(best, answer.solution.energy, problem):
-            return best
+    if _close(best, answer.solution.energy, problem, _NEAR_TOTAL):
+        return best
     # Those that are not short of time still limit the common traction and brake.
     part, rows = problem.select(answer.active), list(answer.active)
     try:
@@ -142,10 +142,10 @@ def _together(cells: float, whole: ContinuousBound, source: str) -> LowerBounds:
     return LowerBounds(max(cells, whole.value), whole.value, whole.excess, source)
 
 
-def _close(bounds: LowerBounds, energy: float, problem: DiscreteProblem) -> bool:
+def _close(bounds: LowerBounds, energy: float, problem: DiscreteProblem, total: float) -> bool:
     """Whether bounds come so close to an energy that no others are looked for."""
     on_cells = _relative_gap(energy, bounds.cells) <= _CLOSE / problem.shape[1]
-    return on_cells or bounds.total_gap(energy) <= _CLOSE_TOTAL
+    return on_cells or bounds.total_gap(energy) <= total
 
 
 def _continuous(
