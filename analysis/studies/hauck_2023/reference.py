@@ -6,6 +6,7 @@ Runge-Kutta, and the constraints (7) hold at every one of its steps, not only at
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,8 @@ NODE_SPACING = 3.0
 
 CHECKS = (4, 8, 16)
 """Places from node to node at which the program keeps the constraints; more if its rollout breaks
-one in between, as where adhesion changes within a few metres."""
+one in between. The spline is then one of the logarithm of adhesion, which does not swing beyond a
+step from what no map limits to a slippery place."""
 
 STEPS = 2
 """Runge-Kutta steps between two of them: gradients change within 50 m, a second or two."""
@@ -250,6 +252,17 @@ def _solve(
     return found, solver.stats()
 
 
+def _adhesion_spline(
+    nodes: FloatArray, adhesion: FloatArray, logarithmic: bool
+) -> Callable[[Any], Any]:
+    import casadi as ca
+
+    if not logarithmic:
+        return ca.interpolant("grip", "bspline", [nodes], adhesion)
+    spline = ca.interpolant("grip", "bspline", [nodes], np.log(adhesion))
+    return lambda position: ca.exp(spline(position))
+
+
 def _interval(
     section: Section, span: float, mass: float, checks: int
 ) -> tuple[Any, FloatArray, FloatArray]:
@@ -264,7 +277,7 @@ def _interval(
     c, t = section.planning_constants, section.planned
     nodes = (t.origin + GRID * np.arange(t.sine.size) - section.origin.position) / 1e3
     sine = ca.interpolant("sine", "bspline", [nodes], t.sine)
-    grip = ca.interpolant("grip", "bspline", [nodes], t.adhesion)
+    grip = _adhesion_spline(nodes, t.adhesion, logarithmic=checks > CHECKS[0])
     ceiling = ca.interpolant("ceiling", "bspline", [nodes], t.ceiling)
     # Mirrored at the stop, so that the spline runs straight through it.
     beyond = np.maximum(np.arange(nodes.size) - int(np.argmin(section.stopping)), 0)

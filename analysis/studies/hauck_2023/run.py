@@ -41,7 +41,7 @@ from analysis.studies.hauck_2023.table import (
     tracking_table,
 )
 from analysis.studies.report import StudyReport
-from trainlog.errors import InputError
+from trainlog.errors import InfeasibleError, InputError
 
 TRIPS = 3
 """A day, each with a mass of its own."""
@@ -127,7 +127,7 @@ def _drive_days(
     for number in report.track(range(1, options.days + 1), "driving days"):
         try:
             driven = next(following)
-        except InputError as error:
+        except (InputError, InfeasibleError) as error:
             report.show(f"day {number} was not driven: {error}")
             break
         report.keep(*driven.logs)
@@ -156,7 +156,7 @@ def _drive_risks(report: StudyReport, known: Setup, options: MapOptions) -> None
         try:
             for driven[name] in days:
                 pass
-        except InputError as error:
+        except (InputError, InfeasibleError) as error:
             report.show(f"{name}: a day was not driven: {error}")
         report.keep(*driven[name].logs[len(first.logs) :])
         report.show(days_table(driven[name]))
