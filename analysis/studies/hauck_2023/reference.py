@@ -253,7 +253,7 @@ def _solve(
 
 
 def _adhesion_spline(
-    nodes: FloatArray, adhesion: FloatArray, logarithmic: bool
+    nodes: NDArray[np.floating[Any]], adhesion: FloatArray, logarithmic: bool
 ) -> Callable[[Any], Any]:
     import casadi as ca
 
