@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, KMH, hilly_line, level_line, observed, steps
 
+from analysis.trajectory.convex import NoSolutionError, Unknowns, bounded
+from analysis.trajectory.discretisation import Plan, discretise
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from analysis.trajectory.rollout import cell_times
+from analysis.trajectory.sqp import Motion, QPSubproblem
 from trainlog.errors import InfeasibleError
 from trainlog.railway import Configuration, RunningResistance, Train, Trajectory
 
@@ -47,6 +51,30 @@ def test_the_judge_sees_what_is_wrong() -> None:
     energy = found.certificate | {"energy": 1.002 * found.certificate["energy"]}
     wrong = replace(found, certificate=energy)
     assert driven(problem, wrong).faults(problem, wrong) == ["energy wrong by 0.002"]
+
+
+def test_a_plan_that_stalls_has_a_finite_program() -> None:
+    """Without linear resistance, times that are infinite times it are no numbers."""
+    train = replace(FLIRT, resistance=RunningResistance(9_000.0, 0.0, 12.0))
+    run = TrajectoryProblem(hilly_line(), train, observed(train, 1.0))
+    problem = discretise(run, run.breakpoints)
+    z = np.full((1, problem.positions.size), 1e-5)
+    none = np.zeros(problem.shape)
+    plan = Plan(z, none[0], none, none)
+    assert np.isinf(cell_times(problem, plan)).any()
+    motion = Motion.about(problem, plan)
+    for each in (motion.times, motion.keep, motion.push):
+        assert np.all(np.isfinite(each))
+    found = QPSubproblem(problem, plan, none).solve(400.0, 1.0, 100.0, 0.0)
+    assert np.all(np.isfinite(found.plan.z))
+
+
+def test_bounds_that_exclude_each_other_are_no_crash() -> None:
+    run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0))
+    unknowns = Unknowns(discretise(run, run.breakpoints))
+    unknowns.low[unknowns.z[0, 3]], unknowns.high[unknowns.z[0, 3]] = 2.0, 1.0
+    with pytest.raises(NoSolutionError, match="infeasible"):
+        bounded(unknowns)
 
 
 @pytest.mark.parametrize("reserve", [1.0, 2.0, 3.5])

@@ -289,7 +289,7 @@ class QPSubproblem:
         of each.
         """
         speed, step, z = self.speed, self.problem.step, self.unknowns.z
-        total = speed[:, :-1] + speed[:, 1:]
+        total = np.maximum(speed[:, :-1] + speed[:, 1:], _STANDING)
         slope = 2.0 * step / total**2
         # A fixed node at standstill does not move; elsewhere dv = dz / v.
         ratio = np.where(speed > 0.25 * SLOW, self.scale / np.maximum(speed, 0.25 * SLOW), 0.0)

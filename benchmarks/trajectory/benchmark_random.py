@@ -205,6 +205,7 @@ def judged(problem: TrajectoryProblem, limit: float) -> Iterator[dict[str, Any]]
         "outcome": "wrong" if faults else outcome,
         "words": "; ".join(faults),
         "gap": certificate["gap"],
+        "total_gap": certificate.get("total_gap", np.nan),
         "cells": certificate["grid"]["cells"],
         "least_time": off,
     }
@@ -262,7 +263,8 @@ def printed(number: int, row: dict[str, Any]) -> str:
         f"{number:4d} {row['line']:16s} {row['train']:16s} {row['km']:7.2f} {row['steepest']:5.1f}"
         f" {row['slowest']:5.0f} {row['tonnes']:6.0f} {row['q']:3d} {row['reserve']:5.0%}"
         f" {row['objective']:8s} {row['braking']:8s} {row['seconds']:6.1f}"
-        f" {100.0 * row.get('gap', np.nan):8.3f} {1e6 * row.get('least_time', np.nan):+7.0f}"
+        f" {100.0 * row.get('gap', np.nan):8.3f} {100.0 * row.get('total_gap', np.nan):8.3f}"
+        f" {1e6 * row.get('least_time', np.nan):+7.0f}"
         f"  {row['outcome']}{': ' * bool(row.get('words'))}{row.get('words', '')}"
     )
 
@@ -304,7 +306,7 @@ def main() -> None:
 
     print(
         " no. line             train                 km  o/oo  km/h tonnes   q  res. energy  "
-        " braking   CPU s    gap %    ppm"
+        " braking   CPU s    gap %  total %    ppm"
     )
     with ThreadPoolExecutor(arguments.jobs) as pool:
         list(pool.map(one, numbers))
