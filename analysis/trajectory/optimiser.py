@@ -62,9 +62,6 @@ REFINEMENTS = 3
 RENEWALS = 2
 """How often cells are laid anew about the plan found."""
 
-_WORTH = 0.8
-"""Part of the total gap that is left at most where another renewal is worth its time."""
-
 
 def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
     """Trajectory of least worst-case energy that every configuration can follow.
@@ -278,8 +275,6 @@ def _renewed(
         if again.energy <= found.energy or last[1].total_gap(again.energy) < total:
             found, bounds = last
         bounds = replace(bounds, continuous=highest, cells=max(bounds.cells, highest))
-        if bounds.total_gap(found.energy) > _WORTH * total:
-            break
     return found, bounds
 
 
