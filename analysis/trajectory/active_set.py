@@ -37,7 +37,6 @@ from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.feasibility import (
     LATE,
     brakes_explained,
-    names_of,
     still_late,
     time_explained,
     unsettled,
@@ -62,7 +61,6 @@ from analysis.trajectory.sqp import (
     minimise,
     with_costates,
 )
-from trainlog.errors import InfeasibleError
 
 FloatArray = NDArray[np.float64]
 
@@ -368,7 +366,7 @@ def search(
     *,
     coarse: bool = False,
 ) -> Answer:
-    """The robust optimum.
+    """The robust optimum, or the best of what is found in the time left (`convex.time_limit`).
 
     Parameters
     ----------
@@ -384,8 +382,7 @@ def search(
     Raises
     ------
     InfeasibleError
-        If there is no such trajectory, with the figures; or none was found in the time that is left
-        (see `convex.time_limit`).
+        If there is no such trajectory; with the figures.
     """
     with time_limit((_COARSE_TIME if coarse else _SEARCH_TIME) * time_left()):
         return _searched(problem, guess, speeds, running_time, coarse)
@@ -416,7 +413,12 @@ def _searched(
             last = stop.found or unpriced(DrivenPlan(part, plan, np.inf))
             words = (*statuses, *last.statuses, "time limit")
             stopped = Answer(even, plan, tuple(rows), last, turns, words, alone)
-            return _stopped(stopped, together(), running_time)
+            answer = _stopped(stopped, together(), running_time)
+            if answer is not None:
+                return answer
+            # Nothing is known that all can drive: it goes on until there is.
+            with time_limit(None):
+                return _searched(even, guess, speeds, running_time, coarse)
         statuses.extend(solution.statuses)
         kept = _deciding(part, solution, [row in again for row in rows])
         if len(kept) < len(rows):
@@ -460,10 +462,10 @@ def _searched(
     raise AssertionError  # it adds at least one configuration in each turn
 
 
-def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer:
+def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer | None:
     """The best that all can drive of what a search has when its time is over.
 
-    The efforts of the last program, with as much of the run of all at one pace as brings all in
+    The traction of the last program, with as much of the run of all at one pace as brings all in
     time; or that run. The bound is that of the last program's multipliers, for its configurations.
 
     Parameters
@@ -474,12 +476,14 @@ def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer:
         The fastest run of all together.
     running_time : float [s]
 
-    Raises
-    ------
-    InfeasibleError
-        If there is none.
+    Returns
+    -------
+    Answer or None
+        None if there is none, as with common braking.
     """
     problem, solution = last.problem, last.solution
+    if problem.common:
+        return None
     planned = problem.tapered(solution.taper)
     able: list[tuple[float, DiscreteProblem, Plan]] = []
     if fast.late <= LATE:
@@ -487,30 +491,23 @@ def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer:
     for each in (planned, problem):
         paced = paced_run(each, running_time)
         plans = [paced, _mixed(each, solution.plan, paced, running_time)]
-        if problem.run.at_line and not problem.common:
+        if problem.run.at_line:
             plans += [rollout_gently(each, plan.traction, running_time) for plan in plans]
         driven = [
             plan for plan in plans if np.max(_excesses(each, plan, running_time)) <= _VIOLATION
         ]
         able += [(energy_of(each, plan), each, plan) for plan in driven]
     if not able:
-        raise InfeasibleError(
-            f"no trajectory of {names_of(problem)} for {running_time:.1f} s was found within the"
-            " time limit",
-            remedy="a longer time limit, or fewer configurations",
-        )
+        return None
     _, tapered, plan = min(able, key=lambda each: each[0])
     return replace(last, problem=tapered, plan=plan)
 
 
 def _mixed(problem: DiscreteProblem, planned: Plan, paced: Plan, running_time: float) -> Plan:
-    """The common efforts of a plan, with as little of a run in time as brings all in time."""
+    """The common traction of a plan, with as little of a run in time as brings all in time."""
 
     def run(share: float) -> Plan:
         traction = (1.0 - share) * planned.traction + share * paced.traction
-        if problem.common:
-            brake = (1.0 - share) * planned.braking[0] + share * paced.braking[0]
-            return rollout(problem, traction, brake)
         return rollout(problem, traction, None)
 
     low, high, found = 0.0, 1.0, run(1.0)

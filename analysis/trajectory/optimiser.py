@@ -80,8 +80,7 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
     Raises
     ------
     InfeasibleError
-        If no trajectory keeps the timetable or the speeds asked for, with the figures; or if none
-        was found within the time limit.
+        If no trajectory keeps the timetable or the speeds asked for; with the figures.
     InputError
         If so much time is given that the train would stand on the way.
     TrainlogError

@@ -506,8 +506,9 @@ class OptimiserOptions:
     tolerance : float
         Total gap, relative, above which the cells are laid anew about the plan found.
     time_limit : float or None [s]
-        After which the best that was found is the answer, with its gap; what has begun is finished.
-        None: no limit.
+        After which the best that was found is the answer, with its gap; what has begun is finished,
+        and where nothing is known that all can drive the search goes on until there is. None: no
+        limit.
 
     Raises
     ------
