@@ -252,7 +252,8 @@ def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
     [
         ("creepage;adhesion\n1;0.2\n", "'creepage' has no unit"),
         ("creepage [1];adhesion\n1;0.2\n4;0.2\n", r"beyond 2 \(200 %\).*state its unit"),
-        ("creepage [%];adhesion\n1;20\n", "not below 1.5"),
+        ("creepage [%];adhesion\n1;0.2\n2;20\n", r"line 3: 2;20: adhesion is not below 1.5"),
+        ("creepage [%];adhesion\n1;0.2\n2;nan\n", r"line 3: 2;nan: a value is not a finite"),
         ("creepage [%];adhesion\n1;-0.2\n", r"line 2: slip and adhesion have opposite signs"),
         ("creepage [%];adhesion\n1;x\n", r"line 2: '1;x' is not a slip and an adhesion"),
         ("force [kN];adhesion\n1;0.2\n", "'kN' cannot be read as m/s"),
@@ -262,6 +263,19 @@ def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
 def test_tables_that_would_mislead_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_adhesion_points(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(("speed", "stated"), [("-3", "-3"), ("0", "0"), ("800", "800")])
+def test_a_train_speed_is_named_as_it_was_given(tmp_path: Path, speed: str, stated: str) -> None:
+    path = written(tmp_path, "creepage [%];adhesion\n1;0.2\n2;0.3\n")
+    with pytest.raises(InputError, match=f"--speed: {stated} km/h is not between 0 and 720 km/h"):
+        run(["adhesion", "fit", str(path), "-o", str(tmp_path / "a.json"), "--speed", speed])
+
+
+def test_a_train_speed_beside_those_of_the_points_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "creepage [%];adhesion;speed [km/h]\n1;0.2;72\n2;0.3;72\n")
+    with pytest.raises(InputError, match="the points state their train speeds, and one is given"):
+        run(["adhesion", "fit", str(path), "-o", str(tmp_path / "a.json"), "--speed", "80"])
 
 
 def test_from_measured_points_to_a_trip_on_that_rail(

@@ -129,6 +129,34 @@ def test_dates_and_maps_give_the_same_answer(whole: TrackConditionMap) -> None:
     )
 
 
+def test_a_trip_under_two_rail_conditions_is_stated_and_not_subtracted() -> None:
+    first, second = a_map(range(40)), a_map(range(60))
+    wet = second.layer("wet")
+    moved = [{**each, "layer": "dry"} if each["trip"] == "1-7" else each for each in second.trips]
+    rest = _rows_without(wet.evidence, DAY + 7)
+    dry = ConditionLayer.unestimated(a_trip(DAY + 7, 1, change=True))
+    second = replace(
+        second,
+        layers={"dry": dry, "wet": ConditionLayer.unestimated(rest)},
+        trips=tuple(moved),
+    )
+    found = analysis.map_difference(first, second)
+    assert (
+        "1 trip under different rail conditions (first, second): 1-7 (wet, dry)" in found.notes[0]
+    )
+    # The days that only the second has are compared, as if the trip had its right place.
+    right = analysis.map_difference(first, a_map(range(60)))
+    np.testing.assert_allclose(found.bins["difference"], right.bins["difference"], atol=1e-12)
+    other = replace(first, trips=tuple({**each, "layer": "dry"} for each in first.trips))
+    with pytest.raises(InputError, match="the same trips, some under another rail condition"):
+        analysis.map_difference(first, other)
+
+
+def _rows_without(evidence: DailyEvidence, day: int) -> DailyEvidence:
+    parts = [evidence.between(-1, day - 1), evidence.between(day + 1, 10**6)]
+    return DailyEvidence.total(parts)
+
+
 def test_a_false_discovery_rate_follows_benjamini_and_hochberg() -> None:
     # Table 1 of their paper: the four least of fifteen are discoveries at 0.05.
     p = np.array([0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344,
@@ -202,15 +230,15 @@ def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
     figures: list[Figure] = []
     monkeypatch.setattr(map_plot, "write_figure", lambda figure, path: figures.append(figure))
     draw_history(found, "place.png")
-    # The newest value is visible: it reaches to the right end of the picture, days beyond it.
+    # The newest value is visible: it reaches over its day, which ends the picture.
     axes = figures[0].axes[0]
     end = axes.get_xlim()[1]
     newest = [line for line in axes.lines if len(line.get_xdata()) == 4]
-    assert len(newest) == 2
+    assert len(newest) == 4  # two estimates, and the ends of the band of what was expected
     for drawn in newest:
         days = date2num(drawn.get_xdata())
         assert days[-1] == pytest.approx(end)
-        assert days[-1] - days[-2] >= map_plot.MARGIN
+        assert days[-1] - days[-2] == pytest.approx(1.0)
     assert found.near == "at Mitte"
 
 

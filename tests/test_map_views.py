@@ -18,6 +18,7 @@ import trainlog
 from analysis.adhesion import map_plot as plot
 from analysis.adhesion.map_state import state_table
 from trainlog.cli.main import run
+from trainlog.condition import estimated
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.condition import (
@@ -28,6 +29,7 @@ from trainlog.railway.condition import (
     ModelParameter,
     PassingSpot,
 )
+from trainlog.railway.evidence import DailyEvidence
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
@@ -123,7 +125,7 @@ def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
     assert "9.675 to 9.750" in words
     assert f"{SPOT.alive(AT):.0%}" in words
     assert "2024-10-06 (2024-10-05 to 2024-10-07)" in words
-    assert "trip std 0.12 0.011 ln(adhesion) the evidence" in words
+    assert "trip std 0.12 0.011 ln(adhesion) estimated" in words
     assert "correlation length 120 m assumed" in words
     # A mean of logarithms is read as an adhesion; what the evidence moved is not all assumed.
     assert "median of normal rail 0.29 0.026 adhesion mostly assumed" in words
@@ -134,10 +136,71 @@ def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
     only = printed(state_table(analysis.map_state(track, AT, line=line, layers=["wet"])))
     assert "203 onsets of slip" in only
     assert "87 onsets of slip" not in only
-    assert "expected as known now" not in words
-    earlier = analysis.map_state(track, AT - pd.Timedelta("3D"), line=line)
-    stated = "evidence of 1 day, 2024-10-07, is counted in, which is not from before 2024-10-06"
-    assert f"expected as known now: {stated} (UTC)" in printed(state_table(earlier))
+    assert "without the evidence" not in words
+    assert "dry: no lasting change found; no bin has onsets of two days or more" in words
+    assert "wet: no lasting change found" not in words
+
+
+def days_of(track: TrackConditionMap, shift: int) -> TrackConditionMap:
+    """The map with all its evidence again so many days later, under other trip names."""
+    wet = track.layer("wet").evidence
+    later = replace(wet, day=wet.day + shift, used_day=wet.used_day + shift)
+    both = ConditionLayer.unestimated(DailyEvidence.total([wet, later]))
+    trips = [each for each in track.trips if each["layer"] == "wet"]
+    again = [
+        {**each, "trip": "again", "weather": {"time": "2024-10-10T08:00:00Z"}} for each in trips
+    ]
+    return estimated(replace(track, layers={"wet": both}, trips=(*trips, *again)))
+
+
+def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -> None:
+    track = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map"))
+    longer, past = days_of(track, 3), pd.Timestamp("2024-10-09T06:00Z")
+    assert longer.days.tolist() == [20_003, 20_006]
+    then = analysis.map_state(longer, past)
+    assert then.layers["last_day"].tolist() == ["2024-10-07"]
+    assert then.layers["onsets"].tolist() == [203]
+    assert [each["trip"] for each in then.as_json()["trips"]] == ["trip-03", "trip-07", "trip-11"]
+    assert then.as_json()["trips"][0]["day"] == "2024-10-07"
+    left = "without the evidence of 1 day, 2024-10-10, which is not from before 2024-10-09 (UTC)"
+    assert then.notes[-1] == left
+    for name, given in (("then", longer), ("now", track)):
+        path = tmp_path / f"{name}.csv"
+        analysis.export_map(given, path, at=past, layers=["wet"])
+    assert (tmp_path / "then.csv").read_bytes() == (tmp_path / "now.csv").read_bytes()
+    early = pd.Timestamp("2024-10-07T23:00Z")
+    for view in (
+        lambda: analysis.map_state(longer, early),
+        lambda: analysis.export_map(longer, tmp_path / "none.csv", at=early),
+        lambda: plot.draw_map(longer, tmp_path / "none.png", at=early),
+    ):
+        with pytest.raises(InputError, match="holds no evidence of a day before 2024-10-07"):
+            view()
+    assert not list(tmp_path.glob("none*"))
+
+
+def test_spots_are_listed_the_likeliest_first_and_medians_stated(track: TrackConditionMap) -> None:
+    old = replace(SPOT, start=9_000.0, end=9_100.0, checked=19_900)
+    wet = replace(track.layer("wet"), spots=(old, SPOT))
+    state = analysis.map_state(replace(track, layers={"wet": wet}), AT)
+    listed = state.as_json()["spots"]
+    assert [each["start_m"] for each in listed] == [SPOT.start, old.start]
+    assert listed[0]["probability"] > listed[1]["probability"]
+    model = {each["parameter"]: each for each in state.as_json()["model"]}
+    assert model["mean"]["median"] == pytest.approx(np.exp(-1.238))
+    assert model["trip_std"]["median"] is None
+
+
+def test_the_names_that_remove_takes_are_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wil.map"
+    path.write_bytes(Path(trainlog.sample("CH_StGallen_Wil.map")).read_bytes())
+    with pytest.raises(InputError, match=r"trainlog info .*wil.map --trips lists its trips"):
+        run(["map", "remove", str(path), "nope"])
+    assert run(["info", str(path), "--trips"]) == 0
+    listed = " ".join(capsys.readouterr().out.split())
+    assert "trip-03 wet 2024-10-07 yes" in listed
 
 
 def test_the_default_time_is_right_after_the_last_evidence(track: TrackConditionMap) -> None:
@@ -256,7 +319,7 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     # What is stated beside the tables stands in the JSON, too.
     assert run([*words, "--json"]) == 0
     notes = json.loads(capsys.readouterr().out)["notes"]
-    assert len(notes) == len(found["notes"]) + 1 == 2
+    assert len(notes) == len(found["notes"]) + 1 == 3
     assert all(each in shown for each in notes)
     assert (tmp_path / "wet.png").stat().st_size > 20_000
     for given, message in (("8", "not a part of a line"), ("8:9", "what a picture shows")):

@@ -7,7 +7,9 @@ whatever order trips were counted.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +95,8 @@ def estimated(track: TrackConditionMap) -> TrackConditionMap:
 def known_before(track: TrackConditionMap, time: Timestamp) -> TrackConditionMap:
     """The map as it was before the day of a time (UTC), made of the evidence of the days before.
 
-    Layers without evidence until then are left out. It is the map itself if no evidence is later.
+    Layers without evidence until then are left out, and trips whose middle is not known to be of a
+    day before. It is the map itself if no evidence is later.
 
     Parameters
     ----------
@@ -132,14 +135,46 @@ def known_before(track: TrackConditionMap, time: Timestamp) -> TrackConditionMap
             f" {np.datetime64(day, 'D')}",
             remedy=f"give {np.datetime64(first + 1, 'D')} or later, or no time",
         )
-    return estimated(replace(track, layers=layers, trips=()))
+    trips = tuple(each for each in track.trips if (ran := day_of_trip(each)) and ran < day)
+    return estimated(replace(track, layers=layers, trips=trips))
+
+
+def day_of_trip(entry: Mapping[str, Any]) -> int | None:
+    """Day of a trip of a map (its middle), counted from 1970-01-01 in UTC; None if not known.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> {day_of_trip(each) for each in track.trips}
+    {20003}
+    """
+    time = entry.get("weather", {}).get("time")
+    return None if time is None else day_of(Timestamp(time))
+
+
+def left_out(track: TrackConditionMap, time: Timestamp | None) -> str:
+    """Which evidence `known_before` leaves out, in words; empty: none.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> left_out(track, Timestamp("2024-10-07T08:00"))
+    'without the evidence of 1 day, 2024-10-07, which is not from before 2024-10-07 (UTC)'
+    """
+    later = "" if time is None else later_evidence(track, time)
+    if time is None or not later:
+        return ""
+    day = np.datetime64(day_of(time), "D")
+    return f"without the {later}, which is not from before {day} (UTC)"
 
 
 def later_evidence(track: TrackConditionMap, time: Timestamp) -> str:
     """Which evidence of a map is of the day of a time (UTC) or later, in words; empty: none.
 
-    `ConditionLayer.expected` counts it, too: it states what is known now of that time, and not what
-    was known then.
+    `ConditionLayer.expected` counts it, too: what is expected of that time with the evidence of all
+    days. `known_before` leaves it out.
 
     Examples
     --------

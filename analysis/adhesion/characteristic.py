@@ -43,6 +43,9 @@ Family = Literal["polach", "exponentials"]
 ASSUMED_SPEED = 10.0
 """Train speed [m/s] of points over creepage that state none: falling friction depends on it."""
 
+MOST_SPEED = 200.0
+"""Train speeds are below this [m/s]."""
+
 RISING = 0.02
 """Share of the maximum by which the adhesion may still rise beyond the points: with more they do
 not show the maximum."""
@@ -149,7 +152,7 @@ def fit_adhesion_characteristic(
     family : {"polach", "exponentials"}, optional
         Default: the one that explains the points better for its number of parameters (AICc).
     speed : float [m/s], optional
-        Train speed of points that do not state theirs.
+        Train speed of points that do not state theirs; of others it is refused.
     clean_stiffness : float, optional
         Slope of the clean contact over creepage, from which Polach's k_A is then stated. From the
         points only its product with k_A can be found; by default the product, with a k_A of 1.
@@ -189,9 +192,14 @@ def _fitted(
     clean_stiffness: float | None,
 ) -> CharacteristicFit:
     """The fit of points, or the reason why there is none."""
-    if given.speeds is None and speed is not None:
-        if not 0.0 < speed < 200.0:
-            raise InputError(f"train speed {speed} m/s is not between 0 and 200")
+    if speed is not None:
+        if not 0.0 < speed < MOST_SPEED:
+            raise InputError(f"train speed {speed:g} m/s is not between 0 and {MOST_SPEED:g} m/s")
+        if given.speeds is not None:
+            raise InputError(
+                "the points state their train speeds, and one is given (--speed)",
+                remedy="leave one of the two out",
+            )
         given = replace(given, speeds=np.full(given.slips.size, speed))
     _check_points(given)
     findings: list[str] = []

@@ -438,6 +438,13 @@ class Spot:
     high: float
 
 
+UNMEASURED = (
+    "in them the axle's effort neither fell nor was cut, or it is not known, or is known of the"
+    " whole train only and another axle had slipped just before"
+)
+"""Why slip events do not show the maximum."""
+
+
 @dataclass(frozen=True, slots=True)
 class LayerSummary:
     """What a layer of a map amounts to.
@@ -453,7 +460,7 @@ class LayerSummary:
     lowest : tuple of Spot
         Least adhesion first, at least `SPOT_SEPARATION` apart.
     unmeasured : int
-        Slip events that did not show the maximum.
+        Slip events that did not show the maximum (`UNMEASURED`).
     incomplete : int
         Trips on which slips may have gone unseen.
     notes : dict of str to tuple of str
@@ -480,6 +487,7 @@ class LayerSummary:
         if self.unmeasured:
             measured = counted(self.events, "onset")
             words += f"; {measured} of slip measured the maximum, {self.unmeasured} others did not"
+            words += f" ({UNMEASURED})"
         if self.incomplete:
             words += f"; on {counted(self.incomplete, 'trip')} slips may have gone unseen"
         return words + "."

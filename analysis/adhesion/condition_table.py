@@ -13,7 +13,6 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.adhesion.line_table import line_table
-from trainlog.condition import later_evidence
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
     AdhesionEstimate,
@@ -22,7 +21,6 @@ from trainlog.railway.condition import (
     PassingSpot,
     TrackConditionMap,
 )
-from trainlog.railway.evidence import day_of
 from trainlog.railway.line import Line
 
 FloatArray = NDArray[np.float64]
@@ -48,26 +46,6 @@ def last_evidence(track: TrackConditionMap) -> pd.Timestamp | None:
     """
     days = track.days
     return pd.Timestamp(int(days[-1]) + 1, unit="D", tz="UTC") if days.size else None
-
-
-def counted_later(track: TrackConditionMap, time: pd.Timestamp | None) -> str:
-    """That what is expected at a time counts evidence not from before its day; empty: it does not.
-
-    Examples
-    --------
-    >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
-    >>> counted_later(track, pd.Timestamp("2024-10-07T08:00Z"))
-    'expected as known now: evidence of 1 day, 2024-10-07, is counted in, which is not from before\
- 2024-10-07 (UTC)'
-    """
-    later = "" if time is None else later_evidence(track, time)
-    if not (time is not None and later):
-        return ""
-    return (
-        f"expected as known now: {later}, is counted in, which is not from before"
-        f" {day_name(day_of(time))} (UTC)"
-    )
 
 
 def day_name(day: int) -> str:
@@ -132,7 +110,8 @@ def bins_table(
     line : Line, optional
         Gives the operator's kilometres and what the line has in each bin.
     time : Timestamp, optional
-        Of the expected condition; default: right after the last evidence.
+        Of the expected condition; default: right after the last evidence. All evidence of the map
+        counts: `trainlog.condition.known_before` leaves out what is later.
     layers : sequence of str, optional
         Default: all.
 
@@ -239,13 +218,14 @@ def spots_table(
 ) -> pd.DataFrame:
     """One row a passing spot: where, how low, when it was met, and how likely it still lies there.
 
-    Parameters and errors as of `bins_table`.
+    Layer by layer, the likeliest first. Parameters and errors as of `bins_table`.
     """
-    found = [
-        (name, spot) for name, each in chosen_layers(track, layers).items() for spot in each.spots
-    ]
+    chosen = chosen_layers(track, layers)
+    found = [(name, spot) for name, each in chosen.items() for spot in each.spots]
+    lengths = [len(each.spots) for each in chosen.values()]
     spots = [spot for _, spot in found]
     now = time or last_evidence(track)
+    likely = np.array([np.nan if now is None else spot.alive(now) for spot in spots])
     rows = {
         "line": [track.line] * len(found),
         "layer": [name for name, _ in found],
@@ -255,13 +235,15 @@ def spots_table(
         "high": _each(spots, "high"),
         **{f"{name}_day": _days_of(spots, name) for name in ("first", "last", "checked")},
         "present_when_checked": _each(spots, "present"),
-        "probability": np.array([np.nan if now is None else spot.alive(now) for spot in spots]),
+        "probability": likely,
         "life_days": _each(spots, "life"),
         "may_be_change": np.array(
             [may_be_change(track, track.layer(name), spot) for name, spot in found], dtype=np.bool_
         ),
     }
-    return pd.DataFrame(rows)
+    layer = np.repeat(np.arange(len(lengths)), lengths)
+    order = np.lexsort((-likely, layer))
+    return pd.DataFrame(rows).iloc[order].reset_index(drop=True)
 
 
 def may_be_change(track: TrackConditionMap, layer: ConditionLayer, spot: PassingSpot) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from analysis.adhesion.condition_table import (
     sections_table,
     spots_table,
 )
+from trainlog.condition import known_before
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.files import atomic_write, write_bytes
@@ -137,15 +138,16 @@ def export_map(
     line : Line, optional
         Gives kilometres, stations, gradients and coordinates; GeoJSON and GeoPackage need it.
     at : Timestamp, optional
-        Time of the expected condition; default: right after the last evidence.
+        Time of the expected condition; only evidence of the days before its day counts
+        (`trainlog.condition.known_before`). Default: right after the last evidence, with all of it.
     layers : sequence of str, optional
         Default: all.
 
     Raises
     ------
     InputError
-        If the suffix is another, the map lacks a layer, the line is another or has no
-        coordinates where they are needed, or the file cannot be written.
+        If the suffix is another, the map lacks a layer, no evidence is of a day before `at`, the
+        line is another or has no coordinates where they are needed, or the file cannot be written.
     MissingExtraError
         If a GeoPackage is asked for without the extra ``gis``.
 
@@ -164,8 +166,10 @@ def export_map(
         check_course(track, line)
     if suffix in GEOGRAPHIC:
         _check_coordinates(track, line, path)
-    names = list(chosen_layers(track, layers))
-    _WRITERS[suffix](_Export(track, line, at, names), path)
+    track = replace(track, layers=chosen_layers(track, layers))
+    if at is not None:
+        track = known_before(track, at)
+    _WRITERS[suffix](_Export(track, line, at, list(track.layers)), path)
 
 
 def exported_suffix(path: str | Path) -> str:

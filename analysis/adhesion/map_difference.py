@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -42,6 +42,9 @@ GAP = 2
 
 POWER = 0.8
 """Probability with which a change of the detectable ratio is found."""
+
+LISTED = 5
+"""Trips under different rail conditions that are listed by name."""
 
 _EVER = int(np.iinfo(np.int32).max)
 _SUMS = ("trips", "events", "weight", "weighted_log", "weighted_square", "common", "used_trips")
@@ -281,23 +284,29 @@ def _of_maps(first: TrackConditionMap, second: TrackConditionMap) -> _Pair:
                 f"the maps differ in {name}: {getattr(first, name)} and {getattr(second, name)}",
                 remedy="compare maps of one line with the same bins",
             )
-    one, other = _trips(first), _trips(second)
+    one, other = set(_trips(first)), set(_trips(second))
     both = one & other
     evidence = [
         {name: each.evidence for name, each in track.layers.items()} for track in (first, second)
     ]
     words = [f"the first map ({counted(len(one), 'trip')})"]
-    notes: tuple[str, ...] = ()
+    notes = tuple(_elsewhere(first, second))
     if both == one == other:
+        if notes:
+            raise InputError(
+                "both maps count the same trips, some under another rail condition",
+                remedy=f"take them out of one (trainlog map remove): {notes[0]}",
+            )
         raise InputError(
             "both maps count the same trips", remedy="give two maps of different trips"
         )
-    if both == one:
+    # What a trip showed is not among the sums of another layer: they cannot be subtracted.
+    if both == one and not notes:
         evidence[1] = {
             name: _less(each, evidence[0].get(name)) for name, each in evidence[1].items()
         }
         words.append(f"what the second adds ({counted(len(other - both), 'trip')})")
-    elif both == other:
+    elif both == other and not notes:
         evidence[0] = {
             name: _less(each, evidence[1].get(name)) for name, each in evidence[0].items()
         }
@@ -309,18 +318,35 @@ def _of_maps(first: TrackConditionMap, second: TrackConditionMap) -> _Pair:
             evidence[1] = {
                 name: _other_days(each, evidence[0].get(name)) for name, each in evidence[1].items()
             }
-            notes = (
+            notes += (
                 f"Both maps count {counted(len(both), 'trip')}: of the second only the days are"
                 " compared on which the first has no evidence.",
             )
     return _Pair(_known(evidence[0]), _known(evidence[1]), words[0], words[1], notes)
 
 
-def _trips(track: TrackConditionMap) -> set[str]:
-    """What identifies each trip: what was recorded, its log's digest, or its name."""
+def _trips(track: TrackConditionMap) -> dict[str, dict[str, Any]]:
+    """Each trip by what identifies it: what was recorded, its log's digest, or its name."""
     return {
-        str(trip.get("identity") or trip.get("sha256") or trip.get("trip")) for trip in track.trips
+        str(trip.get("identity") or trip.get("sha256") or trip.get("trip")): trip
+        for trip in track.trips
     }
+
+
+def _elsewhere(first: TrackConditionMap, second: TrackConditionMap) -> Iterator[str]:
+    """A sentence on the trips that two maps count under different rail conditions, if any."""
+    one, other = _trips(first), _trips(second)
+    found = [
+        f"{one[key]['trip']} ({one[key]['layer']}, {other[key]['layer']})"
+        for key in one
+        if key in other and one[key]["layer"] != other[key]["layer"]
+    ]
+    if found:
+        more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
+        yield (
+            f"The maps count {counted(len(found), 'trip')} under different rail conditions (first,"
+            f" second): {', '.join(found[:LISTED])}{more}; one of the two is wrong."
+        )
 
 
 def _known(evidence: dict[str, DailyEvidence]) -> dict[str, ConditionLayer]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from trainlog.condition import known_before
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
@@ -59,8 +61,13 @@ LABELLED = 8
 GONE = 0.005
 """Spots that lie there less likely than this are drawn pale, and not labelled."""
 
-MARGIN = 3.0
-"""Days at least that the picture of a history reaches beyond the last evidence."""
+LABELS = 0.36
+"""Share of the height of an axes that is kept free of data for labels, where there are any."""
+
+FAINTEST = 0.45
+"""Opacity of a spot that has gone; one that surely lies there is opaque."""
+
+DAY = pd.Timedelta(days=1)
 
 LABEL_SPACE = 0.022
 """Share of the width that a label beside a vertical line takes."""
@@ -89,14 +96,15 @@ def draw_map(
     line : Line, optional
         Gives the stations.
     at : Timestamp, optional
-        Time of the expected condition; default: right after the last evidence.
+        Time of the expected condition; only evidence of the days before its day counts
+        (`trainlog.condition.known_before`). Default: right after the last evidence, with all of it.
     part : (2,) tuple of float [m], optional
         Chainage of the ends of the part that is drawn; default: all of the line.
 
     Raises
     ------
     InputError
-        If the map has no layer yet, or the line is another.
+        If the map has no layer yet, no evidence is of a day before, or the line is another.
     """
     if not track.layers:
         raise InputError(
@@ -104,6 +112,8 @@ def draw_map(
         )
     if line is not None:
         check_course(track, line)
+    if at is not None:
+        track = known_before(track, at)
     start, end = sorted(part or (0.0, track.length))
     count = len(track.layers)
     figure = new_figure(13.0, 1.2 + 3.0 * count + 0.9 * (line is not None))
@@ -116,7 +126,7 @@ def draw_map(
         known = None if truth is None or name not in truth else np.asarray(truth[name])
         _draw_layer(place, track, name, layer, known, at, (start, end))
         dress(place, x="", y="maximum adhesion", title=_title(track, name, layer))
-        place.set_ylim(0.0, _top(track, at))
+        place.set_ylim(0.0, _with_labels(place, _top(track, at)))
         place.tick_params(labelbottom=True)
     _legend(figure, axes)
     if line is not None:
@@ -161,10 +171,19 @@ def _draw_layer(
             low[seen],
             high[seen],
             color=ink,
-            alpha=0.3 if estimate is expected else 0.6,
+            alpha=0.45 if estimate is expected else 0.6,
             linewidth=width,
             label=words,
         )
+        if estimate is expected:  # the ends of the wider band stay visible before the other
+            ends: dict[str, Any] = {
+                "marker": "_",
+                "markersize": 4.0,
+                "markeredgewidth": 1.2,
+                "zorder": 3.0,
+            }
+            for limit in (low, high):
+                axes.plot(centres[seen], limit[seen], linestyle="", color=ink, **ends)
         size = 2.0 if estimate is expected else 4.0
         axes.plot(centres[seen], middle[seen], ".", color=ink, markersize=size)
     slips = layer.events > 0
@@ -230,7 +249,7 @@ def _draw_marks(
             [spot.adhesion for spot in spots],
             [spot.start / 1e3 for spot in spots],
             [spot.end / 1e3 for spot in spots],
-            color=[to_rgba(RED, 0.2 + 0.8 * share) for share in alive],
+            color=[to_rgba(RED, FAINTEST + (1.0 - FAINTEST) * share) for share in alive],
             linewidth=1.2,
         )
         axes.scatter(
@@ -238,10 +257,10 @@ def _draw_marks(
             [spot.adhesion for spot in spots],
             marker="v",
             s=26,
-            color=[to_rgba(RED, 0.2 + 0.8 * share) for share in alive],
+            color=[to_rgba(RED, FAINTEST + (1.0 - FAINTEST) * share) for share in alive],
             linewidths=0,
-            label="passing spot",
         )
+        axes.scatter([], [], marker="v", s=26, color=RED, linewidths=0, label="passing spot")
     for each in layer.changes:
         middle = 0.5e-3 * (each.start + each.end)
         axes.annotate(
@@ -262,6 +281,13 @@ def _draw_marks(
     chosen = np.flatnonzero(labelled)
     texts = [texts[i] for i in chosen]
     _label(axes, LABEL_SPACE * (part[1] - part[0]) / 1e3, place[chosen], texts, rank[chosen])
+
+
+def _with_labels(axes: Axes, top: float) -> float:
+    """The upper end of an adhesion axis, above which there is room for labels if it has any."""
+    return (
+        top / (1.0 - LABELS) if axes.texts and any(each.get_text() for each in axes.texts) else top
+    )
 
 
 def _label(axes: Axes, space: float, place: FloatArray, texts: list[str], rank: FloatArray) -> None:
@@ -333,10 +359,20 @@ def draw_difference(found: MapDifference, path: str | Path, *, line: Line | None
     for place, name in zip(axes, names, strict=True):
         rows = found.bins[found.bins["layer"] == name]
         centres = 0.5e-3 * (rows["start_m"] + rows["end_m"]).to_numpy()
-        for side, ink, width in (("before", GREY, 3.2), ("after", COLOURS.get(name, INK), 1.4)):
+        colour = COLOURS.get(name, INK)
+        for side, words, ink, width in (
+            ("before", "before", GREY, 3.2),
+            ("after", f"{name} after", colour, 1.4),
+        ):
             low, high = rows[f"{side}_low"], rows[f"{side}_high"]
             place.vlines(
-                centres, low, high, color=ink, alpha=0.5, linewidth=width, label=f"{side}, 95 %"
+                centres,
+                low,
+                high,
+                color=ink,
+                alpha=0.5,
+                linewidth=width,
+                label=f"{words}, 95 % band",
             )
             place.plot(centres, rows[side], ".", color=ink, markersize=3.0)
         sections = found.sections[found.sections["layer"] == name]
@@ -355,14 +391,16 @@ def draw_difference(found: MapDifference, path: str | Path, *, line: Line | None
         size = sections["difference"].abs().to_numpy()
         _label(place, LABEL_SPACE * _reach(found, line), middle, texts, size)
         dress(place, x="", y="maximum adhesion", title=f"{name}: {len(rows)} bins in both")
-        place.set_ylim(0.0, max(0.4, 0.1 * np.ceil(11.0 * rows["after_high"].max())))
+        highest = rows[["before_high", "after_high"]].to_numpy().max()
+        place.set_ylim(0.0, _with_labels(place, max(0.4, 0.1 * np.ceil(10.0 * highest))))
         place.tick_params(labelbottom=True)
     _legend(figure, axes)
     if line is not None:
         _draw_stations(axes, every[-1], line)
     axes[-1].set_xlabel("km", color=INK)
     axes[-1].set_xlim(0.0, _reach(found, line))
-    headline(figure, f"{found.line}: {found.before}, and {found.after}. {found.sentence}")
+    compared = f"{found.line}: {found.before}, and {found.after}"
+    headline(figure, "\n".join([compared, *textwrap.wrap(found.sentence, 140)]))
     write_figure(figure, path)
 
 
@@ -387,16 +425,15 @@ def draw_history(found: PlaceHistory, path: str | Path) -> None:
     axes = figure.subplots()
     onsets, used = found.onsets, found.used
     days = pd.concat([each["day"] for each in (found.known, onsets, used) if not each.empty])
-    last, span = days.max(), days.max() - days.min()
-    end = last + max(pd.Timedelta(days=MARGIN), 0.05 * span)
-    # What is known last holds from then on.
+    end = days.max() + DAY
+    # What is known last is drawn to the end of the last day with evidence.
     known = found.known
     if not known.empty:
         known = pd.concat([known, known[-1:].assign(day=end)], ignore_index=True)
     for each in found.spots.to_dict("records"):
         axes.axvspan(
             each["first_day"],
-            each["last_day"] + pd.Timedelta(days=1),
+            each["last_day"] + DAY,
             color=RED,
             alpha=0.12,
             linewidth=0,
@@ -427,7 +464,8 @@ def draw_history(found: PlaceHistory, path: str | Path) -> None:
     axes.set_xlim(right=end)
     figure.autofmt_xdate()
     _legend(figure, [axes])
-    headline(figure, f"{found.title}. {found.unmeasured}".removesuffix(". "))
+    words = f"{found.title}. {found.unmeasured}".removesuffix(". ")
+    headline(figure, textwrap.fill(words, 120))
     write_figure(figure, path)
 
 
@@ -438,9 +476,19 @@ def _draw_known(axes: Axes, found: PlaceHistory, known: pd.DataFrame) -> None:
         ("", "adhesion", COLOURS.get(found.layer, INK), "lasting as known then, 95 % band"),
     ):
         low, high = known[f"{prefix}low"], known[f"{prefix}high"]
-        axes.fill_between(
-            known["day"], low, high, step="post", color=ink, alpha=0.25, linewidth=0, label=words
-        )
+        if prefix:  # an outline: over each other two bands would have a colour of neither
+            dashed: dict[str, Any] = {
+                "drawstyle": "steps-post",
+                "linestyle": "--",
+                "color": ink,
+                "linewidth": 1.0,
+            }
+            axes.plot(known["day"], low, label=words, **dashed)
+            axes.plot(known["day"], high, **dashed)
+        else:
+            axes.fill_between(
+                known["day"], low, high, step="post", color=ink, alpha=0.3, linewidth=0, label=words
+            )
         axes.plot(known["day"], known[value], drawstyle="steps-post", color=ink, linewidth=1.4)
         axes.plot(found.known["day"][-1:], found.known[value][-1:], ".", color=ink)
 

@@ -17,7 +17,6 @@ from analysis.adhesion.condition_table import (
     changes_table,
     check_course,
     chosen_layers,
-    counted_later,
     day_name,
     last_evidence,
     met_words,
@@ -26,6 +25,8 @@ from analysis.adhesion.condition_table import (
     spots_table,
 )
 from analysis.tables import as_page, new_table
+from trainlog.condition import day_of_trip, known_before, left_out
+from trainlog.display import counted
 from trainlog.railway.condition import ConditionLayer, ModelParameter, TrackConditionMap
 from trainlog.railway.line import Line
 
@@ -61,14 +62,17 @@ class MapState:
         The lowest places, least lasting or expected adhesion first; a row as of
         `analysis.bins_table`, with the nearest station.
     model : DataFrame
-        A row a layer and parameter of the model: value, standard deviation, and its ``source``:
+        A row a layer and parameter of the model: value, standard deviation, of a mean of logarithms
+        its ``median`` as an adhesion, too, and its ``source``:
         "estimated" from the evidence, "mostly assumed" where the evidence weighs less than what
         was assumed beforehand, "assumed" where it has no part.
     spots, changes : DataFrame
         A row a passing spot, with the probability that it lies there then; a row a lasting change.
+    trips : DataFrame
+        A row a trip that counts: ``layer``, ``trip`` (its name), ``day`` of its middle, UTC.
     notes : tuple of str
-        What holds where nothing was observed, what the recorders lacked, and which later evidence
-        counts in what is expected, in sentences.
+        What holds where nothing was observed, what the recorders lacked, in which layers no lasting
+        change was found, and which later evidence is left out, in sentences.
     """
 
     track: TrackConditionMap
@@ -80,6 +84,7 @@ class MapState:
     model: pd.DataFrame
     spots: pd.DataFrame
     changes: pd.DataFrame
+    trips: pd.DataFrame
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -96,7 +101,7 @@ class MapState:
             "last_evidence": None if self.last_evidence is None else _last_day(self.last_evidence),
             "evidence_ends": None if self.last_evidence is None else self.last_evidence.isoformat(),
         }
-        tables = ("layers", "lowest", "model", "spots", "changes")
+        tables = ("layers", "lowest", "model", "spots", "changes", "trips")
         return {
             "line": self.track.line,
             "length_m": self.track.length,
@@ -120,7 +125,9 @@ def map_state(
     ----------
     track : TrackConditionMap
     at : Timestamp, optional
-        Without a zone it is UTC. Default: right after the last evidence.
+        Without a zone it is UTC. Only evidence of the days before its day counts, which is stated
+        in the notes (`trainlog.condition.known_before`). Default: right after the last evidence,
+        with all of it.
     line : Line, optional
         Gives the stations and the operator's kilometres.
     layers : sequence of str, optional
@@ -131,7 +138,7 @@ def map_state(
     Raises
     ------
     InputError
-        If the map has no such layer, or the line is another.
+        If the map has no such layer, no evidence is of a day before, or the line is another.
 
     Examples
     --------
@@ -143,10 +150,13 @@ def map_state(
     """
     if line is not None:
         check_course(track, line)
-    chosen = chosen_layers(track, layers)
-    last = last_evidence(track)
     if at is not None and at.tzinfo is None:
         at = at.tz_localize("UTC")
+    track = replace(track, layers=chosen_layers(track, layers))
+    without = left_out(track, at)
+    if at is not None:
+        track = known_before(track, at)
+    chosen, last = track.layers, last_evidence(track)
     return MapState(
         track=track,
         line=line,
@@ -157,11 +167,24 @@ def map_state(
         model=_model(chosen),
         spots=spots_table(track, line, at, list(chosen)),
         changes=changes_table(track, line, list(chosen)),
+        trips=_trips(track),
         notes=(
-            *map_words(replace(track, layers=chosen)),
-            *filter(None, [counted_later(track, at)]),
+            *map_words(track),
+            *_without_changes(chosen),
+            *filter(None, [without]),
         ),
     )
+
+
+def _without_changes(layers: Mapping[str, ConditionLayer]) -> Iterator[str]:
+    """In which layers no lasting change was found, and how many bins could have shown it best."""
+    for name, each in layers.items():
+        if not each.changes:
+            by_day = np.unique(np.stack((each.evidence.bin, each.evidence.day)), axis=1)[0]
+            places = int(np.count_nonzero(np.bincount(by_day, minlength=1) > 1))
+            where = counted(places, "bin") if places else "no bin"
+            have = "has" if places <= 1 else "have"
+            yield f"{name}: no lasting change found; {where} {have} onsets of two days or more."
 
 
 def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
@@ -176,6 +199,19 @@ def _layers(track: TrackConditionMap, names: list[str]) -> pd.DataFrame:
             "bins": [each.bins for each in every],
             "last_day": [_last_day_of(track.layer(each.layer)) for each in every],
         }
+    )
+
+
+def _trips(track: TrackConditionMap) -> pd.DataFrame:
+    every = [each for each in track.trips if each["layer"] in track.layers]
+    days = [day_of_trip(each) for each in every]
+    return pd.DataFrame(
+        {
+            "layer": [str(each["layer"]) for each in every],
+            "trip": [str(each["trip"]) for each in every],
+            "day": [None if day is None else day_name(day) for day in days],
+        },
+        dtype=object,
     )
 
 
@@ -215,6 +251,10 @@ def _model(layers: dict[str, ConditionLayer]) -> pd.DataFrame:
             "value": np.array([each.value for _, each in every], dtype=np.float64),
             "std": np.array([each.std for _, each in every], dtype=np.float64),
             "unit": [_unit(each) for _, each in every],
+            "median": np.array(
+                [np.exp(each.value) if each.name in LOGARITHMS else np.nan for _, each in every],
+                dtype=np.float64,
+            ),
             "source": [_source(each) for _, each in every],
         }
     )
@@ -336,8 +376,7 @@ def _model_table(state: MapState) -> RenderableType:
             std *= value
         words = LOGARITHMS.get(name, name.replace("_", " "))
         numbers = (_digits(value, 3), _digits(std, 2) if np.isfinite(std) and std > 0.0 else "")
-        source = "the evidence" if each["source"] == "estimated" else str(each["source"])
-        table.add_row(str(each["layer"]), words, *numbers, unit, source)
+        table.add_row(str(each["layer"]), words, *numbers, unit, str(each["source"]))
     return table
 
 

@@ -91,12 +91,15 @@ class MapUpdate:
     logs : tuple of LogOutcome
     trips, days : int
         That the map counts, and the days on which they ran.
+    made : bool
+        Whether there is a map file: none is begun without a trip.
     """
 
     path: Path
     logs: tuple[LogOutcome, ...]
     trips: int
     days: int
+    made: bool = True
 
     def __repr__(self) -> str:
         rows: dict[str, str] = {each.outcome: each.sentence for each in self.refused[:1]}
@@ -141,7 +144,7 @@ class MapUpdate:
             if outcome == "held" and self.elsewhere:
                 parts[-1] += f" ({len(self.elsewhere)} under another rail condition)"
         held = f"the map holds {counted(self.trips, 'trip')} of {counted(self.days, 'day')}"
-        return f"{', '.join(parts)}; {held}"
+        return f"{', '.join(parts)}; {held if self.made else 'no map was made'}"
 
     def details(self) -> dict[str, Any]:
         """The update as JSON."""
@@ -157,6 +160,7 @@ class MapUpdate:
             **numbers,
             "trips": self.trips,
             "days": self.days,
+            "made": self.made,
             "logs": [asdict(each) for each in self.logs],
         }
 
@@ -229,7 +233,7 @@ def update_map(
         trips, days = update.file.amount() if update.file else (0, 0)
     finally:
         update.close()
-    return MapUpdate(update.path, tuple(outcomes), trips, days)
+    return MapUpdate(update.path, tuple(outcomes), trips, days, made=update.file is not None)
 
 
 class _Update:

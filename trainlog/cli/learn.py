@@ -196,7 +196,7 @@ def adhesion_fit(
         typer.Option(help="Form of the curve; default: the one that explains the points better."),
     ] = None,
     speed: Annotated[
-        float | None, typer.Option(help="Train speed [km/h] of points that do not state theirs.")
+        float | None, typer.Option(help="Train speed in km/h, of points that do not state theirs.")
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Picture; default: beside the output, .png.")
@@ -209,12 +209,21 @@ def adhesion_fit(
 
     Example: trainlog adhesion fit curve.csv -o wet.json
     """
-    from analysis.adhesion.characteristic import characteristic_table, fit_adhesion_characteristic
+    from analysis.adhesion.characteristic import (
+        MOST_SPEED,
+        characteristic_table,
+        fit_adhesion_characteristic,
+    )
     from analysis.adhesion.plot import draw_characteristic
     from trainlog.formats.characteristic import write_characteristic
 
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
+    if speed is not None and not 0.0 < speed < KMH * MOST_SPEED:
+        raise InputError(
+            f"--speed: {speed:g} km/h is not between 0 and {KMH * MOST_SPEED:g} km/h",
+            remedy="give the train's speed in km/h",
+        )
     found = fit_adhesion_characteristic(curve, family, speed=None if speed is None else speed / KMH)
     write_characteristic(found.characteristic, output, found.provenance())
     draw_characteristic(found, shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
@@ -36,11 +37,16 @@ PIECE = 200_000
 
 
 @app.command(rich_help_panel="Look")
-def info(logs: LogsOrConsists) -> None:
+def info(
+    logs: LogsOrConsists,
+    trips: Annotated[
+        bool, typer.Option("--trips", help="List the trips of track-condition maps by name.")
+    ] = False,
+) -> None:
     """List what a log holds: topics, units, rates, time and position span, gaps, passport.
 
     Of a consist (.consist.json) its vehicles, couplers and brake; of a track-condition map
-    (.map) its line, layers, trips and days.
+    (.map) its line, layers, trips and days; with --trips each recording by its name.
 
     Example: trainlog info results/trips/trip-01.mcap
     """
@@ -56,6 +62,8 @@ def info(logs: LogsOrConsists) -> None:
             console.print(consist_tables(read_consist(log)))
         elif log.suffix == ".map":
             console.print(_map_contents(log))
+            if trips:
+                console.print(_map_trips(log))
         else:
             description = describe(log)
             console.print(render(description))
@@ -82,6 +90,25 @@ def _map_contents(path: Path) -> Table:
     table.add_row("trips", f"{counted(counts, 'trip')}, {_period(every)}{beside}")
     for layer, (trips, days) in layers.items():
         table.add_row(f"layer {layer}", f"{counted(trips, 'trip')}, {_period(days)}")
+    return table
+
+
+def _map_trips(path: Path) -> Table:
+    """The recordings that the file of a map holds, by the names that `map remove` takes."""
+    from analysis.tables import new_table
+    from trainlog.condition import day_of_trip
+    from trainlog.formats.mapfile import MapFile
+
+    with MapFile(path) as file:
+        rows = file.trips()
+    table = new_table("", "trip", "rail\ncondition", "days", "counts")
+    for row in rows:
+        first, last = (date(1970, 1, 1) + timedelta(days=each) for each in row.days)
+        days = " to ".join(dict.fromkeys((str(first), str(last))))
+        if row.first_day is None:  # compacted, or without evidence: the day on which it ran
+            ran = day_of_trip(json.loads(row.entry))
+            days = "not known" if ran is None else str(date(1970, 1, 1) + timedelta(days=ran))
+        table.add_row(row.known.name, row.layer, days, "yes" if row.counted else "no")
     return table
 
 

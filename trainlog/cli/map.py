@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trainlog.cli.options import Logs, destination, logs_in
+from trainlog.cli.options import Logs, MapArgument, destination, logs_in
 from trainlog.cli.terminal import console, print_error, progress_bar, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -55,6 +55,7 @@ def map_update(
     Example: trainlog map update results/trips --map results/wil.map
     """
     import json
+    from collections import Counter
 
     from analysis.adhesion.updating import update_map
     from trainlog.formats.mapfile import MapFile
@@ -64,11 +65,12 @@ def map_update(
         MapFile(condition).close()  # what is no map is named before logs are read
     destination(condition, ".map")
     stated = None if weather is None else read_weather(weather)
-    found = logs_in(logs)
+    found, done = logs_in(logs), Counter[str]()
     with progress_bar() as progress:
         every = progress.track(found, description="mapping")
 
         def report(outcome: LogOutcome) -> None:
+            done[outcome.outcome] += 1
             if outcome.outcome == "refused":
                 print_error(outcome.reason)
             elif outcome.outcome == "refused before" or as_json:
@@ -76,7 +78,14 @@ def map_update(
             elif outcome.outcome != "held" or outcome.reason:
                 progress.console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
 
-        result = update_map(every, condition, layer, stated, retry=retry, report=report)
+        try:
+            result = update_map(every, condition, layer, stated, retry=retry, report=report)
+        except KeyboardInterrupt:
+            finished = f"{sum(done.values())} of {counted(len(found), 'log')} finished"
+            added = f"{counted(done['added'], 'trip')} added"
+            none = "" if condition.is_file() else "; no map was made"
+            print_error(f"{finished}, {added}{none}")
+            raise
     if as_json:
         typer.echo(json.dumps(result.details(), ensure_ascii=False))
     else:
@@ -90,7 +99,7 @@ def map_update(
 
 @map_app.command("remove")
 def map_remove(
-    condition: Annotated[Path, typer.Argument(help="Map file.")],
+    condition: MapArgument,
     trips: Annotated[list[str], typer.Argument(help="Names of the trips to take out.")],
 ) -> None:
     """Take trips out of a map, such as those given with a wrong rail condition.
@@ -129,7 +138,7 @@ def map_merge(
 
 @map_app.command("compact")
 def map_compact(
-    condition: Annotated[Path, typer.Argument(help="Map file.")],
+    condition: MapArgument,
     before: Annotated[
         str, typer.Option(help="Day (2026-01-31); of trips before it sums are kept.")
     ],

@@ -15,7 +15,6 @@ from trainlog.cli.options import (
     MapArgument,
     ZoneOption,
     destination,
-    left_out,
     logs_in,
     moment,
 )
@@ -49,6 +48,7 @@ def map_forecast(
     Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
     """
     from analysis.verification.forecasts import first_free, forecast_of
+    from trainlog.condition import left_out
     from trainlog.formats.condition import read_map
     from trainlog.formats.forecast import write_forecast
 

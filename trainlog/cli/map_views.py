@@ -61,7 +61,8 @@ def map_show(
 
     Lasting beside expected maximum adhesion at the lowest places, passing spots with the
     probability that they still lie there, and changes of the lasting condition with their dates;
-    with --model the numbers of the model with their uncertainty.
+    with --model the numbers of the model with their uncertainty. Of a past --at the map is shown
+    as it was known then: made of the evidence of the days before alone.
 
     Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
     """
@@ -72,7 +73,6 @@ def map_show(
         raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
 
     from analysis.adhesion.map_history import position_of
-    from analysis.adhesion.map_plot import draw_map
     from analysis.adhesion.map_state import map_state, state_table
     from trainlog.formats.condition import read_map
 
@@ -82,12 +82,11 @@ def map_show(
     assumed = zone_assumed(at, zone)
     state = replace(state, notes=(*state.notes, assumed)) if assumed else state
     if picture is not None:
-        shown = (
-            track if layer is None else replace(track, layers={n: track.layer(n) for n in layer})
-        )
+        from analysis.adhesion.map_plot import draw_map
+
         positions = [position_of(track, known, each) for each in ends or ()]
         part = (positions[0], positions[1]) if positions else None
-        draw_map(shown, picture, line=known, at=when, part=part)
+        draw_map(state.track, picture, line=known, at=when, part=part)
     if as_json:
         typer.echo(json.dumps(state.as_json(), ensure_ascii=False, allow_nan=False))
         return
@@ -251,20 +250,22 @@ def map_export(
 
     GeoJSON and GeoPackage (extra gis) have the bins as lines on the earth, with spots, changes and
     stations; Parquet and CSV have the bins by chainage; JSON has the sections of one layer as
-    TTOBench lays out a track. What was not observed is empty.
+    TTOBench lays out a track. What was not observed is empty. Of a past --at the map is written as
+    it was known then: made of the evidence of the days before alone.
 
     Example: trainlog map export results/wil.map -o results/map.geojson
     """
     when = moment(at, zone)
 
-    from analysis.adhesion.condition_table import counted_later
     from analysis.adhesion.export import export_map, exported_suffix
+    from trainlog.condition import left_out
     from trainlog.formats.condition import read_map
 
     exported_suffix(output)
     track = read_map(condition)
     export_map(track, output, line=course(track, line, condition), at=when, layers=layer)
-    for words in filter(None, [counted_later(track, when), zone_assumed(at, zone)]):
+    chosen = replace(track, layers={name: track.layer(name) for name in layer or track.layers})
+    for words in filter(None, [left_out(chosen, when), zone_assumed(at, zone)]):
         console.print(f"  {words}", highlight=False, soft_wrap=True)
     wrote(output)
 

@@ -47,7 +47,7 @@ RunTimeOption = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
-MapArgument = Annotated[Path, typer.Argument(help="Map file.")]
+MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="Map file (.map).")]
 LayersOption = Annotated[
     list[str] | None, typer.Option("--layer", help="Only this layer; may be given several times.")
 ]
@@ -55,8 +55,8 @@ AtOption = Annotated[
     str | None,
     typer.Option(
         "--at",
-        help="Time of the expected condition: 2026-11-22T06:00+01:00. Default: right after the"
-        " last evidence.",
+        help="Time of the expected condition: 2026-11-22T06:00+01:00; only evidence of days before"
+        " its day counts (UTC). Default: right after the last evidence, with all of it.",
     ),
 ]
 ZoneOption = Annotated[
@@ -255,7 +255,7 @@ def map_of_run(condition: Path, at: str | None) -> tuple[TrackConditionMap, pd.T
     InputError
         If the file is no map, the time is none, or no evidence is of a day before.
     """
-    from trainlog.condition import known_before
+    from trainlog.condition import known_before, left_out
     from trainlog.formats.condition import read_map
 
     time, track = moment(at, None), read_map(condition)
@@ -265,16 +265,6 @@ def map_of_run(condition: Path, at: str | None) -> tuple[TrackConditionMap, pd.T
     if words:
         console.print(f"  {condition.name}: read {words}", highlight=False, soft_wrap=True)
     return known_before(track, time), time
-
-
-def left_out(track: TrackConditionMap, time: pd.Timestamp) -> str:
-    """Which evidence of a map is not used for a time, as it is not from before; empty: none."""
-    from trainlog.condition import later_evidence
-
-    later = later_evidence(track, time)
-    if not later:
-        return ""
-    return f"without the {later}, which is not from before the day of --at (UTC)"
 
 
 def source_span(source: Path) -> Callable[[], tuple[pd.Timestamp, pd.Timestamp] | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -14,6 +15,7 @@ from trainlog.formats.headed import HeadedTable, read_headed
 from trainlog.formats.parameters import Details
 from trainlog.formats.schema import Column, File, FloatArray, Part, Quantity, Table, built
 from trainlog.railway.adhesion import (
+    GREATEST_ADHESION,
     AdhesionCharacteristic,
     AdhesionPoints,
     AdhesionTable,
@@ -232,6 +234,7 @@ def read_adhesion_points(path: str | Path) -> AdhesionPoints:
     if len(table.names) == 3:
         units.append((table.unit(2, _EXPECTED), "m/s"))
     columns = built(lambda: [to_si(c, *u) for c, u in zip(numbers.T, units, strict=True)], path)
+    _check_values(table, columns)
     slips, adhesions = columns[:2]
     opposed = (slips * adhesions < 0.0) & (np.abs(adhesions) > 0.02)
     if np.any(opposed):
@@ -251,6 +254,28 @@ def read_adhesion_points(path: str | Path) -> AdhesionPoints:
         ),
         path,
     )
+
+
+def _check_values(table: HeadedTable, columns: Sequence[FloatArray]) -> None:
+    """Refuse the first row whose value is not finite, or an adhesion that no rail has."""
+    finite = np.all(np.isfinite(columns), axis=0)
+    checks = [
+        (~finite, "a value is not a finite number", "remove the row, or complete it"),
+        (
+            np.abs(columns[1]) >= GREATEST_ADHESION,
+            f"adhesion is not below {GREATEST_ADHESION:g}",
+            "state its unit in the header, as in 'adhesion [%]', if it is in per cent",
+        ),
+    ]
+    for wrong, words, remedy in checks:
+        if np.any(wrong):
+            line, cells = table.rows[int(np.argmax(wrong))]
+            raise InputError(
+                f"{table.separator.join(cells)}: {words}",
+                file=table.path,
+                place=f"line {line}",
+                remedy=remedy,
+            )
 
 
 def _slip_variable(table: HeadedTable) -> tuple[SlipVariable, str]:

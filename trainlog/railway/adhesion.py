@@ -33,6 +33,9 @@ LEAST_SPEED = 2.0
 """Train speed [m/s] below which creepage is slip speed over this speed: over its own it would grow
 beyond all limits at standstill."""
 
+GREATEST_ADHESION = 1.5
+"""Adhesions are below this; what is above it is in another unit."""
+
 LARGEST_CREEPAGE = 1.0
 """Creepage beyond which adhesion stays: a wheel at twice the train's speed."""
 
@@ -372,7 +375,7 @@ class AdhesionTable(AdhesionCharacteristic):
                 "adhesion characteristic: slips do not grow from above 0",
                 remedy="order the points by slip; no slip without adhesion is understood",
             )
-        if not np.all((y > 0.0) & (y < 1.5)):
+        if not np.all((y > 0.0) & (y < GREATEST_ADHESION)):
             raise InputError("adhesion characteristic: an adhesion is not between 0 and 1.5")
 
     def __eq__(self, other: object) -> bool:
@@ -446,9 +449,9 @@ class AdhesionPoints:
             )
         if self.speeds is not None and not np.all(self.speeds > 0.0):
             raise InputError("points of adhesion: a train speed is not positive")
-        if not np.all(np.abs(self.adhesions) < 1.5):
+        if not np.all(np.abs(self.adhesions) < GREATEST_ADHESION):
             raise InputError(
-                "points of adhesion: an adhesion is not below 1.5",
+                f"points of adhesion: an adhesion is not below {GREATEST_ADHESION:g}",
                 remedy="state its unit in the header, such as 'adhesion [%]'",
             )
         largest = {"creepage": 2.0, "slip speed": 50.0}[self.variable]
