@@ -95,6 +95,7 @@ BAD = [
     (HEADER, ROW.replace("2026-11-21T18", "2026-11-22T18"), "line 2", "issued after"),
     (HEADER, ROW.replace("CH_StGallen_Wil", ""), "line 2", "names no line"),
     (HEADER, f"{ROW}\n{ROW.replace('CH_StGallen_Wil', 'A-B')}", "is for 2 lines", "a file a line"),
+    (HEADER, ROW.replace(",wet,", ",wett,"), "line 2", "did you mean 'wet'?"),
     (HEADER, f"{ROW},0.4", "line 2", "10 cells"),
     (HEADER.replace("[km]", ""), ROW, "line 1", "has no unit"),
     (HEADER.replace("from [km]", "from [mile]"), ROW, "line 1", "in neither of km, m"),
@@ -127,6 +128,25 @@ def test_all_bad_rows_are_listed_in_order(tmp_path: Path) -> None:
     assert [each.place for each in refused.value.each] == ["line 3", "line 4", "line 5", "line 6"]
     with pytest.raises(InputError, match=r"30 problems: .*and 10 more"):
         read_forecast(written(tmp_path, *[rows[1]] * 30))
+
+
+def test_all_that_is_wrong_is_listed_at_once(tmp_path: Path) -> None:
+    wrong = ROW.replace("0.08,0.12", "8,low").replace(",wet,", ",wett,").replace(",1,2,", ",2,1,")
+    foo = ROW.replace("CH_StGallen_Wil", "Foo")
+    path = written(tmp_path, wrong, foo, ROW.replace(",1,2,", ",1,99,"))
+    with pytest.raises(InputError) as refused:
+        read_forecast(path, "CH_StGallen_Wil", 29_525.0)
+    listed = [(each.place, str(each)) for each in refused.value.each]
+    assert [place for place, _ in listed] == ["line 2"] * 4 + ["line 3", "line 4"]
+    for (_, words), expected in zip(
+        listed,
+        ("did you mean 'wet'", "must end behind", "not in per cent", "'low' is not a number",
+         "is for line 'Foo'", r"reaches km 99.000"),
+        strict=True,
+    ):  # fmt: skip
+        assert expected in words
+    with pytest.raises(InputError, match=r"5 problems: .*is for 2 lines: CH_StGallen_Wil, Foo"):
+        read_forecast(path)
 
 
 def test_two_forecasts_of_one_place_and_time_are_refused(

@@ -300,8 +300,37 @@ def test_what_a_forecast_does_not_know_is_counted_apart_and_never_scored() -> No
     assert some.used + some.unknown_used == whole.used == silent.unknown_used
     assert np.isnan(silent.log_score("onsets").value)
     # Slips where nothing was forecast were not foreseen.
-    assert silent.alarm()[0].value == 0.0
-    assert some.alarm()[0].value < whole.alarm()[0].value
+    assert silent.alarm().foreseen.value == 0.0
+    assert some.alarm().foreseen.value < whole.alarm().foreseen.value
+    # Of the slips where it was known as many were foreseen as before.
+    assert some.alarm().foreseen_known.value == pytest.approx(whole.alarm().foreseen.value, abs=0.1)
+
+
+def test_days_and_track_without_a_forecast_change_no_figure_of_the_known_part() -> None:
+    rail = drawn(4)
+    first = FIRST + 6
+    early = [day for day in rail.days if day.day < first]
+    alone = scored(Drawn(early, rail.demand, rail.knows, rail.level), rail.knows)
+    true = rail.knows("wet", pd.Timestamp(0, tz="UTC"))
+
+    def until(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
+        return true if time < pd.Timestamp(first, unit="D", tz="UTC") else None
+
+    diluted = scored(rail, until)
+    assert (alone.days.size, diluted.days.size, diluted.known_days) == (6, 30, 6)
+    assert diluted.known_train_km == alone.train_km < 0.3 * diluted.train_km
+    for one, other in zip(alone.alarm_curve(), diluted.alarm_curve(), strict=True):
+        assert other.false_alarms.value == one.false_alarms.value
+        assert other.foreseen_known.value == one.foreseen.value == one.foreseen_known.value
+        assert other.foreseen.value < 0.3 * one.foreseen.value or one.foreseen.value == 0.0
+    # False alarms per train-km times the train-km are the false alarms.
+    false = diluted.alarms[:, 1].sum(axis=0)
+    rates = np.array([each.false_alarms.value for each in diluted.alarm_curve()])
+    np.testing.assert_allclose(rates * diluted.alarm_train_km, false)
+    # Thirty days of trips on four of which something was forecast are too few for bands.
+    few = scored(rail, lambda layer, time: true if time.day_of_year % 8 == 0 else None)
+    assert few.known_days < 5
+    assert np.isnan(few.log_score().low)
 
 
 def test_bands_need_some_days_and_hold_the_figure() -> None:
@@ -317,11 +346,13 @@ def test_bands_need_some_days_and_hold_the_figure() -> None:
 def test_an_alarm_for_everything_foresees_all_and_one_for_nothing_costs_nothing() -> None:
     rail = drawn(2)
     curve = scored(rail, rail.knows).alarm_curve()
-    foreseen, false = ([each[i].value for each in curve] for i in (1, 2))
+    foreseen = [each.foreseen.value for each in curve]
+    false = [each.false_alarms.value for each in curve]
     assert foreseen[0] > 0.99
     assert all(np.diff(foreseen) <= 0.0)
     assert all(np.diff(false) <= 0.0)
     low = scored(rail, others(rail)["the mean of the line"]).alarm_curve()
     # At as many slips foreseen, who knows the rail gives fewer false alarms.
     at = np.interp(0.8, foreseen[::-1], false[::-1])
-    assert at < np.interp(0.8, [e[1].value for e in low][::-1], [e[2].value for e in low][::-1])
+    others_foreseen = [each.foreseen.value for each in low][::-1]
+    assert at < np.interp(0.8, others_foreseen, [e.false_alarms.value for e in low][::-1])

@@ -142,6 +142,35 @@ def test_the_forecast_of_anyone_is_scored(folder: Path, capsys: pytest.CaptureFi
     silent = scored(capsys, path, folder / "stopping.mcap")["layers"]["all"]
     assert silent["onsets"]["known"] == 0
     assert silent["log_score"]["onsets"]["score"]["value"] is None
+    assert (silent["days"], silent["days_known"], silent["train_km_known"]) == (1, 0, 0.0)
+    outside = "1 of 1 day (1 of 1 trip) lie outside the forecast's validity, 2024-10-08T00:00Z to"
+    words = scored(capsys, path, folder / "stopping.mcap", "--picture", folder / "silent.png")
+    assert words["notes"][0].startswith(outside)
+    path.write_text(FORECAST.replace("CH_StGallen_Wil", "Foo").replace(",15,29,", ",15,99,"))
+    with pytest.raises(InputError, match=r"2 problems: .*line 2: .*'Foo'.*line 3: .*'Foo'"):
+        run(["map", "score", str(path), str(folder / "stopping.mcap")])
+
+
+def test_a_rail_condition_that_the_forecast_lacks_is_refused_and_another_than_the_logs_stated(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known, log, path = folder / "earlier.map", folder / "stopping.mcap", folder / "wet.csv"
+    path.write_text(FORECAST.replace(",,", ",wet,"))
+    for forecast, layer, words in (
+        (known, "snow", r"has no layer 'snow'; layers present: .*wet"),
+        (path, "snow", r"no row for rail condition 'snow'; rail conditions present: wet"),
+        (path, "wett", r"did you mean 'wet'\?"),
+    ):
+        with pytest.raises(InputError, match=words):
+            run(["map", "score", str(forecast), str(log), "--layer", layer])
+    path.write_text(FORECAST)
+    found = scored(capsys, path, log, "--layer", "leaves")
+    assert found["notes"][0] == (
+        "trip 'trip-03': scored in 'leaves' as given; the log states 'wet'"
+    )
+    path.write_text(FORECAST.replace(",,", ",dry,"))
+    notes = scored(capsys, path, log)["notes"]
+    assert notes[0] == "no forecast for rail condition 'wet': there all is unknown"
 
 
 def test_a_maps_forecast_in_a_file_scores_as_the_map(
@@ -182,7 +211,7 @@ def test_what_cannot_be_stated_has_one_sign_and_every_trip_left_out_is_named(
     assert run(["map", "score", str(path), str(folder / "stopping.mcap")]) == 0
     printed = capsys.readouterr().out
     assert "nan" not in printed
-    rows = [line for line in printed.splitlines() if "false alarms per train-km" in line]
+    rows = [line for line in printed.splitlines() if "false alarms per known train-km" in line]
     # One trip: no other day shows what is asked for, so that no probability of slip is scored.
     assert rows
     assert all("0.00" not in row and "-" in row for row in rows)
@@ -190,7 +219,9 @@ def test_what_cannot_be_stated_has_one_sign_and_every_trip_left_out_is_named(
     logs = [str(folder / name) for name in ("stopping.mcap", "nonstop.mcap")]
     with pytest.raises(InputError) as refused:
         run(["map", "score", str(held), *logs])
-    assert str(refused.value).count("ran on a day of which the map holds evidence") == 2
+    reason = "2 trips ('trip-03', 'trip-01'): ran on a day of which the map holds evidence"
+    assert str(refused.value).count("ran on a day of which the map holds evidence") == 1
+    assert reason in str(refused.value)
 
 
 def test_the_weather_file_gives_the_rail_condition_of_logs_that_state_none(

@@ -55,7 +55,7 @@ def stated_forecast(forecast: AdhesionForecast, track: TrackConditionMap) -> For
             f"the forecast is for line '{forecast.line}', the trips ran on '{track.line}'",
             remedy="give the forecast for the line of the trips",
         )
-    beyond = np.flatnonzero(forecast.end > track.length + track.bin_length)
+    beyond = np.flatnonzero(forecast.end > reach(track))
     if beyond.size:
         raise InputError(
             f"the forecast reaches km {forecast.end[beyond[0]] / 1e3:.3f}, the line ends at"
@@ -79,6 +79,11 @@ def stated_forecast(forecast: AdhesionForecast, track: TrackConditionMap) -> For
         return _on_grid(np.array(tables)[place], np.array(stated)[place])
 
     return expected
+
+
+def reach(track: TrackConditionMap) -> float:
+    """Chainage to which a section may reach: a bin beyond the line's end [m]."""
+    return track.length + track.bin_length
 
 
 def _flat() -> FloatArray:

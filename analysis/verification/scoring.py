@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
 from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
 from analysis.adhesion.evidence import Evidence
-from analysis.verification.forecasts import map_forecast, rolling_forecast, stated_forecast
+from analysis.verification.forecasts import map_forecast, reach, rolling_forecast, stated_forecast
 from analysis.verification.passages import NOON, Demand, Passages, passages_of, time_of
 from analysis.verification.verify import (
     FEWEST_DAYS,
@@ -29,7 +29,39 @@ from trainlog.mcap import read_log
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence, day_of
 from trainlog.railway.forecast import AdhesionForecast
-from trainlog.railway.weather import Weather
+from trainlog.railway.weather import Weather, check_condition
+
+MOST_NAMED = 3
+"""Trips that are named of those which one sentence is about."""
+
+
+class LeftOut(NamedTuple):
+    """A trip that was not scored, and why."""
+
+    trip: str
+    reason: str
+
+
+def by_reason(left_out: Iterable[LeftOut]) -> list[str]:
+    """One sentence a reason, with the number of trips and the first names.
+
+    Examples
+    --------
+    >>> by_reason(LeftOut(name, "ran before: not scored") for name in "abcde")
+    ["5 trips ('a', 'b', 'c' and 2 more): ran before: not scored"]
+    """
+    trips: dict[str, list[str]] = {}
+    for each in left_out:
+        trips.setdefault(each.reason, []).append(each.trip)
+    return [f"{_named(names)}: {reason}" for reason, names in trips.items()]
+
+
+def _named(trips: Sequence[str]) -> str:
+    if len(trips) == 1:
+        return f"trip '{trips[0]}'"
+    more = f" and {len(trips) - MOST_NAMED} more" if len(trips) > MOST_NAMED else ""
+    first = ", ".join(f"'{each}'" for each in trips[:MOST_NAMED])
+    return f"{counted(len(trips), 'trip')} ({first}{more})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,17 +74,20 @@ class Score:
         Of the line, and of what was scored.
     layers : dict of str to Verification
         By rail condition; ``"all"`` has all of them together.
-    left_out : tuple of str
+    left_out : tuple of LeftOut
         Trips that were not scored, with the reason.
     refused : tuple of str
         Logs that could not be used, with the reason.
+    limits : tuple of str
+        What the forecast does not cover, and what else the trips must be read with.
     """
 
     line: str
     name: str
     layers: dict[str, Verification]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
     refused: tuple[str, ...] = ()
+    limits: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         whole = self.layers["all"]
@@ -71,9 +106,11 @@ class Score:
     @property
     def notes(self) -> tuple[str, ...]:
         """What could not be stated, and why, in sentences."""
-        whole, words = self.layers["all"], []
-        if whole.days.size < FEWEST_DAYS:
+        whole, words = self.layers["all"], list(self.limits)
+        if whole.known_days < FEWEST_DAYS:
             days = counted(int(whole.days.size), "day")
+            if whole.known_days < whole.days.size:
+                days = f"forecast known on {whole.known_days} of {days}"
             words.append(f"{days}: too few for bands, which need {FEWEST_DAYS}")
         missing = int(whole.no_demand.sum())
         if missing:
@@ -89,7 +126,7 @@ class Score:
             "line": self.line,
             "scored": self.name,
             "layers": {name: each.details() for name, each in self.layers.items()},
-            "left_out": list(self.left_out),
+            "left_out": [f"trip '{each.trip}': {each.reason}" for each in self.left_out],
             "refused": list(self.refused),
             "notes": list(self.notes),
         }
@@ -101,8 +138,9 @@ class _Trips:
 
     track: TrackConditionMap
     pieces: list[Evidence] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
+    limits: list[str] = field(default_factory=list)
 
     @property
     def evidence(self) -> list[DailyEvidence]:
@@ -115,6 +153,34 @@ class _Trips:
             for layer, known in piece.layers.items()
             for day in passages_of(layer, known, _middle(piece))
         ]
+
+    def limit_layers(self, forecast: Iterable[str]) -> None:
+        """State for which of the rail conditions met there is no forecast."""
+        lacking = sorted({name for piece in self.pieces for name in piece.layers} - set(forecast))
+        if lacking:
+            named = ", ".join(f"'{name}'" for name in lacking)
+            self.limits.append(f"no forecast for rail condition {named}: there all is unknown")
+
+    def limit_time(self, forecast: AdhesionForecast) -> None:
+        """State how many days and trips lie outside the forecast's validity."""
+        outside = [not forecast.in_force(_middle(piece)).any() for piece in self.pieces]
+        if not any(outside):
+            return
+        every = {day_of(_middle(piece)) for piece in self.pieces}
+        inside = {
+            day_of(_middle(piece))
+            for piece, out in zip(self.pieces, outside, strict=True)
+            if not out
+        }
+        start, end = (
+            pd.Timestamp(each, tz="UTC").strftime("%Y-%m-%dT%H:%MZ")
+            for each in (forecast.valid_from.min(), forecast.valid_to.max())
+        )
+        self.limits.append(
+            f"{len(every - inside)} of {counted(len(every), 'day')} ({sum(outside)} of"
+            f" {counted(len(outside), 'trip')}) lie outside the forecast's validity, {start} to"
+            f" {end}: there all is unknown"
+        )
 
 
 def _middle(piece: Evidence) -> pd.Timestamp:
@@ -203,7 +269,7 @@ def score_map(
     Raises
     ------
     InputError
-        If there is no later trip.
+        If the map has no such layer, or there is no later trip.
 
     Examples
     --------
@@ -215,18 +281,19 @@ def score_map(
     ...     print(error.problem.partition(": ")[2])
     trip 'trip-03': ran on a day of which the map holds evidence, or before: not scored
     """
+    if layer is not None:
+        track.layer(layer)
     last = int(track.days[-1]) if track.days.size else -1
     trips = _trips(logs, track, layer, weather)
     later = []
     for piece in trips.pieces:
         if _middle(piece) < time_of(last) + NOON:
-            trips.left_out.append(
-                f"trip '{piece.trip}': ran on a day of which the map holds evidence, or before:"
-                " not scored"
-            )
+            reason = "ran on a day of which the map holds evidence, or before: not scored"
+            trips.left_out.append(LeftOut(piece.trip, reason))
         else:
             later.append(piece)
     trips.pieces = later
+    trips.limit_layers(track.layers)
     nothing = DailyEvidence.none(track.bins, track.levels.size)
     held = {name: each.evidence for name, each in track.layers.items()}
     demand = Demand([*held.values(), *trips.evidence], track.levels)
@@ -251,7 +318,7 @@ def score_forecast(
     Raises
     ------
     InputError
-        If the forecast is for another line.
+        If the forecast is for another line, or has no row for the layer.
 
     Examples
     --------
@@ -266,8 +333,18 @@ def score_forecast(
     >>> day.onsets > 0, bool(np.isfinite(day.log_score("onsets", over="prior").value))
     (True, True)
     """
+    named = sorted(set(forecast.layer) - {""})
+    anyone = "" in forecast.layer
+    if layer is not None and check_condition(layer, named) not in named and not anyone:
+        raise InputError(
+            f"the forecast has no row for rail condition '{layer}'",
+            remedy=f"rail conditions present: {', '.join(named)}",
+        )
     trips = _trips(logs, None, layer, weather)
     track = trips.track
+    trips.limit_time(forecast)
+    if not anyone:
+        trips.limit_layers(named)
     every = [item for piece in trips.pieces for item in piece.layers.items()]
     held = {
         name: DailyEvidence.total(known for each, known in every if each == name)
@@ -288,7 +365,7 @@ def _scored(
     trips: _Trips | None = None,
 ) -> Score:
     if trips is not None and not passages:
-        why = [*trips.left_out, *trips.refused]
+        why = [*by_reason(trips.left_out), *trips.refused]
         more = f"; and {len(why) - MOST_LISTED} more" if len(why) > MOST_LISTED else ""
         raise InputError(
             "no trip to score the forecast on"
@@ -299,8 +376,34 @@ def _scored(
     found = verify(name, track, by_day, forecaster, history, demand)
     names = sorted({each.layer for each in passages})
     layers = {each: found[each] for each in names} | {"all": Verification.together(found)}
-    left_out, refused = ((), ()) if trips is None else (trips.left_out, trips.refused)
-    return Score(track.line, name, layers, tuple(left_out), tuple(refused))
+    score = Score(track.line, name, layers)
+    if trips is None:
+        return score
+    return replace(
+        score,
+        left_out=tuple(trips.left_out),
+        refused=tuple(trips.refused),
+        limits=tuple(trips.limits),
+    )
+
+
+def line_of_logs(logs: Iterable[str | Path]) -> tuple[str | None, float]:
+    """Line of the first log that can be read, and the chainage to which a forecast may reach [m].
+
+    Without such a log: none, without end.
+
+    Examples
+    --------
+    >>> line_of_logs(["sample_logs/README.md", "sample_logs/stopping.mcap"])[0]
+    'CH_StGallen_Wil'
+    """
+    for path in logs:
+        try:
+            track = empty_map(own_line(read_log(path, topics=[])))
+        except TrainlogError:
+            continue  # stated when it is scored
+        return track.line, reach(track)
+    return None, float("inf")
 
 
 def _trips(
@@ -311,7 +414,7 @@ def _trips(
 ) -> _Trips:
     """Evidence of each trip, a drive once; a log that cannot be used does not stop the others."""
     found: list[Evidence] = []
-    refused, digests = [], set[str]()
+    refused, digests, stated = [], set[str](), dict[str, str]()
     for path in map(Path, logs):
         try:
             digest = sha256_of(path)
@@ -321,6 +424,8 @@ def _trips(
                 track = empty_map(own_line(read_log(path, topics=[])))
             found.append(evidence_of_log(path, track, layer, weather, sha256=digest))
             digests.add(digest)
+            if layer is not None:
+                stated[digest] = read_log(path, topics=[]).metadata.get("weather", "")
         except TrainlogError as error:
             refused.append(str(type(error)(error.problem, file=path, remedy=error.remedy)))
     if track is None:
@@ -332,6 +437,16 @@ def _trips(
         Known(each.trip, each.recorded, (each.steps, each.sha256, each.trip), digest=each.sha256)
         for each in found
     ]
-    same = {each.number: each.sentence for each in same_drives(known)}
+    same = {
+        each.number: each.sentence.removeprefix(f"trip '{found[each.number].trip}' ")
+        for each in same_drives(known)
+    }
     pieces = [each for number, each in enumerate(found) if number not in same]
-    return _Trips(track, pieces, list(same.values()), refused)
+    left_out = [LeftOut(found[number].trip, words) for number, words in same.items()]
+    other = [each for each in pieces if stated.get(each.sha256, "") not in ("", layer)]
+    limits = []
+    if other:
+        conditions = ", ".join(f"'{name}'" for name in sorted({stated[e.sha256] for e in other}))
+        named = _named([each.trip for each in other])
+        limits.append(f"{named}: scored in '{layer}' as given; the log states {conditions}")
+    return _Trips(track, pieces, left_out, refused, limits)

@@ -41,7 +41,14 @@ def _share(figure: Figure) -> str:
 
 
 ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
-    ("days\ntrain-km", lambda v: f"{v.days.size}\n{v.train_km:.0f}"),
+    (
+        "days\n  on which the forecast is known",
+        lambda v: f"{v.days.size}\n{v.known_days}",
+    ),
+    (
+        "train-km\n  where the forecast is known",
+        lambda v: f"{v.train_km:.0f}\n{v.known_train_km:.3g}",
+    ),
     (
         "onsets of slip scored\nwhere the forecast is unknown",
         lambda v: f"{v.onsets}\n{v.unknown_onsets}",
@@ -78,8 +85,9 @@ ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
     ),
     ("  skill over the prior", lambda v: _said(v.brier_gain("prior"), 2, True)),
     ("  skill over persistence", lambda v: _said(v.brier_gain("persistence"), 2, True)),
-    (f"slips foreseen, alarm at {USUAL_ALARM:.0%}", lambda v: _share(v.alarm()[0])),
-    ("false alarms per train-km", lambda v: _said(v.alarm()[1])),
+    (f"slips foreseen, alarm at {USUAL_ALARM:.0%}", lambda v: _share(v.alarm().foreseen)),
+    ("  of those where the forecast is known", lambda v: _share(v.alarm().foreseen_known)),
+    ("false alarms per known train-km", lambda v: _said(v.alarm().false_alarms)),
 )
 
 
@@ -105,8 +113,12 @@ def _alarms(found: Verification) -> Table:
     table = new_table(
         "Alarm where the probability of slip is at least",
         "",
-        *(f"{level:g}" for level, *_ in curve),
+        *(f"{each.probability:g}" for each in curve),
     )
-    table.add_row("slips foreseen", *(_share(Figure(foreseen.value)) for _, foreseen, _ in curve))
-    table.add_row("false alarms per train-km", *(_said(Figure(false.value)) for *_, false in curve))
+    for title, figure in (
+        ("slips foreseen", lambda each: _share(Figure(each.foreseen.value))),
+        ("  of those where known", lambda each: _share(Figure(each.foreseen_known.value))),
+        ("false alarms per known train-km", lambda each: _said(Figure(each.false_alarms.value))),
+    ):
+        table.add_row(title, *map(figure, curve))
     return table

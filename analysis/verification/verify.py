@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -54,7 +54,8 @@ DRAWS = 500
 """Of the bootstrap by day."""
 
 FEWEST_DAYS = 5
-"""With fewer days no band is stated: so few say nothing of how days differ."""
+"""With fewer days on which the forecast is known no band is stated: so few do not show how days
+differ."""
 
 BAND = (0.025, 0.975)
 
@@ -68,6 +69,26 @@ class Figure:
     value: float
     low: float = float("nan")
     high: float = float("nan")
+
+
+class Alarm(NamedTuple):
+    """What alarms bring that are given wherever slip is at least so probable.
+
+    Attributes
+    ----------
+    probability : float
+    foreseen : Figure
+        Share of all slips; those where the forecast is unknown count as not foreseen.
+    foreseen_known : Figure
+        Share of the slips where the forecast is known.
+    false_alarms : Figure
+        Per train-km on which the forecast is known, and with it the probability of slip.
+    """
+
+    probability: float
+    foreseen: Figure
+    foreseen_known: Figure
+    false_alarms: Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +157,7 @@ class Verification:
     def _weights(self) -> FloatArray:
         """How often each day counts: once in the first row, as drawn in the others."""
         once = np.ones((1, self.days.size))
-        if self.days.size < FEWEST_DAYS:
+        if self.known_days < FEWEST_DAYS:
             return once
         return np.concatenate((once, day_weights(self.days.size, DRAWS)))
 
@@ -172,9 +193,24 @@ class Verification:
         return int(self.counts[:, _UNKNOWN, 1].sum())
 
     @property
+    def known_days(self) -> int:
+        """Days with a passage where the forecast was known."""
+        return int(np.count_nonzero(self.counts[:, _KNOWN].sum(axis=1)))
+
+    @property
     def train_km(self) -> float:
         """Run with adhesion in use."""
         return float(self.counts.sum()) * self.bin_length / 1e3
+
+    @property
+    def known_train_km(self) -> float:
+        """Of these, where the forecast was known."""
+        return float(self.counts[:, _KNOWN].sum()) * self.bin_length / 1e3
+
+    @property
+    def alarm_train_km(self) -> float:
+        """Of these, where the probability of slip was scored: an alarm could have been given."""
+        return float(self.brier["forecast"][:, 0].sum()) * self.bin_length / 1e3
 
     def log_score(self, what: str = "onsets", over: str | None = None) -> Figure:
         """Mean log score [nat]: of onsets, of used adhesion, or of all; or its gain over another.
@@ -245,27 +281,26 @@ class Verification:
             (f / n, e / n, n, e) for n, e, f in zip(trips, events, forecast, strict=True) if n > 0
         ]
 
-    def alarm_curve(self) -> list[tuple[float, Figure, Figure]]:
-        """Of each threshold: share of slips foreseen, and false alarms per train-km.
-
-        NaN where no probability of slip could be scored.
-        """
-        found = self._sum(self.alarms)
-        slips, km = self._sum(self.slips), self._sum(self.counts.sum(axis=(1, 2)))
-        scored = self._sum(self.brier["forecast"][:, 0].sum(axis=-1)) > 0.0
-        km = np.where(scored, km * self.bin_length / 1e3, 0.0)
+    def alarm_curve(self) -> list[Alarm]:
+        """Slips foreseen and false alarms by the threshold of alarms; NaN where not known."""
+        found, slips = self._sum(self.alarms), self._sum(self.slips)
+        passages, known_slips = (
+            self._sum(self.brier["forecast"][:, row].sum(axis=-1)) for row in (0, 1)
+        )
+        km = passages * self.bin_length / 1e3
         return [
-            (
+            Alarm(
                 float(level),
                 self._figure(_ratio(found[:, 0, i], slips)),
+                self._figure(_ratio(found[:, 0, i], known_slips)),
                 self._figure(_ratio(found[:, 1, i], km)),
             )
             for i, level in enumerate(ALARMS)
         ]
 
-    def alarm(self, level: float = USUAL_ALARM) -> tuple[Figure, Figure]:
-        """Share of slips foreseen and false alarms per train-km at one of the thresholds."""
-        return next(each[1:] for each in self.alarm_curve() if each[0] == level)
+    def alarm(self, level: float = USUAL_ALARM) -> Alarm:
+        """Slips foreseen and false alarms at one of the thresholds."""
+        return next(each for each in self.alarm_curve() if each.probability == level)
 
     def details(self) -> dict[str, Any]:
         """All figures, as JSON has them; None where one cannot be stated."""
@@ -275,7 +310,10 @@ class Verification:
         }
         return {
             "days": int(self.days.size),
+            "days_known": self.known_days,
             "train_km": self.train_km,
+            "train_km_known": self.known_train_km,
+            "train_km_of_alarms": self.alarm_train_km,
             "onsets": {"known": self.onsets, "unknown": self.unknown_onsets},
             "used": {"known": self.used, "unknown": self.unknown_used},
             "no_demand": int(self.no_demand.sum()),
@@ -306,11 +344,12 @@ class Verification:
             ],
             "alarms": [
                 {
-                    "probability": level,
-                    "slips_foreseen": _plain(foreseen),
-                    "false_alarms_per_train_km": _plain(false),
+                    "probability": each.probability,
+                    "slips_foreseen": _plain(each.foreseen),
+                    "slips_foreseen_where_known": _plain(each.foreseen_known),
+                    "false_alarms_per_known_train_km": _plain(each.false_alarms),
                 }
-                for level, foreseen, false in self.alarm_curve()
+                for each in self.alarm_curve()
             ],
         }
 

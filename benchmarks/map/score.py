@@ -145,6 +145,8 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="forecast only every so many days")
     parser.add_argument("--picture", type=Path, help="folder for a picture of each line")
     options = parser.parse_args()
+    if options.picture is not None:
+        options.picture.mkdir(parents=True, exist_ok=True)
     for month in months(options):
         report(month, options.every, options.picture)
 

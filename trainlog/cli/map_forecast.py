@@ -105,6 +105,7 @@ def map_score(
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
     from analysis.verification.plot import draw_score
+    from analysis.verification.scoring import by_reason
     from analysis.verification.table import score_table
 
     if picture is not None:
@@ -117,7 +118,7 @@ def map_score(
     if as_json:
         typer.echo(json.dumps(found.details(), ensure_ascii=False))
     else:
-        for words in found.left_out:
+        for words in by_reason(found.left_out):
             console.print(f"  {words}", highlight=False, soft_wrap=True)
         console.print(score_table(found))
         if picture is not None:
@@ -129,7 +130,7 @@ def map_score(
 def _scored(
     forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
 ) -> Score:
-    from analysis.verification.scoring import score_forecast, score_map, score_rolling
+    from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
     from trainlog.formats.condition import read_map
     from trainlog.formats.forecast import read_forecast
     from trainlog.formats.weather import read_weather
@@ -160,10 +161,11 @@ def _scored(
                 lambda day, days: progress.update(task, completed=day - 1, total=days),
             )
     sky = None if weather is None else read_weather(weather)
-    stated = read_forecast(forecast) if foreign else None
+    paths = logs_in(logs)
+    stated = read_forecast(forecast, *line_of_logs(paths)) if foreign else None
     track = None if foreign else read_map(forecast)
     with progress_bar() as progress:
-        every = progress.track(logs_in(logs), description="scoring")
+        every = progress.track(paths, description="scoring")
         if stated is not None:
             return score_forecast(stated, every, layer, sky)
         assert track is not None

@@ -17,6 +17,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import check_written, write_bytes
 from trainlog.formats.headed import HeadedTable, read_headed
 from trainlog.railway.forecast import AdhesionForecast
+from trainlog.railway.weather import check_condition
 from trainlog.spans import utc
 from trainlog.units import to_si
 
@@ -35,13 +36,24 @@ _NUMBERED = re.compile(r"^(quantile|below)\s+([0-9.eE+-]+)$")
 _TIME = "write it as 2026-11-22T06:00:00Z"
 
 
-def read_forecast(path: str | Path) -> AdhesionForecast:
+def read_forecast(
+    path: str | Path, line: str | None = None, length: float = np.inf
+) -> AdhesionForecast:
     r"""Read a forecast of adhesion.
+
+    Parameters
+    ----------
+    path : str or Path
+    line : str, optional
+        For which it must be; default: any.
+    length : float [m]
+        Beyond which no section may reach.
 
     Raises
     ------
     InputError
-        If the file is not such a table. Rows that are wrong are listed, with line and remedy.
+        If the file is not such a table. All that is wrong in its rows is listed, with line and
+        remedy.
 
     Examples
     --------
@@ -59,25 +71,18 @@ def read_forecast(path: str | Path) -> AdhesionForecast:
     names, shares, thresholds = _columns(table)
     if not table.rows:
         raise InputError("holds no forecast", file=path, remedy="give a row a section and time")
-    cells, numbers, problems = [], list[int](), dict[int, InputError]()
-    for number, row in table.rows:
-        try:
-            cells.append(_Row(table, number, row, names, shares, thresholds).values)
-            numbers.append(number)
-        except InputError as error:
-            problems[number] = error
-    if not cells:
-        raise InputError.listing(list(problems.values()), file=path)
+    rows = [_Row(table, number, row, names, shares, thresholds) for number, row in table.rows]
+    for row in rows:
+        row.check_line(line, length)
+    problems = _of_several_lines(rows) if line is None else []
+    problems += [problem for row in rows for problem in row.problems]
+    sound = [row for row in rows if not row.problems]
+    if not sound:
+        raise InputError.listing(problems, file=path)
+    cells, numbers = [row.values for row in sound], [row.number for row in sound]
     columns: dict[str, Any] = {key: [each[key] for each in cells] for key in cells[0]}
-    lines = sorted(set(columns["line"]))
-    if len(lines) > 1 and not problems:
-        raise InputError(
-            f"is for {len(lines)} lines: {', '.join(lines[:3])}",
-            file=path,
-            remedy="give a file a line",
-        )
     found = AdhesionForecast(
-        lines[0],
+        columns["line"][0],
         start=np.array(columns["from"]),
         end=np.array(columns["to"]),
         valid_from=np.array(columns["valid from"], dtype=np.int64),
@@ -94,11 +99,20 @@ def read_forecast(path: str | Path) -> AdhesionForecast:
         try:
             found.points(index)
         except InputError as error:
-            place = f"line {number}"
-            problems[number] = InputError(error.problem, place=place, remedy=error.remedy)
+            problems.append(_refused(table, number, error.problem, error.remedy or ""))
     if problems:
-        raise InputError.listing([problems[each] for each in sorted(problems)], file=path)
+        order = [0 if each.place is None else int(each.place.split()[-1]) for each in problems]
+        in_order = [problems[each] for each in np.argsort(order, kind="stable").tolist()]
+        raise InputError.listing(in_order, file=path)
     return found
+
+
+def _of_several_lines(rows: list[_Row]) -> list[InputError]:
+    lines = sorted({row.values["line"] for row in rows if row.values["line"]})
+    if len(lines) < 2:
+        return []
+    words = f"is for {len(lines)} lines: {', '.join(lines[:3])}"
+    return [InputError(words, remedy="give a file a line")]
 
 
 def write_forecast(forecast: AdhesionForecast, path: str | Path) -> None:
@@ -200,7 +214,7 @@ def _refused(table: HeadedTable, line: int, problem: str, remedy: str = _EXPECTE
 
 
 class _Row:
-    """The cells of one row, checked."""
+    """The cells of one row, and all that is wrong with them."""
 
     def __init__(
         self,
@@ -211,25 +225,30 @@ class _Row:
         shares: dict[float, int],
         thresholds: dict[float, int],
     ) -> None:
-        self._table, self._number, self._cells, self._names = table, number, cells, names
+        self._table, self.number, self._cells, self._names = table, number, cells, names
+        self.problems: list[InputError] = []
+        line, layer = self._named("line"), self._cell("layer")
+        if layer:
+            self._layer(layer)
         start, end = self._length("from"), self._length("to")
-        if not 0.0 <= start < end:
-            raise self._refused(
+        # A cell that cannot be read is NaN or None, and listed already.
+        if start < 0.0 or start >= end or end < 0.0:
+            self._wrong(
                 f"a section from km {start / 1e3:g} to km {end / 1e3:g}",
                 "it must end behind its beginning, and begin at km 0 or later",
             )
         first, last = self._time("valid from"), self._time("valid to")
-        if first >= last:
-            raise self._refused("is valid to a time before its beginning", "correct the times")
+        if first is not None and last is not None and first >= last:
+            self._wrong("is valid to a time before its beginning", "correct the times")
         issued = self._time("issued") if self._cell("issued") else first
-        if issued > first:
-            raise self._refused(
+        if issued is not None and first is not None and issued > first:
+            self._wrong(
                 "was issued after it became valid",
                 "a forecast is issued before; state as valid only what was left",
             )
-        self.values = {
-            "line": self._named("line"),
-            "layer": self._cell("layer"),
+        self.values: dict[str, Any] = {
+            "line": line,
+            "layer": layer,
             "from": start,
             "to": end,
             "valid from": first,
@@ -245,33 +264,61 @@ class _Row:
             ],
         }
 
+    def check_line(self, line: str | None, length: float) -> None:
+        """List it as a problem if the row is for another line, or reaches beyond the end."""
+        own = self.values["line"]
+        if line is not None and own and own != line:
+            self._wrong(
+                f"the forecast is for line '{own}', the trips ran on '{line}'",
+                "give the forecast for the line of the trips",
+            )
+        elif self.values["to"] > length:
+            self._wrong(
+                f"the forecast reaches km {self.values['to'] / 1e3:.3f}, the line ends at"
+                f" km {length / 1e3:.3f}",
+                "count kilometres from the line's beginning",
+            )
+
     def _cell(self, name: str) -> str:
         return self._cells[self._names[name]] if name in self._names else ""
 
     def _named(self, name: str) -> str:
         if not self._cell(name):
-            raise self._refused(f"names no {name}", f"give the {name}")
+            self._wrong(f"names no {name}", f"give the {name}")
         return self._cell(name)
+
+    def _layer(self, layer: str) -> None:
+        try:
+            check_condition(layer)
+        except InputError as error:
+            self._wrong(error.problem, error.remedy or "")
 
     def _length(self, name: str) -> float:
         column = self._names[name]
-        value = _number(self._table, self._number, self._cells[column], name)
+        value = self._value(column, name)
         return float(to_si(np.array([value]), self._table.unit(column, _EXPECTED), "m")[0])
 
-    def _time(self, name: str) -> int:
+    def _time(self, name: str) -> int | None:
+        cell = self._named(name)
         try:
-            return int(utc(self._named(name)).value)
+            return int(utc(cell).value) if cell else None
         except InputError as error:
-            raise self._refused(f"{name}: {error.problem}", _TIME) from error
+            self._wrong(f"{name}: {error.problem}", _TIME)
+            return None
 
     def _stated(self, column: int, name: str, holds: Callable[[float], bool]) -> float:
-        if not self._cells[column]:
-            return float("nan")
-        value = _number(self._table, self._number, self._cells[column], name)
-        if not holds(value):
+        value = self._value(column, name) if self._cells[column] else float("nan")
+        if np.isfinite(value) and not holds(value):
             what = "an adhesion above 0" if name.startswith("quantile") else "a probability from 0"
-            raise self._refused(f"{name} is {value:g}", f"give {what} to 1, not in per cent")
+            self._wrong(f"{name} is {value:g}", f"give {what} to 1, not in per cent")
         return value
 
-    def _refused(self, problem: str, remedy: str) -> InputError:
-        return _refused(self._table, self._number, problem, remedy)
+    def _value(self, column: int, name: str) -> float:
+        try:
+            return _number(self._table, self.number, self._cells[column], name)
+        except InputError as error:
+            self.problems.append(error)
+            return float("nan")
+
+    def _wrong(self, problem: str, remedy: str) -> None:
+        self.problems.append(_refused(self._table, self.number, problem, remedy))

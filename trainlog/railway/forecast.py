@@ -58,6 +58,24 @@ class AdhesionForecast:
     def __repr__(self) -> str:
         return f"Adhesion forecast for line '{self.line}', {self.start.size} rows"
 
+    def in_force(self, time: pd.Timestamp) -> NDArray[np.bool_]:
+        """Which rows are valid at a time and were issued by then; (n,) array.
+
+        Examples
+        --------
+        >>> day = np.array([0]), np.array([86_400 * 10**9]), np.array([0])
+        >>> forecast = AdhesionForecast(
+        ...     "A-B", np.array([0.0]), np.array([500.0]), *day, ("wet",), np.array([0.5]),
+        ...     np.array([[0.1]]), np.zeros(0), np.zeros((1, 0)),
+        ... )
+        >>> [forecast.in_force(pd.Timestamp(hours, unit="h")).tolist() for hours in (23, 24)]
+        [[True], [False]]
+        """
+        now = time.as_unit("ns").value
+        return np.asarray(
+            (self.valid_from <= now) & (now < self.valid_to) & (self.issued <= now), dtype=np.bool_
+        )
+
     def rows_at(self, layer: str, time: pd.Timestamp, positions: FloatArray) -> IntArray:
         """The row that holds at each position; (m,) int array, -1 where there is none.
 
@@ -75,10 +93,8 @@ class AdhesionForecast:
         InputError
             If two rows say different things of one place and time.
         """
-        now = time.value
         own = np.array([each in ("", layer) for each in self.layer], dtype=np.bool_)
-        holds = own & (self.valid_from <= now) & (now < self.valid_to) & (self.issued <= now)
-        rows = np.flatnonzero(holds)
+        rows = np.flatnonzero(own & self.in_force(time))
         special = np.array([self.layer[row] != "" for row in rows.tolist()], dtype=np.bool_)
         rows = rows[np.lexsort((self.issued[rows], special))]
         found = np.full(positions.size, -1, dtype=np.int64)
