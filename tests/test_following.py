@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,16 +13,24 @@ from hypothesis import given, settings, strategies as st
 from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.control import prediction as prediction
-from analysis.control.follow import Follower, Tuning, follow
+from analysis.control.follow import (
+    Follower,
+    Tuning,
+    effort_reversals,
+    follow,
+    following_line,
+)
 from analysis.control.observer import Observer
 from analysis.control.odometry import MARGIN, Odometry
 from analysis.control.plot import draw_following
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from analysis.control.route import (
+    CREEP,
     Margin,
     RouteTables,
     TrainLimits,
     ceiling_square,
+    creep_momentum,
     effort_limits,
     route_tables,
     train_limits,
@@ -162,9 +171,9 @@ def test_what_creeping_wheels_hold_is_kept_below_the_limit() -> None:
     p, past = 6_000.0, np.zeros(6)
     top = float(np.sqrt(ceiling_square(p, road)))
     pull = prediction.effort_bounds(p, top, p, road, can)[1]
-    held = prediction.creep_momentum(pull, p, road, can)
-    assert held == pytest.approx(can.spinning * prediction.CREEP, rel=0.7)
-    assert prediction.creep_momentum(-0.5, p, road, can) == 0.0
+    held = creep_momentum(pull, p, road, can)
+    assert held == pytest.approx(can.spinning * CREEP, rel=0.7)
+    assert creep_momentum(-0.5, p, road, can) == 0.0
     near = top - 0.05
     free = prediction.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can._replace(spinning=0.0))
     assert prediction.guarded(p, near, 0.0, past, 0.0, pull, 5, 7, road, can) < free
@@ -201,6 +210,32 @@ def test_a_late_train_catches_up_as_far_as_physics_allow() -> None:
     assert bound - 0.5 <= found["arrival"] < bound + 8.0
     assert found["arrival"] < due + 0.4 * delay
     assert found["over"] <= 0.0
+
+
+@pytest.mark.parametrize("name", [LIGHT, HEAVY])
+def test_efforts_do_not_alternate_where_a_late_train_pulls_at_its_ceiling(name: str) -> None:
+    """On little adhesion, by its own instruments: only places with a reason reverse the effort.
+
+    A lower limit ahead, a fall, the departure, the stop; every noise in the measured speed counted
+    before.
+    """
+    train, trajectory = plan()
+    rail = steps((0.0, 0.07))
+
+    def follows() -> Follower:
+        return Follower(
+            trajectory, hilly_line(), train, condition=map_of(rail), margin=MARGIN,
+            departure=DEPARTURE + 60.0,
+        )  # fmt: skip
+
+    (scenario,) = trajectory_scenarios(
+        trajectory, hilly_line(), train, [name], follows, seed=3, locates=Odometry
+    )
+    found = driven(replace(scenario, maximum_adhesion=rail))
+    braking = found["dynamic_braking_effort"] + found["pneumatic_braking_effort"]
+    assert effort_reversals(found["tractive_effort"], braking) <= 5
+    assert found["over"] <= 0.0
+    assert found["protected_axles"].max() == 0.0
 
 
 def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None:
@@ -451,10 +486,27 @@ def test_the_guard_keeps_every_train_of_the_set_within_bounds(
     low, high = prediction.effort_bounds(position, speed, position, road, can)
     assert low - 1e-12 <= found <= high + 1e-12
     assert found <= max(effort, low) + 1e-12
-    safe = prediction.stays_below_ceiling(position, speed, 0.0, past, 0.0, found, 5, 12, road, can)
-    assert safe or found == pytest.approx(
-        prediction.effort_bounds(position, speed, position + 0.5 * speed, road, can)[0]
+    hardest = prediction.effort_bounds(position, speed, position + 0.5 * speed, road, can)[0]
+    excess, least = (
+        prediction.excess_over_ceiling(position, speed, 0.0, past, 0.0, u, 5, 12, road, can)
+        for u in (found, hardest)
     )
+    assert excess <= least + 2e-9
+
+
+@pytest.mark.parametrize("position", [1_500.0, 4_000.0, 6_000.0, 8_500.0])
+def test_the_guard_answers_a_scattering_speed_by_as_much_as_it_is_too_high(position: float) -> None:
+    """A pulling train about its ceiling: a hundredth of a metre a second is no emergency."""
+    can, road = known()
+    top, past = float(np.sqrt(ceiling_square(position, road))), np.zeros(6)
+    high = prediction.effort_bounds(position, top, position, road, can)[1]
+    before = 0.8 * high
+    found = [
+        prediction.guarded(position, top + over, 0.0, past, before, high, 5, 7, road, can)
+        for over in np.arange(-0.3, 0.1, 0.005)
+    ]
+    assert np.abs(np.diff(found)).max() < 0.1
+    assert found[-1] < found[0]
 
 
 def test_a_higher_pace_arrives_earlier_and_the_right_one_on_time() -> None:
@@ -589,5 +641,9 @@ def test_one_function_drives_the_trips_of_the_command() -> None:
     driven_as = tuple(trip.metadata["configuration"] for trip in trips)
     assert driven_as == trajectory.chosen("hardest")
     assert all(abs(trip["/reference"]["lateness"].iloc[-1]) < 1.5 for trip in trips)
+    words = following_line(trips[0])
+    assert re.fullmatch(
+        r"slip protection acted \d+ times; \d reversals from .* beyond 20 kN, \d in the plan", words
+    )
     with pytest.raises(InputError, match="no configuration 'none'"):
         follow(trajectory, hilly_line(), train, configurations="none")

@@ -14,8 +14,9 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from analysis.adhesion.events import protection_onsets
 from analysis.control import prediction as prediction
 from analysis.control.observer import Observer
 from analysis.control.odometry import MARGIN, Odometry
@@ -47,6 +48,9 @@ SHORTEST = 3
 
 SLOW = 1.0
 """Below this speed [m/s] nothing is learnt: brakes fade and grip."""
+
+REVERSAL = 20e3
+"""Effort [N] on both sides of a reversal from traction to braking or back."""
 
 GUARD_SIGMAS = 2.0
 """Standard deviations by which a train may be elsewhere, or faster."""
@@ -405,6 +409,46 @@ def follow(
         condition_map=condition_map, risk=risk, time=time, late=late, seed=seed,
     )  # fmt: skip
     return [simulate(scenario) for scenario in scenarios]
+
+
+def effort_reversals(tractive: ArrayLike, braking: ArrayLike) -> int:
+    """How often efforts go from traction to braking or back, beyond `REVERSAL` on both sides.
+
+    Parameters
+    ----------
+    tractive, braking : (n,) array_like [N]
+        Asked for, in the order of time.
+
+    Examples
+    --------
+    >>> effort_reversals([50e3, 10e3, 0.0, 0.0, 30e3], [0.0, 0.0, 15e3, 60e3, 0.0])
+    2
+    """
+    net = np.nan_to_num(np.asarray(tractive) - np.asarray(braking))
+    signs = np.sign(net[np.abs(net) > REVERSAL])
+    return int(np.count_nonzero(np.diff(signs)))
+
+
+def following_line(trip: Trip) -> str:
+    """How steadily a trip follows, in words: its slip protection and its reversals of effort.
+
+    Efforts count while the train moves.
+    """
+    moving = trip["/train/state"]["speed"].to_numpy() > 0.0
+    counts = []
+    for topic, end in (("/train/controls", "_demand"), ("/reference", "")):
+        tractive, braking = (
+            trip[topic][f"{kind}_effort{end}"].to_numpy()[moving]
+            for kind in ("tractive", "braking")
+        )
+        counts.append(effort_reversals(tractive, braking))
+    driven, planned = counts
+    onsets = protection_onsets(trip)
+    acted = "is not recorded" if onsets is None else f"acted {len(onsets)} times"
+    return (
+        f"slip protection {acted}; {driven} reversals from traction to braking or back beyond"
+        f" {REVERSAL / 1e3:g} kN, {planned} in the plan"
+    )
 
 
 def run_of(

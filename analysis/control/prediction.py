@@ -34,6 +34,8 @@ from analysis.control.route import (
     RouteTables,
     TrainLimits,
     ceiling_square,
+    creep_momentum,
+    cruising_square,
     dynamic_braking,
     effort_limits,
     free_deceleration,
@@ -66,9 +68,6 @@ CRAWL = 0.3
 
 SETTLED = 0.02
 """To which the arrival is met [s]."""
-
-CREEP = 3.0
-"""Slip speed of wheels on wet rail that gives all it has [m/s] (Zhao et al. (2025), eq. 10)."""
 
 
 class TrainEstimate(NamedTuple):
@@ -253,41 +252,32 @@ def condensed(
             f[i - 1] -= weight.change * step
     squares, slopes = np.empty(n + 1), np.empty(n + 1)
     for k in range(n + 1):
-        squares[k] = ceiling_square(states[k, 0], route)
-        slopes[k] = rate(route.ceiling, route.origin, states[k, 0])
+        squares[k] = cruising_square(states[k, 0], route)
+        slopes[k] = rate(route.cruising, route.origin, states[k, 0])
     free = np.zeros((n + 1, 2))
     rows, upper, lower = speed_rows(least, most, response, states, free, squares, slopes)
     return h, f, rows, upper, lower
 
 
 @njit(cache=True)
-def creep_momentum(u: float, p: float, route: RouteTables, limits: TrainLimits) -> float:
-    """Momentum [kg m/s] that the powered axles hold by turning faster than the train rolls.
-
-    Under a specific effort `u`; when the traction ends it goes into the train.
-    """
-    share = (
-        max(u, 0.0) * limits.inertia / (value(route.pulling, route.origin, p) * limits.on_powered)
-    )
-    return limits.spinning * CREEP * min(share, 1.0) ** 2
-
-
-@njit(cache=True)
-def stays_below_ceiling(
+def excess_over_ceiling(
     p: float, v: float, f: float, past: FloatArray, before: float, u: float, held: int,
     ticks: int, route: RouteTables, limits: TrainLimits,
-) -> bool:  # fmt: skip
-    """Whether every train of the set keeps its speed for so many ticks.
+) -> float:  # fmt: skip
+    """How far any train of the set comes above its speed within so many ticks [m/s]; 0 if none.
 
     The specific effort goes from `before` to `u`, which takes the drive a tick, and is held for
     some of them; after that the train brakes with all it has. What the wheels gave to creep comes
-    back as the effort goes.
+    back as the effort goes. Who is too fast already, with what the wheels hold now, may take the
+    time to become slow enough.
     """
-    over = max(v - math.sqrt(ceiling_square(p, route)) - MARGIN, 0.0)
+    highest = math.sqrt(ceiling_square(p, route)) + MARGIN
     fade, dead = math.exp(-TICK / limits.lag), past.size
     now, later = creep_momentum(before, p, route, limits), creep_momentum(u, p, route, limits)
+    excess = 0.0
     for row in limits.corners:
         place, speed, friction = p, v + max(now - later, 0.0) / row[1], f
+        over = max(v + now / row[1] - highest, 0.0)
         gain = limits.inertia / row[1]
         for i in range(ticks):
             wanted = u
@@ -311,11 +301,10 @@ def stays_below_ceiling(
             after = max(speed + TICK * a, 0.0)
             place += 0.5 * TICK * (speed + after)
             speed = after
-            # Who is too fast already may take the time to become slow enough.
             most = math.sqrt(ceiling_square(place, route)) + MARGIN + over * (1.0 - (i + 1) / ticks)
-            if speed > most + 1e-9 and place < route.end:
-                return False
-    return True
+            if place < route.end:
+                excess = max(excess, speed - most)
+    return excess
 
 
 @njit(cache=True)
@@ -324,6 +313,11 @@ def guarded(
     ticks: int, route: RouteTables, limits: TrainLimits,
 ) -> float:  # fmt: skip
     """The specific effort next to `u` that keeps limits, adhesion and comfort for every train.
+
+    Where no effort keeps them all, such as in the first tick, in which the effort of now still
+    acts, it is the one next to `u` that exceeds them by no more than the hardest braking: so the
+    effort changes by as much as what is to be corrected, also where measured speeds scatter about
+    the ceiling.
 
     Parameters
     ----------
@@ -334,14 +328,16 @@ def guarded(
     """
     low, high = effort_bounds(p, v, p + v * held * TICK, route, limits)
     u = min(max(u, low), high)
-    if stays_below_ceiling(p, v, f, past, before, u, held, ticks, route, limits):
+    wanted = excess_over_ceiling(p, v, f, past, before, u, held, ticks, route, limits)
+    if wanted <= 1e-9:
         return u
-    if not stays_below_ceiling(p, v, f, past, before, low, held, ticks, route, limits):
-        return low
+    most = excess_over_ceiling(p, v, f, past, before, low, held, ticks, route, limits) + 1e-9
+    if wanted <= most:
+        return u
     good, bad = low, u
     for _ in range(14):
         middle = 0.5 * (good + bad)
-        if stays_below_ceiling(p, v, f, past, before, middle, held, ticks, route, limits):
+        if excess_over_ceiling(p, v, f, past, before, middle, held, ticks, route, limits) <= most:
             good = middle
         else:
             bad = middle
@@ -398,7 +394,7 @@ def rollout(
         if p >= route.last_pull:
             least -= 2.0 * step * estimate.gain * SHARE * brake / limits.inertia
         goal = factor * factor * max(value(route.goal, route.origin, q), 0.0)
-        found = min(max(min(goal, most), least), ceiling_square(q, route))
+        found = min(max(min(goal, most), least), cruising_square(q, route))
         if q < route.end:
             # Where it would stall it crawls: the time shows it, and the train pulls all it can.
             found = max(found, CRAWL * CRAWL)

@@ -59,6 +59,12 @@ LOWEST_ASSUMED = (0.05, 0.05)
 SETTLING, SETTLING_SHARE = 10.0, 0.75
 """In the last metres before the stop [m] less is counted on: dynamic brakes fade there."""
 
+CREEP = 3.0
+"""Slip speed of wheels on wet rail that gives all it has [m/s] (Zhao et al. (2025), eq. 10)."""
+
+SLOWEST_SHARE = 0.95
+"""Of the ceiling that is cruised at, however much the wheels hold."""
+
 PARTS = 5
 """Of a cell, at which limits and adhesion are looked up."""
 
@@ -149,6 +155,9 @@ class RouteTables(NamedTuple):
         Maximum adhesion that is counted on in traction and in braking.
     ceiling : [m²/s²]
         Square of the speed from which all that lies ahead can be kept.
+    cruising : [m²/s²]
+        The same less the speed that the wheels give back to the train when the effort ends that
+        holds the speed; runs ahead and programs stay below it, so that the guard need not act.
     goal : [m²/s²]
         Square of the trajectory's speed, of the configuration that arrives last.
     last_pull : float [m]
@@ -162,6 +171,7 @@ class RouteTables(NamedTuple):
     pulling: FloatArray
     adhesion: FloatArray
     ceiling: FloatArray
+    cruising: FloatArray
     goal: FloatArray
     last_pull: float
 
@@ -256,10 +266,13 @@ def route_tables(
         pulling=ADHESION_SHARE * _lowest_around(pulling),
         adhesion=ADHESION_SHARE * _lowest_around(braking),
         ceiling=highest,
+        cruising=highest.copy(),
         goal=goal,
         last_pull=float(trajectory.positions[pulls[-1] + 1]),
     )
     brake_ahead(found.ceiling, found, limits)
+    found.cruising[:] = found.ceiling
+    leave_for_creep(found.cruising, found, limits)
     return found
 
 
@@ -389,3 +402,35 @@ def brake_ahead(squares: FloatArray, route: RouteTables, limits: TrainLimits) ->
 def ceiling_square(p: float, route: RouteTables) -> float:
     """Square of the highest speed [m²/s²] at a position."""
     return max(value(route.ceiling, route.origin, p), 0.0)
+
+
+@njit(cache=True)
+def cruising_square(p: float, route: RouteTables) -> float:
+    """Square of the highest speed [m²/s²] at a position that a pulling train can hold."""
+    return max(value(route.cruising, route.origin, p), 0.0)
+
+
+@njit(cache=True)
+def creep_momentum(u: float, p: float, route: RouteTables, limits: TrainLimits) -> float:
+    """Momentum [kg m/s] that the powered axles hold by turning faster than the train rolls.
+
+    Under a specific effort `u`; when the traction ends it goes into the train.
+    """
+    share = (
+        max(u, 0.0) * limits.inertia / (value(route.pulling, route.origin, p) * limits.on_powered)
+    )
+    return limits.spinning * CREEP * min(share, 1.0) ** 2
+
+
+@njit(cache=True)
+def leave_for_creep(squares: FloatArray, route: RouteTables, limits: TrainLimits) -> None:
+    """Lower `squares` by what the wheels hold under the effort that keeps the speed there."""
+    for i in range(squares.size):
+        place, v = route.origin + GRID * i, math.sqrt(squares[i])
+        pull = effort_limits(place, v, route, limits)[0]
+        held = 0.0
+        for row in limits.corners:
+            effort = min(max(row[1] * free_deceleration(place, v, row, route), 0.0), pull)
+            momentum = creep_momentum(effort / limits.inertia, place, route, limits)
+            held = max(held, momentum / row[1])
+        squares[i] = max(v - held, SLOWEST_SHARE * v) ** 2

@@ -186,7 +186,7 @@ def simulate(
             remedy="leave out --count, or choose with --configurations",
         )
     else:
-        from analysis.control.follow import following_scenarios
+        from analysis.control.follow import following_line, following_scenarios
         from analysis.control.route import counted_on
         from trainlog.formats.trajectory import read_trajectory
 
@@ -236,6 +236,7 @@ def simulate(
                 draw_traction(trip, output / f"{trip.name}.traction.png", the_map)
                 wrote(output / f"{trip.name}.traction.png")
             if trajectory is not None:
+                progress.console.print(f"    {following_line(trip)}", highlight=False)
                 followed.append(trip)
     if over_days is not None:
         write_weather(over_days.table, output / "weather.csv")
