@@ -284,7 +284,7 @@ def _draw_marks(
 
 
 def _with_labels(axes: Axes, top: float) -> float:
-    """The upper end of an adhesion axis, above which there is room for labels if it has any."""
+    """The upper end of an adhesion axis, with space for its labels above the data."""
     return (
         top / (1.0 - LABELS) if axes.texts and any(each.get_text() for each in axes.texts) else top
     )
