@@ -93,7 +93,8 @@ def draw_traction(
     """Draw what a traction control made of the rail.
 
     Speed; slip speeds of the powered axles, by the true speed; their efforts; the adhesion that
-    each used, by an observer, with the rail's true maximum and what the map made likely.
+    each used, by an observer, with the rail's true maximum and the map's
+    estimate where it was observed.
 
     Parameters
     ----------
@@ -139,13 +140,9 @@ def draw_traction(
         places[2].plot(km, efforts[:, i] / 1e3, **style)
         used = np.where(moving[:, 0], np.abs(found.adhesion[:, i]), np.nan)
         places[3].plot(km, used, **style, label=f"in use, axle {i + 1}")
-    rail = places[3]
+    rail, adhesion = places[3], "Adhesion"
     if condition is not None:
-        known = layer or trip.metadata.get("weather", "dry")
-        own_km, likely = condition.centres / 1e3, condition.likely(known, condition.centres, 0.0)
-        low, high = (condition.likely(known, condition.centres, each) for each in (1.0, -1.0))
-        rail.fill_between(own_km, low, high, color=PALE, zorder=0, label="map, one deviation")
-        rail.plot(own_km, likely, color=GREY, linewidth=1.2, label="map")
+        adhesion += _draw_known(rail, condition, layer or trip.metadata.get("weather", "dry"))
     rail.plot(
         truth["position"] / 1e3, truth["maximum_adhesion"], color=RED, linewidth=1.0,
         label="maximum, true",
@@ -154,12 +151,26 @@ def draw_traction(
     dress(places[0], x="", y="km/h", title=f"Speed; traction control: {known_as}")
     dress(places[1], x="", y="m/s", title="Slip speed of each powered axle")
     dress(places[2], x="", y="kN", title="Effort of each powered axle")
-    dress(rail, x="km", y="", title="Adhesion")
+    dress(rail, x="km", y="", title=adhesion)
     rail.set_ylim(0.0, None)
-    rail.legend(fontsize=8, frameon=False, ncols=4, loc="upper center")
+    rail.legend(fontsize=8, frameon=False, ncols=7, loc="upper center", bbox_to_anchor=(0.5, -0.2))
     rail.set_xlim(float(km.min()), float(km.max()))
     figure.align_ylabels(places)
     write_figure(figure, path)
+
+
+def _draw_known(axes: Axes, condition: TrackConditionMap, layer: str) -> str:
+    """The map's estimate with one deviation where it was observed; what it is, in words."""
+    km = condition.centres / 1e3
+    bands = np.array([condition.likely(layer, condition.centres, k) for k in (0.0, 1.0, -1.0)])
+    observed = condition.layers[layer].observed
+    likely, low, high = np.where(observed, bands, np.nan)
+    axes.fill_between(km, low, high, color=PALE, zorder=0, step="mid", label="map, one deviation")
+    axes.plot(km, likely, color=GREY, linewidth=1.2, marker=".", markersize=3.0, label="map")
+    return (
+        f"; map: layer {layer}, lasting condition, where observed"
+        f" ({100.0 * np.mean(observed):.0f} % of the line)"
+    )
 
 
 def axle_colours(n: int) -> list[tuple[float, float, float, float]]:
