@@ -247,7 +247,8 @@ def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days, tmp_path
     table = risks_table(driven)
     columns = [list(column.cells) for column in table.columns]
     assert columns[0] == ["no map", "risk 0.05"]
-    assert [int(cell) for cell in columns[1]] == [
+    assert columns[1] == ["2", "2"]
+    assert [int(cell) for cell in columns[2]] == [
         days.days[0].slip_events,
         days.days[1].slip_events,
     ]

@@ -28,8 +28,8 @@ NODE_SPACING = 3.0
 
 CHECKS = (4, 8, 16)
 """Places from node to node at which the program keeps the constraints; more if its rollout breaks
-one in between. The spline is then one of the logarithm of adhesion, which does not swing beyond a
-step from what no map limits to a slippery place."""
+one in between or IPOPT does not end. The spline is then one of the logarithm of adhesion, which
+does not swing beyond a step from what no map limits to a slippery place."""
 
 STEPS = 2
 """Runge-Kutta steps between two of them: gradients change within 50 m, a second or two."""
@@ -135,21 +135,19 @@ def reference(section: Section, mass: float = NOMINAL_MASS) -> Reference:
     count = node_count(section.duration)
     times = np.linspace(0.0, section.duration, count)
     guess = warm_start(section, times, mass)
+    failures = []
     for checks in CHECKS:
-        found = _solved(section, times, guess, mass, checks)
-        if found.worst.max() <= TOLERANCE and found.rollout_error <= FARTHEST:
-            return found
-    raise InfeasibleError(
-        f"{section.name}: the rollout of the solution breaks a constraint by"
-        f" {found.worst.max():.2g} or leaves it by {found.rollout_error:.2g} m",
-        remedy="more time in the timetable",
-    )
+        try:
+            return _solved(section, times, guess, mass, checks)
+        except InfeasibleError as error:
+            failures.append(error)
+    raise failures[-1]
 
 
 def _solved(
     section: Section, times: FloatArray, guess: FloatArray, mass: float, checks: int
 ) -> Reference:
-    """The answer of the program with so many checks, and its rollout, not judged yet."""
+    """The answer of the program with so many checks, if its rollout keeps the constraints."""
     for strategy in ("monotone", "adaptive"):
         solved, stats = _solve(section, times, guess, mass, strategy, checks)
         if stats["return_status"] in OPTIMAL:
@@ -162,11 +160,18 @@ def _solved(
         )
     positions, speeds, levers = solved
     fine = _rollout(section, times, levers, mass)
-    return Reference(
+    worst = model.worst_constraints(fine, section.tables, section.constants)
+    found = Reference(
         section, mass, times, positions, speeds, levers, fine,
-        _cost(times, levers), int(stats["iter_count"]),
-        model.worst_constraints(fine, section.tables, section.constants),
+        _cost(times, levers), int(stats["iter_count"]), worst,
     )  # fmt: skip
+    if worst.max() > TOLERANCE or found.rollout_error > FARTHEST:
+        raise InfeasibleError(
+            f"{section.name}: the rollout of the solution breaks a constraint by"
+            f" {worst.max():.2g} or leaves it by {found.rollout_error:.2g} m",
+            remedy="more time in the timetable",
+        )
+    return found
 
 
 def warm_start(section: Section, times: FloatArray, mass: float) -> FloatArray:

@@ -265,6 +265,7 @@ def risks_table(driven: Mapping[str, Days]) -> Table:
         f"Changing rail, {len(next(iter(driven.values())).days[0].runs)} trips a day, by how the"
         " map is read",
         "map read with",
+        "days driven",
         *(f"slips, days {a} to {b}" for a, b in halves),
         "work beyond the peak MJ",
         "all work of creep MJ",
@@ -277,6 +278,7 @@ def risks_table(driven: Mapping[str, Days]) -> Table:
         late = np.array([days.late(day) for day in later])
         table.add_row(
             name,
+            f"{len(days.days)}",
             *(
                 f"{sum(day.slip_events for day in later if a <= day.number <= b)}"
                 for a, b in halves
