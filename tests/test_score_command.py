@@ -296,12 +296,12 @@ def test_what_is_shown_for_a_past_time_states_the_later_evidence(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     known = str(folder / "month.map")
-    words = "as known now: evidence of 7 days, 2024-10-09 to 2024-10-15"
+    words = "without the evidence of 7 days, 2024-10-09 to 2024-10-15"
     for command in (["show", known], ["export", known, "-o", str(folder / "bins.csv")]):
         run(["map", *command, "--at", "2024-10-09T12:00Z"])
         assert words in " ".join(capsys.readouterr().out.split())
         run(["map", *command, "--at", "2024-10-16T00:00Z"])
-        assert "as known now" not in capsys.readouterr().out
+        assert "without the evidence" not in capsys.readouterr().out
     run(["map", "show", known, "--at", "2024-10-09T12:00Z", "--json"])
     notes = json.loads(capsys.readouterr().out)["notes"]
     assert any(words in each for each in notes)

@@ -142,8 +142,7 @@ class LogDescription:
         if self.first is not None and self.last is not None:
             lines.append(f"  time      {self.first:{_TIME}} to {self.last:{_TIME}} UTC")
         if self.position_span is not None:
-            start, end = self.position_span
-            lines.append(f"  position  km {start / 1e3:.3f} to km {end / 1e3:.3f}")
+            lines.append(f"  position  {_stretch(*self.position_span)}")
         lines.append(f"  messages  {self.count:,} of {counted(len(self.topics), 'topic')}")
         lines.append(f"  state     {self.account.sentence}")
         return "\n".join(lines)
@@ -189,7 +188,7 @@ def describe(path: str | Path) -> LogDescription:
     >>> found
     sample_logs/nonstop.mcap
       time      2024-10-07 06:00:00 to 2024-10-07 06:19:43 UTC
-      position  0 m to 29556 m
+      position  km 0.000 to km 29.556
       messages  59,285 of 8 topics
       state     is whole: 59,285 messages in 20 chunks
     >>> found.count, found.complete
@@ -442,6 +441,11 @@ def render(description: LogDescription) -> RenderableType:
     return Group(_plain(str(description.path), "bold"), *parts)
 
 
+def _stretch(start: float, end: float) -> str:
+    first, last = (round(position / 1e3, 3) + 0.0 for position in (start, end))  # no -0.000
+    return f"km {first:.3f} to km {last:.3f}"
+
+
 def _overview(description: LogDescription) -> Table:
     from rich.table import Table
 
@@ -454,10 +458,7 @@ def _overview(description: LogDescription) -> Table:
         table.add_row("time", f"{_time(first)} to {_time(last)} UTC ({duration})")
     if description.position_span is not None:
         start, end = description.position_span
-        shown = [round(position / 1e3, 3) + 0.0 for position in (start, end)]  # no -0.000
-        table.add_row(
-            "position", f"km {shown[0]:.3f} to km {shown[1]:.3f} ({(end - start) / 1e3:.3f} km)"
-        )
+        table.add_row("position", f"{_stretch(start, end)} ({(end - start) / 1e3:.3f} km)")
     table.add_row("messages", f"{description.count:,} in {_chunks(description)}")
     table.add_row("file", _size(description.size))
     if description.schema_version is not None:
