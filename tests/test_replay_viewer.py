@@ -190,12 +190,21 @@ def test_fields_that_cannot_be_plotted_are_refused(log: Path, topic: str, field:
         scalars(log, topic, field)
 
 
+def views_drawn(recording: Path, image: Path, layout: Path) -> set[str]:
+    """Names of the views; a viewer that has not read its layout yet, as on a busy machine, has one."""
+    for settle in (2 * SETTLE, 6 * SETTLE):
+        names = set(take_picture(recording, image, layout=layout, settle=settle))
+        if len(names) > 1:
+            break
+    return names
+
+
 @pytest.mark.usefixtures("graphics")
 def test_a_log_opens_as_it_is_with_its_layout(log: Path, tmp_path: Path) -> None:
     layout = tmp_path / "hill-up.rbl"
     write_layout(layout, log.stem)
-    names = take_picture(log, tmp_path / "log.png", layout=layout, settle=2 * SETTLE)
-    assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= set(names)
+    names = views_drawn(log, tmp_path / "log.png", layout)
+    assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= names
 
 
 @pytest.mark.usefixtures("graphics")
@@ -210,8 +219,8 @@ def test_one_layout_fits_all_converted_logs(log: Path, tmp_path: Path) -> None:
         check=True,
         capture_output=True,
     )
-    names = take_picture(converted, tmp_path / "log.png", layout=layout, settle=2 * SETTLE)
-    assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= set(names)
+    names = views_drawn(converted, tmp_path / "log.png", layout)
+    assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= names
 
 
 def test_the_layout_names_every_field_of_the_log(tmp_path: Path) -> None:
