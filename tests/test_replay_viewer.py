@@ -191,7 +191,7 @@ def test_fields_that_cannot_be_plotted_are_refused(log: Path, topic: str, field:
 
 
 def views_drawn(recording: Path, image: Path, layout: Path) -> set[str]:
-    """Names of the views; a viewer that has not read its layout yet, as on a busy machine, has one."""
+    """Names of the views; on a busy machine a viewer may not have read its layout at first."""
     for settle in (2 * SETTLE, 6 * SETTLE):
         names = set(take_picture(recording, image, layout=layout, settle=settle))
         if len(names) > 1:
