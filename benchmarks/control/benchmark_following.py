@@ -40,7 +40,7 @@ from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
-MAP = DEFAULT_LINE.replace(".line.", ".map.")
+MAP = DEFAULT_LINE.replace(".line.json", ".map")
 LATE = 40.0
 FORMATS = ("{:+.1f} s", "{:+.0f} cm", "{:+.1f} %", "{:+.2f} km/h", "{:.0f}")
 
