@@ -269,18 +269,11 @@ def rollout_behind(
     curves = braking_curves(problem, traction)
     found = _rollout_below(problem, traction, curves)
     curves = _dynamic_brake_curves(problem, traction, curves)
-    low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
-    for turn in range(_TRIALS):
-        share = low if turn == 0 else 0.5 * (low + high)
-        below = np.minimum(curves, leader * (1.0 + 0.2 * share[:, None]))
-        trial = _rollout_below(problem, traction, below)
-        late = delays(problem, trial, running_time)[0] > 0.0
-        found.put(~late, trial, ~late)
-        if turn == 0:
-            high = np.where(late, high, 0.0)
-            continue
-        low, high = np.where(late, share, low), np.where(late, high, share)
-    return found
+
+    def below(share: FloatArray) -> FloatArray:
+        return np.minimum(curves, leader * (1.0 + 0.2 * share[:, None]))
+
+    return _least_in_time(problem, traction, running_time, found, below)
 
 
 def rollout_gently(problem: DiscreteProblem, traction: FloatArray, running_time: float) -> Plan:
@@ -296,11 +289,25 @@ def rollout_gently(problem: DiscreteProblem, traction: FloatArray, running_time:
     """
     curves = braking_curves(problem, traction)
     found = _rollout_below(problem, traction, curves)
+
+    def gentle(friction: FloatArray) -> FloatArray:
+        return _dynamic_brake_curves(problem, traction, curves, friction)
+
+    return _least_in_time(problem, traction, running_time, found, gentle)
+
+
+def _least_in_time(
+    problem: DiscreteProblem,
+    traction: FloatArray,
+    running_time: float,
+    found: Plan,
+    curves_at: Callable[[FloatArray], FloatArray],
+) -> Plan:
+    """Below the curves of each one's least share, from 0 to 1, that is in time; else as `found`."""
     low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
     for turn in range(_TRIALS):
         share = low if turn == 0 else 0.5 * (low + high)
-        gentle = _dynamic_brake_curves(problem, traction, curves, share)
-        trial = _rollout_below(problem, traction, gentle)
+        trial = _rollout_below(problem, traction, curves_at(share))
         late = delays(problem, trial, running_time)[0] > 0.0
         found.put(~late, trial, ~late)
         if turn == 0:
