@@ -24,6 +24,7 @@ LogsOrConsists = Annotated[
     ),
 ]
 
+
 @app.command(rich_help_panel="Look")
 def info(
     logs: LogsOrConsists,
