@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from analysis.estimates import with_estimates as with_estimates
     from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
     from analysis.passports import passport as passport
-    from analysis.reporting import report as report
+    from analysis.reports.summary import report as report
     from analysis.resistance import (
         TripRefusedError as TripRefusedError,
         combine as combine,
@@ -86,7 +86,7 @@ _NAMES = {
     "analysis.control.traction": "CooperativeTraction ReadhesionControl with_traction",
     "analysis.comparison.cost": "compare",
     "analysis.passports": "passport",
-    "analysis.reporting": "report",
+    "analysis.reports.summary": "report",
     "analysis.estimates": "with_estimates",
     "analysis.geometry.centre_line": "geometry_of line_of",
     "analysis.verification.scoring": "score_forecast score_map score_rolling",

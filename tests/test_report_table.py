@@ -14,7 +14,7 @@ from rich.console import Console
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import slip
 from analysis.comparison.cost import compare
-from analysis.reporting import report
+from analysis.reports.summary import report
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.logs import fit
 from analysis.tables import new_table

@@ -13,6 +13,7 @@ from trainlog.errors import MissingExtraError
 
 EXTRAS = {
     "asammdf": "recorders",
+    "bokeh": "report",
     "casadi": "plan",
     "clarabel": "plan",
     "cvxpy": "plan",

@@ -1,4 +1,4 @@
-"""Commands that look at logs: info, check, compare, report."""
+"""Commands that look at logs: info, check, compare."""
 
 from __future__ import annotations
 
@@ -155,16 +155,3 @@ def compare(
         if len(followed) > 1:
             console.print(f"with {each}", highlight=False)
         console.print(savings_table(compare_trips(logs_in(logs), logs_in([each]))))
-
-
-@app.command(rich_help_panel="Look")
-def report(
-    results: Annotated[Path, typer.Argument(help="Folder of results, as the demo leaves it.")],
-) -> None:
-    """Sum up a folder of results: fit, map, trajectory, energy; simulated trips against the truth.
-
-    Example: trainlog report results
-    """
-    from analysis import reporting
-
-    console.print(reporting.report_table(reporting.report(results)))

@@ -16,7 +16,18 @@ from typer.exceptions import TyperException
 from typer.models import CommandInfo, TyperInfo
 
 from trainlog import __version__
-from trainlog.cli import learn, look, map, map_forecast, map_views, plan, record, replay, study
+from trainlog.cli import (
+    learn,
+    look,
+    map,
+    map_forecast,
+    map_views,
+    plan,
+    record,
+    replay,
+    report,
+    study,
+)
 from trainlog.cli.terminal import console, errors, print_error, print_problems, wrote
 from trainlog.errors import TrainlogError
 
@@ -51,7 +62,7 @@ def _main(
     """
 
 
-for _panel in (record, look, replay, learn, map, map_views, map_forecast, plan, study):
+for _panel in (record, look, replay, report, learn, map, map_views, map_forecast, plan, study):
     app.add_typer(_panel.app)
 
 
