@@ -19,7 +19,7 @@ import pandas as pd
 from trainlog.formats.attached import line_of
 from trainlog.railway import Line
 from trainlog.replay.clock import (
-    CLOCKS,
+    POSITION_SOURCES,
     Clock,
     FloatArray,
     Nanoseconds,
@@ -122,7 +122,7 @@ def survey(pieces: Pieces) -> Survey:
     bare: Trip | None = None
     start: int | None = None
     digest = hashlib.sha256()
-    places = {candidate: Sparse() for candidate in CLOCKS}
+    places = {candidate: Sparse() for candidate in POSITION_SOURCES}
     values: dict[str, Sparse] = {}
     pulls = np.zeros(3)
     for piece, state in neighboured(pieces()):

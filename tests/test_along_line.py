@@ -1,0 +1,115 @@
+"""Trips on a grid of positions: passing times, gaps, plans, differences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trainlog.along_line import (
+    TimeDistance,
+    difference,
+    grid_over,
+    on_grid,
+    planned_time_distance,
+    time_distance_of,
+)
+from trainlog.errors import InputError
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train
+from trainlog.mcap import read_log
+from trainlog.railway import Configuration, Trajectory
+from trainlog.units import NANOSECONDS
+
+SAMPLE = Path(__file__).parents[1] / "sample_logs" / "stopping.mcap"
+
+
+def curve(seconds: np.ndarray, position: np.ndarray) -> TimeDistance:
+    return TimeDistance(0, np.rint(seconds * NANOSECONDS).astype(np.int64), position)
+
+
+def test_a_stop_lies_between_arrival_and_departure() -> None:
+    stopping = curve(np.array([0.0, 10.0, 40.0, 50.0]), np.array([0.0, 200.0, 200.0, 400.0]))
+    at = np.array([0.0, 100.0, 200.0, 300.0, 400.0])
+    assert stopping.arrival_at(at) == pytest.approx([0.0, 5.0, 10.0, 45.0, 50.0])
+    assert stopping.departure_at(at) == pytest.approx([0.0, 5.0, 40.0, 45.0, 50.0])
+
+
+def test_what_lies_outside_of_a_trip_is_not_passed() -> None:
+    part = curve(np.array([0.0, 10.0]), np.array([500.0, 700.0]))
+    assert np.isnan(part.arrival_at([499.9, 700.1])).all()
+    nothing = curve(np.empty(0), np.empty(0))
+    assert np.isnan(nothing.arrival_at([0.0])).all()
+
+
+def test_places_passed_in_a_gap_of_the_recording_are_unknown() -> None:
+    seconds = np.array([0.0, 1.0, 31.0, 32.0, 132.0, 133.0])
+    position = np.array([0.0, 20.0, 620.0, 640.0, 640.0, 660.0])
+    passed = on_grid(curve(seconds, position), np.arange(0.0, 661.0, 20.0))
+    unknown = (passed.position > 20.0) & (passed.position < 620.0)
+    assert (np.isnan(passed.time) == unknown).all()
+    # It stood through the second gap, so that nothing is missing there.
+    assert passed.time[-1] == 133.0
+
+
+def test_a_trip_beside_itself_differs_nowhere() -> None:
+    trip = read_log(SAMPLE)
+    known = time_distance_of(trip)
+    found = on_grid(known, grid_over([known]))
+    same = difference(found, found)
+    assert (same.time == 0.0).all()
+    assert (same.speed == 0.0).all()
+
+
+def test_thirty_seconds_more_at_a_station_are_lost_there_and_kept() -> None:
+    trip = read_log(SAMPLE)
+    known = time_distance_of(trip)
+    standing = int(np.flatnonzero((known.position > 100.0) & (np.gradient(known.position) == 0))[0])
+    place, time = known.position[standing], known.time.copy()
+    time[standing + 1 :] += 30 * NANOSECONDS
+    grid = grid_over([known])
+    behind = difference(
+        on_grid(TimeDistance(known.start, time, known.position), grid), on_grid(known, grid)
+    )
+    assert behind.time[grid < place - 1.0] == pytest.approx(0.0, abs=1e-9)
+    assert behind.time[grid > place + 1.0] == pytest.approx(30.0, abs=1e-6)
+
+
+def test_partial_trips_are_compared_where_both_were() -> None:
+    whole = curve(np.linspace(0.0, 100.0, 101), np.linspace(0.0, 2000.0, 101))
+    part = curve(np.linspace(0.0, 50.0, 51), np.linspace(1000.0, 1500.0, 51))
+    grid = grid_over([whole, part], 100.0)
+    found = difference(on_grid(part, grid), on_grid(whole, grid))
+    known = np.isfinite(found.time)
+    assert found.position[known][[0, -1]].tolist() == [1000.0, 1500.0]
+    assert found.time[known][[0, -1]] == pytest.approx([0.0, 25.0])
+
+
+def test_a_plan_is_passed_as_constant_effort_moves_a_train() -> None:
+    train = read_train(sample(DEFAULT_TRAIN))
+    plan = Trajectory(
+        "line",
+        train.name,
+        np.array([0.0, 500.0, 1000.0]),
+        (Configuration.of(train),),
+        np.array([[0.0, 20.0, 0.0]]),
+        np.array([[0.0, 50.0, 100.0]]),
+        np.array([53e3, 0.0]),
+        np.array([[0.0, 53e3]]),
+        100.0,
+    )
+    # Constant acceleration: s = a t^2 / 2 with a = 0.4 m/s^2.
+    found = planned_time_distance(plan, 0)
+    assert found.arrival_at([20.0, 125.0, 500.0]) == pytest.approx([10.0, 25.0, 50.0], abs=0.05)
+    assert found.covered == (0.0, 1000.0)
+
+
+def test_grids_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InputError, match="no trip knows where it was"):
+        grid_over([curve(np.empty(0), np.empty(0))])
+    with pytest.raises(InputError, match="steps of 0 m"):
+        grid_over([curve(np.array([0.0]), np.array([0.0]))], 0.0)
+    one = on_grid(curve(np.array([0.0, 1.0]), np.array([0.0, 10.0])), np.array([0.0, 10.0]))
+    with pytest.raises(InputError, match="different grids"):
+        difference(one, on_grid(curve(np.array([0.0]), np.array([0.0])), np.array([0.0])))
