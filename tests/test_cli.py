@@ -105,7 +105,7 @@ def test_info_refuses_what_is_no_log(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    status, _, complaint = run(monkeypatch, capsys, "info", broken[kind])
+    status, _, complaint = run(monkeypatch, capsys, "show", broken[kind])
     assert (status, complaint.count("\n")) == (2, 1)
     assert broken[kind].name in complaint
 
@@ -121,7 +121,7 @@ def cut(tmp_path: Path) -> Path:
 def test_info_tells_what_is_left_of_a_cut_log(
     cut: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, shown, _ = run(monkeypatch, capsys, "info", cut)
+    status, shown, _ = run(monkeypatch, capsys, "show", cut)
     assert status == 0
     assert "/train/state" in shown
     assert "does not end properly" in shown or "byte" in shown
@@ -214,7 +214,7 @@ def test_ingest_tells_what_it_repaired(
     assert status == 0
     assert "rows read" in shown
     assert "time_backwards" in shown
-    status, shown, _ = run(monkeypatch, capsys, "info", tmp_path / "recorder.mcap")
+    status, shown, _ = run(monkeypatch, capsys, "show", tmp_path / "recorder.mcap")
     assert "/train/axles" in shown
 
 
@@ -372,7 +372,7 @@ def test_help_teaches_every_command(
 ) -> None:
     status, shown, _ = run(monkeypatch, capsys, "--help")
     assert status == 0
-    for command in ("simulate", "ingest", "info", "fit", "map", "optimise", "replay", "demo"):
+    for command in ("simulate", "ingest", "show", "fit", "map", "optimise", "replay", "demo"):
         assert command in shown
     for words in demo.commands(Path("results")):
         verb = words[:2] if words[0] == "map" else words[:1]

@@ -366,7 +366,7 @@ class TestCommand:
 
     def test_info_lists_what_a_map_holds(self, path: Path) -> None:
         before = path.read_bytes()
-        status, shown, _ = self.run("info", path, sample("CH_StGallen_Wil.map"))
+        status, shown, _ = self.run("show", path, sample("CH_StGallen_Wil.map"))
         assert status == 0
         assert path.read_bytes() == before
         words = " ".join(shown.split())

@@ -196,9 +196,9 @@ def test_the_names_that_remove_takes_are_listed(
 ) -> None:
     path = tmp_path / "wil.map"
     path.write_bytes(Path(trainlog.sample("CH_StGallen_Wil.map")).read_bytes())
-    with pytest.raises(InputError, match=r"trainlog info .*wil.map --trips lists its trips"):
+    with pytest.raises(InputError, match=r"trainlog show .*wil.map --trips lists its trips"):
         run(["map", "remove", str(path), "nope"])
-    assert run(["info", str(path), "--trips"]) == 0
+    assert run(["show", str(path), "--trips"]) == 0
     listed = " ".join(capsys.readouterr().out.split())
     assert "trip-03 wet 2024-10-07 yes" in listed
 

@@ -186,7 +186,7 @@ def test_ingest_stores_the_passport_and_info_shows_it(
     assert run(*command)[0] == 0
     assert log.stat().st_mtime_ns == made, "what was made before is not made again"
 
-    shown = run("info", log)[1]
+    shown = run("show", log)[1]
     assert "Passport of trip" in shown
     assert "effort delay" in shown
     assert run("estimate", log, "-o", estimated)[0] == 0

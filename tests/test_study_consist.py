@@ -114,7 +114,7 @@ def test_the_report_and_the_picture_are_made(run: study.ConsistRun, tmp_path: Pa
 def test_the_command_runs_a_file(tmp_path: Path) -> None:
     file = tmp_path / "short.consist.json"
     write_consist(passenger(1), file)
-    assert command(["info", str(file)]) == 0
+    assert command(["show", str(file)]) == 0
     write_line(SHORT, tmp_path / "line.json")
     options = ["--line", str(tmp_path / "line.json"), "--speed", "60", "-o", str(tmp_path)]
     assert command(["study", "consist", str(file), *options]) == 0

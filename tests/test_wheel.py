@@ -62,7 +62,7 @@ def installed_works(python: Path, folder: Path) -> None:
     trainlog(python, "samples", "samples", cwd=folder)
     logs = sorted((folder / "samples").glob("*.mcap"))
     assert logs
-    assert "/train/state" in trainlog(python, "info", str(logs[0]), cwd=folder)
+    assert "/train/state" in trainlog(python, "show", str(logs[0]), cwd=folder)
 
 
 def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:

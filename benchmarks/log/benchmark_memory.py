@@ -54,7 +54,7 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
     parquet, driven = folder / "long.parquet", SAMPLE
     return {
         "import alone": ["--version"],
-        "info": ["info", str(log)],
+        "show": ["show", str(log)],
         "check": ["check", str(log)],
         "recover": ["recover", str(log), "-o", str(folder / "recovered.mcap")],
         "convert to Parquet": ["convert", str(log), "-o", str(parquet)],

@@ -38,7 +38,7 @@ def commands(output: Path) -> list[list[str]]:
         ["simulate", "--count", "12", "--seed", "1", "-o", trips],
         ["ingest", samples / "recorder.csv", *profile, *known, *facts, "-o", recorded],
         ["ingest", samples / "gnss.csv", *known, "-o", recorded],
-        ["info", recorded / "recorder.mcap"],
+        ["show", recorded / "recorder.mcap"],
         ["fit", recorded / "recorder.mcap", "-o", recorded / "parameters.json"],
         ["map", "update", recorded / "recorder.mcap", "--map", recorded / "wil.map"],
         ["replay", recorded, "-o", recorded / "replay.rrd"],

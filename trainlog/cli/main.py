@@ -17,6 +17,7 @@ from typer.models import CommandInfo, TyperInfo
 
 from trainlog import __version__
 from trainlog.cli import (
+    convert,
     learn,
     look,
     map,
@@ -26,6 +27,7 @@ from trainlog.cli import (
     record,
     replay,
     report,
+    show,
     study,
 )
 from trainlog.cli.terminal import console, errors, print_error, print_problems, wrote
@@ -62,7 +64,20 @@ def _main(
     """
 
 
-for _panel in (record, look, replay, report, learn, map, map_views, map_forecast, plan, study):
+for _panel in (
+    record,
+    convert,
+    show,
+    look,
+    replay,
+    report,
+    learn,
+    map,
+    map_views,
+    map_forecast,
+    plan,
+    study,
+):
     app.add_typer(_panel.app)
 
 

@@ -12,15 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from trainlog.cli.options import (
-    FromOption,
-    KilometreOption,
     LineOption,
     Logs,
     RiskOption,
     RunTimeOption,
     Seed,
-    ToOption,
-    TopicOption,
     TrainOption,
     destination,
     distinct,
@@ -29,9 +25,6 @@ from trainlog.cli.options import (
     logs_in,
     map_of_run,
     pairs,
-    source_span,
-    stretch,
-    times,
 )
 from trainlog.cli.proposing import Proposals
 from trainlog.cli.terminal import (
@@ -583,50 +576,3 @@ def line_build(
     for sentence in centre_line.lines():
         console.print(sentence, highlight=False)
     wrote(output, shown)
-
-
-@app.command(rich_help_panel="Record")
-def convert(
-    source: Annotated[Path, typer.Argument(help="Log (.mcap), or folder of Parquet files.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Ends in .parquet (a folder) or .mcap (a log).")
-    ],
-    topic: TopicOption = None,
-    start: FromOption = None,
-    end: ToOption = None,
-    km: KilometreOption = None,
-) -> None:
-    """Turn a log into Parquet for repeated analysis, and back; or cut a part out of it.
-
-    Nothing is lost either way. Logs may be larger than the memory. Logs of other programs become
-    Parquet, too; they are held in memory as a whole.
-
-    One Parquet file a topic, and the log again:
-
-    trainlog convert trip.mcap -o trip.parquet
-
-    trainlog convert trip.parquet -o again.mcap
-
-    The part between km 3.2 and 7.5, and two topics of the last five minutes, as logs:
-
-    trainlog convert trip.mcap -o part.mcap --km 3.2:7.5
-
-    trainlog convert trip.mcap -o last.mcap --from end-5min --topic /train/state --topic /events
-    """
-    from trainlog.mcap.convert import convert as write
-
-    time = times(start, end, source_span(source))
-    with progress_bar() as progress:
-        task = progress.add_task("converting", total=None)
-        done = write(
-            source,
-            output,
-            topics=topic or None,
-            time=time,
-            position=stretch(km),
-            progress=lambda rows: progress.update(task, completed=rows),
-        )
-    console.print(f"  {done.rows.total():,} rows in {len(done.rows)} topics", highlight=False)
-    for reason in done.left_out:
-        console.print(f"  not converted: {reason}", highlight=False, markup=False)
-    wrote(output)

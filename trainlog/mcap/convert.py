@@ -111,7 +111,7 @@ def convert(
                 raise LogError(
                     f"holds no message that can be read: {done.left_out[0]}",
                     file=source,
-                    remedy=f"see 'trainlog info {source}' for what it holds",
+                    remedy=f"see 'trainlog show {source}' for what it holds",
                 )
     return done
 

@@ -70,7 +70,7 @@ def nothing_of(path: str | Path) -> LogError:
     return LogError(
         "holds nothing of the part asked for",
         file=path,
-        remedy=f"see 'trainlog info {path}' for its topics, times and positions",
+        remedy=f"see 'trainlog show {path}' for its topics, times and positions",
     )
 
 
