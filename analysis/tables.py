@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from io import StringIO
 from typing import Any
 
@@ -26,7 +27,17 @@ class WordTable(Table):
     Headings are broken between their words first, then the rows but for the names in the first
     column, then those; inside words only where the page is narrower than the longest. Rich narrows
     the widest columns until all are alike, and so folds names inside words.
+
+    Attributes
+    ----------
+    name : str
+        In JSON.
+    data : list of dict, optional
+        Its rows as data, where its cells are more than words.
     """
+
+    name: str = ""
+    data: list[dict[str, Any]] | None = None
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Give every column the least it needs, and a like part of what else it asks for."""
@@ -64,6 +75,30 @@ def new_table(title: str, *columns: str, **options: Any) -> Table:
     for column in columns:
         table.add_column(column, overflow="fold")
     return table
+
+
+def name_of(table: Table) -> str:
+    """The name of a table in JSON: the one it was given, or its title's first words."""
+    given = getattr(table, "name", "")
+    return given or _key(str(table.title or "rows").split(" of ")[0])
+
+
+def records(table: Table) -> list[dict[str, Any]]:
+    """The rows of a table as data, by the keys of its columns."""
+    if isinstance(table, WordTable) and table.data is not None:
+        return table.data
+    keys = [_key(str(column.header)) or f"column_{n}" for n, column in enumerate(table.columns, 1)]
+    cells = [[_words(cell) for cell in column.cells] for column in table.columns]
+    return [dict(zip(keys, row, strict=True)) for row in zip(*cells, strict=True)]
+
+
+def _words(cell: RenderableType) -> str:
+    return " ".join(str(cell).split())
+
+
+def _key(heading: str) -> str:
+    """A heading as a key: ``"rail condition"`` is ``rail_condition``."""
+    return re.sub(r"\W+", "_", heading.strip().lower()).strip("_")
 
 
 def with_band(value: float, std: float, unit: str = "") -> str:

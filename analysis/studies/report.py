@@ -14,11 +14,12 @@ from trainlog import __version__
 from trainlog.formats.files import atomic_write, made_folder, sha256
 from trainlog.formats.line import line_to_bytes
 from trainlog.mcap import write_log
+from trainlog.progress import track
 from trainlog.railway import Line
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.console import Console
 
 Item = TypeVar("Item")
 
@@ -37,14 +38,14 @@ class StudyReport:
     ----------
     folder : Path
         Where logs, pictures and tables go; made if need be.
-    progress : rich.progress.Progress
-        Shows loops, and prints on its console.
+    console : rich.console.Console
+        That tables and sentences are printed on.
     files : list of Path
         That were written.
     """
 
     folder: Path
-    progress: Progress
+    console: Console
     files: list[Path] = field(default_factory=list)
     _parts: dict[str, str] = field(default_factory=dict)
 
@@ -53,14 +54,7 @@ class StudyReport:
 
     def track(self, items: Iterable[Item], description: str) -> Iterator[Item]:
         """The items one by one, with a bar that shows how many are done."""
-        every = list(items)
-        task = self.progress.add_task(description, total=len(every))
-        try:
-            for item in every:
-                yield item
-                self.progress.advance(task)
-        finally:
-            self.progress.remove_task(task)
+        yield from track(list(items), description, "run")
 
     def show(self, *parts: Table | str) -> None:
         """Print tables and sentences, and write all so far to `TABLES`.
@@ -68,7 +62,7 @@ class StudyReport:
         A table takes the place of an earlier one of the same title, which it continues.
         """
         for part in parts:
-            self.progress.console.print(part, highlight=False)
+            self.console.print(part, highlight=False)
             if isinstance(part, Table):
                 self._parts[str(part.title)] = as_markdown(part)
             else:

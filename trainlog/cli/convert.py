@@ -16,7 +16,8 @@ from trainlog.cli.options import (
     stretch,
     times,
 )
-from trainlog.cli.terminal import console, progress_bar, wrote
+from trainlog.cli.terminal import console, wrote
+from trainlog.progress import task
 
 app = typer.Typer()
 
@@ -52,15 +53,14 @@ def convert(
     from trainlog.mcap.convert import convert as write
 
     time = times(start, end, source_span(source))
-    with progress_bar() as progress:
-        task = progress.add_task("converting", total=None)
+    with task("converting", unit="row") as step:
         done = write(
             source,
             output,
             topics=topic or None,
             time=time,
             position=stretch(km),
-            progress=lambda rows: progress.update(task, completed=rows),
+            progress=step,
         )
     console.print(f"  {done.rows.total():,} rows in {len(done.rows)} topics", highlight=False)
     for reason in done.left_out:

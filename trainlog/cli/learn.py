@@ -9,10 +9,11 @@ from typing import Annotated, Literal
 import typer
 
 from trainlog.cli.options import Logs, destination, logs_in
-from trainlog.cli.terminal import console, print_error, progress_bar, wrote
+from trainlog.cli.terminal import console, print_error, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
+from trainlog.progress import track
 from trainlog.units import KMH
 
 app = typer.Typer()
@@ -73,14 +74,13 @@ def fit(
     with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
         # Summaries first: the logs that they hold need not be read.
         paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
-        with progress_bar() as progress:
-            given = progress.track(paths, description="fitting")
-            try:
-                fits = fit_trips(given, cover=cover / 100.0, most=configurations)
-            except AllRefusedError as error:
-                if drawn is not None:
-                    wrote(*draw_each_refused(error.refused, drawn))
-                raise
+        given = track(paths, "fitting", "log")
+        try:
+            fits = fit_trips(given, cover=cover / 100.0, most=configurations)
+        except AllRefusedError as error:
+            if drawn is not None:
+                wrote(*draw_each_refused(error.refused, drawn))
+            raise
         write_parameters(fits.parameters, output)
         write_summaries(fits.summaries, kept)
         draw_fits(fits, shown)
@@ -107,8 +107,8 @@ def estimate(
 
     found, refused, analysed = logs_in(logs), 0, list[Path]()
     table = None if slips is None else destination(slips, ".csv")
-    with output_folder(output), progress_bar() as progress:
-        for log in progress.track(found, description="estimating"):
+    with output_folder(output):
+        for log in track(found, "estimating", "log"):
             if (output / log.name).resolve() == log.resolve():
                 raise InputError("would be overwritten", file=log, remedy="name another folder")
             try:
@@ -122,7 +122,7 @@ def estimate(
                 continue
             for refusal in refusals:
                 words = f"  not estimated: {refusal}"
-                progress.console.print(words, highlight=False, markup=False, soft_wrap=True)
+                console.print(words, highlight=False, markup=False, soft_wrap=True)
             wrote(output / log.name)
             if not any(refusal.partition(": ")[0] == "adhesion" for refusal in refusals):
                 analysed.append(log)
@@ -164,13 +164,12 @@ def coast_down(
 
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
-    with progress_bar() as progress:
-        every = progress.track(logs_in(logs), description="coasting")
-        if gradient == "unknown":
-            result = unknown_gradient.coast_down_without_gradient(every, line)
-        else:
-            found = coasting.coast_down(every, line)
-            result = found.result
+    every = track(logs_in(logs), "finding coasting", "log")
+    if gradient == "unknown":
+        result = unknown_gradient.coast_down_without_gradient(every, line)
+    else:
+        found = coasting.coast_down(every, line)
+        result = found.result
     write_coast_down(result, output)
     if gradient == "unknown":
         plot.draw_without_gradient(result, shown)

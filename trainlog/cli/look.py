@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from trainlog.cli.options import Logs, logs_in
-from trainlog.cli.terminal import console, print_account, print_error, progress_bar
+from trainlog.cli.terminal import console, print_account, print_error
 from trainlog.errors import LogError
+from trainlog.progress import track
 
 app = typer.Typer()
 
@@ -26,16 +27,15 @@ def check(logs: Logs) -> None:
     from trainlog.mcap import account_of
 
     status = 0
-    with progress_bar() as progress:
-        for log in progress.track(logs_in(logs), description="checking"):
-            try:
-                account = account_of(log)
-            except LogError as error:  # one file that is no log says nothing of the others
-                print_error(str(error))
-                status = 2
-                continue
-            status = max(status, 0 if account.whole else 1)
-            print_account(log, account, progress.console)
+    for log in track(logs_in(logs), "checking", "log"):
+        try:
+            account = account_of(log)
+        except LogError as error:  # one file that is no log says nothing of the others
+            print_error(str(error))
+            status = 2
+            continue
+        status = max(status, 0 if account.whole else 1)
+        print_account(log, account)
     if status:
         raise typer.Exit(status)
 

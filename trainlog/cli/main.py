@@ -5,7 +5,7 @@ The commands stand in `trainlog.cli`; here are the program around them and its e
 
 from __future__ import annotations
 
-import inspect
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -13,7 +13,6 @@ from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
-from typer.models import CommandInfo, TyperInfo
 
 from trainlog import __version__
 from trainlog.cli import (
@@ -30,13 +29,12 @@ from trainlog.cli import (
     show,
     study,
 )
-from trainlog.cli.terminal import console, errors, print_error, print_problems, wrote
+from trainlog.cli.commands import INTERRUPTED, Group, prepared
+from trainlog.cli.terminal import console, print_error, print_problems, print_warning, wrote
 from trainlog.errors import TrainlogError
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C; typer returns it, too."""
-
 app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -112,21 +110,7 @@ def samples(
 # --------------------------------------------------------------------------------- entry point
 
 
-def _reflow(panel: typer.Typer) -> None:
-    """Let the help of the commands break where the terminal ends, not where the docstring does."""
-    documented: list[CommandInfo | TyperInfo] = [*panel.registered_commands]
-    if panel.registered_callback is not None:
-        documented.append(panel.registered_callback)
-    for known in documented:
-        text = inspect.getdoc(known.callback) if known.callback else None
-        if text and not known.help:
-            known.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
-    for group in panel.registered_groups:
-        if group.typer_instance is not None:
-            _reflow(group.typer_instance)
-
-
-_reflow(app)
+prepared(app)
 
 
 def run(arguments: list[str]) -> int:
@@ -138,7 +122,8 @@ def run(arguments: list[str]) -> int:
 def main() -> None:
     """Entry point of the ``trainlog`` command.
 
-    Exit status 0: done; 2: bad input, stated in one line; 130: interrupted.
+    Exit status 0: done; 1: done in part, or something was found; 2: nothing was done, the input or
+    the command cannot be used; 130: interrupted. The table stands in ``docs/command-line.md``.
     """
     try:
         with warnings.catch_warnings():
@@ -149,21 +134,30 @@ def main() -> None:
         print_problems(error)
         status = 2
     except TyperException as error:
-        message = error.format_message() if hasattr(error, "format_message") else str(error)
-        # Where a value is not one of several, its checker puts "Value error" before our message.
-        message = message.replace("Value error, ", "")
-        context = getattr(error, "ctx", None)
-        command = context.command_path if context is not None else "trainlog"
-        status = _complain(f"{message.rstrip('.')}; see '{command} --help'")
+        status = _complain(_explained(error))
     except OSError as error:
         # The packages below turn the errors they expect into TrainlogError; this is a full disk, a
         # lost drive, a forbidden folder met elsewhere.
         status = _complain(f"{error.filename or 'file'}: {error.strerror or error}")
     except (KeyboardInterrupt, typer.Abort):
+        print_error("interrupted: nothing was written")
         status = INTERRUPTED
-    if status == INTERRUPTED:
-        errors.print("trainlog: interrupted; what was finished is kept")
     sys.exit(status)
+
+
+def _explained(error: TyperException) -> str:
+    """What is wrong with a command, an example of it, and where its help is."""
+    message = error.format_message() if hasattr(error, "format_message") else str(error)
+    # Where a value is not one of several, its checker puts "Value error" before our message.
+    message = message.replace("Value error, ", "").rstrip(".")
+    context = getattr(error, "ctx", None)
+    if context is None:
+        return f"{message}; see 'trainlog --help'"
+    example = ""
+    if message.startswith("Missing"):
+        found = re.search(r"^Example: (trainlog .+)$", context.command.help or "", re.MULTILINE)
+        example = f"; for example: {found[1]}" if found else ""
+    return f"{message}{example}; see '{context.command_path} --help'"
 
 
 def _complain(message: str) -> int:
@@ -182,9 +176,8 @@ class _Once:
         self._shown: set[str] = set()
 
     def __call__(self, message: Warning | str, *_: object, **__: object) -> None:
-        line = " ".join(f"trainlog: warning: {message}".split())
         file = getattr(message, "file", None)
-        known = line if file is None else str(Path(file).resolve())
+        known = str(message) if file is None else str(Path(file).resolve())
         if known not in self._shown:
             self._shown.add(known)
-            errors.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+            print_warning(str(message))

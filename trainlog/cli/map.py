@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trainlog.cli.options import Logs, MapArgument, destination, logs_in
-from trainlog.cli.terminal import console, print_error, progress_bar, wrote
+from trainlog.cli.terminal import console, current, print_error, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.progress import track
 
 if TYPE_CHECKING:
     from analysis.adhesion.updating import LogOutcome
@@ -40,7 +41,6 @@ def map_update(
     retry: Annotated[
         bool, typer.Option("--retry", help="Try logs that were refused before again.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="State the outcome as JSON.")] = False,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
 
@@ -54,7 +54,6 @@ def map_update(
 
     Example: trainlog map update results/trips --map results/wil.map
     """
-    import json
     from collections import Counter
 
     from analysis.adhesion.updating import update_map
@@ -66,29 +65,25 @@ def map_update(
     destination(condition, ".map")
     stated = None if weather is None else read_weather(weather)
     found, done = logs_in(logs), Counter[str]()
-    with progress_bar() as progress:
-        every = progress.track(found, description="mapping")
 
-        def report(outcome: LogOutcome) -> None:
-            done[outcome.outcome] += 1
-            if outcome.outcome == "refused":
-                print_error(outcome.reason)
-            elif outcome.outcome == "refused before" or as_json:
-                return
-            elif outcome.outcome != "held" or outcome.reason:
-                progress.console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
+    def report(outcome: LogOutcome) -> None:
+        done[outcome.outcome] += 1
+        if outcome.outcome == "refused":
+            print_error(outcome.reason)
+        elif outcome.outcome == "refused before" or output.as_json:
+            return
+        elif outcome.outcome != "held" or outcome.reason:
+            console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
 
-        try:
-            result = update_map(every, condition, layer, stated, retry=retry, report=report)
-        except KeyboardInterrupt:
-            finished = f"{sum(done.values())} of {counted(len(found), 'log')} finished"
-            added = f"{counted(done['added'], 'trip')} added"
-            none = "" if condition.is_file() else "; no map was made"
-            print_error(f"{finished}, {added}{none}")
-            raise
-    if as_json:
-        typer.echo(json.dumps(result.details(), ensure_ascii=False))
-    else:
+    def finished() -> str:
+        added = f"{counted(done['added'], 'trip')} added"
+        return added if condition.is_file() else f"{added}, no map was made"
+
+    output = current()
+    output.finished = finished
+    every = track(found, "mapping", "log")
+    result = update_map(every, condition, layer, stated, retry=retry, report=report)
+    if not state(result.details()):
         console.print(result.sentence, highlight=False, soft_wrap=True)
     if result.refused:
         unusable = len(result.refused) + len(result.refused_before)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,15 +10,15 @@ import typer
 from trainlog.cli.map import map_app
 from trainlog.cli.options import (
     AtOption,
-    JsonOption,
     MapArgument,
     ZoneOption,
     destination,
     logs_in,
     moment,
 )
-from trainlog.cli.terminal import console, print_error, progress_bar, wrote
+from trainlog.cli.terminal import console, print_error, state, wrote
 from trainlog.errors import InputError
+from trainlog.progress import task, track
 
 if TYPE_CHECKING:
     from analysis.verification.scoring import Score
@@ -38,7 +37,6 @@ def map_forecast(
     layer: Annotated[
         str | None, typer.Option(help="Rail condition; default: every one of the map.")
     ] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Write what a map expects at a time as a forecast, in the form in which forecasts are scored.
 
@@ -58,17 +56,14 @@ def map_forecast(
     forecast = forecast_of(track, time, layer=layer, hours=hours)
     write_forecast(forecast, output)
     later = left_out(track, time)
-    if as_json:
-        content = {
-            "forecast": str(output),
-            "line": forecast.line,
-            "from": time.isoformat(),
-            "hours": hours,
-            "layers": sorted(set(forecast.layer)),
-            "notes": [f"forecast {later}"] if later else [],
-        }
-        typer.echo(json.dumps(content, ensure_ascii=False))
-        return
+    content = {
+        "forecast": str(output),
+        "line": forecast.line,
+        "from": time.isoformat(),
+        "hours": hours,
+        "layers": sorted(set(forecast.layer)),
+    }
+    state(content)
     if later:
         console.print(f"  forecast {later}", highlight=False, soft_wrap=True)
     wrote(output)
@@ -93,7 +88,6 @@ def map_score(
         typer.Option(help="Weather (CSV): the rail condition of logs that state none."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the scores here.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Score a map's forecast, or anyone's, on trips that it does not know.
 
@@ -115,14 +109,12 @@ def map_score(
         print_error(words)
     if picture is not None:
         draw_score(found, picture)
-    if as_json:
-        typer.echo(json.dumps(found.details(), ensure_ascii=False))
-    else:
+    if not state(found.details()):
         for words in by_reason(found.left_out):
             console.print(f"  {words}", highlight=False, soft_wrap=True)
         console.print(score_table(found))
-        if picture is not None:
-            wrote(picture)
+    if picture is not None:
+        wrote(picture)
     if found.refused:
         raise typer.Exit(1)
 
@@ -153,20 +145,18 @@ def _scored(
         )
     if rolling:
         own = read_map(forecast)
-        with progress_bar() as progress:
-            task = progress.add_task("forecasting day by day", total=None)
+        with task("forecasting day by day", unit="day") as step:
             return score_rolling(
                 own,
                 None if layer is None else [layer],
-                lambda day, days: progress.update(task, completed=day - 1, total=days),
+                lambda day, days: step(day - 1, days),
             )
     sky = None if weather is None else read_weather(weather)
     paths = logs_in(logs)
     stated = read_forecast(forecast, *line_of_logs(paths)) if foreign else None
-    track = None if foreign else read_map(forecast)
-    with progress_bar() as progress:
-        every = progress.track(paths, description="scoring")
-        if stated is not None:
-            return score_forecast(stated, every, layer, sky)
-        assert track is not None
-        return score_map(track, every, layer, sky)
+    own_map = None if foreign else read_map(forecast)
+    every = track(paths, "scoring", "log")
+    if stated is not None:
+        return score_forecast(stated, every, layer, sky)
+    assert own_map is not None
+    return score_map(own_map, every, layer, sky)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ import typer
 from trainlog.cli.map import map_app
 from trainlog.cli.options import (
     AtOption,
-    JsonOption,
     LayersOption,
     MapArgument,
     ZoneOption,
@@ -21,7 +19,7 @@ from trainlog.cli.options import (
     moment,
     zone_assumed,
 )
-from trainlog.cli.terminal import console, wrote
+from trainlog.cli.terminal import console, state, wrote
 from trainlog.errors import InputError, TrainlogError
 
 if TYPE_CHECKING:
@@ -55,7 +53,6 @@ def map_show(
     model: Annotated[
         bool, typer.Option("--model", help="List the numbers of the model as well.")
     ] = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Show what a track-condition map knows, and where it knows nothing.
 
@@ -78,19 +75,17 @@ def map_show(
 
     track = read_map(condition)
     known = course(track, line, condition)
-    state = map_state(track, when, line=known, layers=layer)
+    shown = map_state(track, when, line=known, layers=layer)
     assumed = zone_assumed(at, zone)
-    state = replace(state, notes=(*state.notes, assumed)) if assumed else state
+    shown = replace(shown, notes=(*shown.notes, assumed)) if assumed else shown
     if picture is not None:
         from analysis.adhesion.map_plot import draw_map
 
         positions = [position_of(track, known, each) for each in ends or ()]
         part = (positions[0], positions[1]) if positions else None
-        draw_map(state.track, picture, line=known, at=when, part=part)
-    if as_json:
-        typer.echo(json.dumps(state.as_json(), ensure_ascii=False, allow_nan=False))
-        return
-    console.print(state_table(state, model=model))
+        draw_map(shown.track, picture, line=known, at=when, part=part)
+    if not state(shown.as_json()):
+        console.print(state_table(shown, model=model))
     if picture is not None:
         wrote(picture)
 
@@ -126,7 +121,6 @@ def map_diff(
         float, typer.Option(help="Difference of adhesion whose probability is stated.")
     ] = 0.01,
     picture: Annotated[Path | None, typer.Option(help="Draw the difference here as well.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Show what changed between two dates of a map, or between two maps, with significance.
 
@@ -159,12 +153,10 @@ def map_diff(
     )
     if picture is not None:
         draw_difference(found, picture, line=known)
-    if as_json:
-        typer.echo(json.dumps(found.as_json(), ensure_ascii=False, allow_nan=False))
-    else:
+    if not state(found.as_json()):
         console.print(difference_table(found))
-        if picture is not None:
-            wrote(picture)
+    if picture is not None:
+        wrote(picture)
     if found.changed:
         raise typer.Exit(1)
 
@@ -187,7 +179,6 @@ def map_history(
         Path | None,
         typer.Option(help="Draw it here; of several layers, their names are added to the file's."),
     ] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day.
 
@@ -215,12 +206,9 @@ def map_history(
             several = picture.with_stem(f"{picture.stem}-{each.layer}")
             written.append(several if len(found) > 1 else picture)
             draw_history(each, written[-1])
-    if as_json:
-        content = [each.as_json() for each in found]
-        typer.echo(json.dumps(content, ensure_ascii=False, allow_nan=False))
-        return
-    for each in found:
-        console.print(history_table(each))
+    if not state({"layers": [each.as_json() for each in found]}):
+        for each in found:
+            console.print(history_table(each))
     wrote(*written)
 
 

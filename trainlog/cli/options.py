@@ -63,8 +63,6 @@ ZoneOption = Annotated[
     str | None,
     typer.Option("--zone", help="Zone of a time that states none: Europe/Zurich. Default: UTC."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="State it as JSON.")]
-
 
 TopicOption = Annotated[
     list[str] | None, typer.Option("--topic", help="Only this topic; may be given several times.")

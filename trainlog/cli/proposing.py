@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from trainlog.cli.progress_bar import paused
 from trainlog.cli.terminal import console, wrote
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from trainlog.ingest import Proposal
     from trainlog.railway.train import Train
 
@@ -29,10 +28,10 @@ class Proposals:
         Whose mass the efforts must accelerate.
     format : str, optional
         Name of the format that the user gives.
-    progress : Progress, optional
-        That stops while the user is asked; None: nothing is shown, nobody is asked.
     accept : bool
         Whether they are used without asking.
+    quiet : bool
+        Nothing is shown, nobody is asked.
     """
 
     def __init__(
@@ -40,11 +39,12 @@ class Proposals:
         output: Path,
         train: Train | None,
         format: str | None,
-        progress: Progress | None,
+        *,
         accept: bool,
+        quiet: bool,
     ) -> None:
         self._output, self._train, self._format = output, train, format
-        self._progress, self._accept = progress, accept
+        self._accept, self._quiet = accept, quiet
         self._made: list[tuple[Proposal, Path, bool]] = []
 
     @property
@@ -84,7 +84,7 @@ class Proposals:
             path = self._output / f"{stem}-{number}.profile.toml"
             number += 1
         write_bytes(path, data)
-        if self._progress is not None:
+        if not self._quiet:
             console.print(f"{proposal.path}: no profile fits, this one is proposed:")
             for line in proposal.lines():
                 console.print(f"  {line}", highlight=False, soft_wrap=True)
@@ -93,12 +93,10 @@ class Proposals:
 
     def _asked(self, proposal: Proposal, path: Path) -> bool:
         """Whether the user, at a terminal, agrees."""
-        if self._progress is None or not _at_terminal():
+        if self._quiet or not _at_terminal():
             return False
-        self._progress.stop()
-        agreed = typer.confirm(f"Ingest {proposal.path.name} with {path}?", default=False)
-        self._progress.start()
-        return agreed
+        with paused():
+            return typer.confirm(f"Ingest {proposal.path.name} with {path}?", default=False)
 
     def _used(self, file: Path, path: Path, agreed: bool) -> Path:
         if agreed:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -30,15 +28,16 @@ from trainlog.cli.proposing import Proposals
 from trainlog.cli.terminal import (
     about,
     console,
-    interruption,
+    current,
     print_account,
     print_error,
-    progress_bar,
+    state,
     working,
     wrote,
 )
 from trainlog.errors import InfeasibleError, InputError, LogError
 from trainlog.formats.files import output_folder
+from trainlog.progress import task, track
 
 if TYPE_CHECKING:
     from trainlog.ingest import Ingested
@@ -206,8 +205,8 @@ def simulate(
         if traction == "cooperative" and the_map is None:
             console.print("no --map: the cooperative control knows the rail only by its own slips")
     followed, stuck = [], 0
-    with output_folder(output), progress_bar() as progress:
-        for scenario in progress.track(scenarios, description="driving"):
+    with output_folder(output):
+        for scenario in track(scenarios, "driving", "trip"):
             try:
                 run = drive(scenario)
             except InfeasibleError as error:
@@ -219,17 +218,14 @@ def simulate(
                 continue
             trip = recorded(scenario, run)
             write_log(trip, output / f"{trip.name}.mcap")
-            progress.console.print(
-                about(trip.metadata, trip.duration), highlight=False, markup=False
-            )
+            console.print(about(trip.metadata, trip.duration), highlight=False, markup=False)
             if run.traction is not None:
-                progress.console.print(
-                    f"    traction control {traction_line(run.traction)}", highlight=False
-                )
+                words = f"    traction control {traction_line(run.traction)}"
+                console.print(words, highlight=False)
                 draw_traction(trip, output / f"{trip.name}.traction.png", the_map)
                 wrote(output / f"{trip.name}.traction.png")
             if trajectory is not None:
-                progress.console.print(f"    {following_line(trip)}", highlight=False)
+                console.print(f"    {following_line(trip)}", highlight=False)
                 followed.append(trip)
     if over_days is not None:
         write_weather(over_days.table, output / "weather.csv")
@@ -293,9 +289,6 @@ def ingest(
             "--accept", "--yes", help="Use the profile that is proposed, where none fits."
         ),
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what became of each recording as JSON.")
-    ] = False,
 ) -> None:
     """Turn recorded logs into trips; what was repaired is counted and kept in the log.
 
@@ -320,18 +313,13 @@ def ingest(
     alone = len(recordings) == 1 and not recordings[0].is_dir()
     found: list[Outcome] = []
     the_train = None if train is None else read_train(train)
-    with progress_bar() as progress, interruption() as check_interruption:
-        proposals = Proposals(output, the_train, format, None if as_json else progress, accept)
-        task = progress.add_task("ingesting", total=None)
-
-        began = monotonic()
+    as_json = current().as_json
+    proposals = Proposals(output, the_train, format, accept=accept, quiet=as_json)
+    with task("ingesting", unit="file") as step:
 
         def note(outcome: Outcome, done: int, total: int) -> None:
             found.append(outcome)
-            check_interruption()
-            rate = done / max(monotonic() - began, 1e-3)
-            words = f"ingesting, {rate:.1f} files a second"
-            progress.update(task, completed=done, total=total, description=words)
+            step(done, total)
 
         try:
             result = ingest_all(
@@ -348,24 +336,23 @@ def ingest(
                 finish=with_estimated_passport if line and train else None,
             )
         except KeyboardInterrupt:
-            _print_ingested(Ingested(output, tuple(found)), alone=False, as_json=as_json)
+            _print_ingested(Ingested(output, tuple(found)), alone=False)
             raise
     if alone and not as_json and [each.state for each in found] == ["refused"]:
         if proposals.waiting:
             print_error(found[0].reason)
             raise typer.Exit(1)
         raise InputError(found[0].reason)
-    _print_ingested(result, alone=alone, as_json=as_json)
+    _print_ingested(result, alone=alone)
     if result.failed:
         raise typer.Exit(1)
 
 
-def _print_ingested(result: Ingested, *, alone: bool, as_json: bool) -> None:
+def _print_ingested(result: Ingested, *, alone: bool) -> None:
     """Print what became of the recordings: of a single file with its report, else as a table."""
     from analysis.ingest_table import ingest_table
 
-    if as_json:
-        typer.echo(json.dumps(result.details(), indent=1))
+    if state(result.details()):
         return
     if not alone:
         console.print(ingest_table(result))
@@ -418,11 +405,11 @@ def recover(
             )
         distinct([log.name for log in found], found)
     refused = 0
-    with output_folder(output) if several else nullcontext(), progress_bar() as progress:
-        for log in progress.track(found, description="recovering"):
+    with output_folder(output) if several else nullcontext():
+        for log in track(found, "recovering", "log"):
             target = output / log.name if several else destination(output, ".mcap")
             try:
-                print_account(log, rebuild(log, target), progress.console)
+                print_account(log, rebuild(log, target))
             except LogError as error:
                 # One file that is no log does not keep the others from being rebuilt.
                 if not several:
@@ -430,7 +417,7 @@ def recover(
                 refused += 1
                 print_error(str(error))
                 continue
-            wrote(target, to=progress.console)
+            wrote(target)
     if refused:
         raise typer.Exit(2)
 
@@ -565,10 +552,7 @@ def line_build(
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
     topics = ("/gnss/fix", "/gnss/motion", "/train/state")
-    with progress_bar() as progress:
-        trips = [
-            read_log(log, topics) for log in progress.track(logs_in(logs), description="reading")
-        ]
+    trips = [read_log(log, topics) for log in track(logs_in(logs), "reading", "log")]
     with working("fitting"):
         centre_line = geometry_of(trips)
     write_line(line_of(centre_line, name or output.stem), output)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trainlog.cli.options import Seed
-from trainlog.cli.terminal import progress_bar, wrote
+from trainlog.cli.terminal import console, wrote
 
 if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
@@ -28,9 +28,8 @@ def _reported(output: Path) -> Iterator[StudyReport]:
     """A report of a study; at the end the files that it wrote are listed."""
     from analysis.studies.report import StudyReport
 
-    with progress_bar() as progress:
-        report = StudyReport(output, progress)
-        yield report
+    report = StudyReport(output, console)
+    yield report
     wrote(*report.files)
 
 

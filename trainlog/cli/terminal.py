@@ -1,29 +1,201 @@
-"""What the commands write to: consoles, progress, and the lines that all of them print."""
+"""What the commands print: on which stream, as text or as one JSON object, or not at all.
+
+A command prints its tables and sentences on `console`, lists its files with `wrote` and its errors
+with `print_error`. What becomes of it is decided here: without options it is shown; with
+``--json`` the tables and sentences are gathered and printed as one object when the command ends;
+with ``--quiet`` only errors are shown. Standard output holds results, standard error the rest.
+"""
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, is_dataclass
+from datetime import date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from rich.console import Console
+from rich.console import Console, Group
+from rich.table import Table
 
 from trainlog.errors import MOST_LISTED, TrainlogError
+from trainlog.progress import task, track
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from trainlog.mcap import Account
+
+Item = TypeVar("Item")
 
 WIDTH = 110
 """Columns of output that goes to a file or a pipe, where there is no terminal with a width."""
 
+
+@dataclass
+class Output:
+    """What one command has printed and written so far.
+
+    Attributes
+    ----------
+    command : str
+        Its words, without those of the user: ``"map update"``.
+    as_json, quiet : bool
+        Whether it is printed as JSON, and whether only errors are printed.
+    parent : Output, optional
+        Of the command that runs this one, as the demo does.
+    content : dict
+        What is stated as JSON: tables by name, and what the command gave.
+    notes : list of str
+        Sentences beside the tables.
+    written : list of Path
+        Files, as the command listed them.
+    files : list of Path
+        Files that took their place on the disk while the command ran.
+    finished : callable, optional
+        States what was finished so far, where the count of files does not.
+    place : str
+        How far a command is that runs others: ``"step 2 of 18"``.
+    """
+
+    command: str = ""
+    as_json: bool = False
+    quiet: bool = False
+    parent: Output | None = None
+    content: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    written: list[Path] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+    finished: Callable[[], str] | None = None
+    place: str = ""
+
+    def gather(self, part: object) -> None:
+        """Keep something printed for the JSON object: a table by its name, a sentence as a note."""
+        from analysis.tables import name_of, records
+
+        if isinstance(part, Group):
+            for each in part.renderables:
+                self.gather(each)
+        elif isinstance(part, Table):
+            self.content.setdefault(name_of(part), []).extend(records(part))
+        else:
+            words = " ".join(str(part).split())
+            self.notes += [words] if words else []
+
+    def document(self, status: int) -> dict[str, Any]:
+        """The object that ``--json`` prints: what every command states, and its own content."""
+        common = {"command": self.command, "status": status}
+        files = [str(path) for path in self.written]
+        notes = [*self.content.get("notes", []), *self.notes]
+        return common | self.content | {"notes": notes, "written": files}
+
+
+_output = Output()
+"""Of the command that runs; one that is never printed, where none does."""
+
+
+def current() -> Output:
+    """The output of the command that runs."""
+    return _output
+
+
+class _Console(Console):
+    """Standard output: shows what is printed, keeps it for JSON, or drops it."""
+
+    def print(self, *parts: Any, **options: Any) -> None:
+        """Print, as the command was asked to."""
+        if _output.as_json:
+            for part in parts:
+                _output.gather(part)
+        elif not _output.quiet:
+            super().print(*parts, **options)
+
+    def rule(self, *parts: Any, **options: Any) -> None:
+        """Draw a line, where output is for a person."""
+        if not (_output.as_json or _output.quiet):
+            super().rule(*parts, **options)
+
+
 # No markup: in "[m/s²]" and in the names of trips brackets mean themselves.
-console = Console(width=None if Console().is_terminal else WIDTH, markup=False)
+console = _Console(width=None if Console().is_terminal else WIDTH, markup=False)
 errors = Console(stderr=True, markup=False)
+
+
+@contextmanager
+def output_of(command: str, *, as_json: bool, quiet: bool) -> Iterator[Output]:
+    """The output of a command while it runs; at its end the JSON object is printed.
+
+    Of a command that another one runs the object becomes one of the other's ``steps``. Nothing is
+    printed of one that fails before it has found anything.
+    """
+    global _output
+    from trainlog.formats.files import noting_files
+
+    parent = _output if _output.command else None
+    as_json = as_json or (parent is not None and parent.as_json)
+    quiet = quiet or (parent is not None and parent.quiet)
+    output = Output(command, as_json, quiet, parent)
+    before, _output = _output, output
+    status: int | None = 0
+    try:
+        with noting_files(output.files):
+            yield output
+    except BaseException as error:
+        # An error without a status ends in one line on standard error: there is no result.
+        status = getattr(error, "exit_code", None)
+        if not isinstance(status, int):
+            status = 130 if isinstance(error, KeyboardInterrupt) else None
+        raise
+    finally:
+        _output = before
+        if as_json and (status in (0, 1) or output.content):
+            document = output.document(2 if status is None else status)
+            if parent is None:
+                print(as_json_text(document), flush=True)
+            else:
+                parent.content.setdefault("steps", []).append(document)
+
+
+def state(content: Mapping[str, Any]) -> bool:
+    """Give a command's result as data; whether it is wanted, so that no table is to be printed.
+
+    Numbers are in SI units, which end their keys: ``length_m``, ``speed_m_s``, ``energy_J``.
+    """
+    if _output.as_json:
+        _output.content.update(content)
+    return _output.as_json
+
+
+def as_json_text(document: Any) -> str:
+    """A document as JSON: null for a number that is not finite, paths and days as text."""
+    return json.dumps(plain(document), ensure_ascii=False, allow_nan=False, indent=1)
+
+
+def plain(value: Any) -> Any:
+    """A value in JSON's own types.
+
+    Examples
+    --------
+    >>> plain({"speed_m_s": float("nan"), "log": Path("a.mcap"), "days": (1, 2)})
+    {'speed_m_s': None, 'log': 'a.mcap', 'days': [1, 2]}
+    """
+    if isinstance(value, bool | str | None):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(each) for each in value]
+    if isinstance(value, datetime | date):
+        return value.isoformat()
+    if isinstance(value, Path):
+        return str(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if hasattr(value, "tolist"):  # of numpy
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, int) else str(value)
 
 
 def about(known: Mapping[str, str], duration: float | None) -> str:
@@ -58,8 +230,16 @@ def print_problems(error: TrainlogError) -> None:
         errors.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 
-def print_account(log: Path, account: Account, to: Console) -> None:
+def print_warning(message: str) -> None:
+    """State in one yellow line on standard error what may mislead."""
+    if not _output.quiet:
+        line = " ".join(f"trainlog: warning: {message}".split())
+        errors.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_account(log: Path, account: Account, to: Console | None = None) -> None:
     """List what of a log is readable and what is lost: a line, and one for each loss."""
+    to = to or console
     to.print(
         f"{log}: {account.sentence}",
         style=None if account.whole else "yellow",
@@ -72,55 +252,34 @@ def print_account(log: Path, account: Account, to: Console) -> None:
         to.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 
-def wrote(*paths: Path, to: Console = console) -> None:
+def wrote(*paths: Path, to: Console | None = None) -> None:
     """List the files that were written."""
-    for path in paths:
-        to.print(f"wrote {path}", highlight=False, markup=False, soft_wrap=True)
-
-
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """Show how far a loop is, and leave nothing behind."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns: list[Any] = [
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    ]
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as progress:
-        yield progress
-
-
-@contextmanager
-def interruption() -> Iterator[Callable[[], None]]:
-    """Ctrl-C in long work: what is yielded raises it again where a library's callback lost it."""
-    pressed = False
-
-    def press(number: int, frame: object) -> None:  # noqa: ARG001
-        nonlocal pressed
-        pressed = True
-        raise KeyboardInterrupt
-
-    def check() -> None:
-        if pressed:
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield check
+    _output.written.extend(paths)
+    if _output.as_json:
         return
-    before = signal.signal(signal.SIGINT, press)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
+    for path in paths:
+        (to or console).print(f"wrote {path}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager
 def working(what: str) -> Iterator[None]:
-    """Show that something is being done."""
-    with console.status(f"{what} ..."):
+    """Show that something is being done, and for how long."""
+    with task(what):
         yield
+
+
+class _Loops:
+    """The bars of loops."""
+
+    def __init__(self) -> None:
+        self.console = console
+
+    def track(self, items: Iterable[Item], description: str) -> Iterator[Item]:
+        """The items one by one, with a bar that shows how many are done."""
+        return track(items, description)
+
+
+@contextmanager
+def progress_bar() -> Iterator[_Loops]:
+    """Show how far a loop is; `trainlog.progress.track` does the same and states the unit."""
+    yield _Loops()

@@ -50,6 +50,36 @@ _FILE_SUFFIXES = frozenset(
 """Suffixes of files that trainlog reads or writes: no folder is made that has one of them."""
 
 
+_noted: list[list[Path]] = []
+"""Lists of files that took their place, one for each that asked for it."""
+
+
+@contextmanager
+def noting_files(files: list[Path]) -> Iterator[None]:
+    """Append to `files` each file and folder that takes its place while the block runs.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> files = []
+    >>> with tempfile.TemporaryDirectory() as folder, noting_files(files):
+    ...     write_bytes(Path(folder) / "note.txt", b"whole")
+    >>> [path.name for path in files]
+    ['note.txt']
+    """
+    _noted.append(files)
+    try:
+        yield
+    finally:
+        _noted[:] = [each for each in _noted if each is not files]
+
+
+def _note(path: str | Path) -> None:
+    """State to those who asked that a file took its place."""
+    for files in _noted:
+        files.append(Path(path))
+
+
 @contextmanager
 def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
     """Write a file whole or not at all.
@@ -92,6 +122,7 @@ def atomic_write(path: str | Path, *, sync: bool = True) -> Iterator[Path]:
         if sync:
             _flush_to_disk(temporary)
         temporary.replace(target)
+        _note(path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
         # An error about another file, such as an input, is passed on as it is.
@@ -152,6 +183,7 @@ def atomic_folder(path: str | Path, marker: str) -> Iterator[Path]:
         if target.exists():
             target.rename(older)
         temporary.rename(target)
+        _note(path)
     except OSError as error:
         if error.errno in _REMEDIES and str(error.filename or temporary).startswith(str(temporary)):
             _refuse_writing(path, error)

@@ -1,0 +1,188 @@
+"""What every command has: options of its output, help that reads well, an end by Ctrl-C.
+
+`prepared` goes over the commands of the program; none of them needs to know of it.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_origin
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
+from trainlog.cli.terminal import Output, output_of, print_error
+from trainlog.display import counted
+
+if TYPE_CHECKING:
+    from typer.models import CommandInfo, TyperInfo
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C; typer returns it, too."""
+
+JSON = Annotated[
+    bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
+]
+QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+
+SHOWN_TYPES: dict[str, str] = {
+    "assumed_adhesion": "ADHESION",
+    "at": "TIME",
+    "before": "DAY",
+    "change": "CHANGE",
+    "characteristic": "FILE",
+    "configurations": "NAMES",
+    "cover": "PERCENT",
+    "dwell": "SECONDS",
+    "electrification": "NAME",
+    "end": "TIME",
+    "facts": "KEY=VALUE",
+    "final_speed": "KM/H",
+    "format": "NAME",
+    "formation": "VEHICLES",
+    "hours": "HOURS",
+    "initial_speed": "KM/H",
+    "km": "KM:KM",
+    "late": "SECONDS",
+    "layer": "CONDITION",
+    "least": "ADHESION",
+    "load": "LOAD",
+    "loaded": "PERCENT",
+    "name": "NAME",
+    "rate": "SHARE",
+    "reserve": "PERCENT",
+    "risk": "PROBABILITY",
+    "running_time": "SECONDS",
+    "speed": "KM/H",
+    "start": "TIME",
+    "time_limit": "SECONDS",
+    "topic": "TOPIC",
+    "trips": "TRIP",
+    "zone": "ZONE",
+}
+"""What an option's or an argument's value is, by the name of its parameter, as help shows it."""
+
+
+def prepared(panel: typer.Typer) -> None:
+    """Give all commands of a program their common options, and lay out their help."""
+    documented: list[CommandInfo | TyperInfo] = [*panel.registered_commands]
+    if panel.registered_callback is not None:
+        documented.append(panel.registered_callback)
+    for known in documented:
+        text = inspect.getdoc(known.callback) if known.callback else None
+        if text and not known.help:
+            # Help breaks where the terminal ends, not where the docstring does.
+            known.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
+    for command in panel.registered_commands:
+        command.cls = Command
+        if command.callback is not None:
+            command.callback = _with_output(command.callback)
+    for group in panel.registered_groups:
+        group.cls = Group
+        if group.typer_instance is not None:
+            group.typer_instance.info.cls = Group
+            prepared(group.typer_instance)
+
+
+def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """A command with the options of its output, whose end by Ctrl-C is stated once."""
+    signature = inspect.signature(callback, eval_str=True)
+    own = "as_json" in signature.parameters  # it prints JSON itself
+    given = {} if own else {"as_json": JSON}
+    added = [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation
+        )
+        for name, annotation in {**given, "quiet": QUIET}.items()
+    ]
+
+    @wraps(callback)
+    def command(
+        *parts: Any, context: typer.Context, quiet: bool, as_json: bool = False, **rest: Any
+    ) -> Any:
+        words = context.command_path.partition(" ")[2]
+        if own:
+            rest["as_json"], as_json = as_json, False
+        with output_of(words, as_json=as_json, quiet=quiet) as output, progress_shown() as display:
+            try:
+                return callback(*parts, **rest)
+            except KeyboardInterrupt:
+                _state_interruption(output, display)
+                raise typer.Exit(INTERRUPTED) from None
+
+    asked = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    parameters = [*signature.parameters.values(), *added, asked]
+    command.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
+    )
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    del command.__wrapped__  # its signature is not what is asked for
+    return command
+
+
+def _state_interruption(output: Output, display: ProgressDisplay) -> None:
+    """State in one line that a command was interrupted, where, and what it had finished."""
+    display.pause()
+    outer = output.parent.place if output.parent is not None else ""
+    if output.finished is not None:
+        finished = output.finished()
+    else:
+        kept = [path for path in dict.fromkeys(output.files) if path.exists()]
+        finished = f"{counted(len(kept), 'file')} written" if kept else "nothing was written"
+    said = "; ".join(filter(None, (display.outermost, finished)))
+    print_error(f"interrupted{outer and f' at {outer}'}: {said}")
+
+
+class _Described:
+    """What help says of the values that options and arguments take."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters, with types in words of the field; what is on or off has none."""
+        found: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for each in found:
+            shown = shown_type(each)
+            if shown is not None:
+                each.display_type_rich = lambda _, shown=shown: shown
+                each._get_number_range_help_str = lambda: None
+            if each.param_type_name == "argument" and each.metavar is None:
+                each.metavar = each.name.upper()
+        return found
+
+
+class Command(_Described, TyperCommand):
+    """A command whose help speaks of files, kilometres and seconds."""
+
+
+class Group(_Described, TyperGroup):
+    """Commands under one word; the word alone shows their help."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Show the help where nothing else is asked for."""
+        if not args and not ctx.resilient_parsing:
+            print(ctx.get_help(), end="")
+            ctx.exit()
+        return super().parse_args(ctx, args)
+
+
+def shown_type(parameter: Any) -> str | None:
+    """What the value of a parameter is, as help shows it; None as typer shows it."""
+    if getattr(parameter, "is_flag", False):
+        return ""
+    if parameter.param_type_name == "argument":
+        return ""  # its name stands there
+    annotation: Any = getattr(parameter.type_descriptor, "annotation", None)
+    if get_origin(annotation) is list:
+        annotation = annotation.__args__[0]
+    if parameter.metavar is not None:
+        return str(parameter.metavar)
+    if annotation is Path:
+        return "FOLDER" if (parameter.help or "").startswith("Folder") else "FILE"
+    if annotation is int:
+        return "N"
+    if annotation in (float, str):
+        return SHOWN_TYPES.get(parameter.name, "NUMBER" if annotation is float else "TEXT")
+    return None
