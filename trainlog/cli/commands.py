@@ -146,7 +146,7 @@ class _Described:
         for each in found:
             shown = shown_type(each)
             if shown is not None:
-                each.display_type_rich = lambda _, shown=shown: shown
+                each.display_type_rich = lambda shown=shown, **_: shown
                 each._get_number_range_help_str = lambda: None
             if each.param_type_name == "argument" and each.metavar is None:
                 each.metavar = each.name.upper()
