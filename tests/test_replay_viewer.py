@@ -17,7 +17,8 @@ from trainlog.errors import InputError
 from trainlog.mcap import write_log
 from trainlog.replay import viewer, write_replay
 from trainlog.replay.layout import DRAWN, scalars, write_layout
-from trainlog.replay.viewer import has_display, open_viewer, take_picture
+from trainlog.replay.picture import take_picture
+from trainlog.replay.viewer import has_display, open_viewer
 from trainlog.topics import TOPICS
 from trainlog.trip import Trip, frame_of
 

@@ -120,6 +120,7 @@ if TYPE_CHECKING:
     from trainlog.railway.weather import Weather as Weather
     from trainlog.replay import (
         open_viewer as open_viewer,
+        run_viewer as run_viewer,
         scalars as scalars,
         take_picture as take_picture,
         write_layout as write_layout,
@@ -172,7 +173,7 @@ _NAMES = {
     "trainlog.simulation.scenario": "Scenario draw_days draw_scenarios trajectory_scenarios",
     "trainlog.simulation.recording": "simulate",
     "trainlog.simulation.consist": "ConsistPlant",
-    "trainlog.replay": "open_viewer scalars take_picture write_layout write_replay",
+    "trainlog.replay": "open_viewer run_viewer scalars take_picture write_layout write_replay",
     "trainlog.errors": (
         "InfeasibleError InputError LogError MissingExtraError NotIdentifiableError TrainlogError"
     ),

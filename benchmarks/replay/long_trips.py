@@ -1,4 +1,4 @@
-"""Trips of an hour for the benchmarks of the replay: 12 axles at 100 Hz, ten million scalars each."""
+"""Trips of an hour for the replay's benchmarks: 12 axles at 100 Hz, ten million scalars each."""
 
 from __future__ import annotations
 

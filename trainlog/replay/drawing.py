@@ -49,7 +49,7 @@ from trainlog.trip import Trip
 from trainlog.units import KMH, NANOSECONDS
 
 TRACK: Colour = (95, 100, 115)
-STATION: Colour = (235, 235, 235)
+STATION: Colour = (160, 160, 160)
 SECOND, OUTAGE = NANOSECONDS, 15_000_000_000
 """A second, and how long fixes are missing until the line along them is interrupted [ns]."""
 

@@ -1,4 +1,4 @@
-"""The Rerun viewer: opened for a person, or asked for a picture without a screen."""
+"""The Rerun viewer: opened for a person in a window or in the browser, on this machine alone."""
 
 from __future__ import annotations
 
@@ -7,35 +7,39 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import urllib.parse
+import urllib.request
+import webbrowser
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import rerun as rr
-from rerun.experimental import ViewerClient
 
 from trainlog.errors import InputError
-from trainlog.formats.files import atomic_write
-from trainlog.units import NANOSECONDS
 
 HOST = "127.0.0.1"
 """Rerun would else listen on every network."""
 
+NOWHERE = f"http://{HOST}:9"
+"""The discard port of this machine, at which nothing listens."""
+
 STARTING = 60.0
 """How long a viewer may take until it shows a recording [s]."""
 
-SETTLING = 6.0
-"""How long it takes to draw everything and to let its greetings fade [s]."""
+ENDING = 10.0
+"""How long a viewer may take until it has ended, after which it is killed [s]."""
 
 
 def open_viewer(path: str | Path) -> str:
     """Open a recording in the Rerun viewer if there is a display, and state what was done.
 
-    The viewer goes on when this process ends, sends no usage data, and listens on this machine
-    alone.
+    The viewer goes on when this process ends, sends no usage data, asks for nothing on the network,
+    and listens on this machine alone.
 
     Returns
     -------
@@ -55,23 +59,84 @@ def open_viewer(path: str | Path) -> str:
     >>> print(trainlog.open_viewer("nonstop.rrd"))  # doctest: +SKIP
     The Rerun viewer opens with /home/me/nonstop.rrd
     """
-    recording = Path(path).resolve()
-    if not recording.is_file():
-        raise InputError("does not exist", file=path, remedy="write it with write_replay")
+    recording = _existing(path)
     if not has_display():
         return (
             f"No display here; the replay is {recording}. Where there is one:"
             f" pip install rerun-sdk=={rr.__version__}, then: rerun {recording.name}"
         )
     subprocess.run(
-        _command("--detach-process", "--port", "auto", str(recording)),
-        env=quiet(os.environ),
+        viewer_command("--detach-process", "--port", "auto", str(recording)),
+        env=offline(os.environ),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         check=False,
     )
     return f"The Rerun viewer opens with {recording}"
+
+
+def run_viewer(
+    path: str | Path, *, web: bool = False, state: Callable[[str], None] = print
+) -> None:
+    """Show a recording in the Rerun viewer until it is closed or Ctrl-C ends it.
+
+    As `open_viewer`, but the viewer ends with the call, with all processes that belong to it.
+
+    Parameters
+    ----------
+    path : path
+    web : bool
+        In the browser instead of a window; it needs a display only to open the page by itself.
+    state : callable
+        Takes a line for the user: where the page is, and how to end.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or no display for a window.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trainlog.run_viewer("nonstop.rrd", web=True)  # doctest: +SKIP
+    http://127.0.0.1:43519/ shows nonstop.rrd; Ctrl-C ends it
+    """
+    recording = _existing(path)
+    if not web:
+        check_display()
+    with interruptible(), suppress(KeyboardInterrupt):
+        if web:
+            with web_viewer(recording) as (address, process):
+                state(f"{address} shows {recording.name}; Ctrl-C ends it")
+                if has_display():
+                    webbrowser.open(address)
+                process.wait()
+        else:
+            with _running("--port", "auto", str(recording)) as process:
+                state(f"the Rerun viewer shows {recording.name}; close it, or press Ctrl-C here")
+                process.wait()
+        if process.returncode:
+            raise InputError(
+                f"the Rerun viewer ended with status {process.returncode}",
+                file=recording,
+                remedy="show it in a browser with --web, or save it with -o replay.rrd",
+            )
+
+
+def check_display() -> None:
+    """Refuse to open a window where there is no display.
+
+    Raises
+    ------
+    InputError
+    """
+    if not has_display():
+        raise InputError(
+            "there is no display here to open a window on",
+            remedy="show it in a browser with --web, take a picture with --picture out.png, or save"
+            " it with -o replay.rrd",
+        )
 
 
 def has_display(environment: Mapping[str, str] | None = None, platform: str = sys.platform) -> bool:
@@ -88,152 +153,180 @@ def has_display(environment: Mapping[str, str] | None = None, platform: str = sy
     return bool(variables.get("DISPLAY") or variables.get("WAYLAND_DISPLAY"))
 
 
-def quiet(environment: Mapping[str, str]) -> dict[str, str]:
-    """The environment for a viewer that sends no usage data, whatever its own settings say.
+def offline(environment: Mapping[str, str]) -> dict[str, str]:
+    """The environment for a viewer that asks for nothing on the network, whatever its settings.
 
-    Rerun sends none from continuous integration, which it knows by this variable.
+    Rerun sends no usage data from continuous integration, which it knows by ``CI``. Whether a newer
+    version is released it asks all the same, through the proxy that is named: here none.
     """
-    return {**environment, "CI": "true"}
+    proxies = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), NOWHERE)
+    direct = {"no_proxy": f"{HOST},localhost"}
+    named = {**proxies, **direct}
+    named |= {name.upper(): value for name, value in named.items()}
+    return {**environment, **named, "CI": "true"}
 
 
-def take_picture(
-    recording: str | Path,
-    image: str | Path,
-    *,
-    size: tuple[int, int] = (1600, 1000),
-    timeline: str | None = None,
-    at: int = 0,
-    layout: str | Path | None = None,
-    settle: float = SETTLING,
-) -> list[str]:
-    """Show a recording in a viewer without a window and save what it shows.
-
-    Parameters
-    ----------
-    recording : path
-        A recording, or a log for Rerun to read itself.
-    image : path
-        PNG, written whole or not at all.
-    size : (int, int)
-        Width and height in pixels.
-    timeline : str, optional
-        To show instead of the layout's own.
-    at : int
-        Where on that timeline: nanoseconds or, on the position timeline, millimetres.
-    layout : path, optional
-        Instead of the recording's own, see `trainlog.replay.layout`.
-    settle : float [s]
-        From when the recording is loaded to when its picture is taken.
-
-    Returns
-    -------
-    list of str
-        Names of the views that are shown.
-
-    Raises
-    ------
-    InputError
-        If there is no such recording, it cannot be shown, or the picture not be written.
-
-    Examples
-    --------
-    >>> import trainlog
-    >>> views = trainlog.take_picture("nonstop.rrd", "nonstop.png")  # doctest: +SKIP
-    """
-    if not Path(recording).is_file():
-        raise InputError("does not exist", file=recording, remedy="write it with write_replay")
-    with _headless(Path(recording).resolve(), size, layout) as viewer:
-        if timeline is not None:
-            _set_time(viewer, timeline, at)
-        time.sleep(settle)
-        with atomic_write(image) as temporary:
-            viewer.save_screenshot(str(temporary.resolve()))
-        return sorted(view.name for view in viewer.get_state().views)
-
-
-@contextmanager
-def _headless(
-    recording: Path, size: tuple[int, int], layout: str | Path | None
-) -> Iterator[ViewerClient]:
-    """A client of a viewer that has loaded the recording; the viewer ends with the block."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        port = probe.getsockname()[1]
-    files, fed = [str(recording)], Path(os.devnull)
-    if layout is not None and recording.suffix == ".mcap":
-        # A layout that is named beside a log is not applied to it; one that is fed in is.
-        files, fed = [str(recording), "-"], Path(layout)
-    elif layout is not None:
-        files.append(str(layout))
-    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        log = Path(folder) / "log"
-        window = f"{size[0]}x{size[1]}"
-        with log.open("wb") as output, fed.open("rb") as source:
-            process = subprocess.Popen(
-                _command(
-                    *("--headless", "--hide-welcome-screen", "--window-size", window),
-                    *("--port", str(port), *files),
-                ),
-                env=quiet({"XDG_RUNTIME_DIR": folder, **os.environ}),
-                stdin=source,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-            try:
-                yield _connected(process, port, recording, log)
-            finally:
-                _end(process)
-
-
-def _connected(process: subprocess.Popen[bytes], port: int, recording: Path, log: Path) -> Any:
-    deadline = time.monotonic() + STARTING
-    while time.monotonic() < deadline and process.poll() is None:
-        try:
-            viewer = ViewerClient(f"rerun+http://{HOST}:{port}/proxy")
-            state = viewer.get_state()
-        except (RuntimeError, ConnectionError, OSError, ValueError):
-            time.sleep(0.25)
-            continue
-        loaded = any(each.timelines for each in state.recordings)
-        if loaded and state.views and not state.loading:
-            return viewer
-        time.sleep(0.25)
-    raise InputError(
-        f"the Rerun viewer does not show it{_last_words(log)}",
-        file=recording,
-        remedy="it needs a Vulkan driver, in software too (Debian: mesa-vulkan-drivers)",
-    )
-
-
-def _set_time(viewer: Any, timeline: str, at: int) -> None:
-    state = viewer.get_state()
-    kinds = {each.name: each.time_type for one in state.recordings for each in one.timelines}
-    if timeline not in kinds:
-        raise InputError(
-            f"the recording has no timeline '{timeline}'", remedy=f"it has: {', '.join(kinds)}"
-        )
-    kind = kinds[timeline]
-    shown = at if kind == "sequence" else at / NANOSECONDS
-    viewer.set_time(timeline, play_state="paused", **{kind: shown})
-
-
-def _command(*arguments: str) -> list[str]:
+def viewer_command(*arguments: str) -> list[str]:
+    """The command that starts the viewer of the installed Rerun, on this machine alone."""
     return [sys.executable, "-m", "rerun_cli", "--bind", HOST, *arguments]
 
 
-def _last_words(log: Path) -> str:
-    """Why the viewer gave up, if it said so."""
-    lines = log.read_text("utf-8", "replace").splitlines()
-    reasons = [line.strip() for line in lines if "graphics adapter" in line or "panicked" in line]
-    return f": {reasons[-1]}" if reasons else ""
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the viewer with the wrapper that started it."""
+def end_viewer(process: subprocess.Popen[bytes]) -> None:
+    """End a viewer with the wrapper that started it."""
     if sys.platform == "win32":
         command = ["taskkill", "/PID", str(process.pid), "/T", "/F"]
         subprocess.run(command, capture_output=True, check=False)
-    elif process.poll() is None:
-        os.killpg(process.pid, signal.SIGTERM)
-    process.wait(10.0)
+        process.wait(ENDING)
+        return
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        # The wrapper may have ended before the viewer: the group is asked, not the process.
+        try:
+            os.killpg(process.pid, number)
+        except (ProcessLookupError, PermissionError):
+            break
+        deadline = time.monotonic() + ENDING
+        while time.monotonic() < deadline and _group_lives(process):
+            time.sleep(0.02)
+    process.wait(ENDING)
+
+
+def _group_lives(process: subprocess.Popen[bytes]) -> bool:
+    process.poll()
+    try:
+        os.killpg(process.pid, 0)
+    except (ProcessLookupError, PermissionError):
+        return False
+    return True
+
+
+def free_port() -> int:
+    """A port of this machine at which nothing listens."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def _existing(path: str | Path) -> Path:
+    recording = Path(path).resolve()
+    if not recording.is_file():
+        raise InputError("does not exist", file=path, remedy="write it with write_replay")
+    return recording
+
+
+@contextmanager
+def _running(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A viewer in a process group of its own, which ends with the block."""
+    process = subprocess.Popen(
+        viewer_command(*arguments),
+        env=offline(os.environ),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        end_viewer(process)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """A request to end this process (SIGTERM, SIGHUP) ends it as Ctrl-C does: nothing is left."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
+        raise KeyboardInterrupt
+
+    # A shell that starts a command in the background has it ignore Ctrl-C; a viewer is ended so.
+    numbers = [
+        signal.SIGINT,
+        signal.SIGTERM,
+        *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []),
+    ]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# ----------------------------------------------------------------------------------- in a browser
+
+PAGE = ("/", "/index.html", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico")
+"""What the viewer's page consists of."""
+
+POLICY = (
+    "default-src 'self' blob: data:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:;"
+    " style-src 'self' 'unsafe-inline'; connect-src 'self' blob: data: {data}"
+)
+"""Content security policy of the page: the browser asks nobody but this machine.
+
+Rerun's page would else fetch fonts, release notes and examples, and send usage data.
+"""
+
+
+@contextmanager
+def web_viewer(recording: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Serve a recording to a browser on this machine; its address, and the process behind it."""
+    web, data = free_port(), free_port()
+    source, stream = f"http://{HOST}:{web}", f"http://{HOST}:{data}"
+    arguments = ("--serve-web", "--web-viewer-port", str(web), "--port", str(data))
+    with _running(*arguments, str(recording)) as process:
+        _wait_for(source, process, recording)
+        server = ThreadingHTTPServer((HOST, 0), _page_handler(source, POLICY.format(data=stream)))
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        query = urllib.parse.urlencode({"url": f"rerun+{stream}/proxy", "persist": "false"})
+        try:
+            yield f"http://{HOST}:{server.server_address[1]}/?{query}", process
+        finally:
+            server.shutdown()
+            server.server_close()
+
+
+def _wait_for(source: str, process: subprocess.Popen[bytes], recording: Path) -> None:
+    deadline = time.monotonic() + STARTING
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            with _direct.open(f"{source}/", timeout=5.0):
+                return
+        except OSError:
+            time.sleep(0.1)
+    raise InputError(
+        "the Rerun viewer does not serve it",
+        file=recording,
+        remedy="save it with -o replay.rrd and try: rerun --serve-web replay.rrd",
+    )
+
+
+_direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+"""Asks this machine without whatever proxy the user has."""
+
+
+def _page_handler(source: str, policy: str) -> type[BaseHTTPRequestHandler]:
+    """Passes on Rerun's page with a policy that keeps the browser on this machine."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            name = urllib.parse.urlsplit(self.path).path
+            if name not in PAGE:
+                self.send_error(404)
+                return
+            with _direct.open(source + name, timeout=STARTING) as answer:
+                content = answer.read()
+                kind = answer.headers.get("Content-Type", "application/octet-stream")
+            self.send_response(200)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Content-Security-Policy", policy)
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, *words: Any) -> None:
+            """Nothing: what the page fetches is of no interest to the user."""
+
+    return Handler
