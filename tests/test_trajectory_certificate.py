@@ -18,6 +18,7 @@ from analysis.trajectory.active_set import initial_guess, search
 from analysis.trajectory.discretisation import discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.hamiltonian import continuous_bound
+from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.table import trajectory_table
 from trainlog.errors import InputError
@@ -141,6 +142,23 @@ def test_the_excess_of_the_cells_adds_up_to_the_total() -> None:
 def test_a_level_run_is_bounded_to_a_ten_thousandth() -> None:
     found = optimised(level_line(12_000.0, (0.0, 100.0)), FLIRT, observed(FLIRT, 1.0), reserve=0.1)
     assert 0.0 <= found.certificate["total_gap"] <= 1e-4
+
+
+def test_long_ways_at_walking_pace_are_bounded() -> None:
+    """Kilometres at 5 km/h, where the train is at its fastest all the time, are no stopping."""
+    line = level_line(5_000.0, (0.0, 60.0), (2_000.0, 5.0))
+    found = optimised(line, FLIRT, observed(FLIRT, 1.0), reserve=0.07, cells=200)
+    assert 0.0 <= found.certificate["total_gap"] <= 5e-4
+
+
+def test_a_run_in_its_least_time_has_cells_until_it_is_certified() -> None:
+    """A second is worth a hundred times what it usually is, and so is a change of control."""
+    run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.0)
+    found = optimise(run, OptimiserOptions(60))
+    assert found.certificate["total_gap"] <= 2e-3
+    assert found.positions.size > 61
+    kept = optimise(run, OptimiserOptions(60, tolerance=np.inf))
+    assert kept.certificate["total_gap"] > 2e-3
 
 
 def test_a_negative_tolerance_is_refused() -> None:

@@ -40,6 +40,13 @@ def test_random_problems_are_answered_and_the_answers_hold(number: int) -> None:
     assert found.certificate["least_time"][0] == pytest.approx(exact, rel=2e-4)
 
 
+def test_one_that_all_but_stands_at_the_end_is_bounded() -> None:
+    """It might pass the end at 13 km/h as the others do: its costate is not that of a stop."""
+    problem = random_problem(9)
+    few = replace(problem, configurations=problem.configurations[:4])
+    assert optimise(few, OptimiserOptions(200)).certificate["total_gap"] <= 1e-3
+
+
 def test_the_judge_sees_what_is_wrong() -> None:
     """Less traction: late or short; a little more: too fast; another energy: named."""
     problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1)

@@ -57,6 +57,9 @@ _LEVEL = 1e-5
 _CUT = 0.98
 """Part of a cell up to which the costate leaves its level in it."""
 
+_STANDING = 0.1
+"""Speed below which a plan that could go faster all but stands [m/s]."""
+
 _LEAST_SPEED = 1e-6
 
 
@@ -481,6 +484,7 @@ def _costate(hamiltonian: _Hamiltonian, multipliers: Multipliers) -> _Costate:
     held = limited[:, :-1] & limited[:, 1:]
     partial, alone = _partial(hamiltonian, mean)
     flat = alone | (held & (shape.mean(axis=2) < 0.0))
+    flat |= _standing(hamiltonian)
     base = np.where(flat[:, :, None], 0.0, shape)
     base, even = _together(base, mean, problem.gain, (partial & ~alone, alone, held))
     flat |= even
@@ -567,6 +571,17 @@ def _together(
     return base - part[:, :, None] * excess, np.asarray(able)
 
 
+def _standing(hamiltonian: _Hamiltonian) -> NDArray[np.bool_]:
+    """Cells at whose end a plan all but stands, though not as the fastest run does, (q, n).
+
+    The adjoint equation grows beyond all bounds there; the mean over the cell is as good as any.
+    """
+    problem, plan = hamiltonian.problem, hamiltonian.plan
+    own = 0.5 * hamiltonian.fastest.at(problem.positions) ** 2
+    found = (plan.z < 0.5 * _STANDING**2) & (plan.z < (1.0 - _AT_FASTEST) * own)
+    return np.asarray(found[:, 1:] | found[:, :-1])
+
+
 def _creep(
     problem: DiscreteProblem, fastest: Envelope, plan: Plan, first: FloatArray, last: FloatArray
 ) -> NDArray[np.bool_]:
@@ -577,6 +592,7 @@ def _creep(
     """
     own = 0.5 * fastest.at(problem.positions) ** 2
     free = (plan.z > 0.5 * _CREEPING**2) | (plan.z < (1.0 - _AT_FASTEST) * own)
+    free |= own >= problem.ceiling * (1.0 - _AT_LIMIT)
     found = np.zeros(problem.shape, dtype=np.bool_)
     n = problem.shape[1]
     for row in np.flatnonzero(free[:, 1:-1].any(axis=1)).tolist():

@@ -19,6 +19,7 @@ from analysis.trajectory.active_set import (
 from analysis.trajectory.attempts import searched, together
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.certificate import (
+    GAP_TOLERANCE,
     LowerBounds,
     best_bounds,
     certificate_of,
@@ -61,6 +62,9 @@ REFINEMENTS = 3
 
 RENEWALS = 2
 """How often cells are laid anew about the plan found."""
+
+FINER_RENEWALS, MOST_FINER = 4, 4
+"""How often more while the total gap is too large to certify, and times the cells at most."""
 
 
 def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
@@ -258,10 +262,14 @@ def _renewed(
     cells = found.problem.shape[1]
     bounds = best_bounds(found.answer, fastest, running_time)
     last = found, bounds
-    for _ in range(RENEWALS):
+    for number in range(RENEWALS + FINER_RENEWALS):
+        tolerance = options.tolerance
+        if number >= RENEWALS:
+            tolerance = max(tolerance, GAP_TOLERANCE)
+            cells = min(2 * cells, MOST_FINER * options.cells, MOST_CELLS)
         total = bounds.total_gap(found.energy)
-        enough = total <= options.tolerance or time_left() <= 0.0
-        if enough or not bounds.by_cells(found.energy, options.tolerance):
+        enough = total <= tolerance or time_left() <= 0.0
+        if enough or not bounds.by_cells(found.energy, tolerance):
             break
         excess = last[1].excess
         again = _searched_again(last[0], excess, cells, fastest, running_time)
