@@ -18,6 +18,7 @@ from trainlog import __version__
 from trainlog.cli import (
     convert,
     learn,
+    live,
     look,
     map,
     map_forecast,
@@ -64,6 +65,7 @@ def _main(
 
 for _panel in (
     record,
+    live,
     convert,
     show,
     look,

@@ -137,6 +137,14 @@ class Epochs:
             if np.isfinite(value):
                 self.values[-1].setdefault(name, value)
 
+    def split(self, count: int) -> tuple[Epochs, Epochs]:
+        """The first epochs, and those behind them."""
+        parts = Epochs(), Epochs()
+        for part, kept in zip(parts, (slice(count), slice(count, None)), strict=True):
+            for name in ("rows", "of_day", "prefixes", "dates", "values"):
+                setattr(part, name, getattr(self, name)[kept])
+        return parts
+
     def _begin(self, row: int, prefix: str, of_day: datetime.time) -> None:
         self.rows.append(row)
         self.prefixes.append(prefix)

@@ -395,7 +395,7 @@ def _finished(
 ) -> Trip:
     """The trip of a recording, with what is known of its files."""
     with _naming(source.path):
-        profile = source.profile or source.chosen.profile or _default_profile()
+        profile = source.profile or source.chosen.profile or default_profile()
         trip, report, raw = _trip(recording, profile, line, train, direction)
         if line is not None:
             _check_on_line(trip, line)
@@ -462,7 +462,8 @@ def _profile(profile: str | Path | Profile | None) -> tuple[Profile | None, dict
     return parse_profile(data, file=profile), {PROFILE_ATTACHMENT: data}
 
 
-def _default_profile() -> Profile:
+def default_profile() -> Profile:
+    """The profile of a recorder of which nothing is stated."""
     return Profile(format="trainlog/recorder-profile", version=1, name="none")
 
 
@@ -476,7 +477,7 @@ def _trip(
     """The trip, without what is known of its files, the report, and the raw values."""
     refuse_switched_off(recording.findings, profile.repair)
     findings = list(recording.findings)
-    limits = _limits(profile.limits, line, train)
+    limits = bounded_limits(profile.limits, line, train)
     tables: list[Table] = []
     least = 2 if len(recording.tables) == 1 else 0
     repairs = Repairs()
@@ -499,7 +500,7 @@ def _trip(
             trip = Trip(_topics(recording, profile, tables), {})
     if estimate.frame is not None:
         trip = trip.with_topic(estimate.frame)
-    trip.metadata.update(_metadata(recording, profile, line, train, heading))
+    trip.metadata.update(metadata_of(recording, profile, line, train, heading))
     trip.metadata.update(estimate.metadata)
     trip.metadata["start"] = trip.start.isoformat()
     if line is not None:
@@ -577,7 +578,7 @@ def _joined(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(joined.values())
 
 
-def _limits(limits: Limits, line: Line | None, train: Train | None) -> Limits:
+def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Limits:
     """The profile's limits; speeds bounded by what line and train allow where it gives none."""
     allowed = [float(line.speed_limit(line.breakpoints).max())] if line is not None else []
     allowed += [train.max_speed] if train is not None else []
@@ -603,7 +604,7 @@ def _from_start(table: Table, options: TripOptions) -> Table:
     )
 
 
-def _metadata(
+def metadata_of(
     recording: Recording, profile: Profile, line: Line | None, train: Train | None, heading: str
 ) -> dict[str, str]:
     """What is known of the trip but for its files and its report."""

@@ -257,10 +257,14 @@ def _ubx(lines: _Lines, mine: BoolArray, messages: Messages) -> tuple[Table | No
     if not place.size:
         none = np.zeros(0, dtype=np.int64)
         return None, (none, none)
-    time = _pvt_time(pvt)
-    known = (time != NO_TIME) & (lines.time[place] != NO_TIME)
-    anchors = lines.time[place][known], time[known]
-    return Table(time, lines.rows[place], _pvt_signals(pvt)), anchors
+    table = fixes_of_pvt(pvt, lines.rows[place])
+    known = (table.time != NO_TIME) & (lines.time[place] != NO_TIME)
+    return table, (lines.time[place][known], table.time[known])
+
+
+def fixes_of_pvt(pvt: Any, rows: IntArray) -> Table:
+    """The table of whole UBX-NAV-PVT messages, records of `NAV_PVT`, from these rows."""
+    return Table(_pvt_time(pvt), rows, _pvt_signals(pvt))
 
 
 def _nav_pvt(lines: _Lines, mine: BoolArray) -> tuple[IntArray, Any]:

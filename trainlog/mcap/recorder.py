@@ -15,7 +15,7 @@ import struct
 import threading
 import time as clock
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
@@ -34,7 +34,7 @@ from trainlog.mcap.codec import HIGHEST_LEVEL, channel_of, codec_for, event_reco
 from trainlog.mcap.records import RECORDING_RECORD, in_file
 from trainlog.mcap.writer import RecordingFile, metadata_records
 from trainlog.topics import EVENTS, RECORDED, Topic
-from trainlog.trip import Trip
+from trainlog.trip import Trip, frame_of
 from trainlog.version import __version__
 
 QUEUE = 2**26
@@ -143,6 +143,7 @@ class Recording:
         sync: bool,
     ) -> None:
         self._path, self._flush, self._limit, self._sync = path, flush, queue, sync
+        self._metadata, self._attachments = metadata, attachments
         self._lock = threading.Lock()
         self._due = threading.Event()
         self._closing = False
@@ -153,6 +154,8 @@ class Recording:
         self._forms: dict[tuple[str, ...], _Form] = {}
         self._events: list[tuple[int, int, str, str]] = []
         self._written: dict[str, int] = {}
+        self._notes: dict[str, str] = {}
+        self._observers: list[Callable[[Trip], object]] = []
         events = self._table(EVENTS.name, {})
         step = {"step": "record", "software": f"trainlog {__version__}"}
         with in_file(path):
@@ -238,6 +241,31 @@ class Recording:
                 return
             self._events.append(event)
             self._waiting += 64 + 4 * (len(message) + len(name))
+
+    def note(self, key: str, text: str) -> None:
+        """State something in the step ``"record"`` of the provenance, which ends the file.
+
+        Raises
+        ------
+        LogError
+            If the recording is closed.
+        """
+        with self._lock:
+            if self._closing:
+                self._refuse()
+            self._notes[key] = text
+
+    def observe(self, observer: Callable[[Trip], object]) -> None:
+        """Have a function called with what has been written, after each flush.
+
+        Parameters
+        ----------
+        observer : callable
+            Given a trip with the samples of this flush alone, in the order of time. It is called by
+            the recorder's thread and must return at once; one that raises is not called again, with
+            a warning.
+        """
+        self._observers.append(observer)
 
     def account(self) -> RecordingAccount:
         """What became of the samples so far."""
@@ -382,8 +410,11 @@ class Recording:
                 closing = self._closing
                 rows, events = self._taken()
             try:
-                for counts in self._file.put(self._streams(rows, events)):
+                streams = self._streams(rows, events)
+                for counts in self._file.put(streams):
                     self._count(counts)
+                if self._observers and streams:
+                    self._show(streams, events)
             except MemoryError:
                 self._fail(OSError(errno.ENOMEM, "out of memory"))
             except OSError as error:
@@ -430,6 +461,30 @@ class Recording:
             )
         return sorted(streams, key=lambda stream: stream.channel.id)
 
+    def _show(self, streams: list[Stream], events: list[tuple[int, int, str, str]]) -> None:
+        """Give the observers what was written."""
+        topics: dict[str, pd.DataFrame] = {}
+        for stream in streams:
+            name = stream.channel.topic
+            messages = stream.messages
+            columns: dict[str, Any]
+            if isinstance(messages, Samples):
+                columns = dict(zip(messages.codec.names, messages.table, strict=True))
+            else:
+                ordered = sorted(events, key=lambda each: each[0])
+                columns = {
+                    field: [event[place] for event in ordered]
+                    for place, field in enumerate(("level", "message", "name"), start=1)
+                }
+            topics[name] = frame_of(self._tables[name].topic, stream.time, columns)
+        piece = Trip(topics, self._metadata, (), self._attachments)
+        for observer in tuple(self._observers):
+            try:
+                observer(piece)
+            except Exception as error:  # noqa: BLE001 - whatever a user's function raises
+                self._observers.remove(observer)
+                warnings.warn(f"{observer!r} failed and is not called again: {error}", stacklevel=1)
+
     def _count(self, counts: dict[str, int]) -> None:
         with self._lock:
             for name, count in counts.items():
@@ -444,7 +499,8 @@ class Recording:
     def _end(self) -> None:
         """Close the file; its closing metadata say what is missing."""
         account = self.account()
-        closed = {"closed": "whole" if self._failure is None else self._failure.problem}
+        closed = dict(self._notes)
+        closed |= {"closed": "whole" if self._failure is None else self._failure.problem}
         closed |= {f"dropped.{name}": str(count) for name, count in account.dropped.items()}
         closed |= {f"lost.{name}": str(count) for name, count in account.waiting.items()}
         try:

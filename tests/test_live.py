@@ -1,0 +1,463 @@
+"""Recording while the train runs: what a sender gives is in the log as ingesting its file gives it,
+what it damages is counted and kept, and what ends the program costs a second at most."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import nullcontext
+from functools import reduce
+from operator import xor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trainlog
+from trainlog.cli.main import run
+from trainlog.errors import InputError
+from trainlog.ingest import ingest
+from trainlog.ingest.live import MOST_KEPT, LiveIngest, LiveOptions
+from trainlog.ingest.pipeline import Given
+from trainlog.ingest.sequence import Numbering
+from trainlog.ingest.sources import Datagrams, GrowingFile
+from trainlog.ingest.stream import Framer, time_of
+from trainlog.trip import Trip
+
+SAMPLES = Path("sample_logs")
+PROFILE = SAMPLES / "recorder.profile.toml"
+UBLOX = Path("trainlog/ingest/profiles/ublox.toml")
+SENDER = Path(__file__).with_name("live_sender.py")
+STATE = "/train/state"
+EPOCH = 1_714_543_200
+
+
+def recorded(path: Path, data: list[bytes], profile: Path | None = None) -> tuple[Trip, LiveIngest]:
+    """The log of datagrams, in batches as they come at a high rate."""
+    recording, live = LiveIngest.begun(path, Given(profile), LiveOptions())
+    with recording:
+        for first in range(0, len(data), 100):
+            for each in data[first : first + 100]:
+                live.take(each, whole=True)
+            live.flush()
+        live.close()
+    return trainlog.read(path), live
+
+
+def received(
+    path: Path, file: Path, *words: str, profile: Path | None = PROFILE
+) -> tuple[Trip, LiveIngest, Datagrams]:
+    """The log of what another program sends of a file."""
+    with Datagrams("0") as source:
+        recording, live = LiveIngest.begun(path, Given(profile), LiveOptions(source.name))
+        command = [sys.executable, str(SENDER), str(file), str(source.port), *words]
+        with recording, subprocess.Popen(command) as sender:
+            live.follow(source, idle=1.0)
+            live.close()
+            assert sender.wait(10.0) == 0
+    return trainlog.read(path), live, source
+
+
+def assert_as_ingested(found: Trip, expected: Trip, topics: list[str]) -> None:
+    for topic in topics:
+        left, right = found[topic], expected[topic]
+        assert left.index.equals(right.index), topic
+        pd.testing.assert_frame_equal(left, right, check_exact=True, check_flags=False)
+
+
+def sample(second: float, **values: Any) -> bytes:
+    """A JSON object of the train's state."""
+    return json.dumps({"topic": STATE, "time": EPOCH + second, **values}).encode()
+
+
+# --------------------------------------------------------------------- as ingesting the same file
+
+
+def test_datagrams_of_a_recorder_give_what_its_file_gives(tmp_path: Path) -> None:
+    rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
+    file = tmp_path / "part.csv"
+    file.write_bytes(b"".join(rows[:4000]))
+    found, live, source = received(
+        tmp_path / "live.mcap", file, "--malformed", "500", "--pause", "1500"
+    )
+    expected = ingest(file, profile=PROFILE)
+    assert source.lost == 0
+    assert_as_ingested(found, expected, [STATE, "/train/controls", "/train/axles"])
+    assert sum(live.malformed.values()) == 7
+    assert live.lines == 4000 + 7
+    stated = expected.metadata
+    assert live.met["duplicates", ""] == int(stated["repair.duplicates"])
+    assert live.met["empty", STATE + ".speed"] == int(stated["repair.empty./train/state.speed"])
+    words = found["/events"]["message"]
+    assert words.str.contains(r"malformed line \d+: 2 cells, the header has 16: 12;34").sum() == 1
+    assert words.str.contains("ff fe 00 67 61 72").sum() == 2
+    step = found.provenance[-1]
+    assert (step["lines"], step["malformed"], step["closed"]) == ("4007", "7", "whole")
+
+
+def test_whole_seconds_of_a_receiver_are_spread_as_in_its_file(tmp_path: Path) -> None:
+    file = SAMPLES / "gnss.csv"
+    found, live = recorded(tmp_path / "live.mcap", file.read_bytes().splitlines(), UBLOX)
+    expected = ingest(file)
+    for topic in ("/gnss/fix", "/gnss/motion"):
+        left, right = found[topic], expected[topic]
+        # The last second is not known to be cut short; one row lost from a second moves the others.
+        off = np.abs((left.index - right.index) / pd.Timedelta(seconds=1))
+        assert len(left) == len(right)
+        assert np.mean(off == 0.0) > 0.998
+        assert off.max() <= 0.2
+    assert found["/gnss/fix"].latitude.to_numpy() == pytest.approx(expected["/gnss/fix"].latitude)
+    # Rules that need what comes later are left to ingesting the raw stream.
+    assert expected.metadata["repair.spikes./gnss/motion.speed"] == "3"
+    assert not any(rule == "spikes" for rule, _ in live.met)
+    assert live.longest_gap == pytest.approx(44.2, abs=0.3)
+
+
+def test_a_stream_on_standard_input_is_kept_as_it_came(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "part.csv"
+    file.write_bytes(b"".join((SAMPLES / "recorder.csv").read_bytes().splitlines(True)[:600]))
+    log, raw = tmp_path / "a.mcap", tmp_path / "raw.csv"
+    words = ["record", "--from", "stdin", "-o", log, "--profile", PROFILE, "--raw", raw, "--json"]
+    with file.open("rb") as stream:
+        done = subprocess.run(
+            [sys.executable, "-m", "trainlog", *map(str, words)],
+            stdin=stream, capture_output=True, text=True, timeout=120, check=True,
+        )  # fmt: skip
+    stated = json.loads(done.stdout)
+    assert stated["messages"][STATE] == 599
+    assert stated["malformed"] == {}
+    assert raw.read_bytes() == file.read_bytes()
+    assert_as_ingested(trainlog.read(log), ingest(raw, profile=PROFILE), [STATE, "/train/axles"])
+    with pytest.raises(InputError, match=r"a.mcap: exists already; choose another name"):
+        run([*map(str, words[:4]), str(log)])
+
+
+# ----------------------------------------------------------------------- NMEA, UBX and JSON, mixed
+
+
+def nmea(words: str) -> bytes:
+    return f"${words}*{reduce(xor, words.encode()):02X}".encode()
+
+
+def rmc(second: int, knots: float, *, day: str, minutes: int) -> bytes:
+    clock = f"{second // 3600 % 24:02d}{second // 60 % 60:02d}{second % 60:02d}.00"
+    return nmea(f"GPRMC,{clock},A,4728.{minutes:02d}0,N,00922.000,E,{knots:.2f},0.0,{day},,,A")
+
+
+def pvt(second: int, speed: int) -> bytes:
+    """A UBX-NAV-PVT of 2024-05-01 [mm/s]."""
+    payload = bytearray(92)
+    struct.pack_into("<IHBBBBBB", payload, 0, 0, 2024, 5, 1, 6, second // 60, second % 60, 0x07)
+    payload[20], payload[21], payload[23] = 3, 1, 12
+    struct.pack_into("<iiiiII", payload, 24, 93_664_972, 474_161_754, 0, 700_000, 1900, 2800)
+    struct.pack_into("<i", payload, 60, speed)
+    body = b"\x01\x07" + struct.pack("<H", 92) + bytes(payload)
+    first = second_sum = 0
+    for octet in body:
+        first = (first + octet) % 256
+        second_sum = (second_sum + first) % 256
+    return b"\xb5\x62" + body + bytes((first, second_sum))
+
+
+def test_sentences_are_epochs_as_in_a_file(tmp_path: Path) -> None:
+    """Across midnight, with a damaged one between and GGA without a date."""
+    pytest.importorskip("pynmeagps")
+    start = 24 * 3600 - 30
+    lines = []
+    for number in range(60):
+        second = start + number
+        day = "010524" if second < 24 * 3600 else "020524"
+        clock = f"{second // 3600 % 24:02d}{second // 60 % 60:02d}{second % 60:02d}.00"
+        if number % 3 == 0:
+            lines.append(rmc(second, 36.0 + 0.1 * number, day=day, minutes=number))
+        lines.append(nmea(f"GPGGA,{clock},4728.{number:02d}0,N,00922.000,E,1,09,1.0,500.0,M,,,,"))
+    lines[40] = lines[40][:-2] + b"00"
+    file = tmp_path / "log.nmea"
+    file.write_bytes(b"\r\n".join(lines) + b"\r\n")
+    expected = ingest(file)
+    found, live = recorded(tmp_path / "live.mcap", lines)
+    assert_as_ingested(found, expected, ["/gnss/fix", "/gnss/motion"])
+    assert live.malformed == {"an NMEA sentence whose checksum or cells are wrong": 1}
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000])
+def test_ubx_and_lines_are_taken_apart_wherever_the_stream_is_cut(
+    size: int, tmp_path: Path
+) -> None:
+    damaged = bytearray(pvt(5, 5_000))
+    damaged[70] ^= 0x10
+    parts = [pvt(second, 1000 * second) for second in range(10)]
+    stream = b"".join([*parts[:5], bytes(damaged), sample(3.5, speed=3.4) + b"\n", *parts[5:]])
+    recording, live = LiveIngest.begun(tmp_path / "live.mcap", Given(), LiveOptions())
+    with recording:
+        for first in range(0, len(stream), size):
+            live.take(stream[first : first + size])
+            live.flush()
+        live.take(b'{"topic": "/train/st')
+        live.close()
+    trip = trainlog.read(tmp_path / "live.mcap")
+    assert trip["/gnss/motion"].speed.tolist() == [float(second) for second in range(10)]
+    assert trip["/gnss/fix"].latitude.iloc[0] == pytest.approx(47.4161754)
+    assert dict(live.malformed) == {
+        "a UBX message whose length or checksum is wrong": 1, "cut off": 1,
+    }  # fmt: skip
+
+
+WRONG = {
+    b'{"topic": "/train/stat", "time": 1714543200, "speed": 1}': "did you mean '/train/state'",
+    b'{"topic": "/train/state", "time": 1714543200, "sped": 1}': "did you mean 'speed'",
+    b'{"topic": "/train/state", "time": 1714543200, "speed": "fast"}': "is 'fast', no number",
+    b'{"topic": "/train/state", "time": "soon", "speed": 1}': "is no time; write ISO 8601",
+    b'{"topic": "/train/state", "time": 1714543200}': "holds no values",
+    b'{"topic": "/train/axles", "time": 1714543200, "wheel_speed": 1}': "must be a list",
+    b'{"speed": 1': "no JSON",
+    b"[1]": "no JSON object",
+    b"12;13": "neither JSON, NMEA nor UBX; a row of a table needs a profile",
+}
+
+
+def test_each_malformed_line_is_kept_with_its_reason(tmp_path: Path) -> None:
+    lines = [sample(second, speed=10.0) for second in range(5)]
+    found, live = recorded(tmp_path / "live.mcap", [*lines[:4], *WRONG, lines[4]])
+    words = found["/events"]["message"].tolist()
+    for line, reason in WRONG.items():
+        assert any(reason in word and line.decode() in word for word in words), reason
+    assert sum(live.malformed.values()) == len(WRONG)
+    assert len(found[STATE]) == 5
+
+
+def test_of_many_malformed_lines_some_are_kept_and_all_are_counted(tmp_path: Path) -> None:
+    lines = [sample(second, speed=10.0) for second in range(5)]
+    found, live = recorded(tmp_path / "live.mcap", [*lines, *[b"?"] * (MOST_KEPT + 50)])
+    assert sum(live.malformed.values()) == MOST_KEPT + 50
+    kept = found["/events"]["message"].str.startswith("malformed line ")
+    assert kept.sum() == MOST_KEPT
+    assert any("50 of them not kept in the log" in each for each in live.sentences())
+
+
+def test_json_of_a_profile_has_the_profiles_units(tmp_path: Path) -> None:
+    profile = tmp_path / "bus.toml"
+    profile.write_text(
+        'format = "trainlog/recorder-profile"\nversion = 1\nname = "bus"\n'
+        '[time]\ncolumn = "t"\nformat = "epoch"\nunit = "ms"\n'
+        '[columns]\n"/train/state.speed" = { column = "odo.v", unit = "km/h" }\n'
+        '"/train/axles.wheel_speed" = { columns = ["w.1", "w.2"], unit = "km/h" }\n'
+        '"/environment.speed_limit" = { value = 90, unit = "km/h" }\n'
+    )
+    lines = [
+        json.dumps({"t": 1000 * (EPOCH + n), "odo": {"v": 36.0 + 3.6 * n}, "w": [36, 72]}).encode()
+        for n in range(5)
+    ]
+    found, live = recorded(tmp_path / "live.mcap", [*lines, b'{"t": 5, "x": 1}'], profile)
+    assert found[STATE].speed.to_numpy() == pytest.approx([10.0, 11.0, 12.0, 13.0, 14.0])
+    assert found["/train/axles"].wheel_speed_2.to_numpy() == pytest.approx(20.0)
+    assert sum(live.malformed.values()) == 1
+
+
+def test_times_of_json_are_iso_or_counts() -> None:
+    expected = pd.Timestamp("2024-05-01T06:00:00.25Z").value
+    for given in (
+        "2024-05-01T06:00:00.25Z", "2024-05-01T08:00:00.25+02:00", EPOCH + 0.25,
+        (EPOCH + 0.25) * 1e3, 1000 * EPOCH + 250, expected // 1000, expected,
+    ):  # fmt: skip
+        assert time_of(given) == expected, given
+    for wrong in (True, None, "noon", float("nan"), -5, 12, [1]):
+        with pytest.raises(ValueError, match="is no time"):
+            time_of(wrong)
+
+
+# ------------------------------------------------------------------------------- clocks and limits
+
+
+def test_a_single_wild_time_is_dropped_and_named(tmp_path: Path) -> None:
+    lines = [sample(second, speed=10.0) for second in range(20)]
+    lines[8] = sample(86_400, speed=10.0)
+    lines[12] = sample(-3_600, speed=10.0)
+    found, live = recorded(tmp_path / "live.mcap", lines)
+    assert len(found[STATE]) == 18
+    assert live.met["clock_jump", ""] == 2
+    assert found["/events"]["message"].str.contains("line 9 was not recorded: its time is").any()
+
+
+def test_a_wrong_time_at_the_begin_does_not_count(tmp_path: Path) -> None:
+    lines = [sample(-1e8, speed=1.0), *(sample(second, speed=10.0) for second in range(10))]
+    found, live = recorded(tmp_path / "live.mcap", lines)
+    assert found.start == pd.Timestamp(EPOCH, unit="s", tz="UTC")
+    assert live.met["clock_jump", ""] == 1
+
+
+def test_a_sender_that_stops_and_goes_on_leaves_a_gap(tmp_path: Path) -> None:
+    seconds = [*range(10), *range(700, 710)]
+    found, live = recorded(tmp_path / "live.mcap", [sample(s, speed=10.0) for s in seconds])
+    assert len(found[STATE]) == 20
+    assert live.met["gaps", ""] == 1
+    assert live.longest_gap == 691.0
+    assert "clock_step" not in {rule for rule, _ in live.met}
+
+
+def test_a_clock_that_is_set_back_goes_on_and_says_so(tmp_path: Path) -> None:
+    truth = np.arange(40.0)
+    stated = np.where(truth < 20, truth, truth - 3600.0)
+    lines = [sample(second, speed=float(n)) for n, second in enumerate(stated.tolist())]
+    found, live = recorded(tmp_path / "live.mcap", lines)
+    state = found[STATE]
+    assert state.speed.tolist() == truth.tolist()
+    assert ((state.index - state.index[0]) / pd.Timedelta(seconds=1)).tolist() == truth.tolist()
+    assert live.met["clock_step", ""] == 1
+    assert found["/events"]["message"].str.contains("was set back by 3600 s").any()
+
+
+def test_late_and_repeated_rows_are_sorted_and_dropped(tmp_path: Path) -> None:
+    lines = [sample(0.1 * n, speed=float(n)) for n in range(50)]
+    lines[20], lines[21] = lines[21], lines[20]
+    lines.insert(30, lines[29])
+    found, live = recorded(tmp_path / "live.mcap", lines)
+    assert found[STATE].speed.tolist() == [float(n) for n in range(50)]
+    assert live.met["time_backwards", ""] == 1
+    assert live.met["duplicates", ""] == 1
+
+
+def test_impossible_values_become_absent_and_a_wrong_unit_is_named(tmp_path: Path) -> None:
+    lines = [sample(n, speed=200.0 if n > 10 else 20.0, position=20.0 * n) for n in range(150)]
+    found, live = recorded(tmp_path / "live.mcap", lines)
+    assert found[STATE].speed.isna().sum() == 139
+    assert live.met["out_of_limits", "/train/state.speed"] == 139
+    assert found["/events"]["message"].str.contains("check the unit of its column").sum() == 1
+
+
+def test_what_the_sender_counted_and_did_not_arrive_is_lost() -> None:
+    numbering = Numbering()
+    numbering.take([5, 6, 7, 10, 11, 8, 11, 12])
+    assert (numbering.lost, numbering.late, numbering.repeated) == (1, 1, 1)
+    numbering.take([5000, 1, 2, 3])
+    assert (numbering.lost, numbering.restarts) == (1 + 5000 - 13, 1)
+
+
+def test_datagrams_left_out_are_counted_by_the_senders_number(tmp_path: Path) -> None:
+    rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
+    file = tmp_path / "part.csv"
+    file.write_bytes(b"".join(rows[:1001]))
+    _, live, _ = received(tmp_path / "live.mcap", file, "--number", "--leave-out", "100")
+    assert live.numbering.lost == 9  # whether the last one is missing nothing shows
+    assert "9 lines lost by the sender's numbers" in live.sentences()
+
+
+# ----------------------------------------------------------------------------------- growing files
+
+
+@pytest.fixture
+def growing(tmp_path: Path) -> Iterator[tuple[Path, GrowingFile]]:
+    path = tmp_path / "recorder.jsonl"
+    with GrowingFile(path) as source:
+        yield path, source
+
+
+def lines_of(source: GrowingFile, framer: Framer, count: int) -> list[bytes]:
+    found: list[bytes] = []
+    deadline = time.monotonic() + 10.0
+    while len(found) < count and time.monotonic() < deadline:
+        for block in source.read(0.1):
+            found += framer.cut(block)
+    return found
+
+
+def test_a_growing_file_is_followed_through_rotation_and_cut_lines(
+    growing: tuple[Path, GrowingFile],
+) -> None:
+    path, source = growing
+    framer = Framer()
+    path.write_bytes(b"one\ntw")
+    assert lines_of(source, framer, 1) == [b"one"]
+    with path.open("ab") as file:
+        file.write(b"o\nthr")
+    assert lines_of(source, framer, 1) == [b"two"]
+    path.rename(path.with_suffix(".1"))  # logrotate: the last line was never finished
+    path.write_bytes(b"four\n")
+    assert lines_of(source, framer, 2) == [b"thr", b"four"]
+    path.write_bytes(b"six\n")  # copytruncate
+    time.sleep(0.2)
+    with path.open("ab") as file:
+        file.write(b"seven\n")
+    assert lines_of(source, framer, 2)[-1] == b"seven"
+
+
+def test_addresses_that_are_none_are_refused() -> None:
+    for wrong in ("", "host", "127.0.0.1", "1:99999"):
+        with pytest.raises(InputError, match="is no address; write PORT or HOST:PORT"):
+            Datagrams(wrong)
+    with Datagrams("0") as source:
+        assert source.name == f"UDP 127.0.0.1:{source.port}"
+        with pytest.raises(InputError, match=r"cannot listen to 127\.0\.0\.1"):
+            Datagrams(str(source.port))
+
+
+# ------------------------------------------------------------------------ however the program ends
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_what_ends_the_program_costs_a_second_at_most(number: int, tmp_path: Path) -> None:
+    log = tmp_path / "live.mcap"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = ["record", "--from", "udp", str(port), "-o", str(log)]
+    command = [sys.executable, "-m", "trainlog", *words]
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        assert program.stdout is not None
+        assert program.stdout.readline().startswith("recording UDP 127.0.0.1:")
+        sent = 0
+        began = time.time()
+        while time.time() - began < 2.5:
+            line = json.dumps(
+                {"topic": STATE, "time": time.time(), "speed": 10.0, "sequence": sent}
+            )
+            out.sendto(line.encode(), ("127.0.0.1", port))
+            sent += 1
+            time.sleep(0.01)
+        killed = time.time()
+        os.kill(program.pid, number)
+        said = program.communicate(timeout=30)[0]
+        status = program.returncode
+    description = trainlog.describe(log)
+    with pytest.warns(trainlog.DamageWarning) if number == signal.SIGKILL else nullcontext():
+        state = trainlog.read(log)[STATE]
+    last = state.index[-1].timestamp()
+    if number == signal.SIGKILL:
+        assert status == -signal.SIGKILL
+        assert description.account.only_unclosed
+        assert killed - last < 1.0
+        return
+    assert status == 0
+    assert description.complete
+    assert killed - last < 0.3
+    assert f"{STATE}  {len(state):,}" in said
+    assert "lost" not in said
+
+
+def test_the_profile_line_and_train_travel_along(tmp_path: Path) -> None:
+    line = trainlog.read_line(trainlog.sample(trainlog.DEFAULT_LINE))
+    train = trainlog.read_train(trainlog.sample(trainlog.DEFAULT_TRAIN))
+    given = Given(PROFILE, line=line, train=train, metadata={"weather": "wet"})
+    recording, live = LiveIngest.begun(tmp_path / "live.mcap", given, LiveOptions("a test"))
+    with recording:
+        live.close()
+    trip = trainlog.read(tmp_path / "live.mcap")
+    assert trip.metadata["train"] == train.name
+    assert trip.metadata["weather"] == "wet"
+    assert trip.metadata["source"] == "a test"
+    assert sorted(trip.attachments) == ["line.json", "profile.toml", "train.json"]

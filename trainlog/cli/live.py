@@ -1,0 +1,247 @@
+"""The command that records while the train runs."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from trainlog.cli.options import JsonOption, destination, pairs
+from trainlog.cli.terminal import console, wrote
+from trainlog.display import counted
+from trainlog.errors import InputError
+from trainlog.units import KMH
+
+if TYPE_CHECKING:
+    from trainlog.ingest.live import LiveIngest
+    from trainlog.ingest.sources import Source
+    from trainlog.mcap.recorder import Recording
+
+app = typer.Typer()
+
+PORT = "5005"
+"""Where datagrams are expected by default."""
+
+
+@app.command(rich_help_panel="Record")
+def record(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Log to write; must not exist.")],
+    origin: Annotated[
+        Literal["udp", "stdin", "file"],
+        typer.Option("--from", help="Datagrams, standard input, or a file that grows."),
+    ],
+    address: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[ADDRESS|PATH]",
+            help=f"udp: PORT or HOST:PORT, default 127.0.0.1:{PORT}, where only programs of this"
+            " computer can send; 0.0.0.0:5005 listens on every network. file: its path.",
+        ),
+    ] = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(help="TOML profile: columns (or keys of JSON objects), units, time format."),
+    ] = None,
+    header: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of this recorder whose header names the columns of a stream without one."
+        ),
+    ] = None,
+    line: Annotated[Path | None, typer.Option(help="Line it is driven on, if known.")] = None,
+    train: Annotated[Path | None, typer.Option(help="Train that drives, if known.")] = None,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="The trip runs against the line's chainage.")
+    ] = False,
+    facts: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="What the stream does not state: weather=wet, load=12t."),
+    ] = None,
+    sequence: Annotated[
+        str, typer.Option(help="Column or key with which the sender counts its lines.")
+    ] = "sequence",
+    raw: Annotated[
+        Path | None,
+        typer.Option(help="Also write everything as it came to this file, which must not exist."),
+    ] = None,
+    idle: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            help="End after so many seconds of silence, once data have come; default: at Ctrl-C.",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Record what a recorder sends while the train runs: UDP, a pipe, or a file that grows.
+
+    Taken are JSON objects, rows of a table that a profile describes, NMEA sentences and UBX
+    messages, mixed. Without a profile JSON objects name a topic, its fields in SI units and their
+    time: {"topic": "/train/state", "time": "2024-05-01T06:00:00.1Z", "speed": 21.3}.
+
+    Ctrl-C (or SIGTERM) ends the log properly. A log is whole up to half a second before whatever
+    ends this program otherwise. What is malformed or wrong in time is counted, and stands among the
+    log's events; rules of repair that need what comes later are not applied: with
+    [bold]--raw[/bold] the stream can be ingested again.
+
+    Example: trainlog record --from udp 5005 -o today.mcap --profile recorder.profile.toml
+
+    trainlog record --from file /var/log/gnss.nmea -o today.mcap
+    """
+    from trainlog.formats.line import read_line
+    from trainlog.formats.train import read_train
+    from trainlog.ingest.live import LiveIngest, LiveOptions
+    from trainlog.ingest.pipeline import Given
+
+    destination(output, ".mcap")
+    source = _source(origin, address)
+    given = Given(
+        profile,
+        line=None if line is None else read_line(line),
+        train=None if train is None else read_train(train),
+        direction="reverse" if reverse else None,
+        metadata=pairs(facts or []),
+    )
+    options = LiveOptions(source.name, header, sequence)
+    began = time.monotonic()
+    with ExitStack() as stack, ending() as stopped:
+        recording, live = LiveIngest.begun(output, given, options)
+        stack.enter_context(recording)
+        copy = None if raw is None else stack.enter_context(_raw(raw))
+        each = stack.enter_context(_status(live, source, began, quiet=as_json))
+        stack.enter_context(source)
+        if not as_json:
+            console.print(f"recording {source.name}; Ctrl-C ends it", highlight=False)
+        live.follow(source, stopped=stopped, idle=idle, each=each, raw=copy)
+        live.close(time.time_ns())
+    _summary(output, recording, live, source, time.monotonic() - began, as_json)
+
+
+def _source(origin: str, address: str | None) -> Source:
+    from trainlog.ingest.sources import Datagrams, GrowingFile, Pipe
+
+    if origin == "udp":
+        return Datagrams(address or PORT)
+    if origin == "stdin":
+        if address is not None:
+            raise InputError(f"'{address}' goes with udp or file", remedy="leave it out")
+        return Pipe()
+    if address is None:
+        raise InputError("--from file needs the path of the file", remedy="name it behind 'file'")
+    return GrowingFile(address)
+
+
+@contextmanager
+def ending() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C and SIGTERM end a recording in place of this program."""
+    asked = threading.Event()
+
+    def ask(*_: object) -> None:
+        asked.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield asked.is_set
+        return
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(each, ask) for each in signals]
+    try:
+        yield asked.is_set
+    finally:
+        for each, handler in zip(signals, before, strict=True):
+            signal.signal(each, handler)
+
+
+@contextmanager
+def _raw(path: Path) -> Iterator[Any]:
+    from trainlog.formats.files import writing_error
+
+    try:
+        file = path.open("xb", buffering=0)
+    except FileExistsError as error:
+        raise InputError("exists already", file=path, remedy="choose another name") from error
+    except OSError as error:
+        raise writing_error(path, error) from error
+    with file:
+        yield file
+
+
+@contextmanager
+def _status(
+    live: LiveIngest, source: Source, began: float, *, quiet: bool
+) -> Iterator[Callable[[], None]]:
+    """The line that shows how far the recording is, twice a second."""
+    if quiet or not console.is_terminal:
+        yield lambda: None
+        return
+    shown, lines, at = 0.0, 0, began
+    with console.status("waiting for the first line") as status:
+
+        def each() -> None:
+            nonlocal shown, lines, at
+            now = time.monotonic()
+            if now - shown < 0.5:
+                return
+            rate, shown = (live.lines - lines) / max(now - at, 1e-3), now
+            lines, at = live.lines, now
+            status.update(_line(live, source, now - began, rate))
+
+        yield each
+
+
+def _line(live: LiveIngest, source: Source, seconds: float, rate: float) -> str:
+    progress = live.progress
+    parts = [
+        f"{seconds // 60:.0f}:{seconds % 60:02.0f}",
+        f"{live.lines:,} lines, {rate:.0f} a second",
+    ]
+    if progress.time is not None:
+        parts.append(f"{progress.distance / 1e3:.3f} km")
+    if progress.speed is not None:
+        parts.append(f"{progress.speed * KMH:.1f} km/h")
+    malformed = sum(live.malformed.values())
+    parts += [f"{malformed:,} malformed"] if malformed else []
+    parts += [f"{source.lost:,} lost"] if source.lost else []
+    return ", ".join(parts)
+
+
+def _summary(
+    output: Path,
+    recording: Recording,
+    live: LiveIngest,
+    source: Source,
+    seconds: float,
+    as_json: bool,
+) -> None:
+    """State what became of what came."""
+    account = recording.account()
+    if as_json:
+        found = {
+            "format": "trainlog/record", "version": 1, "log": str(output), "seconds": seconds,
+            "messages": account.written, "dropped": account.dropped, "lost": source.lost,
+            **live.details(),
+        }  # fmt: skip
+        typer.echo(json.dumps(found, indent=1))
+        return
+    total = sum(account.written.values())
+    console.print(
+        f"  {counted(live.lines, 'line')} in {seconds:.1f} s: {total:,} messages of"
+        f" {counted(len(account.written), 'topic')}, {live.progress.distance / 1e3:.3f} km",
+        highlight=False,
+    )
+    for topic, count in account.written.items():
+        console.print(f"    {topic}  {count:,}", highlight=False)
+    sentences = live.sentences()
+    if source.lost:
+        what = "datagrams" if source.whole else "blocks"
+        sentences.append(f"{source.lost:,} {what} lost before they could be read")
+    sentences += [f"{count:,} of {name} dropped" for name, count in account.dropped.items()]
+    for sentence in sentences:
+        console.print(f"    {sentence}", highlight=False, markup=False, soft_wrap=True)
+    wrote(output)

@@ -1,0 +1,255 @@
+"""Where a live recording comes from: datagrams, a pipe, a file that grows.
+
+A thread takes what arrives, so that the operating system never has to drop it because the program
+is busy; what waits to be decoded is bounded, and what does not fit is counted.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self
+
+from trainlog.errors import InputError
+
+HOST = "127.0.0.1"
+"""Only programs of this computer can send to it."""
+
+WAITING = 2**26
+"""How much may wait to be decoded [bytes]."""
+
+DATAGRAM = 65_536
+"""Longest datagram [bytes]."""
+
+RECEIVE_BUFFER = 2**23
+"""Asked for, for datagrams that arrive in bursts [bytes]; the system may give less."""
+
+OVERFLOWS = 40
+"""SO_RXQ_OVFL of Linux: each datagram states how many were dropped before it."""
+
+POLL = 0.05
+"""How often a file is looked at [s]."""
+
+BLOCK = 2**16
+"""Bytes that are read at a time."""
+
+
+class Source(ABC):
+    """What is recorded, block by block; ended by its ``with`` block.
+
+    Attributes
+    ----------
+    name : str
+        In words.
+    whole : bool
+        Whether a block ends with the end of a line or message.
+    lost : int
+        Blocks that were not taken because too much waited, or that the system dropped.
+    ended : bool
+        Whether nothing more comes.
+    """
+
+    whole = False
+
+    def __init__(self, name: str) -> None:
+        self.name, self.lost, self.ended = name, 0, False
+        self._blocks: deque[bytes] = deque()
+        self._size = 0
+        self._came = threading.Event()
+        self._stopping = False
+        self._problem: str = ""
+        self._thread = threading.Thread(target=self._run, name="trainlog.source", daemon=True)
+
+    def read(self, timeout: float) -> list[bytes]:
+        """The blocks that have come; none if nothing comes for so long [s].
+
+        Raises
+        ------
+        InputError
+            If the source cannot be read any more; what came before was given.
+        """
+        if not self._blocks and not self.ended:
+            self._came.wait(timeout)
+        self._came.clear()
+        blocks = [self._blocks.popleft() for _ in range(len(self._blocks))]
+        self._size -= sum(map(len, blocks))
+        if not blocks and self._problem:
+            raise InputError(f"cannot be read any more: {self._problem}", file=self.name)
+        return blocks
+
+    @abstractmethod
+    def _take(self) -> bytes | None:
+        """The next block; empty if nothing came for a while, None at the end."""
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping and (block := self._take()) is not None:
+                if not block:
+                    continue
+                if self._size > WAITING:
+                    self.lost += 1
+                    continue
+                self._blocks.append(block)
+                self._size += len(block)
+                self._came.set()
+        except OSError as error:
+            if not self._stopping:
+                self._problem = error.strerror or str(error)
+        finally:
+            self.ended = True
+            self._came.set()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stopping = True
+
+
+class Datagrams(Source):
+    """UDP datagrams.
+
+    Parameters
+    ----------
+    address : str
+        ``PORT``, or ``HOST:PORT``; without a host only this computer can send.
+
+    Raises
+    ------
+    InputError
+        If it is no address, or it cannot be listened to.
+    """
+
+    whole = True
+
+    def __init__(self, address: str) -> None:
+        host, _, port = address.rpartition(":")
+        if not port.isdigit() or int(port) > 65_535:
+            raise InputError(
+                f"'{address}' is no address", remedy="write PORT or HOST:PORT, such as 5005"
+            )
+        host = host.strip("[]") or HOST
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        try:
+            self._socket.bind((host, int(port)))
+        except OSError as error:
+            self._socket.close()
+            raise InputError(
+                f"cannot listen to {host}:{port}: {(error.strerror or str(error)).lower()}",
+                remedy="choose another port, or an address of this computer",
+            ) from error
+        self._counts = sys.platform == "linux"
+        if self._counts:
+            self._socket.setsockopt(socket.SOL_SOCKET, OVERFLOWS, 1)
+        self._socket.settimeout(POLL)
+        self._dropped = 0
+        bound = self._socket.getsockname()
+        self.port = int(bound[1])
+        super().__init__(f"UDP {bound[0]}:{self.port}")
+
+    def _take(self) -> bytes | None:
+        try:
+            if not self._counts:
+                return self._socket.recv(DATAGRAM)
+            data, about, _, _ = self._socket.recvmsg(DATAGRAM, 64)
+        except TimeoutError:
+            return b""
+        for level, kind, value in about:
+            if level == socket.SOL_SOCKET and kind == OVERFLOWS:
+                (dropped,) = struct.unpack("=I", value[:4])
+                self.lost += dropped - self._dropped
+                self._dropped = dropped
+        return data
+
+    def __exit__(self, *error: object) -> None:
+        self._stopping = True
+        self._thread.join(2.0)
+        self._socket.close()
+
+
+class Pipe(Source):
+    """A stream that another program writes, such as standard input."""
+
+    def __init__(self, stream: BinaryIO | None = None) -> None:
+        super().__init__("standard input")
+        self._stream = stream or sys.stdin.buffer
+
+    def _take(self) -> bytes | None:
+        return os.read(self._stream.fileno(), BLOCK) or None
+
+
+class GrowingFile(Source):
+    """A file that another program writes; followed by its name when it is replaced.
+
+    It is read from its begin. Where a recorder goes on in a new file of the same name (rotation),
+    the old one is read to its end first; a file that became shorter is read from its begin again.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(str(path))
+        self._path = Path(path)
+        if self._path.is_dir():
+            raise InputError("is a folder", file=path, remedy="name a file in it")
+        if not self._path.parent.is_dir():
+            raise InputError("does not exist", file=self._path.parent, remedy="check the path")
+        self._file: BinaryIO | None = None
+        self._behind = b""
+
+    def _take(self) -> bytes | None:
+        if self._file is None:
+            try:
+                self._file = self._path.open("rb", buffering=0)
+            except FileNotFoundError:  # not written yet, or being replaced
+                time.sleep(POLL)
+                return b""
+        block = self._file.read(BLOCK)
+        if block:
+            self._behind = block[-1:]
+            return block
+        here = os.fstat(self._file.fileno())
+        if here.st_size < self._file.tell():
+            self._file.seek(0)
+            return self._between()
+        try:
+            there = self._path.stat()
+        except FileNotFoundError:
+            time.sleep(POLL)
+            return b""
+        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
+            # What was written between the last look and the renaming comes first.
+            rest = self._file.read()
+            if rest:
+                self._behind = rest[-1:]
+                return rest
+            self._file.close()
+            self._file = None
+            return self._between()
+        time.sleep(POLL)
+        return b""
+
+    def _between(self) -> bytes:
+        """What parts the last line of one file, perhaps cut, from the first of the next."""
+        cut, self._behind = self._behind not in (b"", b"\n"), b""
+        return b"\n" if cut else b""
+
+    def __exit__(self, *error: object) -> None:
+        self._stopping = True
+        self._thread.join(2.0)
+        if self._file is not None:
+            self._file.close()

@@ -1,0 +1,625 @@
+"""Lines and messages of a recorder as they come, decoded by the readers of recorded files.
+
+A stream may hold JSON objects, rows of a table that a profile describes, NMEA sentences and UBX
+messages, mixed. What arrives is cut into lines and messages (`Framer`), and what has gathered is
+decoded at once (`Decoder`), with the units and time formats of `trainlog.ingest.mapping`.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from trainlog.errors import InputError
+from trainlog.ingest.mapping import recording_of, wanted_columns
+from trainlog.ingest.nmea import Epochs
+from trainlog.ingest.profile import WORDS, Profile, suggestion
+from trainlog.ingest.recording import (
+    NO_TIME,
+    Cells,
+    Finding,
+    FloatArray,
+    Messages,
+    Recording,
+    Table,
+    field_of,
+)
+from trainlog.ingest.tagged import NAV_PVT, NAV_PVT_HEAD, fixes_of_pvt
+from trainlog.topics import TOPICS
+from trainlog.units import DAY, NANOSECONDS
+
+UBX = b"\xb5\x62"
+"""What a UBX message begins with."""
+
+UBX_FRAME = 8
+"""Octets of a UBX message beside its payload: mark, class, kind, length, checksum."""
+
+LONGEST_UBX = 4096
+"""Payload of a UBX message [bytes] beyond which its length is damaged."""
+
+LONGEST_LINE = 65_536
+"""Bytes without the end of a line from which on they are no line."""
+
+Numbered = tuple[int, bytes]
+"""A line or message with its number in the stream, from 1."""
+
+
+@dataclass(frozen=True)
+class Malformed:
+    """A line or message that cannot be used.
+
+    Attributes
+    ----------
+    row : int
+        Its number in the stream.
+    text : str
+        As it came; octets that are no text in hexadecimal digits.
+    reason : str
+    """
+
+    row: int
+    text: str
+    reason: str
+
+
+class Framer:
+    """Cuts a stream of octets into lines, without their ends, and UBX messages."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def cut(self, data: bytes, *, whole: bool = False) -> list[bytes]:
+        r"""The lines and messages that are complete.
+
+        Parameters
+        ----------
+        data : bytes
+            What comes next.
+        whole : bool
+            Whether it ends with the end of a line or message, as a datagram does.
+
+        Examples
+        --------
+        >>> framer = Framer()
+        >>> framer.cut(b"a;1\r\nb;")
+        [b'a;1']
+        >>> framer.cut(b"2\n"), framer.cut(b"c;3", whole=True)
+        ([b'b;2'], [b'c;3'])
+        """
+        data = self._rest + data
+        frames: list[bytes] = []
+        at = 0
+        while at < len(data):
+            mark = data.find(UBX, at)
+            if mark != at:
+                text = data[at:] if mark < 0 else data[at:mark]
+                *lines, rest = text.split(b"\n")
+                frames += lines
+                at += len(text)
+                if mark >= 0 or whole or len(rest) > LONGEST_LINE:
+                    frames.append(rest)
+                else:
+                    at -= len(rest)
+                    break
+                continue
+            size = _ubx_size(data[at : at + UBX_FRAME])
+            if size is None or at + size > len(data):
+                if not whole:
+                    break
+                size = len(data) - at
+            frames.append(data[at : at + size])
+            at += size
+        self._rest = data[at:]
+        return [each for each in (f if f[:2] == UBX else f.rstrip(b"\r") for f in frames) if each]
+
+    def end(self) -> bytes:
+        """What is left of a line that did not end; nothing is left then."""
+        rest, self._rest = self._rest, b""
+        return rest.strip()
+
+
+def _ubx_size(head: bytes) -> int | None:
+    """Length of the UBX message that begins so; None if that is not known yet."""
+    if len(head) < 6:
+        return None
+    length = int.from_bytes(head[4:6], "little")
+    return length + UBX_FRAME if length <= LONGEST_UBX else 2
+
+
+@dataclass
+class Decoded:
+    """What lines and messages hold.
+
+    Attributes
+    ----------
+    tables : dict of str to Table
+        By the kind of lines; nothing is repaired yet but what the readers repair.
+    constants : dict of str to float or str
+        As in `Recording`.
+    malformed : list of Malformed
+    findings : list of Finding
+    others : Counter of str
+        Messages that are not used, by name.
+    numbers : list of int
+        The sender's sequence numbers, in order of arrival.
+    """
+
+    tables: dict[str, Table] = field(default_factory=dict)
+    constants: dict[str, float | str] = field(default_factory=dict)
+    malformed: list[Malformed] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    others: Counter[str] = field(default_factory=Counter)
+    numbers: list[int] = field(default_factory=list)
+
+    def refuse(self, row: int, data: bytes, reason: str) -> None:
+        """Take note of a line that cannot be used."""
+        readable = data.decode("utf-8", "replace")
+        text = readable if readable.isprintable() else data.hex(" ")
+        self.malformed.append(Malformed(row, text, reason))
+
+
+class Decoder:
+    """Decodes lines and messages in the order of their arrival.
+
+    Parameters
+    ----------
+    profile : Profile, optional
+        Which column, or key of a JSON object, is what; rows of a table need it.
+    header : tuple of str, optional
+        Names of the columns, where the stream does not begin with them.
+    sequence : str
+        Column or key that holds the number the sender counts its lines with.
+    """
+
+    def __init__(
+        self,
+        profile: Profile | None = None,
+        header: tuple[str, ...] | None = None,
+        sequence: str = "sequence",
+    ) -> None:
+        self._profile, self._sequence = profile, sequence
+        self._names = header
+        self._date: datetime.date | None = None
+        self._of_day = NO_TIME
+        self._sentences: _Sentences | None = None
+        self._needed: set[str] = set()
+        if profile is not None and profile.time is not None:
+            self._date = profile.time.date
+            self._needed = set(profile.time.names)
+            for column in profile.columns.values():
+                self._needed |= set() if column.optional else set(column.names)
+        self._words = (
+            {
+                spelling.lower()
+                for name in self._needed
+                for spelling in (name, f'"{name}"', *profile.file.aliases.get(name, ()))
+            }
+            if profile is not None
+            else set()
+        )
+
+    def decode(self, frames: Iterable[Numbered]) -> Decoded:
+        """What the next lines and messages hold; an NMEA epoch once the next one has begun."""
+        decoded = Decoded()
+        kinds: dict[str, list[Numbered]] = {}
+        for row, data in frames:
+            kinds.setdefault(_kind(data), []).append((row, data))
+        if "ubx" in kinds:
+            _ubx(kinds["ubx"], decoded)
+        if "nmea" in kinds:
+            self._sentences = self._sentences or _Sentences()
+            self._sentences.take(kinds["nmea"], decoded)
+        if "json" in kinds:
+            self._json(kinds["json"], decoded)
+        if "row" in kinds:
+            self._rows(kinds["row"], decoded)
+        return decoded
+
+    def end(self) -> Decoded:
+        """What waits for lines that do not come: the last NMEA epoch."""
+        decoded = Decoded()
+        if self._sentences is not None:
+            self._sentences.end(decoded)
+        return decoded
+
+    # ------------------------------------------------------------------------- rows of a table
+
+    def _rows(self, frames: list[Numbered], decoded: Decoded) -> None:
+        profile = self._profile
+        if profile is None:
+            for row, data in frames:
+                reason = "neither JSON, NMEA nor UBX; a row of a table needs a profile"
+                decoded.refuse(row, data, reason)
+            return
+        kept: list[tuple[int, bytes, list[str]]] = []
+        comment = profile.file.comment.encode()
+        for row, data in frames:
+            if not data.strip() or (comment and data.startswith(comment)):
+                continue
+            try:
+                cells = _cells(data.decode(profile.file.encoding), profile.file.delimiter)
+            except (UnicodeDecodeError, csv.Error):
+                decoded.refuse(row, data, f"no text in {profile.file.encoding}")
+                continue
+            if self._take_header(cells, profile):
+                continue
+            if self._names is None:
+                decoded.refuse(row, data, "a row before the header")
+                continue
+            if not any(cells[len(self._names) :]):
+                del cells[len(self._names) :]
+            if len(cells) != len(self._names):
+                reason = f"{len(cells)} cells, the header has {len(self._names)}"
+                decoded.refuse(row, data, reason)
+            else:
+                kept.append((row, data, cells))
+        if not kept or self._names is None:
+            return
+        values = list(zip(*(cells for _, _, cells in kept), strict=True))
+        columns = dict(zip(self._names, values, strict=True))
+        self._count(columns.get(self._sequence, ()), decoded)
+        self._map("row", [(row, data) for row, data, _ in kept], columns, decoded)
+
+    def _take_header(self, cells: list[str], profile: Profile) -> bool:
+        """Whether the cells are the names of the columns, which are used from then on."""
+        if profile.file.header == 0:
+            if self._names is None:
+                self._names = tuple(str(number) for number in range(1, len(cells) + 1))
+            return False
+        if self._words.isdisjoint([cell.lower() for cell in cells]):
+            return False
+        while cells and not cells[-1]:
+            cells.pop()
+        names = profile.file.named([cell.strip().strip('"') for cell in cells])
+        if not self._needed <= set(names):
+            return False
+        self._names = tuple(names)
+        return True
+
+    def _map(
+        self,
+        kind: str,
+        frames: list[Numbered],
+        columns: Mapping[str, Sequence[str | None]],
+        decoded: Decoded,
+    ) -> None:
+        """Give the rows' columns their meaning, as the profile states it."""
+        profile = self._dated()
+        assert profile is not None
+        missing = set(profile.file.missing)
+        try:
+            wanted = dict.fromkeys(wanted_columns(profile, tuple(columns), _STREAM))
+            absent: tuple[None, ...] = (None,) * len(frames)
+            table = pa.table(
+                {
+                    name: pa.array(
+                        [None if each in missing else each for each in columns.get(name, absent)],
+                        pa.string(),
+                    )
+                    for name in wanted
+                }
+            )
+            rows = np.array([row for row, _ in frames], dtype=np.int64)
+            found = recording_of(Cells(table, rows, rows.size), profile, _STREAM)
+        except InputError as error:
+            if len(frames) == 1:
+                decoded.refuse(*frames[0], error.problem)
+                return
+            # One row that does not fit must not cost the others.
+            for number, frame in enumerate(frames):
+                one = {name: values[number : number + 1] for name, values in columns.items()}
+                self._map(kind, [frame], one, decoded)
+            return
+        self._add(kind, found, decoded)
+        known = found.tables[0].time[found.tables[0].time != NO_TIME]
+        self._of_day = int(known[-1]) if known.size else self._of_day
+
+    def _dated(self) -> Profile | None:
+        """The profile with the date from which the next times of day count."""
+        profile = self._profile
+        if profile is None or profile.time is None or self._date is None:
+            return profile
+        date = self._date
+        if self._of_day != NO_TIME:
+            zone = profile.time.timezone
+            date = pd.Timestamp(self._of_day, tz="UTC").tz_convert(zone).date()
+        time = profile.time.model_copy(update={"date": date})
+        return profile.model_copy(update={"time": time})
+
+    def _add(self, kind: str, found: Recording, decoded: Decoded) -> None:
+        table = found.tables[0]
+        if self._date is not None and self._of_day != NO_TIME:
+            # A time of day far before the last one is that of the next day.
+            late = (table.time != NO_TIME) & (table.time < self._of_day - DAY // 2)
+            table = table.at(np.where(late, table.time + DAY, table.time))
+        before = decoded.tables.get(kind)
+        decoded.tables[kind] = table if before is None else joined(before, table)
+        decoded.constants |= found.constants
+        decoded.findings += found.findings
+
+    # ------------------------------------------------------------------------------------ JSON
+
+    def _json(self, frames: list[Numbered], decoded: Decoded) -> None:
+        objects: list[tuple[Numbered, dict[str, Any]]] = []
+        for row, data in frames:
+            try:
+                value = json.loads(data, parse_constant=lambda _: None)
+            except (ValueError, RecursionError) as error:
+                decoded.refuse(row, data, f"no JSON: {error}")
+                continue
+            for each in value if isinstance(value, list) else [value]:
+                if isinstance(each, dict):
+                    objects.append(((row, data), each))
+                else:
+                    decoded.refuse(row, data, "no JSON object")
+        self._count((each.get(self._sequence) for _, each in objects), decoded)
+        if self._profile is not None:
+            self._json_of_profile(objects, decoded)
+        else:
+            self._json_of_topics(objects, decoded)
+
+    def _json_of_profile(
+        self, objects: list[tuple[Numbered, dict[str, Any]]], decoded: Decoded
+    ) -> None:
+        assert self._profile is not None
+        plain = [(frame, dict(_flat(each))) for frame, each in objects]
+        needed = {name for column in self._profile.columns.values() for name in column.names}
+        used = []
+        for frame, each in plain:
+            if needed & each.keys():
+                used.append((frame, each))
+            else:
+                decoded.refuse(*frame, "holds none of the keys that the profile names")
+        if used:
+            every = dict.fromkeys(name for _, each in used for name in each)
+            columns = {name: [each.get(name) for _, each in used] for name in every}
+            self._map("json", [frame for frame, _ in used], columns, decoded)
+
+    def _json_of_topics(
+        self, objects: list[tuple[Numbered, dict[str, Any]]], decoded: Decoded
+    ) -> None:
+        """Objects whose keys are fields of our topics, in SI units."""
+        groups: dict[tuple[str, ...], list[tuple[int, int, dict[str, Any]]]] = {}
+        for (row, data), each in objects:
+            try:
+                time, values = _sample(each, self._sequence)
+            except (ValueError, TypeError, OverflowError) as error:
+                decoded.refuse(row, data, str(error))
+                continue
+            topics = tuple(sorted({name.rpartition(".")[0] for name in values}))
+            groups.setdefault(topics, []).append((row, time, values))
+        for topics, samples in groups.items():
+            decoded.tables[f"json {' '.join(topics)}"] = _table_of(samples)
+
+    def _count(self, values: Iterable[Any], decoded: Decoded) -> None:
+        """Take the sender's sequence numbers."""
+        for value in values:
+            try:
+                decoded.numbers.append(int(value))
+            except (TypeError, ValueError):
+                continue
+
+
+_STREAM = Path("stream")
+"""What errors of readers call the source; messages leave it out."""
+
+
+def _kind(data: bytes) -> str:
+    """What a line or message is, by how it begins."""
+    if data[:2] == UBX:
+        return "ubx"
+    first = data.lstrip()[:1]
+    if first in (b"{", b"["):
+        return "json"
+    if first in (b"$", b"!") or (b"$" in data[:64] and b"*" in data[-4:]):
+        return "nmea"
+    return "row"
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if '"' not in line:
+        return line.split(delimiter)
+    return next(csv.reader([line], delimiter=delimiter, strict=True))
+
+
+def joined(first: Table, second: Table) -> Table:
+    """Two tables one behind the other; what one of them does not hold is absent in its rows."""
+
+    def of(kind: str, empty: Any) -> dict[str, Any]:
+        names = dict.fromkeys((*getattr(first, kind), *getattr(second, kind)))
+        return {
+            name: np.concatenate(
+                [getattr(each, kind).get(name, np.full(len(each), empty)) for each in tables]
+            )
+            for name in names
+        }
+
+    tables = (first, second)
+    return Table(
+        np.concatenate((first.time, second.time)),
+        np.concatenate((first.rows, second.rows)),
+        of("signals", np.nan),
+        {name: words.astype(np.object_) for name, words in of("texts", "").items()},
+    )
+
+
+def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str | None]]:
+    """The values of an object as text, those of objects within by ``"outer.inner"``."""
+    for key, each in value.items():
+        name = f"{before}{key}"
+        if isinstance(each, dict):
+            yield from _flat(each, f"{name}.")
+        elif isinstance(each, list):
+            yield from _flat({str(number): part for number, part in enumerate(each, 1)}, f"{name}.")
+        elif each is None or isinstance(each, str):
+            yield name, each
+        else:
+            yield name, str(int(each)) if isinstance(each, bool) else repr(each)
+
+
+_EPOCHS = ((1e11, NANOSECONDS), (1e14, 1_000_000), (1e17, 1_000), (np.inf, 1))
+"""Numbers up to which a time since 1970 counts seconds, milliseconds, ... and their length [ns]."""
+
+
+def time_of(value: Any) -> int:
+    """A time [ns UTC] as JSON gives it: ISO 8601, or a number since 1970 in s, ms, us or ns.
+
+    Raises
+    ------
+    ValueError
+        If it is no time after 1980.
+
+    Examples
+    --------
+    >>> time_of("2024-05-01T06:00:00.5Z") == time_of(1714543200.5) == time_of(1714543200500)
+    True
+    """
+    found: Any = pd.NaT
+    if isinstance(value, str):
+        found = pd.to_datetime(value, utc=True, errors="coerce", format="ISO8601")
+    elif isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value):
+        unit = next(unit for limit, unit in _EPOCHS if abs(value) < limit)
+        whole, rest = divmod(value, 1)
+        # A number of seconds since 1970 is known to the microsecond.
+        found = pd.Timestamp(int(whole) * unit + int(round(rest * unit, -3)), tz="UTC")
+    if found is pd.NaT or found.year < 1980:
+        raise ValueError(f"time {value!r} is no time; write ISO 8601, or a number since 1970")
+    return int(found.as_unit("ns").value)
+
+
+_NOT_VALUES = ("time", "topic")
+"""Keys of a JSON object beside its values."""
+
+
+def _sample(each: dict[str, Any], sequence: str) -> tuple[int, dict[str, Any]]:
+    """Time and values of a JSON object, by column; `NO_TIME` where it states no time."""
+    topic = each.get("topic", "")
+    if topic and topic not in TOPICS:
+        raise ValueError(f"no topic {topic!r}; {suggestion(str(topic), TOPICS)}")
+    values: dict[str, Any] = {}
+    for key, value in each.items():
+        if key in _NOT_VALUES or (key == sequence and not topic.endswith(key)):
+            continue
+        name = key if key.startswith("/") else f"{topic}.{key}"
+        values |= dict(_numbers(name, value))
+    if not values:
+        raise ValueError("holds no values")
+    return (time_of(each["time"]) if "time" in each else NO_TIME), values
+
+
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """The columns that a value fills: one, or one for each axle."""
+    topic = name.rpartition(".")[0]
+    if topic not in TOPICS:
+        every = [f"{each.name}.{item.name}" for each in TOPICS.values() for item in each.fields]
+        raise ValueError(f"no field '{name.lstrip('.')}'; {suggestion(name, every)}")
+    try:
+        _, _, item = field_of(name)
+    except Exception:  # noqa: BLE001 - KeyError or LogError, by the name
+        fields = [item.name for item in TOPICS[topic].fields]
+        field = name.rpartition(".")[2]
+        raise ValueError(f"{topic} has no field '{field}'; {suggestion(field, fields)}") from None
+    if name in WORDS:
+        yield name, str(value)
+    elif isinstance(value, list):
+        if not item.per_axle:
+            raise ValueError(f"{name} must be one number")
+        for axle, part in enumerate(value, start=1):
+            yield f"{name}_{axle}", np.nan if part is None else float(part)
+    elif value is not None:
+        if isinstance(value, str):
+            raise ValueError(f"{name} is {value!r}, no number")
+        if item.per_axle and item.name == name.rpartition(".")[2]:
+            raise ValueError(f"{name} must be a list, one number an axle")
+        yield name, float(value)
+
+
+def _table_of(samples: list[tuple[int, int, dict[str, Any]]]) -> Table:
+    names = dict.fromkeys(name for _, _, values in samples for name in values)
+    signals: dict[str, FloatArray] = {}
+    texts = {}
+    for name in names:
+        if name in WORDS:
+            texts[name] = np.array([each.get(name, "") for _, _, each in samples], dtype=np.object_)
+        else:
+            signals[name] = np.array([each.get(name, np.nan) for _, _, each in samples])
+    return Table(
+        np.array([time for _, time, _ in samples], dtype=np.int64),
+        np.array([row for row, _, _ in samples], dtype=np.int64),
+        signals,
+        texts,
+    )
+
+
+# --------------------------------------------------------------------------------- UBX and NMEA
+
+
+def _ubx(frames: list[Numbered], decoded: Decoded) -> None:
+    """The fixes of UBX-NAV-PVT; other messages are counted, damaged ones are malformed."""
+    fixes: list[Numbered] = []
+    for row, data in frames:
+        body, sums = np.frombuffer(data[2:-2], np.uint8), data[-2:]
+        first = np.cumsum(body, dtype=np.int64)
+        whole = len(data) >= UBX_FRAME and len(data) == _ubx_size(data[:UBX_FRAME])
+        if not whole or bytes((int(first[-1]) % 256, int(first.sum()) % 256)) != sums:
+            decoded.refuse(row, data, "a UBX message whose length or checksum is wrong")
+        elif data.startswith(NAV_PVT_HEAD):
+            fixes.append((row, data))
+        else:
+            decoded.others[f"UBX {data[2]:02x} {data[3]:02x}"] += 1
+    if fixes:
+        octets = np.frombuffer(b"".join(data for _, data in fixes), NAV_PVT)
+        decoded.tables["ubx"] = fixes_of_pvt(octets, np.array([row for row, _ in fixes]))
+
+
+class _Sentences:
+    """NMEA sentences as they come: an epoch is whole when the next one begins."""
+
+    def __init__(self) -> None:
+        self._epochs = Epochs()
+        self._last = NO_TIME
+
+    def take(self, frames: list[Numbered], decoded: Decoded) -> None:
+        messages = Messages()
+        data = dict(frames)
+        for row, line in frames:
+            prefix, mark, sentence = line.decode("ascii", "replace").partition("$")
+            self._epochs.take(row, prefix, mark + sentence.rstrip(), messages)
+        for row in messages.damaged_rows:
+            decoded.refuse(row, data[row], "an NMEA sentence whose checksum or cells are wrong")
+        decoded.others += messages.others
+        self._give(len(self._epochs.rows) - 1, decoded)
+
+    def end(self, decoded: Decoded) -> None:
+        """Give the last epoch."""
+        self._give(len(self._epochs.rows), decoded)
+
+    def _give(self, count: int, decoded: Decoded) -> None:
+        """Give the first epochs, which are whole."""
+        if count < 1:
+            return
+        epochs, rest = self._epochs.split(count)
+        self._epochs = rest
+        if self._last != NO_TIME and all(date is None for date in epochs.dates):
+            of_day = epochs.of_day[0]
+            last = pd.Timestamp(self._last, tz="UTC")
+            later = (of_day.hour * 60 + of_day.minute) < (last.hour * 60 + last.minute) - 720
+            epochs.dates[0] = (last + pd.Timedelta(days=int(later))).date()
+        try:
+            table = epochs.table()
+        except InputError as error:
+            for row in epochs.rows:
+                decoded.refuse(row, b"", error.problem)
+            return
+        self._last = int(table.time[-1])
+        decoded.tables["nmea"] = table
