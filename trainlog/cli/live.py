@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import threading
 import time
@@ -13,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import JsonOption, destination, pairs
-from trainlog.cli.terminal import console, wrote
+from trainlog.cli.options import destination, pairs
+from trainlog.cli.terminal import console, current, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.units import KMH
@@ -78,7 +77,6 @@ def record(
             help="End after so many seconds of silence, once data have come; default: at Ctrl-C.",
         ),
     ] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Record what a recorder sends while the train runs: UDP, a pipe, or a file that grows.
 
@@ -115,13 +113,12 @@ def record(
         recording, live = LiveIngest.begun(output, given, options)
         stack.enter_context(recording)
         copy = None if raw is None else stack.enter_context(_raw(raw))
-        each = stack.enter_context(_status(live, source, began, quiet=as_json))
+        each = stack.enter_context(_status(live, source, began))
         stack.enter_context(source)
-        if not as_json:
-            console.print(f"recording {source.name}; Ctrl-C ends it", highlight=False)
+        console.print(f"recording {source.name}; Ctrl-C ends it", highlight=False)
         live.follow(source, stopped=stopped, idle=idle, each=each, raw=copy)
         live.close(time.time_ns())
-    _summary(output, recording, live, source, time.monotonic() - began, as_json)
+    _summary(output, recording, live, source, time.monotonic() - began)
 
 
 def _source(origin: str, address: str | None) -> Source:
@@ -173,11 +170,10 @@ def _raw(path: Path) -> Iterator[Any]:
 
 
 @contextmanager
-def _status(
-    live: LiveIngest, source: Source, began: float, *, quiet: bool
-) -> Iterator[Callable[[], None]]:
+def _status(live: LiveIngest, source: Source, began: float) -> Iterator[Callable[[], None]]:
     """The line that shows how far the recording is, twice a second."""
-    if quiet or not console.is_terminal:
+    output = current()
+    if output.as_json or output.quiet or not console.is_terminal:
         yield lambda: None
         return
     shown, lines, at = 0.0, 0, began
@@ -217,17 +213,15 @@ def _summary(
     live: LiveIngest,
     source: Source,
     seconds: float,
-    as_json: bool,
 ) -> None:
     """State what became of what came."""
     account = recording.account()
-    if as_json:
-        found = {
-            "format": "trainlog/record", "version": 1, "log": str(output), "seconds": seconds,
-            "messages": account.written, "dropped": account.dropped, "lost": source.lost,
-            **live.details(),
-        }  # fmt: skip
-        typer.echo(json.dumps(found, indent=1))
+    found = {
+        "log": output, "duration_s": seconds, "messages": account.written,
+        "dropped": account.dropped, "lost": source.lost, **live.details(),
+    }  # fmt: skip
+    if state(found):
+        wrote(output)
         return
     total = sum(account.written.values())
     console.print(

@@ -326,13 +326,13 @@ class LiveIngest:
                 f"{rule}.{column}" if column else rule: count
                 for (rule, column), count in sorted(self.met.items())
             },
-            "longest_gap": self.longest_gap,
+            "longest_gap_s": self.longest_gap,
             "lost_by_number": numbers.lost,
             "late_by_number": numbers.late,
             "repeated_by_number": numbers.repeated,
             "restarts_by_number": numbers.restarts,
             "not_used": dict(self.others),
-            "distance": self._driven.distance,
+            "distance_m": self._driven.distance,
         }
 
     def _add(self, decoded: Decoded, arrival: int | None) -> None:
