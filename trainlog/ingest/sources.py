@@ -223,7 +223,7 @@ class GrowingFile(Source):
             self._behind = block[-1:]
             return block
         here = os.fstat(self._file.fileno())
-        if here.st_size < self._file.tell():
+        if here.st_size < self._file.seek(0, os.SEEK_CUR):
             self._file.seek(0)
             return self._between()
         try:
