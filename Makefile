@@ -9,13 +9,18 @@ BIN := .venv/bin
 endif
 READY := .venv/ready
 
-.PHONY: demo test portable long check format lock clean
+.PHONY: demo test docs portable long check format lock clean
 
 demo: $(READY)
 	$(BIN)/trainlog demo --output results
 
 test: $(READY) check
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# The documentation's site in build/site; opens from there without a network.
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "The documentation is in build/site; 'trainlog docs' opens it."
 
 # The tests that compare with stored values, as an older processor rounds them.
 portable: $(READY)

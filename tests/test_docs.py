@@ -1,15 +1,14 @@
-"""Python and commands in README and docs run as they stand, in a folder with the samples."""
+"""The documentation: its code runs as it stands, its links lead somewhere, nothing is missing."""
 
 from __future__ import annotations
 
 import importlib
 import re
-import shlex
+import sys
 from pathlib import Path
 
 import pytest
 
-from trainlog.cli import main as cli
 from trainlog.formats.samples import copy_samples
 from trainlog.mcap import records
 from trainlog.topics import TOPICS
@@ -17,44 +16,120 @@ from trainlog.topics import TOPICS
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
 CHECKOUT = Path(__file__).parents[1]
-PAGES = sorted([CHECKOUT / "README.md", *(CHECKOUT / "docs").glob("*.md")])
+DOCS = CHECKOUT / "docs"
+sys.path.append(str(DOCS / "tools"))
+import notebook  # noqa: E402
+import pages  # noqa: E402
+
+PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
+LONG = ("gallery.md", "planner.md")
+"""Pages whose code takes tens of seconds."""
+EXECUTED = "---\nexecute: true\n---\n"
+TUTORIAL = DOCS / "tutorials" / "developer.md"
+LINK = re.compile(r"\]\(([^)#\s]+)")
 
 
-def blocks(page: Path) -> str:
-    """All blocks of a page marked ``python``, in order, as one program."""
-    return "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.M | re.S))
+def with_code() -> list[object]:
+    """Pages with Python or commands; the developer's tutorial is run as a notebook."""
+    found = [page for page in PAGES if pages.blocks_of(page.read_text("utf-8"))]
+    return [
+        pytest.param(page, marks=[pytest.mark.long] if page.name in LONG else [], id=page.name)
+        for page in found
+        if page != TUTORIAL
+    ]
 
 
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if blocks(page)], ids=lambda page: page.name
-)
-def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("page", with_code())
+def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy_samples(tmp_path / "sample_logs")
     monkeypatch.chdir(tmp_path)
-    exec(compile(blocks(page), str(page), "exec"), {"__name__": "__main__"})
+    text = page.read_text("utf-8")
+    outputs = list(pages.execute(text))
+    assert len(outputs) == len(pages.blocks_of(text))
+    if text.startswith(EXECUTED):
+        assert_written(page, tmp_path)
 
 
-def commands(page: Path) -> list[list[str]]:
-    """All commands in blocks of a page marked ``sh``, in order, as words."""
-    found = re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)
-    return [shlex.split(line) for line in "".join(found).splitlines()]
+def assert_written(page: Path, folder: Path) -> None:
+    """Every picture that an executed page shows is in the documentation or was written."""
+    for target in LINK.findall(page.read_text("utf-8")):
+        if target.endswith(".png"):
+            written = folder / target
+            assert (page.parent / target).is_file() or written.stat().st_size > 5_000, target
 
 
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if commands(page)], ids=lambda page: page.name
-)
-def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook_is_the_tutorial() -> None:
+    """To renew it: python docs/tools/notebook.py docs/tutorials/developer.md THE_NOTEBOOK."""
+    kept = TUTORIAL.with_suffix(".ipynb").read_text("utf-8")
+    assert kept == notebook.written(notebook.from_page(TUTORIAL.read_text("utf-8")))
+
+
+def test_the_notebook_runs_and_shows_objects_as_html(tmp_path: Path) -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
     copy_samples(tmp_path / "sample_logs")
-    monkeypatch.chdir(tmp_path)
-    for program, *words in commands(page):
-        assert program == "trainlog"
-        assert cli.run(words) == 0
+    found = nbformat.read(TUTORIAL.with_suffix(".ipynb"), as_version=4)
+    nbformat.validate(found)
+    NotebookClient(found, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = [
+        output.data["text/html"]
+        for cell in found.cells
+        for output in cell.get("outputs", ())
+        if "text/html" in output.get("data", {})
+    ]
+    for title in ("Trip ", "Line ", "Train ", "Track-condition map ", "Running res", "Trajectory "):
+        assert any(html.startswith(f"<div><b>{title}") for html in shown), title
+    assert_written(TUTORIAL, tmp_path)
+
+
+PACKAGES = ("trainlog", "analysis", "estimators")
+
+
+def test_the_reference_has_every_public_name_once() -> None:
+    text = "".join(page.read_text("utf-8") for page in sorted((DOCS / "reference").glob("*.md")))
+    listed = re.findall(r"^::: (\S+)$", text, re.M)
+    public = [
+        f"{package}.{name}"
+        for package in PACKAGES
+        for name in importlib.import_module(package).__all__
+    ]
+    assert sorted(listed) == sorted(public)
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    text = (CHECKOUT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
+    missing = [
+        page.relative_to(DOCS).as_posix()
+        for page in DOCS.rglob("*.md")
+        if not re.search(rf"[ :]{re.escape(page.relative_to(DOCS).as_posix())}$", text, re.M)
+    ]
+    assert missing == []
+
+
+def test_validation_states_what_the_studies_reach() -> None:
+    """The figures of the papers' systems are those of the page whose tables are tested."""
+    studies = (DOCS / "studies.md").read_text("utf-8")
+    validation = (DOCS / "validation.md").read_text("utf-8")
+    section = validation.partition("## The published systems")[2].partition("\n## ")[0]
+    stated = set(re.findall(r"\d+\.\d{2,}(?:e-\d+)?", section))
+    assert len(stated) > 12
+    assert {number for number in stated if number not in studies} == set()
+
+
+def test_validation_names_benchmarks_that_there_are() -> None:
+    text = (DOCS / "validation.md").read_text("utf-8")
+    named = set(re.findall(r"python (benchmarks/\S+\.py)", text))
+    assert len(named) > 20
+    assert {name for name in named if not (CHECKOUT / name).is_file()} == set()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")):
-        if not target.startswith(("http:", "https:")):
+    text = page.read_text("utf-8")
+    for target in LINK.findall(text):
+        made = text.startswith(EXECUTED) and target.endswith(".png")
+        if not made and not target.startswith(("http:", "https:")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
