@@ -31,7 +31,12 @@ MEANT = {
 }
 """Where such a word is the right one."""
 
-PATTERNS = ("*.md", "docs/**/*.md", "docs/**/*.py", *(f"{name}/**/*.py" for name in ("trainlog", "analysis")))
+PATTERNS = (
+    "*.md",
+    "docs/**/*.md",
+    "docs/**/*.py",
+    *(f"{name}/**/*.py" for name in ("trainlog", "analysis")),
+)
 FOLDERS = ("estimators", "benchmarks", "sample_logs", "tests")
 
 

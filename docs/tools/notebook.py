@@ -1,6 +1,6 @@
 """The developer's tutorial as a notebook: its prose and its Python blocks as cells, without outputs.
 
-    python docs/tools/notebook.py docs/tutorials/developer.md developer.ipynb
+python docs/tools/notebook.py docs/tutorials/developer.md developer.ipynb
 """
 
 from __future__ import annotations

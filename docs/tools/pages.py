@@ -137,7 +137,9 @@ def with_outputs(text: str, outputs: list[Output]) -> str:
         )
         if shown:
             # One HTML block: an empty line would end it.
-            parts.append("\n<div class='output'>" + shown.replace("\n\n", "\n&#8203;\n") + "</div>\n")
+            parts.append(
+                "\n<div class='output'>" + shown.replace("\n\n", "\n&#8203;\n") + "</div>\n"
+            )
         begin = block.end
     return "".join([*parts, text[begin:]])
 
