@@ -31,13 +31,8 @@ MEANT = {
 }
 """Where such a word is the right one."""
 
-PATTERNS = (
-    "*.md",
-    "docs/**/*.md",
-    "docs/**/*.py",
-    *(f"{name}/**/*.py" for name in ("trainlog", "analysis")),
-)
-FOLDERS = ("estimators", "benchmarks", "sample_logs", "tests")
+PATTERNS = ("*.md", "docs/**/*.md", *(f"{name}/**/*.py" for name in ("trainlog", "analysis")))
+FOLDERS = ("estimators", "benchmarks", "docs", "sample_logs", "tests")
 
 
 def files() -> list[Path]:

@@ -1,7 +1,7 @@
 """Hooks of MkDocs: runs the pages that show what their code prints, and adds files of the checkout.
 
-A page whose front matter says ``execute: true`` is run in `build/pages`, once for each state of its text
-and the code; pictures that it names and that its code writes become files of the site.
+A page whose front matter says ``execute: true`` is run in `build/pages`, once for each state of its
+text and the code; pictures that it names and that its code writes become files of the site.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The developer's tutorial as a notebook: its prose and its Python blocks as cells, without outputs.
+"""The developer's tutorial as a notebook: prose and Python blocks as cells, without outputs.
 
 python docs/tools/notebook.py docs/tutorials/developer.md developer.ipynb
 """

@@ -2,7 +2,8 @@
 
     python docs/tools/pages.py docs/gallery.md build/pages/gallery
 
-runs the page in a folder with the samples and leaves there what it printed (`outputs.json`) and wrote.
+runs the page in a folder with the samples and leaves there what it printed (`outputs.json`) and
+wrote.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import os
 import re
 import shlex
 import sys
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict, dataclass
@@ -79,13 +79,17 @@ def execute(text: str) -> Iterator[Output]:
     """
     names: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks_of(text):
+        html = ""
         with _printed() as printed:
-            if block.language == "python":
-                html = _run_python(block.code, names)
-            else:
-                html = ""
-                for words in commands_of(block):
-                    _run_command(words)
+            try:
+                if block.language == "python":
+                    html = _run_python(block.code, names)
+                else:
+                    for words in commands_of(block):
+                        _run_command(words)
+            except Exception as error:
+                error.add_note(f"in this block:\n{block.code}")
+                raise
         yield Output(printed.getvalue().rstrip(), html)
 
 
@@ -152,13 +156,7 @@ def main(page: Path, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     copy_samples(folder / "sample_logs")
     os.chdir(folder)
-    outputs = []
-    blocks = iter(blocks_of(text))
-    try:
-        outputs.extend(asdict(output) for output in execute(text) if next(blocks))
-    except Exception:
-        traceback.print_exc()
-        sys.exit(f"{page}: this block failed:\n{next(blocks).code}")
+    outputs = [asdict(output) for output in execute(text)]
     Path("outputs.json").write_text(json.dumps(outputs), "utf-8")
 
 
