@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from io import StringIO
-from typing import Any
+from typing import Any, TypeAlias
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -21,6 +23,128 @@ _PADDING = 3
 """Of each column: a space on both sides, and what divides it from the next."""
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A kind of number: its SI unit, and how people read it.
+
+    Attributes
+    ----------
+    suffix : str
+        The SI unit as keys of JSON end: ``"m_s"`` for m/s; empty for a pure number.
+    unit : str
+        In which it is shown.
+    factor : float
+        Of the number shown to the one in SI units.
+    digits : int
+        Shown after the point.
+    """
+
+    suffix: str
+    unit: str
+    factor: float = 1.0
+    digits: int = 1
+
+    def words(self, value: float, *, unit: bool = True) -> str:
+        """A value as it is shown.
+
+        Examples
+        --------
+        >>> SPEED.words(20.0), SHARE.words(0.123), MASS.words(80e3, unit=False)
+        ('72.0 km/h', '12.3 %', '80.0')
+        """
+        number = f"{value * self.factor:,.{self.digits}f}"
+        return f"{number} {self.unit}" if unit and self.unit else number
+
+
+SPEED = Quantity("m_s", "km/h", KMH)
+POSITION = Quantity("m", "km", 1e-3, 3)
+DURATION = Quantity("s", "s")
+MASS = Quantity("kg", "t", 1e-3)
+FORCE = Quantity("N", "kN", 1e-3, 2)
+POWER = Quantity("W", "kW", 1e-3, 0)
+ENERGY = Quantity("J", "kWh", 1.0 / JOULES_PER_KWH, 2)
+SHARE = Quantity("", "%", 100.0)
+NUMBER = Quantity("", "", 1.0, 0)
+
+SHOWN_UNITS = {"m_s": {"km/h": KMH, "m/s": 1.0, "mph": 3600.0 / 1609.344}}
+"""Units that a user may choose, with their factors, by the suffix of the quantity."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: its heading, its key in JSON, and what its numbers are.
+
+    The unit stands in the heading, or with each number (`each`) where the heading names none. Where
+    numbers have bands (`band`), each row has their standard deviation, null where there is none.
+    """
+
+    heading: str
+    quantity: Quantity | None = None
+    key: str = ""
+    each: bool = False
+    band: bool = False
+
+    @property
+    def title(self) -> str:
+        """The heading with its unit."""
+        named = self.quantity is not None and self.quantity.unit and not self.each
+        return f"{self.heading}, {self.quantity.unit}" if named and self.quantity else self.heading
+
+    def in_unit(self, units: Mapping[str, str]) -> Column:
+        """The column in the unit that is chosen for its quantity, if one is."""
+        if self.quantity is None or self.quantity.suffix not in units:
+            return self
+        unit = units[self.quantity.suffix]
+        factor = SHOWN_UNITS[self.quantity.suffix][unit]
+        return replace(self, quantity=replace(self.quantity, unit=unit, factor=factor))
+
+    def words(self, cell: Cell) -> str:
+        """A cell as it is shown."""
+        if cell is None:
+            return "-"
+        if isinstance(cell, Said):
+            return cell.words
+        if isinstance(cell, str) or self.quantity is None:
+            return str(cell)
+        unit = f" {self.quantity.unit}" if self.each and self.quantity.unit else ""
+        if isinstance(cell, Band):
+            if not math.isfinite(cell.value):
+                return "-"
+            factor = self.quantity.factor
+            return with_band(cell.value * factor, cell.std * factor, unit)
+        return self.quantity.words(cell, unit=self.each) if math.isfinite(cell) else "-"
+
+    def data(self, cell: Cell) -> dict[str, Any]:
+        """A cell as JSON has it: numbers in SI units, which end the keys."""
+        key = self.key or _key(self.heading)
+        suffix = f"_{self.quantity.suffix}" if self.quantity and self.quantity.suffix else ""
+        value = cell.value if isinstance(cell, Said | Band) else cell
+        found = {f"{key}{suffix}": value}
+        if self.band:
+            found[f"{key}_std{suffix}"] = cell.std if isinstance(cell, Band) else None
+        return found
+
+
+@dataclass(frozen=True)
+class Band:
+    """A number with its standard deviation, both in SI units; shown with the 95 % band."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Said:
+    """A number in SI units that is shown in words of its own."""
+
+    value: Any
+    words: str
+
+
+Cell: TypeAlias = "str | float | Band | Said | None"
+"""Of a table: words, or a number in SI units."""
+
+
 class WordTable(Table):
     """A table that narrows its columns where that costs least.
 
@@ -32,15 +156,53 @@ class WordTable(Table):
     ----------
     name : str
         In JSON.
-    data : list of dict, optional
-        Its rows as data, where its cells are more than words.
+    forms : tuple of Column
+        What its numbers are; empty for a table of words.
     """
 
     name: str = ""
-    data: list[dict[str, Any]] | None = None
+    forms: tuple[Column, ...] = ()
+    _rows: list[tuple[Cell, ...]]
+
+    def add_cells(self, *cells: Cell) -> None:
+        """Add a row of numbers in SI units and of words, a cell a column."""
+        self._rows.append(cells)
+        self.add_row(*(form.words(cell) for form, cell in zip(self.forms, cells, strict=True)))
+
+    @property
+    def data(self) -> list[dict[str, Any]] | None:
+        """The rows as data, where the cells are more than words; else None."""
+        if not self.forms:
+            return None
+        return [
+            {
+                key: value
+                for form, cell in zip(self.forms, row, strict=True)
+                for key, value in form.data(cell).items()
+            }
+            for row in self._rows
+        ]
+
+    def _in_units(self, units: Mapping[str, str]) -> WordTable:
+        """The table in the units that the console's user has chosen."""
+        forms = [each.in_unit(units) for each in self.forms]
+        shown = new_table(str(self.title or ""), *forms, show_header=self.show_header)
+        shown.caption, shown.caption_justify = self.caption, self.caption_justify
+        for cells, row in zip(self._rows, self.rows, strict=True):
+            shown.add_cells(*cells)
+            if row.end_section:
+                shown.add_section()
+        return shown
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Give every column the least it needs, and a like part of what else it asks for."""
+        units = getattr(console, "units", {})
+        if units and self.forms:
+            yield from self._in_units(units)._laid_out(console, options)
+        else:
+            yield from self._laid_out(console, options)
+
+    def _laid_out(self, console: Console, options: ConsoleOptions) -> RenderResult:
         wide = options.update(max_width=10_000)
         headings = [Measurement.get(console, wide, each.header) for each in self.columns]
         rows = [
@@ -67,20 +229,41 @@ class WordTable(Table):
         yield from super().__rich_console__(console, options)
 
 
-def new_table(title: str, *columns: str, **options: Any) -> Table:
-    """An empty table in the common form."""
+def new_table(title: str, *columns: str | Column, name: str = "", **options: Any) -> WordTable:
+    """An empty table in the common form.
+
+    Parameters
+    ----------
+    title : str
+    *columns : str or Column
+        Headings, of a table of words; or columns that state what their numbers are, whose rows are
+        added with `WordTable.add_cells`, and which is data, too.
+    name : str
+        In JSON; default: the first words of the title.
+    **options
+        Of `rich.table.Table`.
+
+    Examples
+    --------
+    >>> table = new_table("Trips", Column("trip"), Column("top speed", SPEED), name="trips")
+    >>> table.add_cells("a", 20.0)
+    >>> records(table)
+    [{'trip': 'a', 'top_speed_m_s': 20.0}]
+    """
     table = WordTable(
         title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, **options
     )
-    for column in columns:
-        table.add_column(column, overflow="fold")
+    table.name, table._rows = name, []
+    if any(isinstance(each, Column) for each in columns):
+        table.forms = tuple(Column(each) if isinstance(each, str) else each for each in columns)
+    for each in columns:
+        table.add_column(each if isinstance(each, str) else each.title, overflow="fold")
     return table
 
 
 def name_of(table: Table) -> str:
     """The name of a table in JSON: the one it was given, or its title's first words."""
-    given = getattr(table, "name", "")
-    return given or _key(str(table.title or "rows").split(" of ")[0])
+    return getattr(table, "name", "") or _key(str(table.title or "rows").split(" of ")[0])
 
 
 def records(table: Table) -> list[dict[str, Any]]:

@@ -441,7 +441,9 @@ def _uncertainty(
 
 def characteristic_table(fit: CharacteristicFit) -> Table:
     """The fit as a table: maximum, optimum, slope, and what each family leaves of the points."""
-    table = new_table(f"Adhesion characteristic: {NAMES[fit.family]}", "quantity", "value")
+    table = new_table(
+        f"Adhesion characteristic: {NAMES[fit.family]}", "quantity", "value", name="summary"
+    )
     for quantity, value in fit._rows().items():
         table.add_row(quantity, value)
     curve = fit.characteristic

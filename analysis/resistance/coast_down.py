@@ -41,7 +41,7 @@ from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.resistance.regression import LARGEST_STD, powers
-from analysis.tables import new_table
+from analysis.tables import DURATION, NUMBER, SHARE, SPEED, Band, Column, Quantity, Said, new_table
 from trainlog.display import as_text, counted, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
@@ -613,27 +613,30 @@ def coast_down_table(found: CoastDown) -> Group:
     """Each trip's coasting, the common curve with its band, and what was refused."""
     table = new_table(
         f"Coasting of {found.train or 'a train'}",
-        "trip",
-        "speed from",
-        "segments",
-        "coasted",
-        "km/h",
-        "windows",
-        "half band",
+        Column("trip"),
+        Column("speed from"),
+        Column("segments", NUMBER),
+        Column("coasted", replace(DURATION, digits=0), each=True),
+        Column("slowest", replace(SPEED, digits=0)),
+        Column("fastest", replace(SPEED, digits=0)),
+        Column("windows", NUMBER),
+        Column("half band", SHARE, each=True),
+        name="trips",
     )
     for fit in found.trips:
         low, high = fit.curve.covered
         speed = np.linspace(low, high, 21)
         share = float(np.min(fit.curve.share(speed)))
-        table.add_row(
+        segments, outliers = len(fit.segments), len(fit.outlier_segments)
+        table.add_cells(
             fit.trip,
             fit.source,
-            f"{len(fit.segments)}"
-            + (f" ({len(fit.outlier_segments)} outliers)" if fit.outlier_segments else ""),
-            f"{fit.coasted:.0f} s",
-            f"{KMH * low:.0f} to {KMH * high:.0f}",
-            f"{fit.windows['used']}",
-            f"{196.0 * share:.1f} %" if np.isfinite(share) else "-",
+            Said(segments, f"{segments}" + f" ({counted(outliers, 'outlier')})" * bool(outliers)),
+            fit.coasted,
+            low,
+            high,
+            fit.windows["used"],
+            1.96 * share,
         )
     words = [
         "'Half band' is half the 95 % interval of the trip's own curve where it is known best.",
@@ -646,13 +649,17 @@ def coast_down_table(found: CoastDown) -> Group:
 def without_gradient_table(result: CoastDownResult) -> Group:
     """What is identified with the gradient unknown, and why the rest is not."""
     table = new_table(
-        "Running resistance over inertia, gradient unknown", "quantity", "unit", "value", ""
+        "Running resistance over inertia, gradient unknown",
+        *("quantity", "unit"),
+        Column("value", Quantity("", ""), band=True),
+        Column("", key="reason"),
+        name="quantities",
     )
     for each in result.quantities:
-        value = "not identified"
+        value: Band | Said = Said(None, "not identified")
         if each.value is not None and each.std is not None:
-            value = f"{each.value:.3g} ± {1.96 * each.std:.2g}"
-        table.add_row(each.name, each.unit, value, each.reason or "")
+            value = Band(each.value, each.std)
+        table.add_cells(each.name, each.unit, value, each.reason or "")
     words = [f"{len(result.pieces)} pieces of track were coasted more than once."]
     words += [f"refused: {trip['reason']}" for trip in result.trips if not trip["accepted"]]
     if result.curve is not None:
@@ -667,10 +674,11 @@ def _curve(found: CoastDown) -> Table:
     low, high = curve.supported or curve.covered
     table = new_table(
         "Running resistance of the coasting train, with its 95 % band",
-        "km/h",
-        "over inertia [m/s²]",
-        "over weight [per mille]",
-        "over mass [N/t]",
+        Column("speed", replace(SPEED, digits=0)),
+        Column("over inertia, m/s²", Quantity("m_s2", ""), key="over_inertia", band=True),
+        Column("over weight", Quantity("", "per mille", PER_MILLE), band=True),
+        Column("over mass", Quantity("N_kg", "N/t", 1e3), band=True),
+        name="curve",
     )
     at = np.arange(np.ceil(KMH * low / 10.0) * 10.0, KMH * high + 1e-9, 10.0) / KMH
     for speed in at if at.size else np.array([0.5 * (low + high)]):
@@ -678,11 +686,11 @@ def _curve(found: CoastDown) -> Table:
         weight, std = (float(part) for part in curve.per_weight(speed))
         reach = 0.5 * float(above - below)
         factor = reach / float(curve.std(speed))
-        table.add_row(
-            f"{KMH * speed:.0f}",
-            f"{value:.4f} ± {reach:.4f}",
-            f"{PER_MILLE * weight:.2f} ± {PER_MILLE * factor * std:.2f}",
-            f"{1e3 * GRAVITY * weight:.1f} ± {1e3 * GRAVITY * factor * std:.1f}",
+        table.add_cells(
+            float(speed),
+            Band(value, reach / 1.96),
+            Band(weight, factor * std / 1.96),
+            Band(GRAVITY * weight, GRAVITY * factor * std / 1.96),
         )
     return table
 

@@ -42,7 +42,7 @@ from analysis.resistance.recording import (
 )
 from analysis.resistance.regression import diagnosed
 from analysis.resistance.windows import Evidence, part_of, within
-from analysis.tables import new_table, with_band
+from analysis.tables import FORCE, MASS, NUMBER, POWER, Band, Column, Quantity, Said, new_table
 from trainlog.display import as_text, counted, span
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
@@ -380,37 +380,46 @@ def _train_name(trip: Trip) -> str:
         return trip.metadata.get("train", "")
 
 
+COLUMNS = (
+    Column("trip"),
+    Column("r0", Quantity("N", ""), band=True),
+    Column("r1", Quantity("N_s_m", ""), band=True),
+    Column("r2", Quantity("N_s2_m2", ""), band=True),
+    Column("mass", MASS, each=True, band=True),
+    Column("power", POWER, band=True),
+    Column("kN at 80 km/h", replace(FORCE, unit=""), key="resistance_at_80_km_h", band=True),
+    Column("windows", NUMBER),
+)
+"""Of the table of a fit."""
+
+
 def fit_table(fits: Fits) -> Group:
     """Running resistance of each trip and of all together, with what it rests on."""
     title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
-    table = new_table(
-        title, "trip", "r0", "r1", "r2", "mass", "power, kW", "kN at 80 km/h", "windows"
-    )
+    table = new_table(title, *COLUMNS, name="trips")
     at = 80.0 / KMH
     for fit in fits.trips:
-        table.add_row(
+        power = None
+        if fit.max_power is not None and fit.max_power_std is not None:
+            power = Band(fit.max_power, fit.max_power_std)
+        table.add_cells(
             fit.trip,
-            *(
-                with_band(b, s)
-                for b, s in zip(fit.beta, np.sqrt(np.diag(fit.covariance)), strict=False)
-            ),
-            f"{fit.mass / 1e3:.1f} ± {1.96 * fit.mass_std / 1e3:.1f} t",
-            "-"
-            if fit.max_power is None or fit.max_power_std is None
-            else with_band(fit.max_power / 1e3, fit.max_power_std / 1e3),
-            with_band(float(fit.resistance(at)) / 1e3, float(fit.std(at)) / 1e3),
-            f"{fit.windows['used']}",
+            *map(Band, fit.beta[:3].tolist(), np.sqrt(np.diag(fit.covariance))[:3].tolist()),
+            Band(fit.mass, fit.mass_std),
+            power,
+            Band(float(fit.resistance(at)), float(fit.std(at))),
+            fit.windows["used"],
         )
     common = fits.common
     beta = (common.resistance.r0, common.resistance.r1, common.resistance.r2)
     table.add_section()
-    table.add_row(
+    table.add_cells(
         "together",
-        *(with_band(b, s) for b, s in zip(beta, np.sqrt(np.diag(common.covariance)), strict=True)),
-        "",
-        "",
-        with_band(float(common.resistance(at)) / 1e3, float(common.std(at)) / 1e3),
-        f"{sum(fit.windows['used'] for fit in fits.trips)}",
+        *map(Band, beta, np.sqrt(np.diag(common.covariance)).tolist()),
+        Said(None, ""),
+        Said(None, ""),
+        Band(float(common.resistance(at)), float(common.std(at))),
+        sum(fit.windows["used"] for fit in fits.trips),
     )
     low, high = common.speed_range
     words = [

@@ -3,22 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from analysis.tables import kwh, new_table, overspeed
+from analysis.tables import (
+    DURATION,
+    ENERGY,
+    MASS,
+    POSITION,
+    SHARE,
+    SPEED,
+    Column,
+    Quantity,
+    Said,
+    kwh,
+    new_table,
+    overspeed,
+)
 from trainlog.display import lateness
 from trainlog.railway import Trajectory
-from trainlog.units import KMH, clock
+from trainlog.units import clock
 
 if TYPE_CHECKING:
     # They bring the solvers, which a table of a trajectory's file does without.
     from analysis.trajectory.journey import JourneyPlan
     from analysis.trajectory.optimiser import Front
     from analysis.trajectory.phases import AdvicePoint
+
+FROM_START = replace(POSITION, unit="")
+"""A position under a heading that says km."""
+
+SECOND_WORTH = Quantity("W", "Wh", 1.0 / 3.6e3)
+"""Energy for a second of running time."""
 
 LISTED = 8
 """Configurations of a trajectory that are listed one by one."""
@@ -32,7 +52,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     certificate = trajectory.certificate
     audit = certificate["audit"]
     title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
-    facts = new_table(title, "", "", show_header=False)
+    facts = new_table(title, "", "", show_header=False, name="summary")
     least = max(certificate["least_time"])
     reserve = f"{certificate['reserve']:.1%} over {least:.1f} s ({clock(least)})"
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
@@ -65,18 +85,24 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         facts.add_row(f"second result by {referee['name']}", words)
     table = new_table(
         "Energy of each configuration",
-        *("configuration", "mass", "arrival", "top speed", "at the wheels", "from the line"),
+        Column("configuration"),
+        Column("mass", MASS, each=True),
+        Column("arrival", replace(DURATION, digits=2), each=True),
+        Column("top speed", SPEED, each=True),
+        Column("at the wheels", ENERGY, each=True, key="wheel_energy"),
+        Column("from the line", ENERGY, each=True, key="line_energy"),
+        name="configurations",
     )
     energies = certificate["wheel_energy"], certificate["line_energy"]
     order = np.argsort(-np.asarray(energies[trajectory.objective != "wheel"]), kind="stable")
     for row in order[:LISTED]:
         configuration = trajectory.configurations[row]
-        table.add_row(
+        table.add_cells(
             configuration.name,
-            f"{configuration.mass / 1e3:.1f} t",
-            f"{trajectory.times[row, -1]:.2f} s",
-            f"{trajectory.speeds[row].max() * KMH:.1f} km/h",
-            *(kwh(each[row]) for each in energies),
+            configuration.mass,
+            float(trajectory.times[row, -1]),
+            float(trajectory.speeds[row].max()),
+            *(float(each[row]) for each in energies),
         )
     rest = len(order) - LISTED
     return Group(facts, table, *([f"and {rest} more"] if rest > 0 else []))
@@ -97,16 +123,21 @@ def front_table(front: Front) -> Table:
     first = front.trajectories[0]
     table = new_table(
         f"Running time on {first.line}, {first.train}, against {first.energy_label}",
-        *("running time", "reserve", "energy", "total gap", "a second more saves"),
+        Column("running time", DURATION, each=True),
+        Column("reserve", SHARE, each=True),
+        Column("energy", ENERGY, each=True),
+        Column("total gap", replace(SHARE, digits=3), each=True),
+        Column("a second more saves", SECOND_WORTH, each=True, key="saved_by_a_second"),
+        name="front",
     )
     for each, price in zip(front.trajectories, front.prices, strict=True):
         certificate = each.certificate
-        table.add_row(
-            f"{each.running_time:.1f} s",
-            f"{certificate['reserve']:.1%}",
-            kwh(certificate["energy"]),
-            f"{certificate['total_gap']:.3%}",
-            f"{price / 3.6e3:.1f} Wh",
+        table.add_cells(
+            each.running_time,
+            certificate["reserve"],
+            certificate["energy"],
+            certificate["total_gap"],
+            float(price),
         )
     return table
 
@@ -123,7 +154,14 @@ def journey_table(plan: JourneyPlan) -> Table:
     )
     table = new_table(
         title,
-        *("from km", "departs", "to km", "arrives", "energy", "total gap", "a second is worth"),
+        Column("from km", FROM_START, key="start"),
+        Column("departs", DURATION, each=True),
+        Column("to km", FROM_START, key="end"),
+        Column("arrives", DURATION, each=True),
+        Column("energy", ENERGY, each=True),
+        Column("total gap", replace(SHARE, digits=3), each=True),
+        Column("a second is worth", SECOND_WORTH, each=True, key="worth_of_a_second"),
+        name="sections",
         caption=f"{costliest} takes most in all, {kwh(certificate['costliest_energy'])}"
         + ("; energies are its own" if mixed else ""),
         caption_justify="left",
@@ -132,28 +170,36 @@ def journey_table(plan: JourneyPlan) -> Table:
     for each, departs, arrives in zip(plan.sections, plan.departures, plan.arrivals, strict=True):
         found = each.certificate
         price = sum(found["time_price"].values())
-        table.add_row(
-            f"{each.positions[0] / 1e3:.3f}",
-            f"{departs:.1f} s",
-            f"{each.positions[-1] / 1e3:.3f}",
-            f"{arrives:.1f} s",
-            kwh(found["line_energy"][row] if mixed else found["energy"]),
-            f"{found['total_gap']:.3%}",
-            f"{price / 3.6e3:.1f} Wh",
+        table.add_cells(
+            float(each.positions[0]),
+            float(departs),
+            float(each.positions[-1]),
+            float(arrives),
+            float(found["line_energy"][row] if mixed else found["energy"]),
+            found["total_gap"],
+            float(price),
         )
     return table
 
 
 def advice_table(points: Sequence[AdvicePoint]) -> Table:
     """Driver advice: where to do what."""
-    table = new_table("Driver advice", "km", "time", "speed", "advice", "until")
+    table = new_table(
+        "Driver advice",
+        Column("km", FROM_START, key="position"),
+        Column("time", DURATION),
+        Column("speed", replace(SPEED, digits=0), each=True),
+        Column("advice"),
+        Column("until", replace(SPEED, digits=0), each=True),
+        name="advice",
+    )
     for point in points:
-        table.add_row(
-            f"{point.position / 1e3:.3f}",
-            clock(point.time),
-            f"{KMH * point.speed:.0f} km/h",
+        table.add_cells(
+            point.position,
+            Said(point.time, clock(point.time)),
+            point.speed,
             point.words,
-            f"{KMH * point.until:.0f} km/h",
+            point.until,
         )
     return table
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from trainlog.cli.options import Logs, destination, logs_in
-from trainlog.cli.terminal import console, print_error, wrote
+from trainlog.cli.terminal import console, print_error, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
@@ -226,5 +226,6 @@ def adhesion_fit(
     found = fit_adhesion_characteristic(curve, family, speed=None if speed is None else speed / KMH)
     write_characteristic(found.characteristic, output, found.provenance())
     draw_characteristic(found, shown)
-    console.print(characteristic_table(found))
+    if not state({"family": found.family, "fit": found.provenance()}):
+        console.print(characteristic_table(found))
     wrote(output, shown)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trainlog.cli.options import Logs, logs_in
-from trainlog.cli.terminal import console, print_account, print_error
+from trainlog.cli.terminal import console, print_account, print_error, state
 from trainlog.errors import LogError
 from trainlog.progress import track
 
@@ -26,7 +26,7 @@ def check(logs: Logs) -> None:
     """
     from trainlog.mcap import account_of
 
-    status = 0
+    status, accounts = 0, []
     for log in track(logs_in(logs), "checking", "log"):
         try:
             account = account_of(log)
@@ -34,8 +34,10 @@ def check(logs: Logs) -> None:
             print_error(str(error))
             status = 2
             continue
+        accounts.append({"log": log, "whole": account.whole, **account.details()})
         status = max(status, 0 if account.whole else 1)
-        print_account(log, account)
+        if not state({"logs": accounts}):
+            print_account(log, account)
     if status:
         raise typer.Exit(status)
 
