@@ -26,6 +26,8 @@ Listener = Callable[[str, float | None, str], AbstractContextManager[Step]]
 """Shows a task: its name, how much there is to do (None: not known), and the unit of both."""
 
 _listener: Listener | None = None
+_steps: list[Step] = []
+"""Of the tasks that run, the innermost last."""
 
 
 def _unheard(
@@ -57,7 +59,23 @@ def task(name: str, total: float | None = None, unit: str = "") -> Iterator[Step
         yield _unheard
         return
     with _listener(name, total, unit) as step:
-        yield step
+        _steps.append(step)
+        try:
+            yield step
+        finally:
+            _steps.remove(step)
+
+
+def note(words: str) -> None:
+    """State where the innermost task is, from code that does not know which one it is.
+
+    Examples
+    --------
+    >>> with task("optimising"):
+    ...     note("round 2")
+    """
+    if _steps:
+        _steps[-1](note=words)
 
 
 def track(

@@ -61,6 +61,7 @@ from analysis.trajectory.sqp import (
     minimise,
     with_costates,
 )
+from trainlog.progress import note
 
 FloatArray = NDArray[np.float64]
 
@@ -404,6 +405,8 @@ def _searched(
     alone, even = guess.alone | {_slowest(problem, speeds)}, problem
     together = cache(partial(DrivenPlan.together, problem, speeds, running_time))
     for turns in count(1):
+        grid = f"{problem.shape[1]} cells" + ", to begin with" * coarse
+        note(f"round {turns}: {len(rows)} of {problem.shape[0]} decide, {grid}")
         part = _program(even, rows, alone)
         tolerances = EXACT if exact else nearly
         start = partial(DrivenPlan.of_rows, together, tuple(rows), part.weights)

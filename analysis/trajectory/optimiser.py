@@ -44,8 +44,9 @@ from analysis.trajectory.problem import (
     TrajectoryProblem,
 )
 from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
-from trainlog.display import as_html, as_text, picture
+from trainlog.display import as_html, as_text, counted, picture
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
+from trainlog.progress import note, task, track
 from trainlog.railway import Trajectory
 from trainlog.units import JOULES_PER_KWH
 
@@ -111,8 +112,15 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
     >>> round(trajectory.certificate["energy"] / 3.6e6, 1)  # kWh
     32.6
     """
-    with time_limit(options.time_limit):
+    with (
+        task(f"optimising {_for(problem)}", options.time_limit, "s"),
+        time_limit(options.time_limit),
+    ):
         return _optimised(problem, options)
+
+
+def _for(problem: TrajectoryProblem) -> str:
+    return f"for {counted(len(problem.configurations), 'configuration')}"
 
 
 def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajectory:
@@ -268,6 +276,7 @@ def _renewed(
             tolerance = max(tolerance, GAP_TOLERANCE)
             cells = min(2 * cells, MOST_FINER * options.cells, MOST_CELLS)
         total = bounds.total_gap(found.energy)
+        note(f"the gap is {total:.3%}; cells are laid anew")
         enough = total <= tolerance or time_left() <= 0.0
         if enough or not bounds.by_cells(found.energy, tolerance):
             break
@@ -492,7 +501,7 @@ def energy_against_time(
         raise InputError("front: no reserves are given", remedy="give parts of the least time")
     found: list[Trajectory] = []
     failure: InfeasibleError | None = None
-    for reserve in sorted(set(reserves)):
+    for reserve in track(sorted(set(reserves)), "optimising", "running time"):
         try:
             found.append(optimise(replace(problem, running_time=None, reserve=reserve), options))
         except InfeasibleError as error:

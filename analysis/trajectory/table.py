@@ -187,7 +187,7 @@ def advice_table(points: Sequence[AdvicePoint]) -> Table:
     table = new_table(
         "Driver advice",
         Column("km", FROM_START, key="position"),
-        Column("time", DURATION),
+        Column("time", DURATION, each=True),
         Column("speed", replace(SPEED, digits=0), each=True),
         Column("advice"),
         Column("until", replace(SPEED, digits=0), each=True),

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from trainlog.cli.terminal import current
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
 
@@ -99,6 +100,7 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], int]) ->
         console.rule(Text(passed, style="dim"), align="left")
         shown = Text(f"$ trainlog {shlex.join(step)}", style="bold")
         console.print(shown, highlight=False, soft_wrap=True)
+        current().place = f"step {number} of {len(steps)} of the demo"
         if status := run(step):
             raise typer.Exit(status)
     console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")

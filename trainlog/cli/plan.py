@@ -211,8 +211,7 @@ def optimise(
     if journey is not None:
         _journey(problem, options, journey, dwell or 0.0, output)
         return
-    with working(f"optimising over {len(observed.configurations)} configurations"):
-        trajectory = solve(problem, options)
+    trajectory = solve(problem, options)
     _write(trajectory, problem, output)
     if pareto:
         _front(problem, options, output)
@@ -295,8 +294,7 @@ def _front(problem: TrajectoryProblem, options: OptimiserOptions, output: Path) 
     from analysis.trajectory.plot import draw_front
     from analysis.trajectory.table import front_table
 
-    with working("optimising for other running times"):
-        front = energy_against_time(problem, options=options)
+    front = energy_against_time(problem, options=options)
     picture = output.with_name(f"{output.stem}-pareto.png")
     draw_front(front, picture)
     console.print(front_table(front))

@@ -6,11 +6,11 @@ of how much, the rate and the remaining time. Nothing is drawn where standard er
 
 from __future__ import annotations
 
-import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from trainlog.cli import terminal
@@ -42,7 +42,7 @@ class ProgressDisplay:
         """Show a task while it is worked on."""
         bar = self._started()
         number = None if bar is None else bar.add_task(name, total=total, unit=unit, note="")
-        known, outer = total, self._depth == 0
+        known, outer, began = total, self._depth == 0, monotonic()
         self._depth += 1
         self._state(outer, name, 0.0, known, unit)
 
@@ -52,6 +52,8 @@ class ProgressDisplay:
             nonlocal known
             self._check()
             known = known if total is None else total
+            if done is None and unit == "s":
+                done = monotonic() - began
             if done is not None:
                 self._state(outer, name, done, known, unit)
             if bar is not None and number is not None:
@@ -110,8 +112,9 @@ def _bars() -> Progress:
         max_refresh = 0.5
 
         def render(self, task: Task) -> Text:
-            words = pace(task.elapsed, task.speed, task.time_remaining, task.fields["unit"])
-            return Text(words, style="dim")
+            return Text(
+                pace(task.elapsed, task.completed, task.total, task.fields["unit"]), style="dim"
+            )
 
     columns: list[Any] = [
         TextColumn("{task.description}", markup=False),
@@ -125,7 +128,6 @@ def _bars() -> Progress:
         console=terminal.errors,
         transient=True,
         redirect_stdout=terminal.console.is_terminal,
-        speed_estimate_period=20.0,
     )
 
 
@@ -153,20 +155,23 @@ def amount(done: float, total: float | None, unit: str) -> str:
     return f"{' of '.join(said)} {unit}{plural}".rstrip()
 
 
-def pace(elapsed: float | None, speed: float | None, remaining: float | None, unit: str) -> str:
+def pace(elapsed: float | None, done: float, total: float | None, unit: str) -> str:
     """How fast it goes, and how long it still takes; how long it has taken where that is unknown.
 
     Examples
     --------
-    >>> pace(12.0, 2.5e6, 90.0, "B"), pace(4.0, 0.05, None, "trip"), pace(75.0, None, None, "")
-    ('2.5 MB/s, 1:30 left', '3.0 trips a minute, 0:04', '1:15')
+    >>> pace(12.0, 30e6, 90e6, "B"), pace(80.0, 4, None, "trip"), pace(75.0, 0, 4, "trip")
+    ('2.5 MB/s, 0:24 left', '3.0 trips a minute, 1:20', '1:15')
     """
+    if not elapsed:
+        return ""
+    speed = done / elapsed
     parts = []
-    if speed and unit not in ("", "s") and math.isfinite(speed):
+    if speed and unit not in ("", "s"):
         parts = [f"{amount(speed, None, unit)}/s"] if unit in ("B", "m") else [_often(speed, unit)]
-    if remaining is not None:
-        parts.append(f"{_minutes(remaining)} left")
-    elif elapsed is not None:
+    if speed and total is not None and unit:
+        parts.append(f"{_minutes(max(total - done, 0.0) / speed)} left")
+    else:
         parts.append(_minutes(elapsed))
     return ", ".join(parts)
 

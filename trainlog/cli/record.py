@@ -37,7 +37,7 @@ from trainlog.cli.terminal import (
 )
 from trainlog.errors import InfeasibleError, InputError, LogError
 from trainlog.formats.files import output_folder
-from trainlog.progress import task, track
+from trainlog.progress import track
 
 if TYPE_CHECKING:
     from trainlog.ingest import Ingested
@@ -315,29 +315,23 @@ def ingest(
     the_train = None if train is None else read_train(train)
     as_json = current().as_json
     proposals = Proposals(output, the_train, format, accept=accept, quiet=as_json)
-    with task("ingesting", unit="file") as step:
-
-        def note(outcome: Outcome, done: int, total: int) -> None:
-            found.append(outcome)
-            step(done, total)
-
-        try:
-            result = ingest_all(
-                recordings,
-                output,
-                profile,
-                format=format,
-                line=None if line is None else read_line(line),
-                train=the_train,
-                direction="reverse" if reverse else None,
-                metadata=pairs(facts or []),
-                each=note,
-                choose=proposals.profile_for,
-                finish=with_estimated_passport if line and train else None,
-            )
-        except KeyboardInterrupt:
-            _print_ingested(Ingested(output, tuple(found)), alone=False)
-            raise
+    try:
+        result = ingest_all(
+            recordings,
+            output,
+            profile,
+            format=format,
+            line=None if line is None else read_line(line),
+            train=the_train,
+            direction="reverse" if reverse else None,
+            metadata=pairs(facts or []),
+            each=lambda outcome, done, total: found.append(outcome),  # noqa: ARG005
+            choose=proposals.profile_for,
+            finish=with_estimated_passport if line and train else None,
+        )
+    except KeyboardInterrupt:
+        _print_ingested(Ingested(output, tuple(found)), alone=False)
+        raise
     if alone and not as_json and [each.state for each in found] == ["refused"]:
         if proposals.waiting:
             print_error(found[0].reason)

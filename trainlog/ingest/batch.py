@@ -36,6 +36,7 @@ from trainlog.ingest.registry import formats, head_of
 from trainlog.ingest.report import Report, report_of
 from trainlog.mcap import describe, write_log
 from trainlog.mcap.reader import about_log, identity_of_log
+from trainlog.progress import task
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
@@ -289,17 +290,32 @@ def ingest_all(
     if not files:
         raise InputError("no recording was given", remedy="name files or folders")
     found: list[Outcome] = []
-    with output_folder(target):
+    sizes = [0 if reason else _size(file) for file, reason in files]
+    with output_folder(target), task("ingesting", sum(sizes), "B") as step:
         recordings = [file for file, reason in files if not reason]
         named = frozenset(Path(path).resolve() for path in every)
         batch = _Batch(target, given, recordings, named, choose, finish)
         for number, (file, reason) in enumerate(files, start=1):
+            step(sum(sizes[: number - 1]), note=_at_file(file, number, len(files)))
             outcomes = [Outcome(file, "passed_over", reason=reason)] if reason else batch.make(file)
             for outcome in outcomes:
                 found.append(outcome)
                 if each is not None:
                     each(outcome, number, len(files))
     return Ingested(target, tuple(found))
+
+
+def _size(path: Path) -> int:
+    """Of a file, or of all in a folder [bytes]; 0 if it is not there, which is stated later."""
+    try:
+        files = path.rglob("*") if path.is_dir() else [path]
+        return sum(each.stat().st_size for each in files)
+    except OSError:
+        return 0
+
+
+def _at_file(file: Path, number: int, files: int) -> str:
+    return f"{file.name}, {number} of {counted(files, 'file')}" if files > 1 else file.name
 
 
 def files_of(paths: Iterable[Path], output: Path) -> list[tuple[Path, str]]:

@@ -1,0 +1,135 @@
+"""The command line in a real terminal: progress is seen there, and Ctrl-C ends everything."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import select
+import struct
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from trainlog.cli.progress_bar import amount, pace
+from trainlog.formats.samples import sample
+from trainlog.mcap import account_of
+
+fcntl = pytest.importorskip("fcntl", reason="pseudo-terminals are those of POSIX")
+import termios  # noqa: E402
+
+CONTROL_C = b"\x03"
+
+
+@dataclass
+class Seen:
+    """What a person saw of a command."""
+
+    status: int
+    text: str
+    group: int
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines as they were printed, without colours and what moves the cursor."""
+        plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.text)
+        return [line.strip() for line in re.split(r"[\r\n]+", plain) if line.strip()]
+
+    @property
+    def words(self) -> str:
+        return " ".join(" ".join(self.lines).split())
+
+
+def typed(words: list[str | Path], folder: Path, *, until: str = "", columns: int = 100) -> Seen:
+    """Run a command in a terminal; Ctrl-C is pressed as soon as `until` is seen on it."""
+    process, terminal = pty.fork()
+    if process == 0:  # the child
+        os.chdir(folder)
+        os.environ.pop("NO_COLOR", None)
+        os.environ["TERM"] = "xterm-256color"
+        os.execv(sys.executable, [sys.executable, "-m", "trainlog", *map(str, words)])
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
+    seen, pressed, end = b"", not until, time.monotonic() + 120.0
+    while time.monotonic() < end:
+        if select.select([terminal], [], [], 0.1)[0]:
+            try:
+                part = os.read(terminal, 65536)
+            except OSError:  # the terminal is closed: the command has ended
+                break
+            if not part:
+                break
+            seen += part
+        if not pressed and until in seen.decode("utf-8", "ignore"):
+            os.write(terminal, CONTROL_C)
+            pressed = True
+    status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    os.close(terminal)
+    assert pressed, seen.decode("utf-8", "ignore")
+    return Seen(status, seen.decode("utf-8", "ignore"), process)
+
+
+def nobody_left(group: int) -> bool:
+    """Whether no process of a command is left."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_ctrl_c_while_a_map_is_updated_is_one_sentence(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for name in ("nonstop", "stopping"):
+        (logs / f"{name}.mcap").write_bytes(sample(f"{name}.mcap").read_bytes())
+    seen = typed(["map", "update", "logs", "--map", "wil.map"], tmp_path, until="added to")
+    assert seen.status == 130
+    assert seen.words.count("trainlog: ") == 1
+    assert "interrupted: mapping: 1 of 2 logs finished; 1 trip added" in seen.words
+
+
+def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(
+    tmp_path: Path,
+) -> None:
+    seen = typed(["demo", "-o", "results"], tmp_path, until="trip-02:")
+    assert seen.status == 130
+    assert seen.words.count("interrupted") == 1
+    found = re.search(
+        r"interrupted at step 2 of \d+ of the demo: driving: (\d+) of 12 trips finished;"
+        r" (\d+) files written",
+        seen.words,
+    )
+    assert found is not None, seen.words
+    logs = sorted((tmp_path / "results" / "trips").iterdir())
+    assert len(logs) == int(found[2]) >= 2
+    assert 0 <= int(found[2]) - int(found[1]) <= 1
+    assert all(log.suffix == ".mcap" and account_of(log).whole for log in logs)
+    assert "trainlog ingest" not in seen.words
+    assert "Traceback" not in seen.text
+    assert nobody_left(seen.group)
+
+
+def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path: Path) -> None:
+    seen = typed(["simulate", "--count", "2", "-o", "trips"], tmp_path)
+    assert seen.status == 0
+    assert re.search(r"1 of 2 trips", seen.words)
+    assert re.search(r"trips a (minute|second)", seen.words)
+    assert re.search(r"\d:\d\d left", seen.words)
+    # What stays on the screen is behind the last erased line.
+    assert seen.text.rstrip().rsplit("\x1b[2K", 1)[-1].count("driving") == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [((1, 1, "trip"), "1 of 1 trip"), ((0, 4e9, "B"), "0.0 of 4.0 GB"), ((2, None, ""), "2")],
+)
+def test_amounts_in_words(given: tuple[float, float | None, str], shown: str) -> None:
+    assert amount(*given) == shown
+
+
+def test_nothing_is_stated_of_a_rate_that_is_unknown() -> None:
+    assert pace(3.0, 0.0, None, "trip") == "0:03"
+    assert pace(0.0, 0.0, None, "trip") == ""
