@@ -1,0 +1,671 @@
+"""A trip reduced to what a comparison by position needs.
+
+Speed, position and cumulated work on one clock of at most ten samples a second, stands apart from
+the running time. Long logs are read in pieces, and only the columns that are used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.adhesion.events import protection_onsets
+from analysis.given import Given, trip_of
+from trainlog.along_line import (
+    GAP_DISTANCE,
+    LONGEST_GAP,
+    POSITION_SOURCES,
+    TimeDistance,
+    forward_chainage,
+    planned_time_distance,
+)
+from trainlog.errors import InputError, LogError
+from trainlog.formats.attached import line_of, passport_of, recorded_load, train_of
+from trainlog.mcap import read_log
+from trainlog.mcap.reader import stream_log
+from trainlog.railway import Line, Train, Trajectory
+from trainlog.railway.passport import Quantity
+from trainlog.resampling import joined_pieces
+from trainlog.spans import runs_of
+from trainlog.topics import (
+    ENVIRONMENT,
+    EVENTS,
+    REFERENCE,
+    STANDSTILL,
+    TRAIN_CONTROLS,
+    TRAIN_SLIP_PROTECTION,
+    TRAIN_STATE,
+    TRAIN_SUPPLY,
+)
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
+from trainlog.units import NANOSECONDS
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+SHORTEST_STOP = 5.0
+"""A train that stands for less [s] is creeping, not stopping."""
+
+STANDING_ESTIMATE = 0.3
+"""Estimated speed [m/s] up to which a train stands: satellites' speeds waver at rest."""
+
+STATION_REACH = 200.0
+"""A train that stands so near to a station's chainage [m] has stopped there."""
+
+SAMPLING = 0.1
+"""Least time between two samples that are kept [s]; work is summed over all of them."""
+
+ROWS = 250_000
+"""Rows of a piece."""
+
+NOTED_SETBACK, LARGEST_SETBACK = 2.0, 200.0
+"""Metres by which recorded chainage runs backwards that are stated, and that are refused."""
+
+JUMP = 20.0
+"""Metres by which a position advances more than the speed explains: it was corrected."""
+
+FULL_EFFORT, FULL_LEVER = 0.97, 0.99
+"""Share of the train's largest effort, and lever position, from which all there is was used."""
+
+COASTING_SHARE = 0.01
+"""Of the largest tractive effort: with less effort of either sign the train coasts."""
+
+SLIP_LASTS = 2.0
+"""Time after an onset [s] that counts as slip where only onsets are recorded."""
+
+_WORKS = {
+    "tractive_effort": "traction",
+    "dynamic_braking_effort": "dynamic_braking",
+    "pneumatic_braking_effort": "pneumatic_braking",
+}
+_EFFORTS = tuple(_WORKS)
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    TRAIN_CONTROLS.name: (*_EFFORTS, "tractive_effort_demand", "lever"),
+    ENVIRONMENT.name: ("speed_limit",),
+    REFERENCE.name: ("speed", "lateness"),
+    TRAIN_SLIP_PROTECTION.name: ("active",),
+    TRAIN_SUPPLY.name: ("line_voltage", "line_current"),
+}
+"""What is read beside speed and position, where it is recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """The train at rest for at least `SHORTEST_STOP`.
+
+    Attributes
+    ----------
+    position : float [m]
+    duration : float [s]
+        0 of the stand before the first departure and of that after the last arrival: how long a
+        recording goes on there says nothing of the trip.
+    station : str
+        Empty off a station.
+    """
+
+    position: float
+    duration: float
+    station: str
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenTrip:
+    """A trip, or a plan, from its first departure to its last arrival; arrays (n,).
+
+    Attributes
+    ----------
+    name, direction : str
+    line : Line
+        As travelled.
+    train : Train or None
+    mass : Quantity [kg]
+        Of the loaded train; not known where nothing states the load.
+    departure : int [ns since 1970 UTC]
+    time : array [s]
+        Since departure.
+    running : array [s]
+        The same without the time of the stands.
+    position : array [m]
+        Non-decreasing, in the direction of travel.
+    speed : array [m/s]
+    stands : tuple of Stand
+        In order of position, those at both ends with a duration of 0.
+    sums : dict of str to array
+        Cumulated since departure: work ``traction``, ``dynamic_braking``,
+        ``pneumatic_braking`` at the wheel rims and ``supply`` from the line [J], time of
+        ``unknown_effort`` [s]; what is not recorded is missing.
+    flags : dict of str to bool array
+        ``coasting``, ``full_effort``, ``slip``, ``doubtful`` (position); what is not recorded is
+        missing.
+    signals : dict of str to array
+        ``limit`` [m/s] as recorded, ``reference_speed`` [m/s], ``lateness`` [s].
+    slips : array [s] or None
+        When the slip protection began to act, since departure; None where that is not recorded.
+    gain : Quantity
+        Recorded over true effort by the stored passport, by which works are corrected.
+    notes : tuple of str
+        What was repaired, or cannot be known.
+    planned : bool
+        A trajectory, not a recording.
+    """
+
+    name: str
+    direction: str
+    line: Line
+    train: Train | None
+    mass: Quantity
+    departure: int
+    time: FloatArray
+    running: FloatArray
+    position: FloatArray
+    speed: FloatArray
+    stands: tuple[Stand, ...]
+    sums: dict[str, FloatArray] = field(default_factory=dict)
+    flags: dict[str, BoolArray] = field(default_factory=dict)
+    signals: dict[str, FloatArray] = field(default_factory=dict)
+    slips: FloatArray | None = None
+    gain: Quantity = Quantity(float("nan"), float("nan"), "assumed")
+    notes: tuple[str, ...] = ()
+    planned: bool = False
+
+    @property
+    def covered(self) -> tuple[float, float]:
+        """First and last position [m]."""
+        return float(self.position[0]), float(self.position[-1])
+
+    @property
+    def duration(self) -> float:
+        """From departure to arrival, dwell included [s]."""
+        return float(self.time[-1])
+
+    @cached_property
+    def curve(self) -> TimeDistance:
+        """Time-distance curve since departure."""
+        nanoseconds = self.departure + np.rint(self.time * NANOSECONDS).astype(np.int64)
+        return TimeDistance(self.departure, nanoseconds, self.position)
+
+    @cached_property
+    def limit(self) -> FloatArray:
+        """Permitted speed [m/s] at each sample: the line's over the train, or a lower recorded."""
+        stated = self.permitted(self.position)
+        recorded = self.signals.get("limit")
+        return stated if recorded is None else np.fmin(stated, recorded)
+
+    def permitted(self, position: ArrayLike) -> FloatArray:
+        """Speed limit of the line over the train's length [m/s] at each position [m]."""
+        length = 0.0 if self.train is None else self.train.length
+        limits = self.line.limits_over(length)(position)
+        return np.asarray(limits if self.train is None else np.minimum(limits, self._top))
+
+    @property
+    def _top(self) -> float:
+        return np.inf if self.train is None else self.train.max_speed
+
+    def sample_at(self, position: ArrayLike) -> FloatArray:
+        """Number of the sample, with its fraction, at which each position is reached.
+
+        Positions outside are those of the nearer end.
+        """
+        s = np.clip(np.asarray(position, dtype=np.float64), *self.covered)
+        high = np.clip(np.searchsorted(self.position, s, side="left"), 1, self.position.size - 1)
+        low = high - 1
+        step = self.position[high] - self.position[low]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(step > 0.0, (s - self.position[low]) / step, 1.0)
+        return np.asarray(low + np.clip(share, 0.0, 1.0))
+
+    def at(self, values: FloatArray, position: ArrayLike) -> FloatArray:
+        """Values of the samples at each position [m]."""
+        return np.interp(self.sample_at(position), np.arange(values.size), values)
+
+    def share_of(self, flag: str, edges: FloatArray) -> FloatArray:
+        """Share of the running time of each cell between `edges` (n + 1,) with a flag; (n,)."""
+        step = np.diff(self.running, prepend=0.0)
+        part = np.diff(self.at(np.cumsum(step * self.flags[flag]), edges))
+        whole = np.diff(self.at(self.running, edges))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(whole > 0.0, part / whole, 0.0)
+
+
+def driven_trip(given: Given, line: Line | None = None) -> DrivenTrip:
+    """What a comparison needs of a trip.
+
+    Parameters
+    ----------
+    given : Trip or path of a log
+    line : Line, optional
+        In its own direction; default: the one that the trip carries.
+
+    Raises
+    ------
+    LogError
+        If the trip has no chainage, never moves, or runs back and forth.
+    InputError
+        If neither the trip nor the caller knows the line, or the trip is of another.
+
+    Examples
+    --------
+    >>> trip = driven_trip("sample_logs/stopping.mcap")
+    >>> [(stand.station, round(stand.duration)) for stand in trip.stands][:2]
+    [('St.Gallen', 0), ('Gossau', 46)]
+    """
+    bare = _described(given)
+    travelled = _line_as_travelled(bare, line)
+    train = train_of(bare) if TRAIN_ATTACHMENT in bare.attachments else None
+    table = _table(given, bare)
+    mass, gain = _mass_and_gain(bare, train)
+    parts = _Reduction(bare, travelled, train, gain).reduced(table)
+    slips = _onsets(given, parts)
+    flags = dict(parts.flags)
+    if slips is not None and "slip" not in flags:
+        since = parts.time - np.append(-np.inf, slips)[np.searchsorted(slips, parts.time, "right")]
+        flags["slip"] = since <= SLIP_LASTS
+    return replace(parts, mass=mass, slips=slips, flags=flags)
+
+
+def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None) -> DrivenTrip:
+    """A trajectory in the form of a trip: that of the configuration which arrives last.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    line : Line
+        In its own direction.
+    train : Train, optional
+    """
+    row = trajectory.latest
+    curve = planned_time_distance(trajectory, row)
+    travelled = line.reversed() if trajectory.direction == "reverse" else line
+    configuration = trajectory.configurations[row]
+    ends = [
+        Stand(float(trajectory.positions[end]), 0.0, station_at(travelled, each))
+        for end, each in ((0, trajectory.positions[0]), (-1, trajectory.positions[-1]))
+        if trajectory.speeds[row, end] <= STANDSTILL
+    ]
+    tractive = trajectory.tractive_effort_at(curve.position)
+    work = np.concatenate(
+        ([0.0], np.cumsum(0.5 * (tractive[1:] + tractive[:-1]) * np.diff(curve.position)))
+    )
+    braking = trajectory.braking_effort[row, trajectory.cell_of(curve.position)]
+    none = COASTING_SHARE * (np.inf if train is None else train.max_tractive_effort)
+    idle = (np.abs(tractive) < none) & (braking < none)
+    return DrivenTrip(
+        name="trajectory",
+        direction=trajectory.direction,
+        line=travelled,
+        train=train,
+        mass=Quantity(configuration.mass, 0.0, "recorded"),
+        departure=0,
+        time=curve.seconds,
+        running=curve.seconds,
+        position=curve.position,
+        speed=trajectory.speed_at(row, curve.position),
+        stands=tuple(ends),
+        sums={"traction": work, "unknown_effort": np.zeros(work.size)},
+        flags={} if train is None else {"coasting": idle},
+        planned=True,
+    )
+
+
+def station_at(line: Line, position: float, reach: float = STATION_REACH) -> str:
+    """Name of the nearest station within `reach` [m] of a position; empty if there is none."""
+    places = np.array([station.position for station in line.stations])
+    nearest = int(np.argmin(np.abs(places - position)))
+    near = abs(places[nearest] - position) <= reach
+    return line.stations[nearest].name if near else ""
+
+
+def _described(given: Given) -> Trip:
+    """The trip; of a log, its topics without rows."""
+    if isinstance(given, Trip):
+        return given
+    never = (pd.Timestamp(0, tz="UTC"), pd.Timestamp(0, tz="UTC"))
+    if Path(given).is_dir():
+        return trip_of(given)  # which refuses it
+    return read_log(given, [*dict(_states()), *COLUMNS], time=never)
+
+
+def _states() -> list[tuple[str, str]]:
+    return [(source[0], source[1]) for source in POSITION_SOURCES[:2]]
+
+
+def _line_as_travelled(bare: Trip, line: Line | None) -> Line:
+    """The line in the direction of travel: the given one, or the trip's own."""
+    if line is None:
+        if LINE_ATTACHMENT not in bare.attachments:
+            raise InputError(
+                f"trip '{bare.name}' carries no line",
+                remedy="give it with --line (line= in Python)",
+            )
+        return line_of(bare)
+    named = bare.metadata.get("line")
+    if named and named != line.name:
+        raise InputError(
+            f"trip '{bare.name}' ran on line '{named}', not on '{line.name}'",
+            remedy="leave it out, or give the line it ran on",
+        )
+    return line.reversed() if bare.metadata.get("direction") == "reverse" else line
+
+
+def _table(given: Given, bare: Trip) -> _Table:
+    """Speed, position and what else is recorded, on the clock of the position."""
+    present = {
+        topic: [name for name in names if name in bare[topic]]
+        for topic, names in COLUMNS.items()
+        if topic in bare
+    }
+    present = {topic: names for topic, names in present.items() if names}
+    for state, _ in _states():
+        if state not in bare or "position" not in bare[state]:
+            continue
+        chosen: dict[str, Iterable[str]] = {state: ["speed", "position"], **present}
+        gathered = _Gathered()
+        for table in joined_pieces(
+            _pieces(given, chosen),
+            [f"{topic}.{name}" for topic, names in chosen.items() for name in names],
+            state,
+            max_gap=None,
+        ):
+            gathered.add(table)
+        if gathered.rows:
+            return gathered.table(state)
+    raise LogError(
+        f"trip '{bare.name}' knows no chainage",
+        place="topics /estimates/state and /train/state",
+        remedy="ingest it with its line (--line), which finds the chainage of its fixes",
+    )
+
+
+def _pieces(given: Given, columns: Mapping[str, Iterable[str]]) -> Iterable[Trip]:
+    return [given] if isinstance(given, Trip) else stream_log(given, columns, rows=ROWS)
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Thinned samples; works are cumulated over all samples."""
+
+    origin: int
+    estimated: bool
+    time: FloatArray
+    values: dict[str, FloatArray]
+    sums: dict[str, FloatArray]
+
+
+class _Gathered:
+    """Sums a trip that comes in pieces, and keeps a sample every `SAMPLING` seconds."""
+
+    def __init__(self) -> None:
+        self.rows = 0
+        self._origin: pd.Timestamp | None = None
+        self._kept: list[pd.DataFrame] = []
+        self._last: pd.DataFrame | None = None
+        self._totals = pd.Series(dtype=np.float64)
+
+    def add(self, table: pd.DataFrame) -> None:
+        """Add rows; those without speed or position are passed over."""
+        names = {name: _short(name) for name in table.columns}
+        frame = table.rename(columns=names)
+        known = np.isfinite(frame["position"].to_numpy())
+        frame = frame[known]
+        if frame.empty:
+            return
+        if self._origin is None:
+            self._origin = pd.Timestamp(frame.index[0])
+        time = seconds(frame, self._origin)
+        frame = frame.reset_index(drop=True).assign(time=time)
+        if self._last is not None:
+            frame = pd.concat([self._last, frame], ignore_index=True)
+        sums = _integrals(frame)
+        if self._last is not None:
+            sums = sums.iloc[1:] + self._totals
+            frame = frame.iloc[1:]
+        self._last, self._totals = frame.iloc[-1:], sums.iloc[-1]
+        merged = pd.concat([frame, sums], axis=1)
+        ticks = np.floor(merged["time"].to_numpy() / SAMPLING + 1e-6)
+        first = np.concatenate(([True], np.diff(ticks) > 0.0))
+        self.rows += int(first.sum())
+        self._kept.append(merged[first])
+
+    def table(self, state: str) -> _Table:
+        """What was gathered."""
+        if self._origin is None:
+            raise LogError("no samples")
+        whole = pd.concat(self._kept, ignore_index=True)
+        # One row each: the first of a piece may repeat the tick of the one before.
+        whole = whole[np.diff(whole["time"].to_numpy(), prepend=-1.0) > 0.0]
+        columns = {name: whole[name].to_numpy(dtype=np.float64) for name in whole.columns}
+        sums = {name[1:]: columns.pop(name) for name in list(columns) if name.startswith("∫")}
+        origin = int(self._origin.as_unit("ns").value)
+        return _Table(origin, state != TRAIN_STATE.name, columns.pop("time"), columns, sums)
+
+
+def _short(name: str) -> str:
+    """Name of a column without its topic, unless two topics have it."""
+    topic, _, column = name.rpartition(".")
+    return f"reference_{column}" if topic == REFERENCE.name else column
+
+
+def _integrals(frame: pd.DataFrame) -> pd.DataFrame:
+    """Work since the frame's first row by the trapezoidal rule, and time without efforts."""
+    time, speed = frame["time"].to_numpy(), np.nan_to_num(frame["speed"].to_numpy())
+    found: dict[str, FloatArray] = {}
+
+    def integral(values: FloatArray) -> FloatArray:
+        steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
+        return np.concatenate(([0.0], np.cumsum(steps)))
+
+    for effort in _EFFORTS:
+        if effort in frame:
+            values = frame[effort].to_numpy(dtype=np.float64)
+            found[f"∫{_WORKS[effort]}"] = integral(np.nan_to_num(values) * speed)
+            if effort == "tractive_effort":
+                found["∫unknown_effort"] = integral((~np.isfinite(values)).astype(np.float64))
+    if "line_voltage" in frame and "line_current" in frame:
+        power = frame["line_voltage"].to_numpy() * frame["line_current"].to_numpy()
+        found["∫supply"] = integral(np.nan_to_num(power))
+        found["∫unknown_supply"] = integral((~np.isfinite(power)).astype(np.float64))
+    return pd.DataFrame(found, index=frame.index)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduction:
+    """From thinned samples to a trip between its first departure and last arrival."""
+
+    bare: Trip
+    line: Line
+    train: Train | None
+    gain: Quantity
+
+    def reduced(self, table: _Table) -> DrivenTrip:
+        recorded = table.values["position"]
+        position, notes = self._chainage(recorded)
+        speed = self._speed(table, position)
+        stands = self._stands(table, position, speed)
+        first, last = 0, table.time.size - 1
+        if stands and stands[0][0] == 0:
+            first = stands[0][1]
+        if stands and stands[-1][1] == last:
+            last = stands[-1][0]
+        if first >= last:
+            raise LogError(
+                f"trip '{self.bare.name}' never moves: there is nothing to compare",
+                remedy="leave it out",
+            )
+        rest = np.zeros(table.time.size)
+        step = np.diff(table.time)
+        listed = []
+        for begin, end in stands:
+            if begin >= first and end <= last and begin < end:
+                rest[begin + 1 : end + 1] = step[begin:end]
+            inside = first <= begin and end <= last
+            where = float(position[begin])
+            listed.append(
+                Stand(
+                    where,
+                    float(table.time[end] - table.time[begin]) if inside else 0.0,
+                    station_at(self.line, where),
+                )
+            )
+        kept = slice(first, last + 1)
+        time = table.time[kept] - table.time[first]
+        standing = np.cumsum(rest[kept])
+        doubtful, more = self._doubtful(table, recorded, speed)
+        flags = self._flags(table, speed) | {"doubtful": doubtful}
+        gain = self.gain.value if self.gain.known else 1.0
+        sums = {
+            name: (values[kept] - values[first])
+            / (1.0 if "supply" in name or "unk" in name else gain)
+            for name, values in table.sums.items()
+        }
+        if "traction" in sums and sums["unknown_effort"][-1] > 0.5 * time[-1]:
+            sums = {name: values for name, values in sums.items() if "supply" in name}
+            flags = {name: flag for name, flag in flags.items() if name in ("slip", "doubtful")}
+        return DrivenTrip(
+            name=self.bare.name,
+            direction=self.bare.metadata.get("direction", "forward"),
+            line=self.line,
+            train=self.train,
+            mass=Quantity(float("nan"), float("nan"), "assumed"),
+            departure=table.origin + round(float(table.time[first]) * NANOSECONDS),
+            time=time,
+            running=time - standing,
+            position=position[kept],
+            speed=speed[kept],
+            stands=tuple(listed),
+            sums=sums,
+            flags={name: flag[kept] for name, flag in flags.items()},
+            signals={
+                name: table.values[column][kept]
+                for name, column in _SIGNALS.items()
+                if column in table.values and np.isfinite(table.values[column]).any()
+            },
+            gain=self.gain,
+            notes=(*notes, *more),
+        )
+
+    def _chainage(self, recorded: FloatArray) -> tuple[FloatArray, list[str]]:
+        """Non-decreasing chainage, and what had to be moved for it."""
+        position = forward_chainage(recorded)
+        moved = np.abs(position - np.maximum(recorded, 0.0))
+        worst = int(np.argmax(moved))
+        if moved[worst] > LARGEST_SETBACK:
+            raise LogError(
+                f"trip '{self.bare.name}' runs backwards by {2.0 * moved[worst]:.0f} m",
+                place=f"km {recorded[worst] / 1e3:.3f}",
+                remedy="cut it into trips of one direction (trainlog convert --from --to), or"
+                " ingest it again with its line: a counter that starts anew is repaired there",
+            )
+        notes = []
+        if moved[worst] > NOTED_SETBACK:
+            notes.append(
+                f"chainage set back at km {recorded[worst] / 1e3:.3f}: moved by up to"
+                f" {moved[worst]:.1f} m"
+            )
+        beyond = float(position[-1] - self.line.length)
+        if beyond > STATION_REACH:
+            notes.append(
+                f"ends {beyond:.0f} m beyond the line's end: chainage or line may be wrong"
+            )
+        return position, notes
+
+    def _speed(self, table: _Table, position: FloatArray) -> FloatArray:
+        """Recorded speed; where it is not known, between its neighbours."""
+        speed = table.values["speed"]
+        known = np.isfinite(speed)
+        if known.sum() < 2:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                return np.nan_to_num(np.gradient(position, table.time))
+        return np.interp(table.time, table.time[known], np.maximum(speed[known], 0.0))
+
+    def _stands(
+        self, table: _Table, position: FloatArray, speed: FloatArray
+    ) -> list[tuple[int, int]]:
+        """First and last sample of each stand that lasts."""
+        slow = speed <= (STANDING_ESTIMATE if table.estimated else STANDSTILL)
+        merged: list[tuple[int, int]] = []
+        for begin, end in runs_of(slow):
+            near = merged and position[begin] - position[merged[-1][1]] < 2.0
+            if near and table.time[begin] - table.time[merged[-1][1]] < SHORTEST_STOP:
+                merged[-1] = (merged[-1][0], end - 1)
+            else:
+                merged.append((begin, end - 1))
+        return [
+            each for each in merged if table.time[each[1]] - table.time[each[0]] >= SHORTEST_STOP
+        ]
+
+    def _doubtful(
+        self, table: _Table, recorded: FloatArray, speed: FloatArray
+    ) -> tuple[BoolArray, list[str]]:
+        """Samples before which a position is missing or jumps, and what they are."""
+        step, moved = np.diff(table.time), np.diff(recorded)
+        gap = (step > LONGEST_GAP) & (moved > GAP_DISTANCE)
+        expected = 0.5 * (speed[1:] + speed[:-1]) * step
+        jump = ~gap & (np.abs(moved - expected) > JUMP + 0.2 * expected)
+        notes = [
+            f"no position for {step[row]:.0f} s before km {recorded[row + 1] / 1e3:.3f}"
+            for row in np.flatnonzero(gap)[:3].tolist()
+        ] + [
+            f"chainage jumps by {moved[row] - expected[row]:+.0f} m at km"
+            f" {recorded[row + 1] / 1e3:.3f}"
+            for row in np.flatnonzero(jump)[:3].tolist()
+        ]
+        return np.concatenate(([False], gap | jump)), notes
+
+    def _flags(self, table: _Table, speed: FloatArray) -> dict[str, BoolArray]:
+        """What the train did at each sample."""
+        values, found = table.values, dict[str, BoolArray]()
+        active = values.get("active")
+        if active is not None and np.isfinite(active).any():
+            found["slip"] = np.nan_to_num(active) > 0.0
+        effort = values.get("tractive_effort")
+        if effort is None or not np.isfinite(effort).any():
+            return found
+        effort = np.nan_to_num(effort)
+        braking = [np.nan_to_num(values[name]) for name in _EFFORTS[1:] if name in values]
+        largest = float(np.max(effort)) if self.train is None else self.train.max_tractive_effort
+        idle = np.maximum.reduce([np.abs(effort), *map(np.abs, braking)]) < COASTING_SHARE * largest
+        found["coasting"] = idle & (speed > 1.0)
+        full = np.nan_to_num(values.get("lever", np.zeros(effort.size))) >= FULL_LEVER
+        if "tractive_effort_demand" in values:
+            full |= (np.nan_to_num(values["tractive_effort_demand"]) > 1.02 * effort) & ~idle
+        if self.train is not None:
+            full |= effort >= FULL_EFFORT * self.train.tractive_effort_limit(speed)
+        found["full_effort"] = full & (effort > 0.0)
+        return found
+
+
+_SIGNALS = {
+    "limit": "speed_limit",
+    "reference_speed": "reference_speed",
+    "lateness": "reference_lateness",
+}
+
+
+def _mass_and_gain(bare: Trip, train: Train | None) -> tuple[Quantity, Quantity]:
+    """Mass of the loaded train [kg], and the gain of its recorded efforts, as far as known."""
+    unknown = Quantity(float("nan"), float("nan"), "assumed", "no load is stated")
+    stored = passport_of(bare)
+    gain = unknown if stored is None else stored.effort_gain
+    if stored is not None and stored.mass.known:
+        return stored.mass, gain
+    load = None if train is None else recorded_load(bare, train)
+    if load is None or train is None:
+        return unknown, gain
+    return Quantity(train.mass + load.value, load.std, load.source), gain
+
+
+def _onsets(given: Given, trip: DrivenTrip) -> FloatArray | None:
+    """When slip protection began to act [s since departure]; None where it is not recorded."""
+    topics = [EVENTS.name, TRAIN_SLIP_PROTECTION.name]
+    onsets = protection_onsets(given if isinstance(given, Trip) else read_log(given, topics))
+    if onsets is None:
+        return None
+    when = (np.asarray(onsets, dtype=np.int64) - trip.departure) / NANOSECONDS
+    return when[(when >= 0.0) & (when <= trip.duration)]

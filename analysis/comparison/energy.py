@@ -1,0 +1,221 @@
+"""Energy of trips made comparable: at the same load and the same running time.
+
+The forces on the train at given speeds follow from a model of its running resistance. For the
+speeds of a trip the model gives the tractive work that they need, at any mass; with all speeds
+times a factor, at any running time. What the model finds between the trip as it was and at another
+load and time is added to what was recorded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter1d
+
+from analysis.comparison.driven import DrivenTrip
+from trainlog.railway import Line, ParameterSet, RunningResistance, Train
+
+FloatArray = NDArray[np.float64]
+
+RESISTANCE_SHARE = 0.3
+"""Standard deviation of the resistance of a train's file, over its value."""
+
+NORMALISING_SHARE = 0.2
+"""Standard deviation of what load and time are found to change, over that change: a driver with
+another load or more time does not keep all speeds in proportion."""
+
+LARGEST_TIME_CHANGE = 0.15
+"""Running times further apart than this share are not made comparable."""
+
+STEP = 20.0
+"""Length over which forces are averaged [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ForceModel:
+    """Forces on a train: its running resistance with an uncertainty, the line, its mass.
+
+    Attributes
+    ----------
+    name : str
+        Where the resistance is from.
+    train : Train
+    line : Line
+        As travelled.
+    resistance : RunningResistance
+    covariance : (3, 3) array
+        Of r0, r1 and r2 for a trip that has not been seen.
+    """
+
+    name: str
+    train: Train
+    line: Line
+    resistance: RunningResistance
+    covariance: FloatArray
+
+    @staticmethod
+    def of(trip: DrivenTrip, model: ParameterSet | None = None) -> ForceModel | None:
+        """The model for a trip: of a fit, or of the train's file; None without a train.
+
+        Raises
+        ------
+        InputError
+            If the fit is of another train.
+        """
+        if trip.train is None:
+            return None
+        if model is None:
+            own = trip.train.resistance
+            beta = np.array([own.r0, own.r1, own.r2])
+            covariance = RESISTANCE_SHARE**2 * np.outer(beta, beta)
+            return ForceModel("train's file", trip.train, trip.line, own, covariance)
+        model.check_train(trip.train.name)
+        common, covariance = resistance_of(model)
+        return ForceModel("fit", trip.train, trip.line, common, covariance)
+
+    def resistance_std(self, speed: ArrayLike) -> FloatArray:
+        """Standard deviation of the running resistance [N] at each speed [m/s]."""
+        v = np.asarray(speed, dtype=np.float64)
+        powers = np.stack((np.ones_like(v), v, v * v), axis=-1)
+        return np.sqrt(np.einsum("...i,ij,...j", powers, self.covariance, powers))
+
+    def varied(self) -> list[ForceModel]:
+        """Models one standard deviation off, along each principal axis of the covariance."""
+        own = np.array([self.resistance.r0, self.resistance.r1, self.resistance.r2])
+        variances, axes = np.linalg.eigh(self.covariance)
+        return [
+            replace(self, resistance=RunningResistance(*(own + np.sqrt(variance) * axis).tolist()))
+            for variance, axis in zip(variances, axes.T, strict=True)
+            if variance > 0.0
+        ]
+
+    def force_without_inertia(
+        self, position: FloatArray, speed: FloatArray, mass: float
+    ) -> FloatArray:
+        """Running resistance, gradient, curves and tunnels [N] at positions and speeds."""
+        track = self.train.track_force(self.line, position, mass)
+        return np.asarray(self.resistance(speed) + self.tunnels(position) * speed**2 + track)
+
+    def tunnels(self, position: FloatArray) -> FloatArray:
+        """Extra quadratic term [N/(m/s)²] in tunnels."""
+        return self.train.tunnel_coefficient(self.line.tunnel_cross_section(position))
+
+
+def resistance_of(model: ParameterSet) -> tuple[RunningResistance, FloatArray]:
+    """Common running resistance of a fit, and its covariance for one more trip.
+
+    A trip differs from the common curve by what trips differ among each other.
+    """
+    betas = np.array(
+        [[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in model.configurations]
+    )
+    common = RunningResistance(*betas.mean(axis=0)) if model.common is None else model.common
+    covariance = np.zeros((3, 3)) if model.common_covariance is None else model.common_covariance
+    if len(betas) > 1:
+        off = betas - np.array([common.r0, common.r1, common.r2])
+        covariance = covariance + off.T @ off / len(betas)
+    elif model.common_covariance is None:
+        covariance = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
+    return common, covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Normalised:
+    """Tractive work of a trip at the load and running time of a reference.
+
+    Attributes
+    ----------
+    recorded : float [J]
+    value, std : float [J]
+        What it would have been, and its standard deviation.
+    by_load, by_time : float [J]
+        What load and time make of the difference.
+    """
+
+    recorded: float
+    value: float
+    std: float
+    by_load: float
+    by_time: float
+
+
+def normalised_energy(
+    trip: DrivenTrip, reference: DrivenTrip, model: ForceModel
+) -> Normalised | None:
+    """Tractive work of a trip as it would have been with the load and time of a reference.
+
+    Parameters
+    ----------
+    trip, reference : DrivenTrip
+        From the same station to the same.
+    model : ForceModel
+
+    Returns
+    -------
+    Normalised or None
+        None where efforts or a load are not recorded, or the running times (without stands)
+        differ by more than `LARGEST_TIME_CHANGE`.
+    """
+    if "traction" not in trip.sums or not (trip.mass.known and reference.mass.known):
+        return None
+    recorded = float(trip.sums["traction"][-1])
+    ratio = float(trip.running[-1] / reference.running[-1])
+    if abs(ratio - 1.0) > LARGEST_TIME_CHANGE:
+        return None
+    mass, other = trip.mass.value, reference.mass.value
+
+    def work(of: ForceModel, weight: float, factor: float) -> float:
+        return needed_work(trip, of, weight, factor)
+
+    own = work(model, mass, 1.0)
+    by_load = work(model, other, 1.0) - own
+    by_time = work(model, other, ratio) - work(model, other, 1.0)
+    changes = by_load + by_time
+    spread = []
+    for varied in model.varied():
+        spread.append(work(varied, other, ratio) - work(varied, mass, 1.0) - changes)
+    slope = by_load / (other - mass) if other != mass else 0.0
+    weighed = slope * np.hypot(trip.mass.std, reference.mass.std)
+    gain = trip.gain.std / trip.gain.value * recorded if trip.gain.known else 0.0
+    unlike = NORMALISING_SHARE * np.hypot(by_load, by_time)
+    std = float(np.sqrt(np.sum(np.square(spread)) + weighed**2 + gain**2 + unlike**2))
+    return Normalised(recorded, recorded + changes, std, by_load, by_time)
+
+
+def needed_work(trip: DrivenTrip, model: ForceModel, mass: float, factor: float = 1.0) -> float:
+    """Tractive work [J] that the speeds of a trip, all times `factor`, need with a mass [kg]."""
+    return float(needed_works(trip, model, mass, factor)[1].sum())
+
+
+def needed_works(
+    trip: DrivenTrip, model: ForceModel, mass: float, factor: float = 1.0
+) -> tuple[FloatArray, FloatArray]:
+    """Tractive work [J] needed in each step along a trip.
+
+    Returns
+    -------
+    nodes : (n + 1,) array [m]
+    work : (n,) array [J]
+    """
+    first, last = trip.covered
+    nodes = np.linspace(first, last, max(2, round((last - first) / STEP) + 1))
+    speed = factor * _smooth_speed(trip, nodes)
+    middle, step = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(nodes)
+    squared = 0.5 * (speed[1:] ** 2 + speed[:-1] ** 2)
+    inertia = mass + model.train.rotating_mass
+    kinetic = 0.5 * inertia * np.diff(speed**2)
+    resisting = model.force_without_inertia(middle, np.sqrt(squared), mass)
+    return nodes, np.maximum(kinetic + resisting * step, 0.0)
+
+
+def _smooth_speed(trip: DrivenTrip, nodes: FloatArray) -> FloatArray:
+    """Speed at nodes, without its noise; zero where the trip stands."""
+    steps = np.diff(trip.time)
+    width = max(1, round(2.0 / float(np.median(steps))))
+    speed = uniform_filter1d(trip.speed, width, mode="nearest")
+    found = trip.at(speed, nodes)
+    for stand in trip.stands:
+        found[np.argmin(np.abs(nodes - stand.position))] = 0.0
+    return np.asarray(found)

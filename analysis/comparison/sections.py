@@ -1,0 +1,259 @@
+"""Sections between stations: what a trip took in each, and what two trips have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand, station_at
+from trainlog.railway import Line
+
+FloatArray = NDArray[np.float64]
+
+EXCESS = 1.0 / 3.6
+"""Speed over the limit [m/s] from which it is stated: below it is within what speeds are known to."""
+
+UNKNOWN_TIME = 1.0
+"""Time without a recorded effort [s] from which the energy of a section is not stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sections:
+    """Consecutive sections of a line.
+
+    Attributes
+    ----------
+    edges : (n + 1,) array [m]
+    ends : tuple of n + 1 str
+        Station at each edge, or its kilometre.
+    """
+
+    edges: FloatArray
+    ends: tuple[str, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Of each section: both its ends."""
+        return [f"{first} - {last}" for first, last in zip(self.ends, self.ends[1:], strict=False)]
+
+    def of(self, position: float) -> int:
+        """Number of the section that holds a position [m]."""
+        found = int(np.searchsorted(self.edges, position, side="right")) - 1
+        return min(max(found, 0), self.edges.size - 2)
+
+    def edge_of(self, stand: Stand) -> int | None:
+        """Number of the edge at whose station a train stands; None where it stands in a section."""
+        if not stand.station:
+            return None
+        near = np.flatnonzero(np.abs(self.edges - stand.position) <= 2.0 * STATION_REACH)
+        return next((int(edge) for edge in near if self.ends[edge] == stand.station), None)
+
+
+def sections_between(line: Line, first: float, last: float) -> Sections:
+    """The line's sections from one position to another.
+
+    Parameters
+    ----------
+    line : Line
+        As travelled.
+    first, last : float [m]
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> sections_between(line, 5_000.0, line.length).names
+    ['km 5.000 - Gossau SG', 'Gossau SG - Flawil', 'Flawil - Uzwil', 'Uzwil - Wil']
+    """
+    within = [
+        station.position
+        for station in line.stations
+        if first + STATION_REACH < station.position < last - STATION_REACH
+    ]
+    edges = np.array([first, *within, last])
+    # A station comes twice where two are nearer to each other than trains are to their stops.
+    edges = edges[np.concatenate(([True], np.diff(edges) > 0.0))]
+    names = [station_at(line, float(edge)) or f"km {edge / 1e3:.3f}" for edge in edges]
+    return Sections(edges, tuple(names))
+
+
+def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
+    """What a trip took in each section; NaN where it is not recorded.
+
+    Parameters
+    ----------
+    trip : DrivenTrip
+    sections : Sections
+        Sections that the trip did not run through are left out; of the others the part it ran.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by section, in SI units: ``first``, ``last`` [m], ``covered`` (share of the
+        section), ``running_time`` [s] without stands, ``stood`` [s] in the section off its
+        stations, ``dwell`` [s] at the station where it ends, ``traction``, ``braking`` (all
+        brakes), ``dynamic_braking`` [J] at the wheel rims, ``line`` [J], ``coasting`` (share of
+        the distance), ``excess`` [m/s] largest, ``excess_distance`` [m], ``slips`` (number),
+        ``reference_rms`` [m/s] from the speed that it followed, ``lateness`` [s] at its end.
+
+    Examples
+    --------
+    >>> from analysis.comparison.driven import driven_trip
+    >>> trip = driven_trip("sample_logs/stopping.mcap")
+    >>> found = section_table(trip, sections_between(trip.line, *trip.covered))
+    >>> found["dwell"].round(0).tolist()
+    [41.0, 44.0, 41.0, 0.0]
+    """
+    low = np.clip(sections.edges[:-1], *trip.covered)
+    high = np.clip(sections.edges[1:], *trip.covered)
+    ran = np.flatnonzero(high - low > 1.0)
+    low, high = low[ran], high[ran]
+    index = pd.Index([sections.names[row] for row in ran], name="section")
+    whole = sections.edges[ran + 1] - sections.edges[ran]
+    stood, dwell = np.zeros(ran.size), np.zeros(ran.size)
+    rows = {int(section): row for row, section in enumerate(ran)}
+    for stand in trip.stands:
+        edge = sections.edge_of(stand)
+        row = rows.get(sections.of(stand.position) if edge is None else edge - 1)
+        if row is not None:
+            (stood if edge is None else dwell)[row] += stand.duration
+
+    def between(values: FloatArray) -> FloatArray:
+        return np.asarray(trip.at(values, high) - trip.at(values, low))
+
+    found = {
+        "first": low,
+        "last": high,
+        "covered": (high - low) / whole,
+        "running_time": between(trip.running),
+        "stood": stood,
+        "dwell": dwell,
+        **_energies(trip, between),
+        **_driving(trip, low, high),
+    }
+    return pd.DataFrame(found, index=index)
+
+
+def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
+    """Work at the wheels and energy from the line of each section [J]."""
+    assert callable(between)
+    count = between(trip.running).size
+    unknown = np.full(count, np.nan)
+    sums = trip.sums
+    found = {name: unknown for name in ("traction", "braking", "dynamic_braking", "line")}
+    if "traction" in sums:
+        gaps = between(sums["unknown_effort"]) > UNKNOWN_TIME
+        brakes = [between(sums[n]) for n in ("dynamic_braking", "pneumatic_braking") if n in sums]
+        found["traction"] = np.where(gaps, np.nan, between(sums["traction"]))
+        if "dynamic_braking" in sums:
+            found["dynamic_braking"] = np.where(gaps, np.nan, brakes[0])
+        if len(brakes) == 2:
+            found["braking"] = np.where(gaps, np.nan, np.sum(brakes, axis=0))
+    if "supply" in sums:
+        gaps = between(sums["unknown_supply"]) > UNKNOWN_TIME
+        found["line"] = np.where(gaps, np.nan, between(sums["supply"]))
+    elif trip.train is not None and "traction" in sums:
+        fed_back = np.nan_to_num(found["dynamic_braking"])
+        found["line"] = (
+            found["traction"] / trip.train.efficiency_traction
+            - trip.train.efficiency_regeneration * fed_back
+        )
+    return found
+
+
+def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, FloatArray]:
+    """Coasting, excess speed, slip and how well advice was followed, by section."""
+    step = np.diff(trip.position, prepend=trip.position[0])
+    over = trip.speed - trip.limit
+    number = np.searchsorted(high, trip.position, side="left")
+    inside = (number < high.size) & (trip.position >= low[0])
+    bins = np.where(inside, number, high.size)
+
+    def summed(values: FloatArray) -> FloatArray:
+        return np.bincount(bins, weights=values, minlength=high.size + 1)[: high.size]
+
+    unknown = np.full(high.size, np.nan)
+    found = {"coasting": unknown, "slips": unknown, "reference_rms": unknown, "lateness": unknown}
+    distance = np.maximum(summed(step), 1e-9)
+    if "coasting" in trip.flags:
+        found["coasting"] = summed(step * trip.flags["coasting"]) / distance
+    largest = np.full(high.size + 1, -np.inf)
+    np.maximum.at(largest, bins, over)
+    excess = np.where(largest[: high.size] > EXCESS, largest[: high.size], 0.0)
+    found |= {"excess": excess, "excess_distance": summed(step * (over > EXCESS))}
+    if trip.slips is not None:
+        places = np.interp(trip.slips, trip.time, trip.position)
+        row = np.searchsorted(high, places, side="left")
+        kept = (row < high.size) & (places >= low[0])
+        found["slips"] = np.bincount(row[kept], minlength=high.size)[: high.size].astype(float)
+    if "reference_speed" in trip.signals:
+        off = trip.speed - trip.signals["reference_speed"]
+        known = np.isfinite(off)
+        squares = summed(np.where(known, step * np.nan_to_num(off) ** 2, 0.0))
+        found["reference_rms"] = np.sqrt(squares / np.maximum(summed(step * known), 1e-9))
+    if "lateness" in trip.signals:
+        found["lateness"] = trip.at(trip.signals["lateness"], high)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class CommonRange:
+    """Where two trips can be compared.
+
+    Attributes
+    ----------
+    first, last : float [m]
+    starts, ends : bool
+        Both depart at `first` and arrive at `last`: there each is at its own end, though one stood
+        some metres further on.
+    """
+
+    first: float
+    last: float
+    starts: bool
+    ends: bool
+
+
+def common_range(trip: DrivenTrip, reference: DrivenTrip) -> CommonRange | None:
+    """What two trips over a line have in common; None where that is less than a kilometre."""
+    first = max(trip.covered[0], reference.covered[0])
+    last = min(trip.covered[1], reference.covered[1])
+    if last - first < 1000.0:
+        return None
+    both = (trip, reference)
+    starts = all(_stands_at(each, 0) for each in both) and _near(trip, reference, 0)
+    ends = all(_stands_at(each, -1) for each in both) and _near(trip, reference, -1)
+    return CommonRange(first, last, starts, ends)
+
+
+def _stands_at(trip: DrivenTrip, end: int) -> bool:
+    """Whether the trip begins or ends with a stand."""
+    return bool(trip.stands) and abs(trip.stands[end].position - trip.covered[end]) < 1.0
+
+
+def _near(trip: DrivenTrip, reference: DrivenTrip, end: int) -> bool:
+    return abs(trip.covered[end] - reference.covered[end]) <= STATION_REACH
+
+
+def running_times(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> FloatArray:
+    """Time without stands [s] at which a trip reaches each node of a common range."""
+    found = trip.at(trip.running, nodes)
+    if common.starts:
+        found[0] = 0.0
+    if common.ends:
+        found[-1] = trip.running[-1]
+    return np.asarray(found)
+
+
+def counted_stands(trip: DrivenTrip, common: CommonRange) -> list[Stand]:
+    """Stands in a common range; at an end where only one of two trips ends they do not count."""
+    low = common.first if common.starts else common.first + STATION_REACH
+    high = common.last if common.ends else common.last - STATION_REACH
+    if common.starts:
+        low = -np.inf
+    if common.ends:
+        high = np.inf
+    return [each for each in trip.stands if low < each.position < high]

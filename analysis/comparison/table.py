@@ -1,0 +1,221 @@
+"""Tables of a comparison."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.console import RenderableType
+from rich.table import Table
+
+from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
+from analysis.comparison.losses import CAUSES
+from analysis.tables import kwh, new_table
+from trainlog.display import counted
+from trainlog.units import JOULES_PER_KWH, KMH
+
+LISTED = 12
+"""Losses that are listed of a direction."""
+
+SMALL = 0.5
+"""Time lost [s] below which a loss is not listed."""
+
+
+def comparison_tables(found: Comparison, listed: int = LISTED) -> list[RenderableType]:
+    """Tables of a comparison, each direction by itself: trips, sections, losses, notes."""
+    parts: list[RenderableType] = []
+    for each in found.directions:
+        parts += [trips_table(each), sections_table(each)]
+        if any(trip.lost is not None and trip.lost.losses for trip in each.trips):
+            parts.append(losses_table(each, listed))
+        if any(_driving_known(trip) for trip in each.trips):
+            parts.append(driving_table(each))
+        parts += notes(each)
+    parts += [f"left out: {reason}" for reason in found.left_out]
+    return parts
+
+
+def trips_table(found: ComparedDirection) -> Table:
+    """Each trip as a whole: part of the line, times, energy, time lost by cause."""
+    planned = "the trajectory" if found.reference.planned else f"'{found.reference.name}'"
+    table = new_table(
+        f"{found.line.name}, {found.direction}: trips; time lost against {planned}",
+        "trip",
+        "km",
+        "running\n[min:s]",
+        "dwell\n[s]",
+        "lost\n[s]",
+        "most of it",
+        "wheels\n[kWh]",
+        "line\n[kWh]",
+        "at reference's\nload and time",
+    )
+    for each in found.trips:
+        trip, rows = each.trip, each.table
+        dwell = float(rows["dwell"].sum() + rows["stood"].sum())
+        table.add_row(
+            trip.name,
+            f"{trip.covered[0] / 1e3:.1f} to {trip.covered[1] / 1e3:.1f}",
+            _minutes(float(rows["running_time"].sum())),
+            f"{dwell:.0f}",
+            *_lost(each, found),
+            _energy(float(rows["traction"].sum(min_count=len(rows)))),
+            _energy(float(rows["line"].sum(min_count=len(rows)))),
+            "" if each.energy is None else _normalised(each),
+        )
+    return table
+
+
+def _lost(each: ComparedTrip, found: ComparedDirection) -> tuple[str, str]:
+    if each.trip is found.reference:
+        return "", "reference"
+    if each.lost is None:
+        return "", "nothing in common with the reference"
+    causes = [f"{cause} {s:+.0f}" for cause, s in each.lost.by_cause().items() if abs(s) >= SMALL]
+    biggest = sorted(causes, key=lambda words: -abs(float(words.rpartition(" ")[2])))[:3]
+    assert each.common is not None
+    low, high = each.trip.covered
+    parted = each.common[0] > low + 200.0 or each.common[1] < high - 200.0
+    part = f" (km {each.common[0] / 1e3:.1f} to {each.common[1] / 1e3:.1f})" if parted else ""
+    return f"{each.lost.total:+.1f}", ", ".join(biggest) + part
+
+
+def _normalised(each: ComparedTrip) -> str:
+    assert each.energy is not None
+    reach = 1.96 * each.energy.std
+    return f"{each.energy.value / JOULES_PER_KWH:.1f} ± {reach / JOULES_PER_KWH:.1f} kWh"
+
+
+def _minutes(seconds: float) -> str:
+    whole = round(seconds)
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+def _energy(joules: float) -> str:
+    return f"{joules / JOULES_PER_KWH:.1f}" if math.isfinite(joules) else "-"
+
+
+def sections_table(found: ComparedDirection) -> Table:
+    """Running time by section, and dwell at the station behind it, side by side."""
+    table = new_table(
+        f"{found.line.name}, {found.direction}: running time by section + dwell at its end"
+        " (+ stood on the way) [s]; in brackets lost",
+        "section",
+        "km",
+        *(each.name for each in found.trips),
+    )
+    for name, low in zip(found.sections.names, found.sections.edges[:-1], strict=True):
+        cells = [_section_cell(each, name) for each in found.trips]
+        table.add_row(name, f"{low / 1e3:.1f}", *cells)
+    return table
+
+
+def _section_cell(each: ComparedTrip, name: str) -> str:
+    if name not in each.table.index:
+        return "-"
+    row = each.table.loc[name]
+    words = f"{row['running_time']:.0f}"
+    words += f" + {row['dwell']:.0f}" * bool(row["dwell"] >= SMALL)
+    words += f" + stood {row['stood']:.0f}" * bool(row["stood"] >= SMALL)
+    words += f", {row['covered']:.0%} of it" * bool(row["covered"] < 0.98)
+    lost = row.get("lost", float("nan"))
+    return words + (f" ({lost:+.0f})" if math.isfinite(lost) else "")
+
+
+def losses_table(found: ComparedDirection, listed: int = LISTED) -> Table:
+    """Where most time was lost, and why; then where most was gained."""
+    every = found.losses()
+    large = every[every["lost"].abs() >= SMALL]
+    lost, gained = large[large["lost"] > 0.0], large[large["lost"] < 0.0]
+    table = new_table(
+        f"{found.line.name}, {found.direction}: where time was lost,"
+        f" {min(listed, len(lost))} of {len(lost)} places; gained in {len(gained)}",
+        "lost [s]",
+        "trip",
+        "place",
+        "km",
+        "cause",
+    )
+    words = {
+        (each.name, loss.place, loss.cause): loss.words
+        for each in found.trips
+        if each.lost is not None
+        for loss in each.lost.losses
+    }
+    shown = [
+        *lost.head(listed).itertuples(),
+        *gained.tail(max(1, listed // 4)).iloc[::-1].itertuples(),
+    ]
+    for row in shown:
+        first, last = float(row.first) / 1e3, float(row.last) / 1e3
+        where = f"{first:.1f}" if last - first < 0.1 else f"{first:.1f} to {last:.1f}"
+        cause = words.get((row.trip, row.place, row.cause), CAUSES[str(row.cause)])
+        table.add_row(f"{row.lost:+.1f}", str(row.trip), str(row.place), where, cause)
+    return table
+
+
+def _driving_known(each: ComparedTrip) -> bool:
+    return bool(each.table[["coasting", "slips", "reference_rms"]].notna().any(axis=None))
+
+
+def driving_table(found: ComparedDirection) -> Table:
+    """How each trip was driven: coasting, excess speed, slip, how well advice was kept."""
+    table = new_table(
+        f"{found.line.name}, {found.direction}: how it was driven",
+        "trip",
+        "mass",
+        "coasting",
+        "excess speed",
+        "slips",
+        "off advised speed\n(RMS)",
+        "late at the end",
+        "braked\n[kWh]",
+    )
+    for each in found.trips:
+        rows = each.table
+        distance = rows["last"] - rows["first"]
+        coasting = float((rows["coasting"] * distance).sum(min_count=1) / distance.sum())
+        excess = float(rows["excess"].max())
+        slips, late = float(rows["slips"].sum(min_count=1)), float(rows["lateness"].iloc[-1])
+        rms = float(np.sqrt((rows["reference_rms"] ** 2 * distance).sum() / distance.sum()))
+        advised = bool(rows["reference_rms"].notna().any())
+        mass = each.trip.mass
+        table.add_row(
+            each.name,
+            f"{mass.value / 1e3:.1f} ± {1.96 * mass.std / 1e3:.1f} t" if mass.known else "-",
+            f"{coasting:.0%}" if math.isfinite(coasting) else "-",
+            f"{KMH * excess:.1f} km/h, {rows['excess_distance'].sum():.0f} m" if excess else "none",
+            f"{slips:.0f}" if math.isfinite(slips) else "-",
+            f"{KMH * rms:.1f} km/h" if advised else "-",
+            f"{late:+.1f} s" if math.isfinite(late) else "-",
+            _energy(float(rows["braking"].sum(min_count=len(rows)))),
+        )
+    return table
+
+
+def notes(found: ComparedDirection) -> list[str]:
+    """What a reader of the tables must know, in sentences."""
+    every = [f"{each.name}: {note}" for each in found.trips for note in each.trip.notes]
+    if found.model:
+        every.append(
+            f"Tractive energy at the load and running time of '{found.reference.name}', by the"
+            f" running resistance of the {found.model}; ± is half the 95 % band."
+        )
+    unknown = [each.name for each in found.trips if "traction" not in each.trip.sums]
+    if unknown:
+        every.append(f"no efforts are recorded: the energy of {', '.join(unknown)} is not known")
+    elif not all("supply" in each.trip.sums for each in found.trips):
+        every.append(
+            "Energy from the line follows from the train's efficiencies where no current"
+            " is recorded."
+        )
+    return every
+
+
+def total_words(found: Comparison) -> str:
+    """The whole in a sentence."""
+    trips = sum(len(each.trips) for each in found.directions)
+    spent = sum(
+        float(each.table["traction"].sum()) for part in found.directions for each in part.trips
+    )
+    return f"{counted(trips, 'trip')}, {kwh(spent)} at the wheels"
