@@ -18,7 +18,7 @@ import trainlog
 from analysis.adhesion.condition_map import empty_map, update
 from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import slip
-from analysis.comparison.cost import trip_cost
+from analysis.comparison.groups import trip_cost
 from analysis.estimates import with_estimates
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import fit_trip

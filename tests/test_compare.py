@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.comparison import cost
-from analysis.comparison.cost import compare, punctuality, savings_table, trip_cost
+from analysis.comparison import driven
+from analysis.comparison.groups import compare_groups, punctuality, savings_table, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
@@ -77,7 +77,7 @@ def test_savings_pair_the_same_configuration_only() -> None:
         trip("driven-b", 40_000.0, configuration="b"),
         trip("driven-c", 40_000.0, configuration="c"),
     ]
-    (pair,) = compare(drivers, followed).pairs
+    (pair,) = compare_groups(drivers, followed).pairs
     assert pair.driver.name == "a"
     assert pair.traction == pytest.approx(10_000.0 * 12_000.0, rel=1e-3)
 
@@ -90,7 +90,7 @@ def test_a_log_in_pieces_costs_what_the_trip_costs(
     expected = trip_cost(whole)
     assert expected.stops == 1
     for rows in (1, 7, 100, 10**6):
-        monkeypatch.setattr(cost, "ROWS", 20 * rows)
+        monkeypatch.setattr(driven, "ROWS", 20 * rows)
         found = trip_cost(tmp_path / "trip.mcap")
         assert (found.name, found.direction) == (expected.name, expected.direction)
         assert (found.slips, found.late) == (expected.slips, expected.late)
@@ -169,26 +169,26 @@ def test_nothing_comparable_is_reported() -> None:
     ):
         words = f"comparable trip by a driver: {nearest}; needs one non-stop trip"
         with pytest.raises(LogError, match=words):
-            compare(drivers, followed)
+            compare_groups(drivers, followed)
     stopping = trip("driven-b", stop=True, configuration="b")
     with pytest.raises(LogError, match="driver: 'b' stopped 1x and 'driven-b' stopped 1x; needs"):
-        compare([backwards, trip("b", stop=True)], [*followed, stopping])
+        compare_groups([backwards, trip("b", stop=True)], [*followed, stopping])
 
 
 def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
     path = sample("nonstop.mcap")
     words = "trip 'trip-01' did not follow a trajectory; give trips recorded by"
     with pytest.raises(LogError, match=words) as refused:
-        compare(path, path)
+        compare_groups(path, path)
     assert refused.value.file == path
     with pytest.raises(LogError, match="'b' did not follow a trajectory, nor did 1 other;"):
-        compare([trip("a")], [trip("b"), trip("c")])
+        compare_groups([trip("a")], [trip("b"), trip("c")])
     with pytest.raises(LogError, match="no trip that followed a trajectory was given"):
-        compare([trip("a")], [])
+        compare_groups([trip("a")], [])
 
 
 def test_what_is_saved_is_named_as_saved_and_one_pair_is_one() -> None:
-    found = compare([trip("a", effort=60_000.0)], [trip("b", configuration="a")])
+    found = compare_groups([trip("a", effort=60_000.0)], [trip("b", configuration="a")])
     headings = [str(column.header) for column in savings_table(found).renderables[0].columns]
     assert "saved from the line" in headings
     assert "1 pair of trips" in repr(found)

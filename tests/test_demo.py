@@ -16,7 +16,7 @@ from rerun.chunk import McapReader
 from rich.console import Console
 
 import trainlog
-from analysis.comparison.cost import compare, punctuality
+from analysis.comparison.groups import compare_groups, punctuality
 from analysis.truth import curve_error, map_error, truth_of
 from trainlog.cli import demo, main as cli
 from trainlog.errors import InputError
@@ -152,7 +152,7 @@ def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
         [trainlog.read(log) for log in sorted((results / folder).glob("*.mcap"))]
         for folder in ("trips", "driven")
     )
-    pairs = compare(trips, driven).pairs
+    pairs = compare_groups(trips, driven).pairs
     assert len(pairs) >= 2
     saved = sum(pair.traction for pair in pairs) / sum(pair.driver.traction for pair in pairs)
     assert 0.05 < saved < 0.4

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import slip
-from analysis.comparison.cost import compare
+from analysis.comparison.groups import compare_groups
 from analysis.reports.summary import report
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.logs import fit
@@ -74,7 +74,7 @@ def test_results_print_a_few_lines_and_are_tables_in_a_notebook(tmp_path: Path) 
         "braking": slip(log),
         "bins observed": adhesion_map(trip),
         "mass over inertia": coast_down(trip),
-        "kWh": compare([trip], followed),
+        "kWh": compare_groups([trip], followed),
         "1 configuration": report(tmp_path),
     }
     for words, result in results.items():

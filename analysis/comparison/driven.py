@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import median_filter
 
 from analysis.adhesion.events import protection_onsets
 from analysis.given import Given, trip_of
@@ -25,6 +26,7 @@ from trainlog.along_line import (
     forward_chainage,
     planned_time_distance,
 )
+from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, passport_of, recorded_load, train_of
 from trainlog.mcap import read_log
@@ -67,6 +69,10 @@ ROWS = 250_000
 NOTED_SETBACK, LARGEST_SETBACK = 2.0, 200.0
 """Metres by which recorded chainage runs backwards that are stated, and that are refused."""
 
+SPIKE, SPIKE_SAMPLES = 50.0, 51
+"""A position so far [m] off the median of so many around it, less what the speed explains, is no
+position."""
+
 JUMP = 20.0
 """Metres by which a position advances more than the speed explains: it was corrected."""
 
@@ -78,6 +84,8 @@ COASTING_SHARE = 0.01
 
 SLIP_LASTS = 2.0
 """Time after an onset [s] that counts as slip where only onsets are recorded."""
+
+UNKNOWN = Quantity(float("nan"), float("nan"), "assumed", "nothing states it")
 
 _WORKS = {
     "tractive_effort": "traction",
@@ -137,8 +145,10 @@ class DrivenTrip:
     speed : array [m/s]
     stands : tuple of Stand
         In order of position, those at both ends with a duration of 0.
+    distance : float [m]
+        Between the lowest and the highest position recorded.
     sums : dict of str to array
-        Cumulated since departure: work ``traction``, ``dynamic_braking``,
+        Cumulated since the recording began: work ``traction``, ``dynamic_braking``,
         ``pneumatic_braking`` at the wheel rims and ``supply`` from the line [J], time of
         ``unknown_effort`` [s]; what is not recorded is missing.
     flags : dict of str to bool array
@@ -167,11 +177,12 @@ class DrivenTrip:
     position: FloatArray
     speed: FloatArray
     stands: tuple[Stand, ...]
+    distance: float
     sums: dict[str, FloatArray] = field(default_factory=dict)
     flags: dict[str, BoolArray] = field(default_factory=dict)
     signals: dict[str, FloatArray] = field(default_factory=dict)
     slips: FloatArray | None = None
-    gain: Quantity = Quantity(float("nan"), float("nan"), "assumed")
+    gain: Quantity = UNKNOWN
     notes: tuple[str, ...] = ()
     planned: bool = False
 
@@ -256,7 +267,7 @@ def driven_trip(given: Given, line: Line | None = None) -> DrivenTrip:
     >>> [(stand.station, round(stand.duration)) for stand in trip.stands][:2]
     [('St.Gallen', 0), ('Gossau', 46)]
     """
-    bare = _described(given)
+    bare = described(given)
     travelled = _line_as_travelled(bare, line)
     train = train_of(bare) if TRAIN_ATTACHMENT in bare.attachments else None
     table = _table(given, bare)
@@ -308,6 +319,7 @@ def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None)
         position=curve.position,
         speed=trajectory.speed_at(row, curve.position),
         stands=tuple(ends),
+        distance=float(np.ptp(trajectory.positions)),
         sums={"traction": work, "unknown_effort": np.zeros(work.size)},
         flags={} if train is None else {"coasting": idle},
         planned=True,
@@ -322,7 +334,7 @@ def station_at(line: Line, position: float, reach: float = STATION_REACH) -> str
     return line.stations[nearest].name if near else ""
 
 
-def _described(given: Given) -> Trip:
+def described(given: Given) -> Trip:
     """The trip; of a log, its topics without rows."""
     if isinstance(given, Trip):
         return given
@@ -368,7 +380,7 @@ def _table(given: Given, bare: Trip) -> _Table:
         chosen: dict[str, Iterable[str]] = {state: ["speed", "position"], **present}
         gathered = _Gathered()
         for table in joined_pieces(
-            _pieces(given, chosen),
+            pieces_of(given, chosen),
             [f"{topic}.{name}" for topic, names in chosen.items() for name in names],
             state,
             max_gap=None,
@@ -383,7 +395,8 @@ def _table(given: Given, bare: Trip) -> _Table:
     )
 
 
-def _pieces(given: Given, columns: Mapping[str, Iterable[str]]) -> Iterable[Trip]:
+def pieces_of(given: Given, columns: Mapping[str, Iterable[str]]) -> Iterable[Trip]:
+    """Some columns of a trip; of a log, piece by piece."""
     return [given] if isinstance(given, Trip) else stream_log(given, columns, rows=ROWS)
 
 
@@ -484,13 +497,13 @@ class _Reduction:
     gain: Quantity
 
     def reduced(self, table: _Table) -> DrivenTrip:
-        recorded = table.values["position"]
+        speed = self._speed(table)
+        recorded, spikes = self._without_spikes(table, speed)
         position, notes = self._chainage(recorded)
-        speed = self._speed(table, position)
         stands = self._stands(table, position, speed)
         first, last = 0, table.time.size - 1
         if stands and stands[0][0] == 0:
-            first = stands[0][1]
+            first = min(stands[0][1] + 1, last)
         if stands and stands[-1][1] == last:
             last = stands[-1][0]
         if first >= last:
@@ -520,7 +533,7 @@ class _Reduction:
         flags = self._flags(table, speed) | {"doubtful": doubtful}
         gain = self.gain.value if self.gain.known else 1.0
         sums = {
-            name: (values[kept] - values[first])
+            name: values[kept]
             / (1.0 if "supply" in name or "unk" in name else gain)
             for name, values in table.sums.items()
         }
@@ -532,13 +545,14 @@ class _Reduction:
             direction=self.bare.metadata.get("direction", "forward"),
             line=self.line,
             train=self.train,
-            mass=Quantity(float("nan"), float("nan"), "assumed"),
+            mass=UNKNOWN,
             departure=table.origin + round(float(table.time[first]) * NANOSECONDS),
             time=time,
             running=time - standing,
             position=position[kept],
             speed=speed[kept],
             stands=tuple(listed),
+            distance=float(np.ptp(recorded)),
             sums=sums,
             flags={name: flag[kept] for name, flag in flags.items()},
             signals={
@@ -547,7 +561,7 @@ class _Reduction:
                 if column in table.values and np.isfinite(table.values[column]).any()
             },
             gain=self.gain,
-            notes=(*notes, *more),
+            notes=(*spikes, *notes, *more),
         )
 
     def _chainage(self, recorded: FloatArray) -> tuple[FloatArray, list[str]]:
@@ -575,13 +589,27 @@ class _Reduction:
             )
         return position, notes
 
-    def _speed(self, table: _Table, position: FloatArray) -> FloatArray:
+    def _without_spikes(self, table: _Table, speed: FloatArray) -> tuple[FloatArray, list[str]]:
+        """Chainage without samples far off their neighbours, and how many there were."""
+        recorded = table.values["position"]
+        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(table.time)
+        run = np.concatenate(([0.0], np.cumsum(steps)))
+        offset = recorded - run
+        usual = median_filter(offset, SPIKE_SAMPLES, mode="reflect")
+        spikes = np.abs(offset - usual) > SPIKE
+        if not spikes.any():
+            return recorded, []
+        where = float(run[spikes][0] + usual[spikes][0])
+        note = f"chainage: {counted(int(spikes.sum()), 'sample')} far off left out"
+        return np.where(spikes, run + usual, recorded), [f"{note}, first at km {where / 1e3:.3f}"]
+
+    def _speed(self, table: _Table) -> FloatArray:
         """Recorded speed; where it is not known, between its neighbours."""
         speed = table.values["speed"]
         known = np.isfinite(speed)
         if known.sum() < 2:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                return np.nan_to_num(np.gradient(position, table.time))
+            position = forward_chainage(table.values["position"])
+            return np.nan_to_num(np.gradient(position, table.time))
         return np.interp(table.time, table.time[known], np.maximum(speed[known], 0.0))
 
     def _stands(
@@ -650,14 +678,13 @@ _SIGNALS = {
 
 def _mass_and_gain(bare: Trip, train: Train | None) -> tuple[Quantity, Quantity]:
     """Mass of the loaded train [kg], and the gain of its recorded efforts, as far as known."""
-    unknown = Quantity(float("nan"), float("nan"), "assumed", "no load is stated")
     stored = passport_of(bare)
-    gain = unknown if stored is None else stored.effort_gain
+    gain = UNKNOWN if stored is None else stored.effort_gain
     if stored is not None and stored.mass.known:
         return stored.mass, gain
     load = None if train is None else recorded_load(bare, train)
     if load is None or train is None:
-        return unknown, gain
+        return UNKNOWN, gain
     return Quantity(train.mass + load.value, load.std, load.source), gain
 
 

@@ -79,7 +79,7 @@ class ForceModel:
         """Standard deviation of the running resistance [N] at each speed [m/s]."""
         v = np.asarray(speed, dtype=np.float64)
         powers = np.stack((np.ones_like(v), v, v * v), axis=-1)
-        return np.sqrt(np.einsum("...i,ij,...j", powers, self.covariance, powers))
+        return np.asarray(np.sqrt(np.einsum("...i,ij,...j", powers, self.covariance, powers)))
 
     def varied(self) -> list[ForceModel]:
         """Models one standard deviation off, along each principal axis of the covariance."""
@@ -173,9 +173,9 @@ def normalised_energy(
     by_load = work(model, other, 1.0) - own
     by_time = work(model, other, ratio) - work(model, other, 1.0)
     changes = by_load + by_time
-    spread = []
-    for varied in model.varied():
-        spread.append(work(varied, other, ratio) - work(varied, mass, 1.0) - changes)
+    spread = [
+        work(varied, other, ratio) - work(varied, mass, 1.0) - changes for varied in model.varied()
+    ]
     slope = by_load / (other - mass) if other != mass else 0.0
     weighed = slope * np.hypot(trip.mass.std, reference.mass.std)
     gain = trip.gain.std / trip.gain.value * recorded if trip.gain.known else 0.0

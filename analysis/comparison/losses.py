@@ -11,8 +11,8 @@ station. What is attributed to what:
    makes (``stop``); a stand off a station, or a crawl below half of the speed that limit and
    the other trip allow, after braking (``held``); a lower limit than the other trip's that binds
    (``limit``); slip (``slip``). A stretch reaches back to where the train began to slow down for it
-   (not for slip), and on to where it has the other trip's speed again or gains no more. Where stretches
-   overlap, ``stop`` and ``held`` come before ``limit``, that before ``slip``.
+   (not for slip), and on to where it has the other trip's speed again or gains no more. Where
+   stretches overlap, ``stop`` and ``held`` come before ``limit``, that before ``slip``.
 4. Elsewhere a slower train that gave all the effort it had is ``full effort`` (load, power or
    wind); any other is ``slower``, a faster one ``faster``.
 
@@ -63,6 +63,9 @@ SMOOTHED = 100.0
 
 RECOVERY = 15_000.0
 """Longest stretch behind an event [m] that is attributed to it."""
+
+ROUNDING = 1e-9
+"""Seconds that are none."""
 
 CAUSES = {
     "start": "later start",
@@ -242,13 +245,14 @@ def lost_time(
         started = _later_start(trip, reference, common)
         place = f"at {sections.ends[0]}"
         losses.append(Loss(started, "start", place, 0, common.first, common.first))
-    losses = [each for each in losses if each.seconds != 0.0]
+    total = float(sum(each.seconds for each in losses))
+    losses = [each for each in losses if abs(each.seconds) > ROUNDING]
     behind = started + np.concatenate(([0.0], np.cumsum(lost)))
     for stands, sign in ((mine.stands, 1.0), (other.stands, -1.0)):
         for stand in stands:
             behind = behind + sign * stand.duration * (nodes > min(stand.position, nodes[-2]))
     ordered = sorted(losses, key=lambda each: (-each.seconds, each.first, each.cause))
-    return Lost(float(sum(each.seconds for each in ordered)), tuple(ordered), nodes, behind)
+    return Lost(total, tuple(ordered), nodes, behind)
 
 
 def _nodes(common: CommonRange, sections: Sections) -> FloatArray:
@@ -385,12 +389,14 @@ def _cell(cells: _Cells, position: float) -> int | None:
 
 
 def _crawls(mine: _Cells, other: _Cells) -> list[tuple[int, int]]:
-    """Stretches on which a train that was braked crawls, away from all stops."""
+    """Stretches on which a train that was braked crawls, away from stops and lower limits."""
     middle = 0.5 * (mine.nodes[1:] + mine.nodes[:-1])
     allowed = np.minimum(mine.limit, other.speed)
     slow = mine.speed < CRAWL_SHARE * allowed
     for stand in (*mine.stands, *mine.ends, *other.stands, *other.ends):
         slow &= np.abs(middle - stand.position) > CRAWL_REACH
+    for first, last in _events("limit", mine, other):  # it is braked for a limit
+        slow[_stretch(first, last, mine, other, back=True)] = False
     found = []
     for first, last in _runs(slow):
         before = mine.speed[max(0, first - round(1500.0 / CELL)) : first + 1]

@@ -96,7 +96,8 @@ def _colour(row: int) -> str:
 
 def _speeds(axes: Axes, found: ComparedDirection, shown: list[ComparedTrip]) -> None:
     dress(axes, x="", y="speed [km/h]")
-    place = np.linspace(*found.sections.edges[[0, -1]], 2000)
+    first, last = found.sections.edges[[0, -1]].tolist()
+    place = np.linspace(first, last, 2000)
     limit = KMH * found.reference.permitted(place)
     axes.step(place / 1e3, limit, where="post", color=GREY, linewidth=1.0, label="limit")
     if found.reference.planned:

@@ -14,7 +14,10 @@ from trainlog.railway import Line
 FloatArray = NDArray[np.float64]
 
 EXCESS = 1.0 / 3.6
-"""Speed over the limit [m/s] from which it is stated: below it is within what speeds are known to."""
+"""Speed over the limit [m/s] from which it is stated: less is within what speeds are known to."""
+
+STOPPING_REACH = 50.0
+"""A trip that goes so far into a section [m] stopped at the station before it."""
 
 UNKNOWN_TIME = 1.0
 """Time without a recorded effort [s] from which the energy of a section is not stated."""
@@ -109,8 +112,12 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     """
     low = np.clip(sections.edges[:-1], *trip.covered)
     high = np.clip(sections.edges[1:], *trip.covered)
-    ran = np.flatnonzero(high - low > 1.0)
+    ran = np.flatnonzero(high - low > STOPPING_REACH)
     low, high = low[ran], high[ran]
+    if ran.size and abs(trip.covered[0] - low[0]) <= STOPPING_REACH:
+        low[0] = trip.covered[0]
+    if ran.size and abs(trip.covered[1] - high[-1]) <= STOPPING_REACH:
+        high[-1] = trip.covered[1]
     index = pd.Index([sections.names[row] for row in ran], name="section")
     whole = sections.edges[ran + 1] - sections.edges[ran]
     stood, dwell = np.zeros(ran.size), np.zeros(ran.size)
@@ -143,7 +150,7 @@ def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
     count = between(trip.running).size
     unknown = np.full(count, np.nan)
     sums = trip.sums
-    found = {name: unknown for name in ("traction", "braking", "dynamic_braking", "line")}
+    found = dict.fromkeys(("traction", "braking", "dynamic_braking", "line"), unknown)
     if "traction" in sums:
         gaps = between(sums["unknown_effort"]) > UNKNOWN_TIME
         brakes = [between(sums[n]) for n in ("dynamic_braking", "pneumatic_braking") if n in sums]
@@ -173,7 +180,8 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
     bins = np.where(inside, number, high.size)
 
     def summed(values: FloatArray) -> FloatArray:
-        return np.bincount(bins, weights=values, minlength=high.size + 1)[: high.size]
+        sums = np.bincount(bins, weights=values, minlength=high.size + 1)
+        return np.asarray(sums[: high.size], dtype=np.float64)
 
     unknown = np.full(high.size, np.nan)
     found = {"coasting": unknown, "slips": unknown, "reference_rms": unknown, "lateness": unknown}

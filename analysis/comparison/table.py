@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from rich.console import RenderableType
 from rich.table import Table
 
 from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
-from analysis.comparison.losses import CAUSES
-from analysis.tables import kwh, new_table
-from trainlog.display import counted
+from analysis.tables import new_table
 from trainlog.units import JOULES_PER_KWH, KMH
 
 LISTED = 12
@@ -118,7 +118,7 @@ def _section_cell(each: ComparedTrip, name: str) -> str:
     words += f" + {row['dwell']:.0f}" * bool(row["dwell"] >= SMALL)
     words += f" + stood {row['stood']:.0f}" * bool(row["stood"] >= SMALL)
     words += f", {row['covered']:.0%} of it" * bool(row["covered"] < 0.98)
-    lost = row.get("lost", float("nan"))
+    lost = float(each.table["lost"][name]) if "lost" in each.table else float("nan")
     return words + (f" ({lost:+.0f})" if math.isfinite(lost) else "")
 
 
@@ -142,15 +142,12 @@ def losses_table(found: ComparedDirection, listed: int = LISTED) -> Table:
         if each.lost is not None
         for loss in each.lost.losses
     }
-    shown = [
-        *lost.head(listed).itertuples(),
-        *gained.tail(max(1, listed // 4)).iloc[::-1].itertuples(),
-    ]
-    for row in shown:
-        first, last = float(row.first) / 1e3, float(row.last) / 1e3
+    shown = pd.concat([lost.head(listed), gained.tail(max(1, listed // 4)).iloc[::-1]])
+    for row in shown.to_dict("records"):
+        first, last = row["first"] / 1e3, row["last"] / 1e3
         where = f"{first:.1f}" if last - first < 0.1 else f"{first:.1f} to {last:.1f}"
-        cause = words.get((row.trip, row.place, row.cause), CAUSES[str(row.cause)])
-        table.add_row(f"{row.lost:+.1f}", str(row.trip), str(row.place), where, cause)
+        cause = words[row["trip"], row["place"], row["cause"]]
+        table.add_row(f"{row['lost']:+.1f}", row["trip"], row["place"], where, cause)
     return table
 
 
@@ -212,10 +209,65 @@ def notes(found: ComparedDirection) -> list[str]:
     return every
 
 
-def total_words(found: Comparison) -> str:
-    """The whole in a sentence."""
-    trips = sum(len(each.trips) for each in found.directions)
-    spent = sum(
-        float(each.table["traction"].sum()) for part in found.directions for each in part.trips
-    )
-    return f"{counted(trips, 'trip')}, {kwh(spent)} at the wheels"
+def comparison_data(found: Comparison) -> dict[str, Any]:
+    """A comparison as data for JSON: directions with sections, trips, losses; SI units."""
+    return {
+        "line": found.directions[0].line.name,
+        "directions": [_direction_data(each) for each in found.directions],
+        "left_out": list(found.left_out),
+    }
+
+
+_UNITS = {
+    "first": "first_m",
+    "last": "last_m",
+    "running_time": "running_time_s",
+    "stood": "stood_s",
+    "dwell": "dwell_s",
+    "traction": "traction_J",
+    "braking": "braking_J",
+    "dynamic_braking": "dynamic_braking_J",
+    "line": "line_J",
+    "excess": "excess_m_s",
+    "excess_distance": "excess_distance_m",
+    "reference_rms": "off_advised_speed_m_s",
+    "lateness": "lateness_s",
+    "lost": "lost_s",
+}
+
+
+def _direction_data(found: ComparedDirection) -> dict[str, Any]:
+    return {
+        "direction": found.direction,
+        "reference": found.reference.name,
+        "trips": [_trip_data(each) for each in found.trips],
+    }
+
+
+def _trip_data(each: ComparedTrip) -> dict[str, Any]:
+    trip, energy = each.trip, each.energy
+    rows = each.table.rename(columns=_UNITS).reset_index()
+    return {
+        "trip": trip.name,
+        "first_m": trip.covered[0],
+        "last_m": trip.covered[1],
+        "duration_s": trip.duration,
+        "mass_kg": trip.mass.value,
+        "mass_std_kg": trip.mass.std,
+        "common_m": each.common,
+        "lost_s": None if each.lost is None else each.lost.total,
+        "losses": [
+            {
+                "lost_s": loss.seconds,
+                "cause": loss.cause,
+                "place": loss.place,
+                "first_m": loss.first,
+                "last_m": loss.last,
+            }
+            for loss in (each.lost.losses if each.lost is not None else ())
+        ],
+        "normalised_traction_J": None if energy is None else energy.value,
+        "normalised_traction_std_J": None if energy is None else energy.std,
+        "sections": rows.to_dict("records"),
+        "notes": list(trip.notes),
+    }

@@ -11,7 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from analysis.adhesion.condition_map import summary
-from analysis.comparison.cost import compare, punctuality, running_times
+from analysis.comparison.groups import compare_groups, punctuality, running_times
 from analysis.tables import as_page, kwh, new_table, overspeed, with_band
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.display import as_text, counted, lateness, span
@@ -229,7 +229,7 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
     followed = sorted(folder.glob("*.mcap"))
     if not (followed and logs):
         return None
-    found = compare(logs, followed)
+    found = compare_groups(logs, followed)
     pairs, (driver, saved) = found.pairs, found.total_saved
     words = (
         f"{kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"

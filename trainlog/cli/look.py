@@ -1,14 +1,11 @@
-"""Commands that look at logs: check, compare."""
+"""The command that reads logs to the last byte: check."""
 
 from __future__ import annotations
-
-from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from trainlog.cli.options import Logs, logs_in
-from trainlog.cli.terminal import console, print_account, print_error, state
+from trainlog.cli.terminal import print_account, print_error, state
 from trainlog.errors import LogError
 from trainlog.progress import track
 
@@ -40,25 +37,3 @@ def check(logs: Logs) -> None:
             print_account(log, account)
     if status:
         raise typer.Exit(status)
-
-
-@app.command(rich_help_panel="Look")
-def compare(
-    logs: Logs,
-    followed: Annotated[
-        list[Path],
-        typer.Option("--with", help="Log or folder of trips that followed a trajectory; several."),
-    ],
-) -> None:
-    """Compare drivers' trips with trips that followed a trajectory: time, energy and slip.
-
-    Given several times, --with makes a table each, as of trips that knew a map and of others.
-
-    Example: trainlog compare results/trips --with results/driven
-    """
-    from analysis.comparison.cost import compare as compare_trips, savings_table
-
-    for each in followed:
-        if len(followed) > 1:
-            console.print(f"with {each}", highlight=False)
-        console.print(savings_table(compare_trips(logs_in(logs), logs_in([each]))))

@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 
 from trainlog import __version__
 from trainlog.cli import (
+    compare,
     convert,
     learn,
     live,
@@ -70,6 +71,7 @@ for _panel in (
     show,
     look,
     replay,
+    compare,
     report,
     learn,
     map,

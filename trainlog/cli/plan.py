@@ -149,7 +149,7 @@ def optimise(
 
     Example: trainlog optimise --train my.train.toml --line A-B.line.json -o trajectory.json
     """
-    from analysis.comparison.cost import fastest_nonstop
+    from analysis.comparison.groups import fastest_nonstop
     from analysis.trajectory.optimiser import optimise as solve
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 

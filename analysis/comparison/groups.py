@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Group
 
 from analysis.adhesion.events import protection_onsets
+from analysis.comparison.driven import described, driven_trip, pieces_of
 from analysis.given import Given, each_given
 from analysis.tables import kwh, new_table
 from trainlog.display import as_text, counted
 from trainlog.errors import LogError
-from trainlog.formats.attached import passport_of, recorded_load, train_of
+from trainlog.formats.attached import train_of
 from trainlog.mcap import read_log
-from trainlog.mcap.reader import stream_log
 from trainlog.railway import Line, Train
-from trainlog.resampling import joined_pieces
-from trainlog.topics import EVENTS, REFERENCE, STANDSTILL, TRAIN_SLIP_PROTECTION
-from trainlog.trip import Trip, seconds
+from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
+from trainlog.trip import Trip
 from trainlog.units import JOULES_PER_KWH
 
 FloatArray = NDArray[np.float64]
-
-SHORTEST_STOP = 5.0
-"""A train that stands for less [s] is creeping, not stopping."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +70,6 @@ class TripCost:
 Recorded = Trip | Path
 """A trip, or the log that holds it, which is read in pieces, however long it is."""
 
-_STATES = ("/train/state", "/estimates/state")
-_CONTROLS = "/train/controls"
-_EFFORTS = ("tractive_effort", "dynamic_braking_effort")
-ROWS = 250_000
-"""Rows of a piece."""
-
 
 def trip_cost(trip: Recorded) -> TripCost:
     """Energy and time of a trip from its recorded efforts and speed.
@@ -99,45 +88,32 @@ def trip_cost(trip: Recorded) -> TripCost:
     LogError
         If the trip has no speed, no efforts, or never moves.
     """
-    bare = _described(trip)
+    bare = described(trip)
     train = train_of(bare)
-    state = _STATES[1] if _STATES[0] not in bare and _STATES[1] in bare else _STATES[0]
-    motion = [f"{state}.speed", f"{state}.position"]
-    efforts = [f"{_CONTROLS}.{name}" for name in _EFFORTS]
-    meter = _Meter()
-    pieces = _pieces(trip, {state: ["speed", "position"], _CONTROLS: _EFFORTS})
-    for table in joined_pieces(pieces, motion + efforts, state, max_gap=None):
-        meter.add(table)
-    stands = [stand for stand in meter.standstills() if stand.lasts]
-    if stands and stands[0].begin == meter.first and stands[0].moves is None:
-        raise LogError(f"trip '{bare.name}' never moves: there is no energy to compare")
-    departs = bool(stands) and stands[0].begin == meter.first
-    arrives = bool(stands) and stands[-1].moves is None
-    departure = stands[0].moves if departs else meter.first
-    arrival = stands[-1].begin if arrives else meter.last
-    traction, dynamic = meter.work.tolist()
+    driven = driven_trip(trip)
+    if "traction" not in driven.sums:
+        raise LogError(
+            f"trip '{bare.name}' has no recorded efforts: its energy is not known",
+            place="topic /train/controls",
+        )
+    traction, dynamic = (
+        float(driven.sums[name][-1]) if name in driven.sums else 0.0
+        for name in ("traction", "dynamic_braking")
+    )
     return TripCost(
         name=bare.name,
-        direction=bare.metadata.get("direction", "forward"),
-        distance=float(meter.highest[1] - meter.lowest[1]),
-        running_time=float(arrival - (departure or 0.0)),
-        stops=len(stands) - int(departs) - int(arrives),
-        mass=_mass(bare, train),
+        direction=driven.direction,
+        distance=driven.distance,
+        running_time=driven.duration,
+        stops=sum(stand.duration > 0.0 for stand in driven.stands),
+        mass=driven.mass.value,
         traction=traction,
         dynamic_braking=dynamic,
         line=line_energy(train, traction, dynamic),
-        top_speed=float(meter.highest[0]),
+        top_speed=float(driven.speed.max()),
         slips=_slips(trip),
         late=_late(trip),
     )
-
-
-def _mass(bare: Trip, train: Train) -> float:
-    """Mass of the loaded train [kg]; NaN where nothing is known of its load."""
-    stored, load = passport_of(bare), recorded_load(bare, train)
-    if stored is not None and stored.mass.known:
-        return stored.mass.value
-    return float("nan") if load is None else train.mass + load.value
 
 
 def _slips(trip: Recorded) -> int | None:
@@ -150,96 +126,11 @@ def _slips(trip: Recorded) -> int | None:
 def _late(trip: Recorded) -> float | None:
     """Lateness at the end of the trip."""
     late = None
-    for piece in _pieces(trip, {REFERENCE.name: ["lateness"]}):
+    for piece in pieces_of(trip, {REFERENCE.name: ["lateness"]}):
         if REFERENCE.name in piece:
             known = piece[REFERENCE.name]["lateness"].dropna()
             late = float(known.iloc[-1]) if len(known) else late
     return late
-
-
-def _described(trip: Recorded) -> Trip:
-    """The trip; of a log, its topics without rows."""
-    if isinstance(trip, Trip):
-        return trip
-    never = (pd.Timestamp(0, tz="UTC"), pd.Timestamp(0, tz="UTC"))
-    return read_log(trip, [*_STATES, _CONTROLS], time=never)
-
-
-def _pieces(trip: Recorded, columns: Mapping[str, Iterable[str]]) -> Iterable[Trip]:
-    return [trip] if isinstance(trip, Trip) else stream_log(trip, columns, rows=ROWS)
-
-
-@dataclass(frozen=True, slots=True)
-class _Standstill:
-    """First and last instant of a standstill, and when the train moves again [s]."""
-
-    begin: float
-    end: float
-    moves: float | None
-
-    @property
-    def lasts(self) -> bool:
-        return self.end - self.begin >= SHORTEST_STOP
-
-
-class _Meter:
-    """Sums over a trip that comes in pieces.
-
-    Attributes
-    ----------
-    first, last : float [s]
-        Times of the first and the last sample, since the first.
-    work : (2,) array [J]
-        Of traction and of the dynamic brake.
-    lowest, highest : (2,) array
-        Of speed [m/s] and position [m].
-    """
-
-    def __init__(self) -> None:
-        self.first = self.last = 0.0
-        self.work = np.zeros(2)
-        self.lowest, self.highest = np.full(2, np.nan), np.full(2, np.nan)
-        self._origin: pd.Timestamp | None = None
-        self._power = np.zeros((0, 2))
-        self._begin: float | None = None
-        self._ended: list[_Standstill] = []
-
-    def add(self, table: pd.DataFrame) -> None:
-        """Add rows with the columns speed, position, tractive and dynamic braking effort."""
-        if table.empty:
-            return
-        if self._origin is None:
-            self._origin = pd.Timestamp(table.index[0])
-        time = seconds(table, self._origin)
-        values = table.to_numpy(dtype=np.float64)
-        power = np.nan_to_num(values[:, 2:] * values[:, :1])
-        before = self._power.shape[0]
-        self.work += np.trapezoid(
-            np.concatenate((self._power, power)),
-            np.concatenate(([self.last][:before], time)),
-            axis=0,
-        )
-        self.lowest = np.fmin(self.lowest, np.fmin.reduce(values[:, :2], axis=0))
-        self.highest = np.fmax(self.highest, np.fmax.reduce(values[:, :2], axis=0))
-        self._stand(time, np.nan_to_num(values[:, 0]) <= STANDSTILL)
-        self.last, self._power = float(time[-1]), power[-1:]
-
-    def standstills(self) -> list[_Standstill]:
-        """Every standstill, the shortest ones too."""
-        if self._begin is None:
-            return self._ended
-        return [*self._ended, _Standstill(self._begin, self.last, None)]
-
-    def _stand(self, time: FloatArray, standing: NDArray[np.bool_]) -> None:
-        """Go through the changes between standing and moving."""
-        before = np.concatenate(([self.last], time))
-        for row in np.flatnonzero(np.diff(standing, prepend=self._begin is not None)).tolist():
-            if self._begin is None:
-                self._begin = float(time[row])
-            else:
-                ended = _Standstill(self._begin, float(before[row]), float(time[row]))
-                self._ended.append(ended)
-                self._begin = None
 
 
 def line_energy(train: Train, traction: float, dynamic_braking: float) -> float:
@@ -256,7 +147,7 @@ def fastest_nonstop(trips: Sequence[Recorded], line: Line) -> float:
         If there is no such trip.
     """
     forward = [
-        trip for trip in trips if _described(trip).metadata.get("direction", "forward") == "forward"
+        trip for trip in trips if described(trip).metadata.get("direction", "forward") == "forward"
     ]
     times = [
         cost.running_time
@@ -302,7 +193,7 @@ def punctuality(followed: Sequence[Recorded]) -> Punctuality:
         found = _late(trip)
         if found is None:
             raise LogError(
-                f"trip '{_described(trip).name}' followed no trajectory: it has no /reference",
+                f"trip '{described(trip).name}' followed no trajectory: it has no /reference",
                 remedy="give the trips of 'trainlog simulate --trajectory'",
             )
         late.append(found)
@@ -336,7 +227,7 @@ class Saving:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison:
+class GroupComparison:
     """Drivers' trips beside trips that followed a trajectory.
 
     Attributes
@@ -381,7 +272,9 @@ class Comparison:
         return driver, trajectory
 
 
-def compare(drivers: Given | Iterable[Given], followed: Given | Iterable[Given]) -> Comparison:
+def compare_groups(
+    drivers: Given | Iterable[Given], followed: Given | Iterable[Given]
+) -> GroupComparison:
     """Pair drivers' trips with trips that followed a trajectory, configuration by configuration.
 
     A pair is comparable when the followed trip was driven with the configuration observed on the
@@ -406,17 +299,17 @@ def compare(drivers: Given | Iterable[Given], followed: Given | Iterable[Given])
     >>> import trainlog
     >>> trip = trainlog.read("sample_logs/nonstop.mcap")
     >>> same = replace(trip, metadata={**trip.metadata, "configuration": trip.name})
-    >>> compare(trip, same).pairs[0].traction
+    >>> compare_groups(trip, same).pairs[0].traction
     0.0
     """
-    by_name = {_described(trip).name: trip for trip in each_given(drivers)}
-    candidates = [(_described(trip), trip) for trip in each_given(followed)]
+    by_name = {described(trip).name: trip for trip in each_given(drivers)}
+    candidates = [(described(trip), trip) for trip in each_given(followed)]
     candidates = _that_followed(candidates)
     pairs, unlike = [], list[tuple[int, str]]()
-    for described, trip in candidates:
-        observed = by_name.get(described.metadata["configuration"])
+    for bare, trip in candidates:
+        observed = by_name.get(bare.metadata["configuration"])
         if observed is None:
-            name = described.name
+            name = bare.name
             unlike.append((0, f"there is no trip of the configuration that '{name}' drove with"))
             continue
         driver, cost = trip_cost(observed), trip_cost(trip)
@@ -431,7 +324,7 @@ def compare(drivers: Given | Iterable[Given], followed: Given | Iterable[Given])
             f"no trip that followed the trajectory has a comparable trip by a driver: {nearest}",
             remedy="needs one non-stop trip of the same configuration, direction and distance",
         )
-    return Comparison(tuple(pairs))
+    return GroupComparison(tuple(pairs))
 
 
 def _that_followed(trips: Sequence[tuple[Trip, Recorded]]) -> list[tuple[Trip, Recorded]]:
@@ -442,10 +335,10 @@ def _that_followed(trips: Sequence[tuple[Trip, Recorded]]) -> list[tuple[Trip, R
     followed = [each for each in trips if each[0].metadata.get("configuration")]
     if followed:
         return followed
-    described, recorded = trips[0]
+    first, recorded = trips[0]
     others = f", nor did {counted(len(trips) - 1, 'other')}" if len(trips) > 1 else ""
     raise LogError(
-        f"trip '{described.name}' did not follow a trajectory{others}",
+        f"trip '{first.name}' did not follow a trajectory{others}",
         file=None if isinstance(recorded, Trip) else recorded,
         remedy=remedy,
     )
@@ -467,7 +360,7 @@ def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:
     return None
 
 
-def savings_table(found: Comparison) -> Group:
+def savings_table(found: GroupComparison) -> Group:
     """What following the trajectory saved, pair by pair and together."""
     pairs = found.pairs
     title = "Tractive energy at the wheel rims, running time, how often slip protection acted"
@@ -492,7 +385,7 @@ def savings_table(found: Comparison) -> Group:
     return Group(table, words)
 
 
-def running_times(found: Comparison) -> str:
+def running_times(found: GroupComparison) -> str:
     """Mean running times of both, in words."""
     driver, trajectory = found.running_times
     return f"{trajectory:.0f} s on the trajectory against {driver:.0f} s on average"

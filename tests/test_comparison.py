@@ -1,0 +1,356 @@
+"""Trips compared by position: what was lost where, and why, against what was done to the trips."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.comparison.compare import Comparison, compare
+from analysis.comparison.driven import driven_trip
+from analysis.comparison.plot import comparison_figure
+from analysis.comparison.table import comparison_data, comparison_tables
+from analysis.tables import as_page
+from trainlog import read_line, read_train
+from trainlog.cli import main as cli
+from trainlog.errors import InputError
+from trainlog.formats.line import line_to_bytes
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.mcap import read_log, write_log
+from trainlog.railway import Line, StepProfile
+from trainlog.simulation import draw_scenarios, simulate
+from trainlog.simulation.drivers import Habits, Stop, plan
+from trainlog.simulation.scenario import Scenario
+from trainlog.spans import runs_of
+from trainlog.trip import LINE_ATTACHMENT, Trip
+
+LINE = read_line(sample(DEFAULT_LINE))
+TRAIN = read_train(sample(DEFAULT_TRAIN))
+
+
+@cache
+def stopping() -> Trip:
+    return read_log(sample("stopping.mcap"))
+
+
+@cache
+def nonstop() -> Trip:
+    return read_log(sample("nonstop.mcap"))
+
+
+def altered(whole: Trip, change: Callable[[pd.DataFrame], pd.DataFrame], **metadata: str) -> Trip:
+    """A copy of a trip with all its topics changed alike."""
+    topics = {}
+    for name, frame in whole.topics.items():
+        topics[name] = change(frame)
+        topics[name].attrs = frame.attrs
+    return replace(whole, topics=topics, metadata={**whole.metadata, **metadata})
+
+
+def delayed(trip: Trip, after: pd.Timestamp, by: float, name: str) -> Trip:
+    """The trip with all that comes after a time later by some seconds."""
+
+    def later(frame: pd.DataFrame) -> pd.DataFrame:
+        shift = by * (frame.index > after)
+        return frame.set_axis(frame.index + pd.to_timedelta(shift, unit="s"), axis=0)
+
+    return altered(trip, later, trip=name)
+
+
+def second_stand(trip: Trip) -> pd.Timestamp:
+    """The middle of the first stand on the way."""
+    state = trip["/train/state"]
+    stands = runs_of(state["speed"].to_numpy() <= 0.1)
+    begin, end = next(each for each in stands if each[0] > 1000 and each[1] - each[0] > 100)
+    return state.index[(begin + end) // 2]
+
+
+def lost(found: Comparison, name: str) -> dict[str, float]:
+    known = found.trip(name).lost
+    assert known is not None
+    return known.by_cause()
+
+
+def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
+    found = compare([stopping(), replace(stopping(), metadata=stopping().metadata)], stopping())
+    again = found.trip("trip-03 (2)")
+    assert again.lost is not None
+    assert again.lost.total == 0.0
+    assert again.lost.losses == ()
+    assert (again.lost.behind == 0.0).all()
+    assert (again.table["lost"] == 0.0).all()
+    assert again.energy is not None
+    assert again.energy.value == again.energy.recorded
+
+
+def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell() -> None:
+    late = delayed(stopping(), second_stand(stopping()), 30.0, "late")
+    (loss,) = compare([stopping(), late], stopping()).trip("late").lost.losses
+    assert (loss.cause, loss.place) == ("dwell", "at Gossau SG")
+    assert loss.seconds == pytest.approx(30.0, abs=0.11)
+    early = compare([stopping(), late], late).trip("trip-03").lost
+    assert early.losses[0].words == "shorter dwell"
+    assert early.total == pytest.approx(-30.0, abs=0.11)
+
+
+def test_a_later_departure_counts_by_the_time_of_day_alone() -> None:
+    late = delayed(stopping(), stopping().start - pd.Timedelta(days=1), 45.0, "late")
+    assert compare([stopping(), late], stopping()).trip("late").lost.total == 0.0
+    by_day = compare([stopping(), late], stopping(), by_time_of_day=True).trip("late").lost
+    assert by_day.by_cause() == {"start": pytest.approx(45.0)}
+    assert by_day.behind[0] == pytest.approx(45.0)
+
+
+def test_losses_add_up_to_the_difference_and_to_the_sections() -> None:
+    found = compare([stopping(), nonstop()])
+    trip = found.trip("trip-03")
+    difference = driven_trip(stopping()).duration - driven_trip(nonstop()).duration
+    assert trip.lost.total == pytest.approx(difference, abs=1e-9)
+    assert sum(each.seconds for each in trip.lost.losses) == trip.lost.total
+    assert trip.table["lost"].sum() == pytest.approx(difference, abs=1e-9)
+    assert trip.lost.behind[-1] == pytest.approx(difference, abs=1e-6)
+    times = trip.table[["running_time", "dwell", "stood"]].sum().sum()
+    assert times == pytest.approx(driven_trip(stopping()).duration, abs=0.2)
+    # Three stops of some 42 s, and slowing down and starting for each.
+    assert lost(found, "trip-03")["stop"] > 200.0
+
+
+def test_two_halves_lose_what_the_whole_loses() -> None:
+    halves = [
+        replace(stopping().within(*limits), metadata={**stopping().metadata, "trip": name})
+        for limits, name in (((None, 12_000.0), "first"), ((12_000.0, None), "second"))
+    ]
+    found = compare([*halves, stopping(), nonstop()], nonstop())
+    parts = [found.trip(name) for name in ("first", "second")]
+    whole = found.trip("trip-03").lost.total
+    assert sum(each.lost.total for each in parts) == pytest.approx(whole, abs=0.3)
+    assert parts[0].common == pytest.approx((0.0, 12_000.0), abs=5.0)
+    assert "% of it" in as_page(*comparison_tables(found))
+    work = [each.table["traction"].sum() for each in (*parts, found.trip("trip-03"))]
+    assert work[0] + work[1] == pytest.approx(work[2], rel=1e-3)
+
+
+def test_directions_are_kept_apart_and_each_has_a_reference() -> None:
+    back = altered(nonstop(), lambda frame: frame, direction="reverse", trip="back")
+    found = compare([stopping(), nonstop(), back])
+    assert [each.direction for each in found.directions] == ["forward", "reverse"]
+    assert found.directions[1].reference.name == "back"
+    assert found.directions[1].sections.ends[0] == "Wil"
+    assert found.trip("back").lost is None
+
+
+def test_a_gap_in_the_recording_is_stated_and_loses_no_time() -> None:
+    def gap(frame: pd.DataFrame) -> pd.DataFrame:
+        within = (frame.index > frame.index[0] + pd.Timedelta("150s")) & (
+            frame.index < frame.index[0] + pd.Timedelta("190s")
+        )
+        return frame[~within] if len(frame) > 2000 else frame
+
+    holed = altered(stopping(), gap, trip="holed")
+    found = compare([stopping(), holed], stopping()).trip("holed")
+    assert found.lost.total == pytest.approx(0.0, abs=0.1)
+    assert any("no position for 40 s" in note for note in found.trip.notes)
+    # What is in the gap is not known: it is not taken for slow or fast driving.
+    assert set(found.lost.by_cause()) <= {"recording"}
+    # Work in the gap is a guess between two efforts, but it is bounded by them.
+    assert found.table["traction"].sum() == pytest.approx(
+        compare(stopping()).trip("trip-03").table["traction"].sum(), rel=0.05
+    )
+
+
+def test_unknown_efforts_leave_the_energy_unknown_where_they_are_missing() -> None:
+    controls = stopping()["/train/controls"].copy()
+    controls.iloc[1500:1700, controls.columns.get_loc("tractive_effort")] = np.nan
+    controls.attrs = stopping()["/train/controls"].attrs
+    table = compare(stopping().with_topic(controls)).trip("trip-03").table
+    assert table["traction"].isna().tolist() == [True, False, False, False]
+    none = replace(
+        stopping(), topics={k: v for k, v in stopping().topics.items() if k != "/train/controls"}
+    )
+    found = compare(none)
+    assert found.trip("trip-03").table["traction"].isna().all()
+    assert "no efforts are recorded" in as_page(*comparison_tables(found))
+
+
+def moved(trip: Trip, by: Callable[[np.ndarray], np.ndarray], name: str) -> Trip:
+    state = trip["/train/state"]
+    changed = state.assign(position=by(state["position"].to_numpy()))
+    changed.attrs = state.attrs
+    found = trip.with_topic(changed)
+    return replace(found, metadata={**trip.metadata, "trip": name})
+
+
+def test_chainage_that_is_set_back_costs_no_time_and_is_stated() -> None:
+    back = moved(stopping(), lambda s: s - 12.0 * (s > 4_000.0), "back")
+    found = compare([stopping(), back], stopping()).trip("back")
+    # Twelve metres at 30 m/s, and as many in front of the stops.
+    assert abs(found.lost.total) < 0.5
+    assert any("chainage set back at km 3.99" in note or "km 4.00" in note
+               for note in found.trip.notes)  # fmt: skip
+    spiked = moved(
+        stopping(), lambda s: np.where(np.arange(s.size) % 4001 == 4000, 0.0, s), "spike"
+    )
+    found = compare([stopping(), spiked], stopping()).trip("spike")
+    assert abs(found.lost.total) < 0.2
+    assert any("3 samples far off left out" in note for note in found.trip.notes)
+
+
+def test_a_counter_that_starts_anew_is_left_out_with_the_reason() -> None:
+    anew = moved(stopping(), lambda s: np.where(s > 14_476.0, s - 14_476.0, s), "anew")
+    found = compare([stopping(), nonstop(), anew])
+    assert len(found.directions[0].trips) == 2
+    assert "trip 'anew' runs backwards by" in found.left_out[0]
+    with pytest.raises(InputError, match=r"no trip can be compared: .*runs backwards"):
+        compare(anew)
+
+
+def test_a_trip_that_stops_short_is_compared_as_far_as_it_went() -> None:
+    state = stopping()["/train/state"]
+    stand = stopping().between(
+        None, state.index[state["position"] <= 14_400.0][-1] + pd.Timedelta("30s")
+    )
+    short = replace(stand, metadata={**stand.metadata, "trip": "short"})
+    found = compare([stopping(), nonstop(), short], nonstop()).trip("short")
+    assert found.common == pytest.approx((0.0, 14_477.0), abs=5.0)
+    # It brakes to a stand at Flawil, which the other passes: that is no slow driving.
+    assert found.lost.by_cause()["stop"] > 80.0
+    table = compare([stopping(), nonstop(), short], nonstop()).trip("short").table
+    assert table.index.tolist() == ["St.Gallen - Gossau SG", "Gossau SG - Flawil"]
+
+
+# What was done to a driver who always drives as fast as his habits allow is the truth.
+
+HABITS = Habits(coasting=0.0, margin=0.7, lever=0.9)
+
+
+def scenario(line: Line = LINE, name: str = "free", **changes: object) -> Scenario:
+    drawn = draw_scenarios(line, TRAIN, 1, seed=8)[0]
+    stops = plan(line, TRAIN, (LINE.stations[0], LINE.stations[-1]), reserve=-0.2)
+    dry = StepProfile([0.0], [0.45])
+    return replace(drawn, name=name, stops=stops, habits=HABITS, maximum_adhesion=dry, **changes)
+
+
+@cache
+def free() -> Trip:
+    return simulate(scenario())
+
+
+def test_a_temporary_limit_costs_what_it_costs() -> None:
+    limits = LINE.speed_limits
+    lower = StepProfile(
+        np.concatenate((limits.positions[limits.positions < 11_000.0], [11_000.0, 12_500.0])),
+        np.concatenate((limits.values[limits.positions < 11_000.0], [60 / 3.6, limits(12_500.0)])),
+    )
+    rest = limits.positions > 12_500.0
+    lower = StepProfile(
+        np.concatenate((lower.positions, limits.positions[rest])),
+        np.concatenate((lower.values, limits.values[rest])),
+    )
+    slowed = simulate(scenario(replace(LINE, speed_limits=lower), "slowed"))
+    attached = {**slowed.attachments, LINE_ATTACHMENT: line_to_bytes(LINE)}
+    found = compare([free(), replace(slowed, attachments=attached)], free()).trip("slowed")
+    truth = driven_trip(slowed).duration - driven_trip(free()).duration
+    assert truth > 30.0
+    assert found.lost.total == pytest.approx(truth, abs=1e-6)
+    assert found.lost.by_cause()["limit"] == pytest.approx(truth, abs=2.0)
+    assert found.table["excess"].max() == 0.0
+    (gained, *_) = (
+        compare(
+            [free(), replace(slowed, attachments=attached)], replace(slowed, attachments=attached)
+        )
+        .trip("free")
+        .lost.losses[::-1]
+    )
+    assert gained.words == "the reference had a lower limit"
+
+
+def test_a_signal_at_stop_costs_the_stand_and_the_way_to_and_from_it() -> None:
+    ends = scenario().stops
+    signal = Stop("signal", 11_500.0, 300.0, 330.0)
+    held = simulate(replace(scenario(name="held"), stops=(ends[0], signal, ends[1])))
+    found = compare([free(), held], free()).trip("held")
+    truth = driven_trip(held).duration - driven_trip(free()).duration
+    assert truth > 70.0
+    assert found.lost.by_cause()["held"] == pytest.approx(truth, abs=3.0)
+    assert found.table["stood"].max() > 25.0
+    assert found.table["dwell"].sum() == 0.0
+
+
+def test_poor_adhesion_costs_what_it_costs() -> None:
+    poor = StepProfile([0.0, 900.0], [0.06, 0.45])
+    slipped = simulate(replace(scenario(name="slipped"), maximum_adhesion=poor))
+    found = compare([free(), slipped], free()).trip("slipped")
+    truth = driven_trip(slipped).duration - driven_trip(free()).duration
+    assert truth > 5.0
+    assert found.lost.by_cause()["slip"] == pytest.approx(truth, abs=0.15 * truth)
+    assert found.table["slips"].iloc[0] > 0
+    assert found.table["slips"].iloc[1:].sum() == 0
+
+
+def test_excess_speed_is_stated_with_where_it_was() -> None:
+    fast = simulate(replace(scenario(name="fast"), habits=replace(HABITS, margin=-2.0)))
+    table = compare([free(), fast]).trip("fast").table
+    assert 1.5 < table["excess"].max() < 3.0
+    assert table["excess_distance"].sum() > 3_000.0
+    assert compare(free()).trip("free").table["excess_distance"].sum() == 0.0
+
+
+def test_energies_of_unlike_loads_are_alike_at_one_load() -> None:
+    """The same driver with another load and another driver's time; truth: drive it so."""
+    heavy = replace(scenario(name="heavy"), mass=TRAIN.mass + 24_000.0)
+    light = replace(scenario(name="light"), mass=TRAIN.mass + 1_000.0)
+    trips = [simulate(each) for each in (heavy, light)]
+    found = compare(trips, trips[1]).trip("heavy").energy
+    truth = driven_trip(trips[1]).sums["traction"][-1]
+    assert found is not None
+    assert found.recorded > 1.02 * truth
+    assert abs(found.value - truth) < 1.96 * found.std
+    assert abs(found.value - truth) < 0.5 * (found.recorded - truth)
+    assert found.std < 0.03 * truth
+
+
+def test_the_figure_and_the_data_hold_every_trip() -> None:
+    found = compare([stopping(), nonstop()])
+    figure = comparison_figure(found.directions[0])
+    assert len(figure.axes) == 4
+    data = comparison_data(found)
+    names = [trip["trip"] for trip in data["directions"][0]["trips"]]
+    assert names == ["trip-03", "trip-01"]
+    assert "trip-03" in repr(found)
+    assert "Gossau" in found._repr_html_()
+
+
+def test_the_command_prints_json_and_saves_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = [str(sample(name)) for name in ("stopping.mcap", "nonstop.mcap")]
+    picture = tmp_path / "compared.png"
+    assert cli.run(["compare", *logs, "--reference", logs[1], "--picture", str(picture)]) == 0
+    assert "stop that the reference does not make" in " ".join(capsys.readouterr().out.split())
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert cli.run(["compare", *logs, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    (direction,) = data["directions"]
+    assert direction["reference"] == "trip-01"
+    sections = direction["trips"][0]["sections"]
+    assert sum(each["lost_s"] for each in sections) == pytest.approx(
+        direction["trips"][0]["lost_s"]
+    )
+
+
+def test_a_long_log_is_read_in_pieces_with_the_same_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_log(stopping(), tmp_path / "trip.mcap")
+    whole = driven_trip(stopping())
+    for rows in (3_000, 50_000):
+        monkeypatch.setattr("analysis.comparison.driven.ROWS", rows)
+        found = driven_trip(tmp_path / "trip.mcap")
+        np.testing.assert_allclose(found.running, whole.running, atol=1e-9)
+        np.testing.assert_allclose(found.sums["traction"], whole.sums["traction"], rtol=1e-9)
