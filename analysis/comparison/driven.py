@@ -533,8 +533,7 @@ class _Reduction:
         flags = self._flags(table, speed) | {"doubtful": doubtful}
         gain = self.gain.value if self.gain.known else 1.0
         sums = {
-            name: values[kept]
-            / (1.0 if "supply" in name or "unk" in name else gain)
+            name: values[kept] / (1.0 if "supply" in name or "unk" in name else gain)
             for name, values in table.sums.items()
         }
         if "traction" in sums and sums["unknown_effort"][-1] > 0.5 * time[-1]:
