@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from trainlog.cli import main as cli
+from trainlog.documentation import Documentation
+from trainlog.errors import InputError
 from trainlog.formats.samples import copy_samples
 from trainlog.mcap import records
 from trainlog.topics import TOPICS
@@ -20,6 +23,7 @@ DOCS = CHECKOUT / "docs"
 sys.path.append(str(DOCS / "tools"))
 import notebook  # noqa: E402
 import pages  # noqa: E402
+import sources  # noqa: E402
 
 PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
 LONG = ("gallery.md", "planner.md")
@@ -157,3 +161,52 @@ def test_names_of_the_code_exist(page: Path) -> None:
     messages |= {value for name, value in vars(records).items() if name.endswith("_RECORD")}
     for dotted in set(NAME.findall(page.read_text("utf-8"))) - messages:
         resolved(dotted)
+
+
+@pytest.fixture(params=["site", "source"])
+def installed(request: pytest.FixtureRequest, tmp_path: Path) -> Documentation:
+    """Documentation as an installation has it: a built site, or Markdown."""
+    built = request.param == "site"
+    folder = tmp_path / request.param
+    for name in ("index", "tutorials/planner", "reference/logs"):
+        path = folder / f"{name}.{'html' if built else 'md'}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        source = (DOCS / f"{name}.md").read_text("utf-8")
+        html = '<h1 id="a">A title &amp; more<a class="headerlink" href="#a">¶</a></h1>'
+        path.write_text(html + '<h2 id="trainlog.read">read</h2>' if built else source, "utf-8")
+    return Documentation(folder, built)
+
+
+def test_pages_are_found_by_name_and_by_what_they_describe(installed: Documentation) -> None:
+    assert installed.place()[0].stem == "index"
+    assert installed.place("planner") == installed.place("tutorials/planner")
+    page, anchor = installed.place("read")
+    assert page.stem == "logs"
+    assert anchor == ("trainlog.read" if installed.built else "")
+    titles = dict(installed.titles())
+    assert titles["index"] == ("A title & more" if installed.built else "trainlog")
+    with pytest.raises(InputError, match=r"no page 'palnner'.*near to it: planner"):
+        installed.place("palnner")
+
+
+def test_a_site_of_other_files_is_not_put_into_the_wheel(tmp_path: Path) -> None:
+    for folder in ("docs", "build/site", "sample_logs"):
+        (tmp_path / folder).mkdir(parents=True)
+    for name in ("mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md", "docs/index.md"):
+        (tmp_path / name).write_text("today", "utf-8")
+    assert sources.site_of(tmp_path) is None
+    stamp = tmp_path / "build" / "site" / sources.STAMP
+    stamp.write_text(sources.state_of(tmp_path), "utf-8")
+    assert sources.site_of(tmp_path) == tmp_path / "build" / "site"
+    (tmp_path / "docs" / "index.md").write_text("tomorrow", "utf-8")
+    assert sources.site_of(tmp_path) is None
+
+
+def test_the_command_prints_where_a_page_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trainlog.documentation.SITES", ())
+    assert cli.run(["docs", "engineer", "--path"]) == 0
+    page, *rest = capsys.readouterr().out.splitlines()
+    assert Path(page) == DOCS / "tutorials" / "engineer.md"
+    assert "'make docs'" in " ".join(rest)

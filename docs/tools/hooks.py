@@ -25,15 +25,9 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(CHECKOUT), str(Path(__file__).parent)]
 
 import pages  # noqa: E402
+from sources import ADDED, STAMP, state_of  # noqa: E402
 
 BUILT = CHECKOUT / "build" / "pages"
-ADDED = {
-    "contributing.md": "CONTRIBUTING.md",
-    "changes.md": "CHANGELOG.md",
-    "samples.md": "sample_logs/README.md",
-}
-"""Pages of the site that stand elsewhere in the checkout."""
-
 PACKAGES = ("trainlog", "analysis", "estimators")
 EXECUTED = "---\nexecute: true\n---\n"
 
@@ -59,6 +53,11 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         kept = json.loads((_folder(uri) / "outputs.json").read_text("utf-8"))
         markdown = pages.with_outputs(markdown, [pages.Output(**each) for each in kept])
     return _LINK.sub(lambda found: found[1] + _lead(uri, found[2]) + found[3], markdown)
+
+
+def on_post_build(config: Any) -> None:
+    """State in the site what it was made of."""
+    Path(config.site_dir, STAMP).write_text(state_of(CHECKOUT), "utf-8")
 
 
 def _targets(text: str) -> list[str]:

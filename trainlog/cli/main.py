@@ -18,6 +18,7 @@ from trainlog import __version__
 from trainlog.cli import (
     compare,
     convert,
+    docs,
     learn,
     live,
     look,
@@ -79,6 +80,7 @@ for _panel in (
     map_forecast,
     plan,
     study,
+    docs,
 ):
     app.add_typer(_panel.app)
 
