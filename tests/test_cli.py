@@ -552,7 +552,7 @@ def test_options_that_contradict_are_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("words", [["replay", "--no-viewer"], ["convert"]])
+@pytest.mark.parametrize("words", [["replay", "--no-viewer"], ["cut"]])
 def test_a_part_that_holds_nothing_is_told_with_its_file(
     words: list[str],
     tmp_path: Path,

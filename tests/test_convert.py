@@ -228,9 +228,9 @@ def test_the_command_converts_and_cuts(
 ) -> None:
     folder, part = tmp_path / "trip.parquet", tmp_path / "part.mcap"
     assert run(["convert", str(log), "-o", str(folder)]) == 0
-    words = ["convert", str(folder), "-o", str(part), "--km", "1.2:1.5", "--to", "end-1s"]
+    words = ["cut", str(folder), "-o", str(part), "--km", "1.2:1.5", "--to", "end-1s"]
     assert run([*words, "--topic", TRAIN_STATE.name]) == 0
-    assert "31 rows in 1 topics" in capsys.readouterr().out
+    assert "31 rows in 1 topic" in capsys.readouterr().out
     # A section that is none is stated as it was given, in kilometres.
     with pytest.raises(InputError, match=r"no stretch from km 5\.000 to km 3\.000; give the lower"):
         run([*words[:-4], "--km", "5:3"])

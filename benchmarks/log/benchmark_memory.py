@@ -60,10 +60,10 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
         "convert to Parquet": ["convert", str(log), "-o", str(parquet)],
         "convert to a log": ["convert", str(parquet), "-o", str(folder / "again.mcap")],
         "convert a stretch": [
-            "convert", str(log), "-o", str(folder / "part.mcap"), "--km", "3.2:7.5",
+            "cut", str(log), "-o", str(folder / "part.mcap"), "--km", "3.2:7.5",
         ],
         "convert a minute": [
-            "convert", str(log), "-o", str(folder / "min.mcap"), "--from", "end-1min",
+            "cut", str(log), "-o", str(folder / "min.mcap"), "--from", "end-1min",
         ],
         "compare": ["compare", str(log), "--with", str(driven)],
         "optimise": [
