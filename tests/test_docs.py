@@ -137,6 +137,23 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
+def anchors_of(page: Path) -> set[str]:
+    """Places in a page as the site names them."""
+    from pymdownx.slugs import slugify
+
+    text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
+    titles = [words.replace("`", "") for words in re.findall(r"^#+ (.*)$", text, re.M)]
+    plain = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", words) for words in titles]
+    return {slugify(case="lower")(words, "-") for words in plain}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_places_that_there_are(page: Path) -> None:
+    for target, place in re.findall(r"\]\(([^)#\s:]*)#([^)\s]+)\)", page.read_text("utf-8")):
+        other = (page.parent / target).resolve() if target else page
+        assert place in anchors_of(other), f"{page.name} links to {target}#{place}"
+
+
 def resolved(dotted: str) -> object:
     """The module, class or function of a dotted name."""
     parts = dotted.split(".")

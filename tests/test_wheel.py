@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 import sysconfig
@@ -78,32 +77,6 @@ def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> Non
     # its editable install is not followed from here.
     (site / "third_party.pth").write_text(sysconfig.get_path("purelib") + "\n")
     installed_works(python, tmp_path)
-
-
-@pytest.mark.long
-def test_a_wheel_made_after_the_site_holds_it_and_opens_it(tmp_path: Path) -> None:
-    """Source distribution and wheel of a copy of the checkout, whose site is built first."""
-    copy = tmp_path / "checkout"
-    ignored = shutil.ignore_patterns(".git", ".venv", "build", "dist", "__pycache__", ".*_cache")
-    shutil.copytree(CHECKOUT, copy, ignore=ignored)
-    site = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet"]
-    known = {**OUTSIDE, "NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(site, cwd=copy, capture_output=True, text=True, timeout=900, env=known)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""  # no warnings
-    make = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path / "dist")]
-    subprocess.run([*make, str(copy)], check=True, capture_output=True, timeout=300)
-    (wheel,) = (tmp_path / "dist").glob("*.whl")  # of the source distribution
-    python, packages = environment(tmp_path / "environment")
-    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
-    subprocess.run(install, check=True, capture_output=True, timeout=300)
-    (packages / "third_party.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    page = trainlog(python, "docs", "planner", "--path", cwd=tmp_path).strip()
-    assert page.endswith("documentation_pages/site/tutorials/planner.html")
-    assert Path(page).is_file()
-    place = trainlog(python, "docs", "analysis.fit", "--path", cwd=tmp_path).strip()
-    assert place.endswith("reference/resistance.html#analysis.fit")
-    assert "tutorials/planner" in trainlog(python, "docs", "--list", cwd=tmp_path)
 
 
 @pytest.mark.long

@@ -1,0 +1,187 @@
+"""The documentation's site, built from a copy of the checkout, in a browser and in a wheel."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from test_wheel import CHECKOUT, OUTSIDE, environment, trainlog
+
+sys.path.append(str(CHECKOUT / "docs" / "tools"))
+from screenshot import browser_page, chromium
+
+pytestmark = pytest.mark.long
+
+MOST_BYTES = 25_000_000
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout with its site built, which must not give a single warning."""
+    copy = tmp_path_factory.mktemp("site") / "checkout"
+    names = (".git", ".venv", "build", "dist", "results", "__pycache__", ".*_cache", ".hypothesis")
+    shutil.copytree(CHECKOUT, copy, ignore=shutil.ignore_patterns(*names))
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet"]
+    known = {**OUTSIDE, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(
+        command, cwd=copy, capture_output=True, text=True, timeout=1200, env=known
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return copy
+
+
+@pytest.fixture(scope="module")
+def site(checkout: Path) -> Path:
+    return checkout / "build" / "site"
+
+
+class Links(HTMLParser):
+    """Where a page leads, and the anchors that it has."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.anchors |= {str(given[key]) for key in ("id", "name") if given.get(key)}
+        self.targets += [str(given[key]) for key in ("href", "src") if given.get(key)]
+
+
+def test_every_link_leads_to_a_file_and_a_place_in_it(site: Path) -> None:
+    pages = {path: Links(path.read_text("utf-8")) for path in site.rglob("*.html")}
+    lost = []
+    for page, links in pages.items():
+        if page.name == "404.html":  # for servers: its links begin at their root
+            continue
+        for target in links.targets:
+            parts = urlsplit(target)
+            if parts.scheme:
+                continue
+            path = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            path = path / "index.html" if path.is_dir() else path
+            fragment = unquote(parts.fragment)
+            known = pages.get(path)
+            if not path.is_file() or (known and fragment and fragment not in known.anchors):
+                lost.append(f"{page.relative_to(site)}: {target}")
+    assert lost == []
+    assert len(pages) > 30
+
+
+def test_it_is_small(site: Path) -> None:
+    assert sum(path.stat().st_size for path in site.rglob("*") if path.is_file()) < MOST_BYTES
+
+
+def test_executed_pages_show_what_their_code_printed_and_drew(site: Path) -> None:
+    engineer = (site / "tutorials" / "engineer.html").read_text("utf-8")
+    assert re.search(r"Running resistance of CH_Stadler_FLIRT_TPF: N", engineer)
+    developer = (site / "tutorials" / "developer.html").read_text("utf-8")
+    assert "<b>Track-condition map of line" in developer
+    gallery = (site / "gallery.html").read_text("utf-8")
+    assert len(re.findall(r"<img [^>]*src=", gallery)) >= 13
+
+
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
+def test_pages_are_whole_in_a_browser_without_a_network(site: Path) -> None:
+    """No errors on the console, no request to anywhere else, every picture drawn."""
+    wrong = []
+    with browser_page(viewport={"width": 1280, "height": 900}) as page:
+        page.on("console", lambda said: wrong.append((page.url, said.type, said.text)))
+        page.on("pageerror", lambda error: wrong.append((page.url, "error", str(error))))
+        page.on("requestfailed", lambda asked: wrong.append((page.url, "failed", asked.url)))
+        local = ("file:", "data:", "blob:")
+        page.on(
+            "request",
+            lambda asked: None if asked.url.startswith(local) else wrong.append(asked.url),
+        )
+        for path in sorted(site.rglob("*.html")):
+            if path.name == "404.html":
+                continue
+            page.goto(path.as_uri())
+            empty = "[...document.images].filter(i => !(i.complete && i.naturalWidth)).length"
+            assert page.evaluate(empty) == 0, path
+            wide = page.evaluate("document.documentElement.scrollWidth - innerWidth")
+            assert wide <= 0, f"{path.name} is {wide} px wider than the window"
+    assert wrong == []
+
+
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
+@pytest.mark.parametrize("word", ["creepage", "minimax", "recursive least squares"])
+def test_the_search_finds_a_word_without_a_server(site: Path, word: str) -> None:
+    with browser_page() as page:
+        page.goto((site / "index.html").as_uri())
+        page.keyboard.press("/")
+        page.wait_for_selector(".md-search__input:focus")
+        page.keyboard.type(word)
+        page.wait_for_selector(".md-search-result__item", timeout=10_000)
+        assert page.locator(".md-search-result__item").count() >= 3
+        found = page.locator(".md-search-result__list").inner_text().lower()
+        assert word.split()[0] in found
+
+
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_in_light_and_dark(site: Path, scheme: str) -> None:
+    """Contrast of text, links, code and what code printed: at least 4.5 (WCAG 2.1, 1.4.3)."""
+    with browser_page(color_scheme=scheme) as page:
+        page.goto((site / "tutorials" / "developer.html").as_uri())
+        page.wait_for_timeout(300)
+        contrasts = page.evaluate(CONTRASTS)
+    assert len(contrasts) == 5
+    assert min(contrasts.values()) >= 4.5, contrasts
+
+
+CONTRASTS = """() => {
+    const canvas = document.createElement("canvas").getContext("2d", {willReadFrequently: true});
+    const layers = (element) => {  // colours below an element, the lowest first
+        const found = [];
+        for (let each = element; each; each = each.parentElement)
+            found.unshift(getComputedStyle(each).backgroundColor);
+        return ["#fff", ...found];
+    };
+    const luminance = (colours) => {
+        for (const colour of colours) { canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1); }
+        const [r, g, b] = [...canvas.getImageData(0, 0, 1, 1).data].map((each) => each / 255).map(
+            (each) => each <= 0.03928 ? each / 12.92 : ((each + 0.055) / 1.055) ** 2.4);
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+    };
+    const places = {
+        text: ".md-content p", link: ".md-content p a", code: ".md-content p code",
+        output: ".output td", navigation: ".md-nav__link--active",
+    };
+    return Object.fromEntries(Object.entries(places).map(([name, place]) => {
+        const element = document.querySelector(place);
+        const below = layers(element);
+        const [text, ground] = [
+            luminance([...below, getComputedStyle(element).color]), luminance(below)].sort();
+        return [name, (ground + 0.05) / (text + 0.05)];
+    }));
+}"""
+
+
+def test_a_wheel_made_after_the_site_holds_it_and_opens_it(checkout: Path, tmp_path: Path) -> None:
+    """The wheel is that of the source distribution, as `python -m build` makes both."""
+    make = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path / "dist")]
+    done = subprocess.run([*make, str(checkout)], capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    python, packages = environment(tmp_path / "environment")
+    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run(install, check=True, capture_output=True, timeout=300)
+    (packages / "third_party.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    page = trainlog(python, "docs", "planner", "--path", cwd=tmp_path).strip()
+    assert Path(page).parts[-4:] == ("documentation_pages", "site", "tutorials", "planner.html")
+    assert Path(page).is_relative_to(python.parents[1])
+    place = trainlog(python, "docs", "analysis.fit", "--path", cwd=tmp_path).strip()
+    assert place.endswith("reference/resistance.html#analysis.fit")
+    assert "tutorials/planner" in trainlog(python, "docs", "--list", cwd=tmp_path)
