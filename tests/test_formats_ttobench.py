@@ -320,6 +320,20 @@ def test_what_the_layout_cannot_say_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "copy.json").exists()
 
 
+def test_what_an_export_leaves_out_is_listed(tmp_path: Path) -> None:
+    """Another formula of the curve resistance or another mass model changes energies by per cents."""
+    line = ttobench.read_track(written(tmp_path, TRACK))
+    assert ttobench.write_track(line, tmp_path / "copy.json") == []
+    roeckl = replace(line, curve_resistance="roeckl")
+    (words,) = ttobench.write_track(roeckl, tmp_path / "copy.json")
+    assert "curve resistance 'roeckl'" in words
+    train = ttobench.read_train(written(tmp_path, TRAIN))
+    assert ttobench.write_train(train, tmp_path / "copy.json") == []
+    strip = replace(train, mass_model="homogeneous_strip", length=75.0, acceleration_limits="net")
+    words = ", ".join(ttobench.write_train(strip, tmp_path / "copy.json"))
+    assert "mass model 'homogeneous_strip'" in words and "acceleration limits 'net'" in words
+
+
 def test_a_train_of_122_kg_is_not_imported(tmp_path: Path) -> None:
     """Its fields that the layout lacks are assumed, and not judged."""
     light = json.loads(json.dumps(TRAIN)) | {"mass": {"unit": "kg", "value": 122}}

@@ -219,6 +219,12 @@ _CORRECTION_LOSS = 1e-5
 _INACTIVE = 1e-3
 """Switching function below which a configuration is inactive, and leaves a prepared set."""
 
+_SHORT_PRICE = 0.05
+"""Price of time over the highest, from which a configuration counts as short of it."""
+
+_HALVINGS = 6
+"""Of the interval of cruising speeds, where no time is left."""
+
 _MIXTURES = 10
 """Trials of how much of a run in time brings all in time."""
 
@@ -243,6 +249,8 @@ class Guess:
         The solver's status of every program so far.
     alone : frozenset of int
         Rows that represent only themselves in the expected energy.
+    multipliers : Multipliers, optional
+        Of these configurations, where they are known.
     """
 
     rows: tuple[int, ...]
@@ -250,6 +258,7 @@ class Guess:
     price: FloatArray
     statuses: tuple[str, ...] = ()
     alone: frozenset[int] = frozenset()
+    multipliers: Multipliers | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +365,9 @@ def interpolated_guess(
     )
     chosen = tuple(rows[answer.active[row]] for row in active)
     alone = frozenset(rows[row] for row in answer.alone)
-    return Guess(chosen, guess, solution.time_price[active], answer.statuses, alone)
+    ratio = problem.step / np.diff(coarse)[cell]
+    multipliers = solution.multipliers.select(active.tolist()).on_cells(cell, ratio)
+    return Guess(chosen, guess, solution.time_price[active], answer.statuses, alone, multipliers)
 
 
 def search(
@@ -414,8 +425,12 @@ def _searched(
             solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances, start)
         except OutOfTimeError as stop:
             last = stop.found or unpriced(DrivenPlan(part, plan, np.inf))
+            if stop.found is None and turns == 1 and guess.multipliers is not None:
+                last = replace(last, multipliers=guess.multipliers)
             words = (*statuses, *last.statuses, "time limit")
             stopped = Answer(even, plan, tuple(rows), last, turns, words, alone)
+            if coarse:
+                return stopped
             answer = _stopped(stopped, together(), running_time)
             if answer is not None:
                 return answer
@@ -454,7 +469,8 @@ def _searched(
             found = _corrected(problem, rows, solution, running_time, budget)
         if found is not None:
             solution, everyone = found
-            if not coarse:
+            # Where not all are, the bound looks first at those that are short of time.
+            if not coarse and len(priced_rows(part, solution)) == len(rows):
                 solution = with_costates(part, solution, running_time)
                 statuses.append(solution.statuses[-1])
             return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses), alone)
@@ -491,8 +507,8 @@ def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer | No
     able: list[tuple[float, DiscreteProblem, Plan]] = []
     if fast.late <= LATE:
         able.append((energy_of(fast.problem, fast.plan), fast.problem, fast.plan))
-    for each in (planned, problem):
-        paced = paced_run(each, running_time)
+    for each in (planned, problem) if solution.statuses else (problem,):
+        paced = paced_run(each, running_time, _HALVINGS)
         plans = [paced, _mixed(each, solution.plan, paced, running_time)]
         if problem.run.at_line:
             plans += [rollout_gently(each, plan.traction, running_time) for plan in plans]
@@ -500,6 +516,8 @@ def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer | No
             plan for plan in plans if np.max(_excesses(each, plan, running_time)) <= _VIOLATION
         ]
         able += [(energy_of(each, plan), each, plan) for plan in driven]
+        if driven:
+            break
     if not able:
         return None
     _, tapered, plan = min(able, key=lambda each: each[0])
@@ -539,6 +557,19 @@ def _deciding(problem: DiscreteProblem, solution: Solution, settled: Sequence[bo
     influence = np.abs(solution.multipliers.pull / problem.step).max(axis=1)
     active = influence > _INACTIVE
     return [row for row in everyone if active[row] or settled[row]] if active.any() else everyone
+
+
+def priced_rows(problem: DiscreteProblem, solution: Solution) -> list[int]:
+    """Configurations of a program that count by themselves: short of time, or in what is expected.
+
+    The others only limit what all have in common; all, if none is short of time.
+    """
+    highest = float(solution.time_price.max())
+    priced = solution.time_price >= _SHORT_PRICE * highest
+    if problem.run.objective == "expected":
+        priced |= problem.weights > 0.0
+    every = problem.common or highest <= 0.0 or not priced.any()
+    return list(range(priced.size)) if every else np.flatnonzero(priced).tolist()
 
 
 def _corrected(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.active_set import Answer, multipliers_for_all, shares_of
+from analysis.trajectory.active_set import Answer, multipliers_for_all, priced_rows, shares_of
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.convex import (
@@ -27,13 +27,10 @@ from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY, Solution, with_costates
 
 FloatArray = NDArray[np.float64]
 
-_SHORT_PRICE = 0.05
-"""Price of time over the highest, from which a configuration counts as short of it."""
-
 _CONE_TOLERANCE = 1e-8
 """Of the cone solver's value, absolute [J/kg] and relative."""
 
-_BOUND_TIME = 5.0
+_BOUND_TIME = 2.0
 """Time that a relaxation has at least [s], that an answer has its gap."""
 
 _CLOSE = 0.1
@@ -41,6 +38,9 @@ _CLOSE = 0.1
 
 OF_OPTIMUM = "multipliers"
 """Source of bounds that rest on the multipliers of the optimum itself."""
+
+OF_SHORT = "multipliers of those short of time"
+"""Source of bounds that rest on those of an optimum for some configurations."""
 
 _CLOSE_TOTAL, _NEAR_TOTAL = 1e-4, 5e-4
 """Total gap up to which none is, and up to which none is by a cone relaxation."""
@@ -86,9 +86,9 @@ def _relative_gap(energy: float, bound: float) -> float:
 def best_bounds(answer: Answer, fastest: Envelope, running_time: float) -> LowerBounds:
     """Lower bounds of the energy, and how they were found.
 
-    The multipliers of the optimum give them; or those of an optimum for the configurations alone to
-    which time is worth something, for the bound on cells cannot hold the power of others; or, if
-    none of this comes close, the cone relaxation.
+    The multipliers of an optimum for the configurations alone to which time is worth something give
+    them, for the bound on cells cannot hold the power of others; or those of the optimum for all
+    that are active; or, if none of this comes close, the cone relaxation.
     """
     problem, solution = answer.problem, answer.solution
     part, rows = problem.select(answer.active), list(answer.active)
@@ -101,27 +101,23 @@ def best_bounds(answer: Answer, fastest: Envelope, running_time: float) -> Lower
         bound = lower_bound(problem, every, start, running_time, spare, speeds)
         whole = continuous_bound(problem, answer.plan, every, fastest, running_time, problem.run)
         return _together(bound, whole, "shared multipliers")
+    priced, best = priced_rows(part, solution), None
+    if len(priced) < len(rows):
+        some = [answer.active[row] for row in priced]
+        few = problem.select(some)
+        alone = with_costates(few, solution.select(priced), running_time)
+        bound = _bounded(few, alone, running_time, speeds[some])
+        whole = _continuous(answer, alone, fastest, some, running_time)
+        best = _together(bound, whole, OF_SHORT)
+        if _close(best, solution.energy, problem, _CLOSE_TOTAL):
+            return best
+        solution = with_costates(part, solution, running_time)
     bound = _bounded(part, solution, running_time, speeds[rows])
     whole = _continuous(answer, solution, fastest, rows, running_time)
-    best = _together(bound, whole, OF_OPTIMUM)
-    if _close(best, solution.energy, problem, _CLOSE_TOTAL):
-        return best
-    short = solution.time_price >= _SHORT_PRICE * solution.time_price.max()
-    priced = np.flatnonzero(short | (expected & (part.weights > 0.0))).tolist()
-    if 0 < len(priced) < len(rows):
-        rows = [answer.active[row] for row in priced]
-        part = problem.select(rows)
-        multipliers = solution.multipliers.select(priced)
-        alone = replace(solution, plan=solution.plan.select(priced), multipliers=multipliers)
-        solution = with_costates(part, alone, running_time)
-        bound = max(bound, _bounded(part, solution, running_time, speeds[rows]))
-        other = _continuous(answer, solution, fastest, rows, running_time)
-        whole = max(whole, other, key=lambda each: each.value)
-        best = _together(bound, whole, "multipliers of those short of time")
-    if _close(best, answer.solution.energy, problem, _NEAR_TOTAL):
+    best = _best_of(_together(bound, whole, OF_OPTIMUM), best)
+    if _close(best, solution.energy, problem, _NEAR_TOTAL):
         return best
     # Those that are not short of time still limit the common traction and brake.
-    part, rows = problem.select(answer.active), list(answer.active)
     try:
         with time_limit(max(time_left(), _BOUND_TIME)):
             relaxed = Relaxation(part, speeds[rows], speeds[rows]).least_energy(running_time)
@@ -133,8 +129,16 @@ def best_bounds(answer: Answer, fastest: Envelope, running_time: float) -> Lower
     relaxation = value - float(relaxed.time_price @ spare)
     found = replace(answer.solution, multipliers=relaxed.multipliers)
     other = _continuous(answer, found, fastest, rows, running_time)
-    whole = max(whole, other, key=lambda each: each.value)
-    return _together(max(bound, relaxation), whole, f"cone relaxation: {relaxed.status}")
+    return _best_of(_together(relaxation, other, f"cone relaxation: {relaxed.status}"), best)
+
+
+def _best_of(latest: LowerBounds, before: LowerBounds | None) -> LowerBounds:
+    """The higher of either bound, with what belongs to it."""
+    if before is None:
+        return latest
+    first, second = sorted((latest, before), key=lambda each: each.continuous)
+    source = max(latest, before, key=lambda each: each.cells).source
+    return replace(second, cells=max(first.cells, second.cells), source=source)
 
 
 def _together(cells: float, whole: ContinuousBound, source: str) -> LowerBounds:

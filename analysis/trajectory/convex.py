@@ -52,6 +52,9 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 }
 """What the solvers stop at: beyond it the rounding of large programs makes some of them stall."""
 
+_ROUGH: dict[str, Any] = {"eps_abs": 1e-3, "eps_rel": 1e-4, "eps_duality_gap_rel": 1e-5}
+"""The same for programs that only prepare the next one: a third fewer iterations."""
+
 
 _ROUNDING = 1e-9
 """By which rounding may have a lower bound exceed the upper one."""
@@ -76,10 +79,13 @@ class OutOfTimeError(Exception):
 
 _DEADLINE = ContextVar("deadline", default=np.inf)
 
+_PACE = ContextVar("pace", default=0.0)
+"""Time of the last program per unknown [s]."""
+
 
 @contextmanager
 def time_limit(seconds: float | None) -> Iterator[None]:
-    """Start no program in here after so many seconds; None: no limit."""
+    """Start no program in here that would not end within so many seconds; None: no limit."""
     token = _DEADLINE.set(np.inf if seconds is None else time.monotonic() + seconds)
     try:
         yield
@@ -200,10 +206,12 @@ def solve(
     curvature: sp.csc_array | None = None,
     cones: Sequence[Any] = (),
     variable: cp.Variable | None = None,
+    rough: bool = False,
 ) -> ProgramSolution:
     """Minimise ``cost x + x curvature x / 2``, and accept nothing but a solution.
 
     Programs without cones go to PIQP, and to Clarabel where PIQP does not end with an optimum.
+    One that only prepares the next need only be solved roughly.
 
     Raises
     ------
@@ -220,10 +228,13 @@ def solve(
     limits = below.matrix(unknowns.size) @ x <= below.right
     status = ""
     for solver in (cp.CLARABEL,) if cones else (cp.PIQP, cp.CLARABEL):
-        left = time_left()
-        if left <= 0.0:
+        begin, left = time.monotonic(), time_left()
+        # PIQP cannot be stopped, Clarabel can.
+        if left <= (0.0 if cones else _PACE.get() * unknowns.size):
             raise OutOfTimeError
         settings = dict(_SETTINGS.get(solver, {}))
+        if rough and solver == cp.PIQP:
+            settings |= _ROUGH
         if solver == cp.CLARABEL and left < np.inf:
             settings["time_limit"] = left
         program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
@@ -236,6 +247,8 @@ def solve(
             # Numbers that are none, or too large, are refused before any solver runs.
             status = SOLVER_FAILED
             continue
+        if not cones:
+            _PACE.set((time.monotonic() - begin) / unknowns.size)
         status = str(program.status)
         good = (cp.OPTIMAL,) if solver == cp.PIQP else (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
         if status in good and np.all(np.isfinite(x.value)):
@@ -364,6 +377,14 @@ class Multipliers:
         """Those of some of the configurations."""
         chosen = list(rows)
         return Multipliers(**{name: values[chosen] for name, values in vars(self).items()})
+
+    def on_cells(self, cell: IntArray, ratio: FloatArray) -> Multipliers:
+        """The same on other cells: within which of these each lies, and its part of their length.
+
+        Weak duality holds for any multipliers; so does what they bound.
+        """
+        by_cell = ("pull", "power", "dynamic_power")
+        return replace(self, **{name: getattr(self, name)[:, cell] * ratio for name in by_cell})
 
     def convex(self) -> Multipliers:
         """The same with no more on the earliest times than leaves every second worth something.

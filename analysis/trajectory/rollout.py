@@ -46,14 +46,17 @@ LEAST_TIME_MARGIN = 1.5e-4
 energy, and neither plan nor bound can follow."""
 
 
-def paced_run(problem: DiscreteProblem, running_time: float) -> Plan:
-    """The run at the slowest cruising speed that keeps `running_time` [s], or the fastest one."""
+def paced_run(problem: DiscreteProblem, running_time: float, halvings: int = 12) -> Plan:
+    """The run at the slowest cruising speed that keeps `running_time` [s], or the fastest one.
+
+    The speed is found by so many `halvings` of the interval that it is in.
+    """
     curves = braking_curves(problem)
     slow, fast = 1.0, float(np.sqrt(2.0 * problem.ceiling.max()))
     plan = _run_at(problem, curves, fast)
     if duration(problem, plan) >= running_time:
         return plan
-    for _ in range(12):
+    for _ in range(halvings):
         middle = 0.5 * (slow + fast)
         trial = _run_at(problem, curves, middle)
         if duration(problem, trial) > running_time:
@@ -139,7 +142,8 @@ def capped_run(
     slower = _plan_of(problem, np.minimum(speeds, 0.98 * fast), slowest)
     saved = float(problem.step @ (plan.traction - slower.traction))
     price = np.zeros(problem.shape[0])
-    gained = float((times(0.98 * fast) - times(fast))[slowest])
+    before, after = float(times(fast)[slowest]), float(times(0.98 * fast)[slowest])
+    gained = after - before if before < np.inf else np.inf
     # At standstill on the way, or with no speed left to lose, no second has a price.
     price[slowest] = max(saved, 0.0) / gained if 0.0 < gained < np.inf else 0.0
     return plan, price
@@ -172,7 +176,10 @@ def delays(
     """
     times = np.cumsum(cell_times(problem, plan), axis=1)
     passing = times[:, problem.passed - 1]
-    late = np.column_stack((times[:, -1] - running_time, passing - problem.latest))
+    # One that stands before a point that may be passed at any time is late at the end alone.
+    bounded = np.isfinite(problem.latest)
+    tardy = passing[:, bounded] - problem.latest[bounded]
+    late = np.column_stack((times[:, -1] - running_time, tardy))
     early = np.column_stack((np.full(times.shape[0], -np.inf), problem.earliest - passing))
     return late.max(axis=1), early.max(axis=1)
 

@@ -27,7 +27,6 @@ from analysis.trajectory.convex import (
     energy_cost,
     power_cells,
     solve,
-    time_left,
 )
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_along
@@ -176,7 +175,13 @@ class QPSubproblem:
         self.equal, self.below = Rows(), Rows()
 
     def solve(
-        self, running_time: float, radius: float, lateness_price: float, smoothing: float
+        self,
+        running_time: float,
+        radius: float,
+        lateness_price: float,
+        smoothing: float,
+        *,
+        rough: bool = False,
     ) -> Solution:
         """The optimum of the program.
 
@@ -188,6 +193,8 @@ class QPSubproblem:
         lateness_price : float [J/(kg s)]
         smoothing : float [s²/m]
             Price of the squared change of effort from cell to cell.
+        rough : bool
+            Whether it only prepares the next program.
 
         Raises
         ------
@@ -223,7 +230,7 @@ class QPSubproblem:
         priced = cost.copy()
         priced[self.late] = lateness_price
         bends = curvature + smoothing * self._effort_changes()
-        found = solve(unknowns, priced, self.equal, self.below, curvature=bends)
+        found = solve(unknowns, priced, self.equal, self.below, curvature=bends, rough=rough)
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
         share = braking
@@ -482,6 +489,9 @@ _EXCESS = 1e-6
 LATENESS_PRICE = 100.0
 """Price of lateness over the multiplier of the time; more than a feasible run would pay."""
 
+_LARGE = 2_000
+"""Cells of all configurations together, above which the first program is solved roughly."""
+
 _FREE_ITERATIONS = 10
 """Iterations before the steps are made to shrink."""
 
@@ -546,17 +556,24 @@ def minimise(
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
-    radius, energy = 1.0, np.inf
+    radius, energy, large = 1.0, np.inf, problem.drag2.size > _LARGE
     statuses: list[str] = []
     solution = None
     while True:
-        if time_left() <= 0.0:
-            raise OutOfTimeError(solution)
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
         program = QPSubproblem(tapered, plan, price, given=given)
-        solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
+        rough = solution is None and tolerances.energy > EXACT.energy and large
+        try:
+            solution = program.solve(
+                running_time, radius, lateness_price, tolerances.smoothing, rough=rough
+            )
+        except OutOfTimeError:
+            raise OutOfTimeError(solution) from None
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
+        if rough:
+            energy = solution.energy
+            continue
         driven = realise(tapered, plan)
         late, early = delays(tapered, driven, running_time)
         off = max(float(late.max()), float(early.max())) - solution.lateness

@@ -528,10 +528,14 @@ def read_journey(path: str | Path) -> Journey:
     return built(_read(JourneyLayout, "journey", path).journey, path)
 
 
-def write_track(line: Line, path: str | Path) -> None:
+def write_track(line: Line, path: str | Path) -> list[str]:
     """Write a line as a track.
 
-    The layout has no place for names of stations and for coordinates.
+    Returns
+    -------
+    list of str
+        What the layout has no place for, and the file does not hold: names of stations,
+        coordinates, the formula of the curve resistance where it is not the usual one, ...
 
     Raises
     ------
@@ -547,15 +551,31 @@ def write_track(line: Line, path: str | Path) -> None:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_track(line, Path(folder) / "track.json")
     ...     read_track(Path(folder) / "track.json").length
+    ['names of stations']
     29556.1
     """
     _write(TrackLayout.of(line), path)
+    named = any(each.name != f"km {each.position / 1e3:.3f}" for each in line.stations)
+    dropped = {
+        "names of stations": named,
+        "coordinates": line.geometry is not None,
+        "its survey": line.survey is not None,
+        "the operator's kilometres": line.reference is not None,
+        f"curve resistance '{line.curve_resistance}': a reader takes its own": (
+            line.curvatures is not None and line.curve_resistance != Line.curve_resistance
+        ),
+    }
+    return [words for words, lost in dropped.items() if lost]
 
 
-def write_train(train: Train, path: str | Path) -> None:
+def write_train(train: Train, path: str | Path) -> list[str]:
     """Write a train, without the fields that are ``assumed``.
 
-    The layout has no place for loads, axles and the brake's delays.
+    Returns
+    -------
+    list of str
+        What the layout has no place for, and the file does not hold: load, axles, the brake's
+        delays, and mass model and acceleration limits where they are not the usual ones.
 
     Raises
     ------
@@ -570,9 +590,17 @@ def write_train(train: Train, path: str | Path) -> None:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_train(train, Path(folder) / "train.json")
     ...     read_train(Path(folder) / "train.json").mass
+    []
     122000.0
     """
     _write(TrainLayout.of(train), path)
+    own = [name for name in _NOT_IN_TTOBENCH if name not in train.assumed]
+    chosen = [
+        f"{name.replace('_', ' ')} '{value}': a reader takes its own"
+        for name in ("mass_model", "acceleration_limits")
+        if (value := getattr(train, name)) != getattr(Train, name)
+    ]
+    return [*(name.replace("_", " ") for name in own), *chosen]
 
 
 def write_journey(journey: Journey, path: str | Path) -> None:
