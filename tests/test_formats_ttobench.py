@@ -321,7 +321,7 @@ def test_what_the_layout_cannot_say_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_an_export_leaves_out_is_listed(tmp_path: Path) -> None:
-    """Another formula of the curve resistance or another mass model changes energies by per cents."""
+    """Another curve resistance or another mass model changes energies by per cents."""
     line = ttobench.read_track(written(tmp_path, TRACK))
     assert ttobench.write_track(line, tmp_path / "copy.json") == []
     roeckl = replace(line, curve_resistance="roeckl")
@@ -331,7 +331,8 @@ def test_what_an_export_leaves_out_is_listed(tmp_path: Path) -> None:
     assert ttobench.write_train(train, tmp_path / "copy.json") == []
     strip = replace(train, mass_model="homogeneous_strip", length=75.0, acceleration_limits="net")
     words = ", ".join(ttobench.write_train(strip, tmp_path / "copy.json"))
-    assert "mass model 'homogeneous_strip'" in words and "acceleration limits 'net'" in words
+    assert "mass model 'homogeneous_strip'" in words
+    assert "acceleration limits 'net'" in words
 
 
 def test_a_train_of_122_kg_is_not_imported(tmp_path: Path) -> None:
