@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -64,6 +65,15 @@ def dress(axes: Axes, *, x: str, y: str, title: str = "") -> Axes:
 
 
 def write_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG, whole or not at all, the same bytes for the same figure."""
+    """Write a figure as PNG, or as SVG if the path ends so: whole or not at all.
+
+    The same figure gives the same bytes. An SVG has no background, so that it stands on a page of
+    any colour.
+    """
     with atomic_write(path) as temporary:
+        if Path(path).suffix == ".svg":
+            with rc_context({"svg.hashsalt": "trainlog"}):
+                about = {"Date": None, "Creator": None}
+                figure.savefig(temporary, format="svg", transparent=True, metadata=about)
+            return
         figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})

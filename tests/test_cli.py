@@ -69,6 +69,7 @@ COMMANDS: dict[str, list[str]] = {
     "adhesion fit": ["adhesion", "fit", "BAD", "-o", "OUT.json"],
     "simulate --trajectory": ["simulate", "--trajectory", "BAD", "-o", "OUT"],
     "report": ["report", "BAD"],
+    "report -o": ["report", "BAD", "-o", "OUT.html"],
 }
 
 

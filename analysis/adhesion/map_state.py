@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,12 @@ from analysis.adhesion.condition_table import (
 from analysis.tables import as_page, new_table
 from trainlog.condition import day_of_trip, known_before, left_out
 from trainlog.display import counted
+from trainlog.errors import TrainlogError
+from trainlog.formats.attached import line_of
+from trainlog.formats.line import read_line
+from trainlog.formats.mapfile import MapFile
+from trainlog.formats.samples import names, sample
+from trainlog.mcap import read_log
 from trainlog.railway.condition import ConditionLayer, ModelParameter, TrackConditionMap
 from trainlog.railway.line import Line
 
@@ -394,3 +402,49 @@ def _last_day(end: pd.Timestamp) -> str:
 
 def _day(time: Any) -> str:
     return f"{time:%Y-%m-%d}"
+
+
+def line_of_map(track: TrackConditionMap, given: Path | None, condition: Path) -> Line | None:
+    """The line of a map: the one given, a sample, or that of a log the map was made from.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    given : path, optional
+        A line file, or a log that carries its line.
+    condition : path
+        The file of the map.
+
+    Returns
+    -------
+    Line or None
+        None if there is none of these, or no such log is where it was.
+
+    Raises
+    ------
+    InputError
+        If what is given is no line, or another than the map's.
+    """
+    if given is not None:
+        line = _line_of_log(given) if given.suffix == ".mcap" else read_line(given)
+        check_course(track, line)
+        return line
+    for name in names():
+        if name.endswith(".line.json"):
+            line = read_line(sample(name))
+            if (line.name, line.length) == (track.line, track.length):
+                return line
+    with MapFile(condition) as opened:
+        for log in opened.unchanged_logs():
+            with suppress(TrainlogError):
+                line = _line_of_log(log)
+                check_course(track, line)
+                return line
+    return None
+
+
+def _line_of_log(log: Path) -> Line:
+    """The line that a log carries, in its own direction."""
+    trip = read_log(log, topics=[])
+    line = line_of(trip)
+    return line.reversed() if trip.metadata.get("direction") == "reverse" else line

@@ -56,6 +56,9 @@ KILONEWTON, TONNE = 1e3, 1e3
 MOST_DRAWN = 300
 """More curves than this are not drawn."""
 
+ON_PALE = "#1a1a1a"
+"""Text on a coloured ground, which stays what it is where a page turns dark."""
+
 MOST_NAMED = 40
 """More trips than this are not named one by one."""
 
@@ -184,7 +187,7 @@ def draw_correlation(axes: Axes, covariance: FloatArray, title: str) -> None:
     axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     for i, j in np.ndindex(correlation.shape):
         value = correlation[i, j]
-        colour = "white" if abs(value) > 0.6 else INK
+        colour = "white" if abs(value) > 0.6 else ON_PALE
         axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(std.size), names)
     axes.set_yticks(range(std.size), names)

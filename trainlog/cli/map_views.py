@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,7 +19,7 @@ from trainlog.cli.options import (
     zone_assumed,
 )
 from trainlog.cli.terminal import console, state, wrote
-from trainlog.errors import InputError, TrainlogError
+from trainlog.errors import InputError
 
 if TYPE_CHECKING:
     from trainlog.railway import Line, TrackConditionMap
@@ -259,43 +258,7 @@ def map_export(
 
 
 def course(track: TrackConditionMap, given: Path | None, condition: Path) -> Line | None:
-    """The line of a map: the one given, a sample, or that of a log the map was made from.
+    """The line of a map, see `analysis.adhesion.map_state.line_of_map`."""
+    from analysis.adhesion.map_state import line_of_map
 
-    None if there is none of these, or no such log is where it was.
-
-    Raises
-    ------
-    InputError
-        If what is given is no line, or another than the map's.
-    """
-    from analysis.adhesion.condition_table import check_course
-    from trainlog.formats.line import read_line
-    from trainlog.formats.mapfile import MapFile
-    from trainlog.formats.samples import names, sample
-
-    if given is not None:
-        line = _line_of_log(given) if given.suffix == ".mcap" else read_line(given)
-        check_course(track, line)
-        return line
-    for name in names():
-        if name.endswith(".line.json"):
-            line = read_line(sample(name))
-            if (line.name, line.length) == (track.line, track.length):
-                return line
-    with MapFile(condition) as opened:
-        for log in opened.unchanged_logs():
-            with suppress(TrainlogError):
-                line = _line_of_log(log)
-                check_course(track, line)
-                return line
-    return None
-
-
-def _line_of_log(log: Path) -> Line:
-    """The line that a log carries, in its own direction."""
-    from trainlog.formats.attached import line_of
-    from trainlog.mcap import read_log
-
-    trip = read_log(log, topics=[])
-    line = line_of(trip)
-    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
+    return line_of_map(track, given, condition)

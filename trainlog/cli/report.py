@@ -7,19 +7,75 @@ from typing import Annotated
 
 import typer
 
-from trainlog.cli.terminal import console
+from trainlog.cli.options import destination
+from trainlog.cli.terminal import console, progress_bar, wrote
+from trainlog.errors import InputError
 
 app = typer.Typer()
 
 
 @app.command(rich_help_panel="Look")
 def report(
-    results: Annotated[Path, typer.Argument(help="Folder of results, as the demo leaves it.")],
+    results: Annotated[
+        Path,
+        typer.Argument(
+            help="A log (.mcap), parameter set, map (.map), trajectory or coast-down, the folder of"
+            " a study, or a folder of results, as the demo leaves it."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The page (.html); without it a folder is summed up."),
+    ] = None,
+    line: Annotated[
+        Path | None,
+        typer.Option(
+            "--line", help="Line file of a map or trajectory whose line is not among the samples."
+        ),
+    ] = None,
+    logs: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--logs", help="Logs that a fit was made of, or their folder: shows the residuals."
+        ),
+    ] = None,
+    zone: Annotated[
+        str, typer.Option(help="Zone of the timetable, in which times are stated: Europe/Zurich.")
+    ] = "UTC",
 ) -> None:
-    """Sum up a folder of results: fit, map, trajectory, energy; simulated trips against the truth.
+    """Write a report as one HTML page that needs no network: to send, to read, to print.
+
+    Tables, pictures and charts of a result with what it was made of; light or dark as the reader's
+    screen, printed on A4. Of a folder everything that is in it; a file that cannot be read is
+    listed there. Without -o the summary of a folder is printed: fit, map, trajectory, energy;
+    simulated trips against the truth.
+
+    Example: trainlog report results/trips/trip-01.mcap -o trip-01.html
 
     Example: trainlog report results
     """
-    from analysis.reports.summary import report as summed_up, report_table
+    if output is None:
+        from analysis.reports.summary import report as summed_up, report_table
 
-    console.print(report_table(summed_up(results)))
+        if results.is_file():
+            raise InputError(
+                "is a file; without -o a folder is summed up",
+                file=results,
+                remedy="name the page: -o report.html",
+            )
+        console.print(report_table(summed_up(results)))
+        return
+    destination(output, ".html")
+
+    from analysis.reports.build import ReportOptions, write_report
+    from analysis.reports.trip import known_zone
+
+    known = known_zone(zone)
+    with progress_bar() as progress:
+        task = progress.add_task("reading", total=None)
+
+        def step(what: str) -> None:
+            progress.update(task, description=what, advance=1)
+
+        write_report(results, output, ReportOptions(line, tuple(logs or ()), known, step))
+    wrote(output)

@@ -1,0 +1,524 @@
+"""From a result, or a folder of results, to its page: `write_report`."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from analysis.comparison.cost import TripCost, compare, savings_table, trip_cost
+from analysis.plotting import BLUE
+from analysis.reports.charts import WITHOUT_BOKEH, Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.reports.page import Commands, Page, Part, Section, Warned
+from analysis.reports.results import (
+    TABLES,
+    coast_down_sections,
+    fit_sections,
+    map_sections,
+    study_sections,
+    trajectory_sections,
+)
+from analysis.reports.summary import report, report_table
+from analysis.reports.trip import Motion, Zone, limit_curve, trip_sections
+from analysis.tables import kwh, new_table
+from trainlog import __version__
+from trainlog.display import counted
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.attached import line_of
+from trainlog.formats.files import LOOKED_AT, is_map, logs_of, read_bytes, refuse_reading, sha256_of
+from trainlog.formats.mapfile import MapFile
+from trainlog.mcap import read_log
+from trainlog.railway import Line
+from trainlog.trip import POSITION_TOPICS
+from trainlog.units import KMH, clock
+
+MOST_DETAILED = 4
+"""Trips of a folder that are shown one by one; more are a table and one chart."""
+
+MOST_DRAWN = 40
+"""Trips whose speeds one chart shows."""
+
+_FORMAT = re.compile(rb'"format"\s*:\s*"trainlog/([a-z_-]{1,40})"')
+
+_SHOWN = ("parameters", "trajectory", "coast-down")
+"""Formats of JSON files that a report shows."""
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What a report is made with beside the result.
+
+    Attributes
+    ----------
+    line : path, optional
+        Line file of a map or a trajectory whose line is not a sample.
+    logs : tuple of path
+        Of the trips of a fit: with them residuals are shown.
+    zone : Zone
+        The clock in which times are stated.
+    step : callable
+        Called with what is being done, for those who wait.
+    """
+
+    line: Path | None = None
+    logs: tuple[Path, ...] = ()
+    zone: Zone = field(default_factory=Zone)
+    step: Callable[[str], None] = lambda _: None
+
+
+def write_report(
+    source: str | Path, path: str | Path, options: ReportOptions | None = None
+) -> Page:
+    """Write the report on a result as one HTML page that needs no network.
+
+    Parameters
+    ----------
+    source : path
+        A log, a parameter set, a track-condition map, a trajectory, a coast-down, the folder that
+        a study wrote, or a folder of any of them.
+    path : path
+        HTML file; written whole or not at all. The same inputs give the same bytes.
+    options : ReportOptions, optional
+
+    Returns
+    -------
+    Page
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the source is no result, or the page cannot be written. In a folder a file that cannot
+        be read is listed in the report, and stops nothing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     page = write_report("sample_logs/nonstop.mcap", Path(folder) / "report.html")
+    >>> [section.title for section in page.sections[:3]]
+    ['Trip', 'Speed and efforts', 'Stops and stations']
+    """
+    page = report_page(Path(source), options or ReportOptions())
+    page.write(path)
+    return page
+
+
+def report_page(source: Path, options: ReportOptions) -> Page:
+    """The page of a result or a folder; parameters and errors as of `write_report`."""
+    if source.is_dir():
+        page = _folder_page(source, options)
+    else:
+        kind = kind_of(source)
+        sections = _collected(source, kind, options)
+        title = f"{_TITLES[kind]}: {source.stem}"
+        page = Page(title, "", [*sections, _origin([source], options, source)])
+    if find_spec("bokeh") is None:
+        return Page(page.title, WITHOUT_BOKEH, page.sections)
+    return page
+
+
+_TITLES = {
+    "trip": "Trip",
+    "map": "Track-condition map",
+    "parameters": "Running resistance",
+    "trajectory": "Trajectory",
+    "coast-down": "Coast-down",
+}
+
+
+def kind_of(path: Path) -> str:
+    """Which kind of result a file is.
+
+    Raises
+    ------
+    InputError
+        If it is none, or cannot be read.
+
+    Examples
+    --------
+    >>> kind_of(Path("sample_logs/nonstop.mcap"))
+    'trip'
+    >>> kind_of(Path("sample_logs/README.md"))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: sample_logs/README.md: is no result...
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(LOOKED_AT)
+    except OSError as error:
+        refuse_reading(path, error)
+    if start.startswith(b"\x89MCAP") or path.suffix == ".mcap":
+        return "trip"
+    if is_map(start) or path.suffix == ".map":
+        return "map"
+    found = _FORMAT.search(start)
+    what = found[1].decode() if found else ""
+    if what in _SHOWN:
+        return what
+    raise InputError(
+        f"is no result that a report shows{f' but a {what} file' if what else ''}",
+        file=path,
+        remedy="give a log (.mcap), parameter set, map, trajectory, coast-down, or a folder",
+    )
+
+
+def _sections_of(path: Path, kind: str, options: ReportOptions) -> list[Section]:
+    if kind == "trip":
+        return trip_sections(path, options.zone)
+    if kind == "map":
+        return map_sections(path, options.line, options.step)
+    if kind == "parameters":
+        logs = [log for each in options.logs for log in logs_of(each)]
+        return fit_sections(path, logs)
+    if kind == "trajectory":
+        return trajectory_sections(path, options.line)
+    return coast_down_sections(path)
+
+
+def _collected(path: Path, kind: str, options: ReportOptions) -> list[Section]:
+    """The sections of a file, and what was warned of while they were made."""
+    options.step(path.name)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        sections = _sections_of(path, kind, options)
+    said = dict.fromkeys(
+        str(each.message) for each in caught if issubclass(each.category, UserWarning)
+    )
+    for each in caught:
+        if issubclass(each.category, UserWarning):
+            warnings.warn(each.message, stacklevel=2)
+    if not said or not sections:
+        return sections
+    first, *others = sections
+    return [Section(first.title, [*map(Warned, said), *first.parts]), *others]
+
+
+# ------------------------------------------------------------------------------------ folders
+
+
+def _folder_page(folder: Path, options: ReportOptions) -> Page:
+    if (folder / TABLES).is_file():
+        sections = study_sections(folder)
+        files = [folder / TABLES, *sorted(folder.glob("*.mcap"))]
+        return Page(f"Study: {folder.name}", "", [*sections, _origin(files, options, folder)])
+    found = _Folder.of(folder)
+    sections, problems, used = list[Section](), dict[str, str](), list[Path]()
+    for kind, path in found.results:
+        name = _name(path, folder)
+        try:
+            own = _own_options(kind, found, options)
+            parts = _collected(path, kind, own)
+        except TrainlogError as error:
+            problems[name] = str(error)
+            continue
+        used.append(path)
+        sections.append(Section(f"{_TITLES[kind]}: {name}", parts, whole_page=True))
+    detailed = sum(map(len, found.logs.values())) <= MOST_DETAILED
+    for group, logs in found.logs.items():
+        section = _trips(group, logs, folder, options, problems, detailed=detailed)
+        if section is not None:
+            used += [log for log in logs if _name(log, folder) not in problems]
+            sections.append(section)
+    for study in found.studies:
+        options.step(study.name)
+        parts = study_sections(study)
+        sections.append(Section(f"Study: {_name(study, folder)}", parts, whole_page=True))
+        used.append(study / TABLES)
+    if not sections:
+        what = "; ".join(f"{name}: {words}" for name, words in problems.items())
+        raise InputError(
+            "holds no result that can be read" + (f" ({what})" if what else ""),
+            file=folder,
+            remedy="logs (.mcap), parameter sets, maps, trajectories, coast-downs and studies are"
+            " shown, in the folder and in those in it",
+        )
+    first = [*_bad(problems), *_summed_up(folder, options), *_saved(found, options)]
+    overview = Section("Overview", first)
+    return Page(
+        f"Results: {folder.resolve().name}",
+        "",
+        [overview, *sections, _origin(used, options, folder)],
+    )
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """What a folder holds that a report shows: results, logs by their folder, studies."""
+
+    results: tuple[tuple[str, Path], ...]
+    logs: Mapping[str, tuple[Path, ...]]
+    studies: tuple[Path, ...]
+
+    @staticmethod
+    def of(folder: Path) -> _Folder:
+        inner = sorted(path for path in folder.iterdir() if path.is_dir())
+        studies = tuple(path for path in inner if (path / TABLES).is_file())
+        plain = [path for path in (folder, *inner) if path not in studies]
+        results = []
+        for kind in ("parameters", "coast-down", "map", "trajectory"):
+            files = [
+                each for path in plain[:1] for each in sorted(path.iterdir()) if each.is_file()
+            ]
+            results += [(kind, path) for path in files if _kind_or_none(path) == kind]
+        logs = {_name(path, folder): tuple(sorted(path.glob("*.mcap"))) for path in plain}
+        return _Folder(tuple(results), {name: each for name, each in logs.items() if each}, studies)
+
+
+def _kind_or_none(path: Path) -> str | None:
+    try:
+        return kind_of(path)
+    except TrainlogError:
+        return None
+
+
+def _name(path: Path, folder: Path) -> str:
+    relative = path.relative_to(folder)
+    return str(relative) if relative.parts else "trips"
+
+
+def _own_options(kind: str, found: _Folder, options: ReportOptions) -> ReportOptions:
+    """For a fit the logs in ``trips`` are what it was fitted to, unless others are given."""
+    if kind != "parameters" or options.logs or "trips" not in found.logs:
+        return options
+    return ReportOptions(options.line, found.logs["trips"], options.zone, options.step)
+
+
+def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
+    if not problems:
+        return
+    yield Warned(f"{counted(len(problems), 'file')} could not be shown; the rest is not affected.")
+    table = new_table("Not shown", "file", "reason")
+    for name, words in problems.items():
+        table.add_row(name, words)
+    yield table
+
+
+def _summed_up(folder: Path, options: ReportOptions) -> list[Part]:
+    """The summary that the terminal shows, where the folder is laid out as for it."""
+    options.step("summary")
+    try:
+        rows = report(folder)
+    except TrainlogError:
+        return []
+    table = report_table(rows)
+    shown = new_table("Summary", "", "result")
+    for first, words in zip(*(list(each.cells) for each in table.columns[:2]), strict=True):
+        shown.add_row(str(first), str(words))
+    return [shown]
+
+
+def _saved(found: _Folder, options: ReportOptions) -> list[Part]:
+    """Drivers' trips against those that followed, where there are both."""
+    if not {"trips", "driven"} <= set(found.logs):
+        return []
+    options.step("comparison")
+    try:
+        return [savings_table(compare(found.logs["trips"], found.logs["driven"]))]
+    except TrainlogError as error:
+        return [f"Trips and followed trips were not compared: {error}."]
+
+
+def _trips(
+    group: str,
+    logs: Sequence[Path],
+    folder: Path,
+    options: ReportOptions,
+    problems: dict[str, str],
+    *,
+    detailed: bool,
+) -> Section | None:
+    """The logs of a folder: each by itself, or of many a table and one chart."""
+    if detailed:
+        shown = list[Part]()
+        for log in logs:
+            try:
+                own = _collected(log, "trip", options)
+            except TrainlogError as error:
+                problems[_name(log, folder)] = str(error)
+                continue
+            shown.append(Section(f"Trip: {log.stem}", own))
+        return Section(f"Trips: {group}", shown, whole_page=True) if shown else None
+    table = new_table(
+        "", "trip", f"from ({options.zone.name})", "running time", "distance", "stops", "traction",
+        "from the line", "slip protection", "off the trajectory",
+    )  # fmt: skip
+    curves, lines = list[Curve](), dict[str, Line]()
+    for log in logs:
+        options.step(_name(log, folder))
+        try:
+            curve = _add_trip(table, log, options.zone, lines, first=not curves)
+        except TrainlogError as error:
+            problems[_name(log, folder)] = str(error)
+            continue
+        if curve is not None and len(curves) < MOST_DRAWN:
+            curves.append(curve)
+    if not table.row_count:
+        return None
+    parts: list[Part] = [_overlaid(group, curves, lines)] if curves else []
+    words = f"One of them in full: trainlog report {group}/{logs[0].name} -o trip.html"
+    return Section(f"Trips: {group}", [*parts, table, words], whole_page=True)
+
+
+def _add_trip(
+    table: Table, log: Path, zone: Zone, lines: dict[str, Line], *, first: bool
+) -> Curve | None:
+    """A row of a trip, and its speed over km."""
+    trip = read_log(log, {name: ["position", "speed"] for name in POSITION_TOPICS})
+    motion = Motion.of(trip)
+    try:
+        cost: TripCost | None = trip_cost(log)
+    except TrainlogError:
+        cost = None
+    begins = zone.date(motion.time[0]) if motion.time.size else ""
+    if cost is None:
+        table.add_row(trip.name, begins, *["not known"] * 7)
+    else:
+        late = "" if cost.late is None else f"{cost.late:+.1f} s"
+        slips = "not recorded" if cost.slips is None else str(cost.slips)
+        table.add_row(
+            trip.name, begins, clock(cost.running_time), f"{cost.distance / 1e3:.1f} km",
+            str(cost.stops), kwh(cost.traction), kwh(cost.line), slips, late,
+        )  # fmt: skip
+    if not motion.position.size:
+        return None
+    try:
+        line = line_of(trip)
+        lines.setdefault(f"{line.name} {trip.metadata.get('direction', 'forward')}", line)
+    except TrainlogError:
+        pass
+    rows = rows_to_draw(motion.speed, most=300)
+    x, y = motion.position[rows] / 1e3, KMH * motion.speed[rows]
+    hover = {
+        "trip": [trip.name] * rows.size,
+        "km": [f"{each:.3f}" for each in x.tolist()],
+        "speed": [f"{each:.1f} km/h" for each in y.tolist()],
+    }
+    return Curve("each trip" if first else "", x, y, BLUE, "line", hover=hover, width=0.8)
+
+
+def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) -> Part:
+    """Speeds of trips over km; limits and stations where all are of one line and direction."""
+    line = next(iter(lines.values())) if len(lines) == 1 else None
+    ends = [float(each) for curve in curves for each in (curve.x.min(), curve.x.max())]
+    limits = [] if line is None else [limit_curve(line, 1e3 * min(ends), 1e3 * max(ends))]
+    alt = f"Speeds of {counted(len(curves), 'trip')} in {group} over kilometres."
+    places = () if line is None else [(each.position / 1e3, each.name) for each in line.stations]
+    panels = [Panel("km/h", [*limits, *curves], 1.6, from_zero=True)]
+    return as_part(Chart("km in the direction of travel", panels, alt, "", places))
+
+
+# --------------------------------------------------------------------------------- provenance
+
+
+def _origin(files: Sequence[Path], options: ReportOptions, source: Path) -> Section:
+    """Files with their digests, what they were made of, and the commands."""
+    options.step("provenance")
+    folder = source if source.is_dir() else source.parent
+    table = new_table("Files shown", "file", "bytes", "SHA-256")
+    steps = new_table("What they were made of", "file", "step", "software", "inputs and settings")
+    made_by: dict[str, list[str]] = {}
+    for number, path in enumerate(files):
+        table.add_row(_name(path, folder), f"{path.stat().st_size}", sha256_of(path))
+        for step in _steps(path):
+            name = str(step.get("step", ""))
+            made_by.setdefault(name, []).append(_name(path, folder))
+            if number < MOST_TRACED:
+                words = (name, str(step.get("software", "")), _settings(step))
+                steps.add_row(_name(path, folder), *words)
+    if len(files) > MOST_TRACED:
+        steps.caption = f"{len(files) - MOST_TRACED} more files; 'trainlog info' states theirs"
+    commands = [
+        _COMMANDS[name].format(_some(made)) for name, made in made_by.items() if name in _COMMANDS
+    ]
+    options_given = "".join(
+        f" {name} {shlex.quote(str(value))}"
+        for name, value in (
+            *(("--logs", each.name) for each in options.logs),
+            ("--line", options.line.name if options.line else None),
+            ("--zone", options.zone.name if options.zone.name != "UTC" else None),
+        )
+        if value
+    )
+    commands.append(
+        f"trainlog report {shlex.quote(source.resolve().name)}{options_given} -o report.html"
+    )
+    parts: list[Part] = [table, *([steps] if steps.row_count else [])]
+    parts.append("Commands, without the options that the files do not state:")
+    parts.append(Commands(tuple(commands)))
+    parts.append(f"This page: trainlog {__version__}; SI units inside, km, km/h, ‰ and kWh shown.")
+    return Section("Provenance", parts, whole_page=True)
+
+
+_COMMANDS = {
+    "simulate": "trainlog simulate -o FOLDER  # {}",
+    "ingest": "trainlog ingest RECORDING -o FOLDER  # {}",
+    "estimate": "trainlog estimate LOG -o FOLDER  # {}",
+    "fit": "trainlog fit LOGS -o {}",
+    "coast-down": "trainlog coast-down LOGS -o {}",
+    "optimise": "trainlog optimise PARAMETERS -o {}",
+    "advise": "trainlog advise LOG --trajectory TRAJECTORY -o {}",
+    "map update": "trainlog map update LOGS --map {}",
+}
+"""Command of each step of provenance."""
+
+
+def _steps(path: Path) -> list[Mapping[str, Any]]:
+    """The steps of provenance that a file states."""
+    try:
+        kind = kind_of(path)
+        if kind == "trip":
+            return list(read_log(path, []).provenance)
+        if kind == "map":
+            with MapFile(path) as file:
+                trips = [row.known.name for row in file.trips()]
+            return [{"step": "map update", "trips": trips}]
+        stated = json.loads(read_bytes(path)).get("provenance", {})
+    except (TrainlogError, ValueError):
+        return []
+    return [{"step": kind, **stated}] if isinstance(stated, dict) and stated else []
+
+
+_MOST_NAMED = 6
+
+MOST_TRACED = 12
+"""Files whose steps of provenance are listed one by one."""
+
+
+def _some(names: Sequence[str]) -> str:
+    return names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+
+
+def _settings(step: Mapping[str, Any]) -> str:
+    """Inputs with the beginning of their digests, and settings, of a step in words."""
+    words = []
+    for name, value in step.items():
+        if name in ("step", "software", "report"):
+            continue
+        if isinstance(value, Mapping):
+            items = [
+                f"{key} {_brief(each)}" for key, each in value.items() if each not in (None, {})
+            ]
+        elif isinstance(value, list | tuple):
+            items = [_brief(each) for each in value]
+        else:
+            items = [_brief(value)]
+        more = f" and {len(items) - _MOST_NAMED} more" if len(items) > _MOST_NAMED else ""
+        if items:
+            words.append(f"{name}: {', '.join(items[:_MOST_NAMED])}{more}")
+    return "; ".join(words)
+
+
+def _brief(value: object) -> str:
+    text = str(value)
+    if re.fullmatch(r"[0-9a-f]{64}", text):
+        return f"{text[:12]}…"
+    return text if len(text) <= 80 else f"{text[:79]}…"

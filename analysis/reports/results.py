@@ -1,0 +1,572 @@
+"""Sections of a report on results: a fit, a map, a trajectory, a coast-down, a study."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from analysis.adhesion.condition_table import bins_table
+from analysis.adhesion.map_history import history_table, map_history
+from analysis.adhesion.map_plot import draw_history, draw_map
+from analysis.adhesion.map_state import MapState, line_of_map, map_state, state_table
+from analysis.plotting import BLUE, GREY, RED, SKY
+from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.reports.page import Part, Section, Warned
+from analysis.reports.pictures import Picture, drawn
+from analysis.reports.trip import facts_table, gradient_panel, limit_curve
+from analysis.resistance.logs import Fits, fit, fit_table
+from analysis.resistance.plot import draw_fits
+from analysis.tables import kwh, new_table, overspeed, with_band
+from analysis.trajectory.phases import Phase, advice
+from analysis.trajectory.plot import COLOURS, draw_trajectory
+from analysis.trajectory.table import advice_table, trajectory_table
+from analysis.verification.plot import draw_score
+from analysis.verification.scoring import score_rolling
+from analysis.verification.table import score_table
+from trainlog.display import counted, lateness
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.condition import read_map
+from trainlog.formats.line import read_line
+from trainlog.formats.parameters import read_coast_down, read_parameters
+from trainlog.formats.samples import names, sample
+from trainlog.formats.summaries import SUFFIX
+from trainlog.formats.trajectory import read_trajectory
+from trainlog.railway import Line, ParameterSet, TrackConditionMap, Trajectory
+from trainlog.units import KMH, clock
+
+FloatArray = NDArray[np.float64]
+
+MOST_ROWS = 60
+"""Trips that the table of a fit lists one by one."""
+
+HISTORY_DAYS = 6
+"""Days for which the history of the lowest place makes the estimate anew."""
+
+TABLES = "tables.md"
+"""In the folder of a study: all its tables, as `analysis.studies.report` writes them."""
+
+MOST_PICTURES = 2_400_000
+"""Bytes of the pictures of a study that a page takes; the others are named."""
+
+
+# ------------------------------------------------------------------------------------- a fit
+
+
+def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
+    """What a report shows of an observed parameter set.
+
+    Parameters
+    ----------
+    path : path
+        Parameters file; the summaries that ``trainlog fit`` wrote beside it are used, too.
+    logs : sequence of path
+        Logs that it was fitted to: with them the residuals are shown.
+    """
+    found = read_parameters(path)
+    kept = path.with_suffix(SUFFIX)
+    given = {"the logs": list(logs), kept.name: [kept] * kept.exists()}
+    doubts = list[Part]()
+    fits = None
+    for name, files in given.items():
+        if files and fits is None:
+            made = _fitted_again(found, files)
+            if isinstance(made, Fits):
+                fits = made
+            else:
+                doubts.append(Warned(made.format(name, path.name)))
+    if fits is not None:
+        doubts = []
+    if fits is None:
+        without = [] if doubts else [
+            f"{kept.name} is not beside it and no logs are given: what each trip showed, and which"
+            " were refused, is not known here."
+        ]  # fmt: skip
+        return [Section("Running resistance", [*doubts, *_set_alone(found), *without])]
+    return [
+        Section(
+            "Running resistance",
+            [*doubts, as_part(_resistance_chart(fits)), fit_table(fits)],
+        ),
+        Section("Trips of the fit", [_trips_table(fits), *_residuals(fits)]),
+        Section(
+            "Observed set",
+            [
+                drawn(
+                    partial(draw_fits, fits),
+                    f"Running resistance of {found.train}: curves of all trips, the observed"
+                    " configurations, mass and power of each trip, correlation of coefficients.",
+                ),
+                _configurations(found),
+            ],
+        ),
+    ]
+
+
+def _fitted_again(found: ParameterSet, files: Sequence[Path]) -> Fits | str:
+    """The fit of logs or summaries that makes a set; or why it does not, as a form of two names."""
+    cover, most = found.cover.get("asked"), found.cover.get("most")
+    try:
+        fits = fit(files, most=most, **({} if cover is None else {"cover": cover}))
+    except TrainlogError as error:
+        words = str(error).replace("{", "{{").replace("}", "}}")
+        return f"Of {{0}}, {{1}} could not be made again: {words}."
+    if not _same(fits.parameters, found):
+        return "A fit of {0} gives another set than {1} holds; what follows of it is left out."
+    return fits
+
+
+def _same(one: ParameterSet, other: ParameterSet) -> bool:
+    """Whether two sets hold the same configurations, to the digits that a file keeps."""
+    pairs = list(zip(one.configurations, other.configurations, strict=False))
+    return len(one.configurations) == len(other.configurations) and all(
+        mine.name == its.name
+        and np.isclose(mine.mass, its.mass, rtol=1e-6)
+        and np.isclose(float(mine.resistance(20.0)), float(its.resistance(20.0)), rtol=1e-6)
+        for mine, its in pairs
+    )
+
+
+def _resistance_chart(fits: Fits) -> Chart:
+    common = fits.common
+    speed = np.linspace(0.0, common.asked[1], 120)
+    low, high = common.band(speed)
+    value = common.resistance(speed)
+    hover = {
+        "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
+        "resistance": [f"{each:.2f} kN" for each in (value / 1e3).tolist()],
+        "95 % band": [
+            f"{a:.2f} to {b:.2f} kN"
+            for a, b in zip((low / 1e3).tolist(), (high / 1e3).tolist(), strict=True)
+        ],
+    }
+    seen = list[Curve]()
+    if fits.trips:
+        x = np.concatenate([one.points.speed[one.points.used] for one in fits.trips])
+        y = np.concatenate([one.points.value[one.points.used] for one in fits.trips])
+        rows = _sample(y.size, 600)
+        seen = [Curve("means over 10 s", KMH * x[rows], y[rows] / 1e3, GREY, "points", width=1.2)]
+    each = [
+        Curve("each configuration" if number == 0 else "", KMH * speed,
+              np.asarray(one.resistance(speed)) / 1e3, SKY, width=0.9)
+        for number, one in enumerate(fits.parameters.configurations)
+    ]  # fmt: skip
+    together = Curve("all trips, mean and 95 % band", KMH * speed, value / 1e3, BLUE, "line",
+                     low / 1e3, high / 1e3, hover, 2.0)  # fmt: skip
+    return Chart(
+        "speed, km/h",
+        [Panel("running resistance, kN", [*seen, *each, together], 1.8)],
+        f"Running resistance of {fits.common.train} over speed, with its 95 % band.",
+        "The curve of all trips together with the 95 % band of the mean, and the curves of the"
+        " observed configurations.",
+    )
+
+
+def _trips_table(fits: Fits) -> Table:
+    rows = fits.drives
+    table = new_table(
+        "Each trip", "trip", "accepted", "mass", "power, kW", "kN at 80 km/h", "reason",
+        caption=f"{len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else None,
+        caption_justify="left",
+    )  # fmt: skip
+    at = 80.0 / KMH
+    for row in rows.head(MOST_ROWS).to_dict("records"):
+        if row["refused"]:
+            table.add_row(row["trip"], "no", "", "", "", row["message"] or row["refused"])
+            continue
+        mass = with_band(row["mass"] / 1e3, float(np.sqrt(row["covariance_mass_mass"])) / 1e3, " t")
+        power = row["max_power"]
+        drag = row["r0"] + row["r1"] * at + row["r2"] * at**2
+        table.add_row(
+            row["trip"], "yes", mass,
+            "-" if not np.isfinite(power) else with_band(power / 1e3, row["max_power_std"] / 1e3),
+            f"{drag / 1e3:.2f}", "",
+        )  # fmt: skip
+    return table
+
+
+def _residuals(fits: Fits) -> list[Part]:
+    """What the fit did not explain, in standard deviations, over the speed."""
+    if not fits.trips:
+        return ["Residuals are shown where the logs are given."]
+    x = np.concatenate([one.residuals.speed for one in fits.trips])
+    y = np.concatenate([one.residuals.value for one in fits.trips])
+    of = np.concatenate([np.repeat(one.trip, one.residuals.value.size) for one in fits.trips])
+    order = np.argsort(x, kind="stable")
+    rows = order[_sample(order.size, 2_000)]
+    hover = {
+        "trip": [str(each) for each in of[rows]],
+        "speed": [f"{each:.0f} km/h" for each in (KMH * x[rows]).tolist()],
+        "residual": [f"{each:+.2f} σ" for each in y[rows].tolist()],
+    }
+    chart = Chart(
+        "speed, km/h",
+        [
+            Panel(
+                "residual, σ",
+                [Curve("", KMH * x[rows], y[rows], SKY, "points", hover=hover, width=1.0)],
+                1.1,
+            )
+        ],
+        "Residuals of all windows over the speed, in standard deviations of the noise model.",
+        "What the fit did not explain: within 2 σ nearly always, without a trend, if the noise is"
+        " as the model has it.",
+    )
+    return [as_part(chart)]
+
+
+def _sample(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many rows, evenly: of points the extremes alone would be another picture."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+
+
+def _configurations(found: ParameterSet) -> Table:
+    table = new_table(
+        "Configurations of the observed set", "configuration", "mass", "power", "r0, N",
+        "r1, N/(m/s)", "r2, N/(m/s)²", "kN at 80 km/h",
+    )  # fmt: skip
+    for each in found.configurations:
+        drag = each.resistance
+        table.add_row(
+            each.name, f"{each.mass / 1e3:.1f} t", f"{each.max_power / 1e3:.0f} kW",
+            f"{drag.r0:.0f}", f"{drag.r1:.1f}", f"{drag.r2:.2f}",
+            f"{float(drag(80.0 / KMH)) / 1e3:.2f}",
+        )  # fmt: skip
+    return table
+
+
+def _set_alone(found: ParameterSet) -> list[Part]:
+    """A set without the trips that it is from."""
+    speed = np.linspace(0.0, max(found.speed_range[1], 10.0), 120)
+    curves = [
+        Curve("each configuration" if number == 0 else "", KMH * speed,
+              np.asarray(each.resistance(speed)) / 1e3, SKY, width=0.9)
+        for number, each in enumerate(found.configurations)
+    ]  # fmt: skip
+    if found.common is not None:
+        value = np.asarray(found.common(speed)) / 1e3
+        hover = {
+            "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
+            "resistance": [f"{each:.2f} kN" for each in value.tolist()],
+        }
+        curves.append(Curve("all trips", KMH * speed, value, BLUE, hover=hover, width=2.0))
+    if not curves:
+        return ["The set is empty."]
+    chart = Chart(
+        "speed, km/h",
+        [Panel("running resistance, kN", curves, 1.6)],
+        f"Running resistance of the configurations of {found.train} over speed.",
+    )
+    return [as_part(chart), _configurations(found)]
+
+
+# ------------------------------------------------------------------------------------- a map
+
+
+def map_sections(
+    path: Path, line: Path | None = None, step: Callable[[str], None] = lambda _: None
+) -> list[Section]:
+    """What a report shows of a track-condition map.
+
+    Parameters
+    ----------
+    path : path
+        Map file.
+    line : path, optional
+        Line file, or a log that carries it.
+    step : callable
+        Called with what is being done.
+    """
+    track = read_map(path)
+    course = line_of_map(track, line, path)
+    if not track.layers:
+        return [Section("Track condition", ["The map has no layer yet: no trip counts in it."])]
+    state = map_state(track, None, line=course)
+    picture = drawn(
+        partial(draw_map, track, line=course),
+        f"Maximum adhesion along {track.line} with its 95 % band for each rail condition; grey"
+        " where nothing was observed.",
+        "Grey where nothing was observed: there the map has no estimate.",
+    )
+    sections = [
+        Section("Track condition", [*_map_charts(track, state, course), state_table(state)]),
+        Section("Lasting condition, spots and changes", [picture]),
+    ]
+    step(f"{path.name}: history of the lowest places")
+    sections.append(Section("History of the lowest places", _histories(track, state, course)))
+    step(f"{path.name}: verification")
+    sections.append(Section("Verification", _verified(track)))
+    return sections
+
+
+def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) -> list[Part]:
+    """Expected maximum adhesion of each layer, with what stands under the pointer."""
+    panels = []
+    for name in track.layers:
+        rows = bins_table(track, line, state.at, [name])
+        middle = 0.5 * (rows["start_m"] + rows["end_m"]).to_numpy(np.float64) / 1e3
+        value, low, high = (
+            rows[each].to_numpy(np.float64)
+            for each in ("expected", "expected_low", "expected_high")
+        )
+        seen = np.isfinite(value)
+        hover = {
+            "km": [f"{each:.3f}" for each in rows["start_km"][seen]],
+            "expected": [f"{each:.3f}" for each in value[seen].tolist()],
+            "95 % band": [
+                f"{a:.3f} to {b:.3f}"
+                for a, b in zip(low[seen].tolist(), high[seen].tolist(), strict=True)
+            ],
+            "onsets": [str(int(each)) for each in rows["events"][seen]],
+        }
+        points = Curve("", middle[seen], value[seen], RED, "points", low[seen], high[seen], hover)
+        share = f"{name} rail: {seen.mean():.1%} of the line observed"
+        panels.append(Panel("maximum adhesion", [points], 1.0, share, from_zero=True))
+    stations = () if line is None else line.stations
+    chart = Chart(
+        "km",
+        panels,
+        f"Expected maximum adhesion along {track.line} with its 95 % band where it was observed.",
+        "Points are bins with an estimate and its 95 % band; where there is no point nothing was"
+        " observed.",
+        [(each.position / 1e3, each.name) for each in stations],
+    )
+    return [as_part(chart)]
+
+
+def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> list[Part]:
+    """The place of least expected adhesion of each layer, over the days."""
+    parts: list[Part] = []
+    for name in track.layers:
+        lowest = state.lowest[state.lowest["layer"] == name]
+        if lowest.empty:
+            continue
+        row = lowest.nsmallest(1, "expected").iloc[0]
+        middle = 0.5 * (float(row["start_m"]) + float(row["end_m"]))
+        found = map_history(track, middle, name, line=line, days=HISTORY_DAYS)
+        alt = f"Evidence and estimate of the lowest place in layer {name} by day."
+        if len(found.known) > 1:
+            parts.append(drawn(partial(draw_history, found), alt))
+        parts.append(history_table(found))
+    return parts or ["No place was observed."]
+
+
+def _verified(track: TrackConditionMap) -> list[Part]:
+    """How good the forecasts of each day from the days before alone were."""
+    try:
+        found = score_rolling(track)
+    except InputError as error:
+        return [f"Not scored: {error}."]
+    alt = "Scores of the map's forecasts of each of its days from the days before alone."
+    return [drawn(partial(draw_score, found), alt), score_table(found)]
+
+
+# ------------------------------------------------------------------------------ a trajectory
+
+
+def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
+    """What a report shows of a trajectory.
+
+    Parameters
+    ----------
+    path : path
+        Trajectory file.
+    line : path, optional
+        Line file; default: a sample line of that name.
+    """
+    trajectory = read_trajectory(path)
+    course = line_of_trajectory(trajectory, line)
+    parts: list[Part] = [as_part(_trajectory_chart(trajectory, course))]
+    sections = [Section("Trajectory", parts)]
+    if course is None:
+        parts.append(
+            Warned(f"Line '{trajectory.line}' is not among the samples: without --line its limits,"
+                   " gradients and stations are not shown.")
+        )  # fmt: skip
+    if "audit" in trajectory.certificate:
+        sections.append(
+            Section("Certificate", [*certificate_words(trajectory), trajectory_table(trajectory)])
+        )
+    if "phases" in trajectory.certificate:
+        if course is not None:
+            words = (
+                f"Speed of {trajectory.train} on {trajectory.line} in the colours of its driving"
+                " phases, efforts, switching function and gradient."
+            )
+            sections.append(
+                Section("Phases", [drawn(partial(draw_trajectory, trajectory, course), words)])
+            )
+        sections.append(Section("Advice to the driver", [advice_table(advice(trajectory))]))
+    return sections
+
+
+def line_of_trajectory(trajectory: Trajectory, given: Path | None) -> Line | None:
+    """The line of a trajectory in the direction of travel; None where it is not known.
+
+    Raises
+    ------
+    InputError
+        If the one that is given is another line, or ends before the trajectory does.
+    """
+    line = None
+    if given is not None:
+        line = read_line(given)
+        if line.name != trajectory.line or line.length < trajectory.positions[-1] - 1.0:
+            raise InputError(
+                f"is line '{line.name}' of {line.length / 1e3:.3f} km; the trajectory is of"
+                f" '{trajectory.line}' to km {trajectory.positions[-1] / 1e3:.3f}",
+                file=given,
+                remedy="give the line that it was planned on",
+            )
+    else:
+        for name in names():
+            if name == f"{trajectory.line}.line.json":
+                line = read_line(sample(name))
+    if line is None or line.length < trajectory.positions[-1] - 1.0:
+        return None
+    return line.reversed() if trajectory.direction == "reverse" else line
+
+
+def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:
+    row = trajectory.latest
+    km = trajectory.positions / 1e3
+    speeds, times = KMH * trajectory.speeds, trajectory.times
+    hover = {
+        "km": [f"{each:.3f}" for each in km.tolist()],
+        "time": [clock(each) for each in times[row].tolist()],
+        "speed": [f"{each:.1f} km/h" for each in speeds[row].tolist()],
+        "of all configurations": [
+            f"{a:.1f} to {b:.1f} km/h"
+            for a, b in zip(speeds.min(0).tolist(), speeds.max(0).tolist(), strict=True)
+        ],
+    }
+    rows = rows_to_draw(speeds[row], most=1_500)
+    of = trajectory.configurations[row].name
+    curve = Curve(
+        f"{of}, arrives last; band: all configurations", km[rows], speeds[row][rows], BLUE, "line",
+        speeds.min(0)[rows], speeds.max(0)[rows],
+        {name: [each[i] for i in rows.tolist()] for name, each in hover.items()}, 2.0,
+    )  # fmt: skip
+    start, end = float(trajectory.positions[0]), float(trajectory.positions[-1])
+    limits = [] if line is None else [limit_curve(line, start, end)]
+    traction = trajectory.tractive_effort / 1e3
+    braking = -trajectory.braking_effort[row] / 1e3
+    efforts = Panel(
+        "kN",
+        [
+            Curve(label, km, np.append(values, values[-1]), COLOURS[phase], "step", width=1.2)
+            for label, values, phase in (
+                ("traction", traction, Phase.MAXIMUM_TRACTION),
+                ("braking", braking, Phase.MAXIMUM_BRAKING),
+            )
+        ],
+        0.7,
+    )  # fmt: skip
+    panels = [Panel("km/h", [*limits, curve], 1.5, from_zero=True), efforts]
+    panels += [] if line is None else [gradient_panel(line, start, end)]
+    return Chart(
+        "km in the direction of travel",
+        panels,
+        f"Planned speed over kilometres of {trajectory.train} on {trajectory.line}, with the band"
+        " of all configurations, the permitted speed, efforts and gradient.",
+        "",
+        () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+    )
+
+
+def certificate_words(trajectory: Trajectory) -> list[str]:
+    """What the certificate of a trajectory says, in plain words."""
+    certificate = trajectory.certificate
+    audit, count = certificate["audit"], len(trajectory.configurations)
+    which = "the planned configuration" if count == 1 else f"each of the {count} configurations"
+    bound = certificate.get("continuous_bound", certificate["lower_bound"])
+    gap = certificate.get("total_gap", certificate["gap"])
+    which_ones = "trajectory" if "continuous_bound" in certificate else "trajectory on its cells"
+    over = overspeed(audit["overspeed"])
+    limits = "the permitted speed is kept" if over == "none" else f"the speed is over it by {over}"
+    return [
+        f"An independent rollout drove {which} along the plan: the latest arrives"
+        f" {lateness(audit['lateness'])} in {clock(trajectory.running_time)}, {limits}, and at most"
+        f" {audit['power']:.0%} of the power is used.",
+        f"The plan takes {kwh(certificate['energy'])} ({trajectory.energy_label}). No {which_ones}"
+        f" that keeps the same time could take less than {kwh(bound)}: it is at most {gap:.2%}"
+        " above the best.",
+    ]
+
+
+# ------------------------------------------------------------------- coast-down, line, study
+
+
+def coast_down_sections(path: Path) -> list[Section]:
+    """What a report shows of a coast-down."""
+    found = read_coast_down(path)
+    parts: list[Part] = [
+        facts_table([("trips", counted(len(found.trips), "trip")), ("gradient", found.gradient)])
+    ]
+    if found.curve is not None:
+        curve = found.curve
+        values = [1e3 * each for each in (curve.deceleration, curve.low, curve.high)]
+        hover = {
+            "speed": [f"{each:.0f} km/h" for each in (KMH * curve.speeds).tolist()],
+            "resistance over inertia": [f"{each:.1f} mm/s²" for each in values[0].tolist()],
+            "95 % band": [
+                f"{a:.1f} to {b:.1f} mm/s²"
+                for a, b in zip(values[1].tolist(), values[2].tolist(), strict=True)
+            ],
+        }
+        line = Curve("", KMH * curve.speeds, values[0], BLUE, "line", values[1], values[2], hover)
+        alt = "Resistance over inertia of the coasting train over speed, with its 95 % band."
+        chart = Chart("speed, km/h", [Panel("resistance over inertia, mm/s²", [line], 1.4)], alt)
+        parts.insert(0, as_part(chart))
+    return [Section("Coast-down", parts)]
+
+
+def study_sections(folder: Path) -> list[Section]:
+    """What a report shows of the folder that a study wrote: its tables and pictures."""
+    tables = list(_tables(folder / TABLES))
+    sections = [Section("Tables", tables)]
+    pictures = list[Part]()
+    left_out = list[str]()
+    size = 0
+    for path in sorted(folder.glob("*.png")):
+        data = path.read_bytes()
+        size += len(data)
+        if size > MOST_PICTURES or not data.startswith(b"\x89PNG"):
+            left_out.append(path.name)
+            continue
+        words = path.stem.replace("-", " ").replace("_", " ")
+        pictures.append(Picture(data, f"Picture of the study: {words}.", words))
+    if left_out:
+        pictures.append(f"Beside the page, for its size: {', '.join(left_out)}.")
+    return [*sections, Section("Pictures", pictures)] if pictures else sections
+
+
+_ROW = re.compile(r"^\|(.*)\|$")
+
+
+def _tables(path: Path) -> Iterable[Part]:
+    """Tables and sentences in Markdown as `analysis.studies.report.as_markdown` writes them."""
+    title, rows = "", list[list[str]]()
+    for line in [*path.read_text(encoding="utf-8").splitlines(), ""]:
+        row = _ROW.match(line)
+        if row is not None:
+            if not re.fullmatch(r"[-|]+", line):
+                rows.append([each.strip() for each in row[1].split("|")])
+            continue
+        if rows:
+            width = max(map(len, rows))
+            heads, *others = [each + [""] * (width - len(each)) for each in rows]
+            table = new_table(title, *heads)
+            for each in others:
+                table.add_row(*each)
+            yield table
+            title, rows = "", []
+        if line.startswith("**") and line.endswith("**"):
+            title = line.strip("*")
+        elif line.strip():
+            yield line.strip()

@@ -1,0 +1,540 @@
+"""Sections of a report on one trip: course, stops, energy, slip, recording and provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from rich.table import Table
+
+from analysis.adhesion.slip import SlipAnalysis, slip
+from analysis.comparison.cost import SHORTEST_STOP, TripCost, trip_cost
+from analysis.plotting import BLUE, GREEN, GREY, INK, PURPLE, RED, SKY
+from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.reports.page import Part, Section, Warned
+from analysis.tables import kwh, new_table
+from trainlog.display import counted
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.attached import line_of, passport_of
+from trainlog.ingest.report import report_of
+from trainlog.mcap import describe, read_log
+from trainlog.mcap.description import render
+from trainlog.railway import Line
+from trainlog.resampling import interpolated
+from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS
+from trainlog.trip import POSITION_TOPICS, Trip
+from trainlog.units import KMH, PER_MILLE, clock
+
+FloatArray = NDArray[np.float64]
+
+AT_STATION = 300.0
+"""A train that stands within this of a station [m] has stopped at it: half a long train."""
+
+MOST_EVENTS = 20
+"""Slip events that are listed one by one."""
+
+_READ = (
+    *POSITION_TOPICS,
+    TRAIN_CONTROLS.name,
+    REFERENCE.name,
+    "/train/axles",
+    "/train/slip_protection",
+    "/gnss/motion",
+    "/events",
+)
+
+
+@dataclass(frozen=True)
+class Zone:
+    """The clock in which times are stated, that of the timetable.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``"Europe/Zurich"``.
+    """
+
+    name: str = "UTC"
+
+    def time(self, moment: pd.Timestamp) -> str:
+        """The time of day, to the second.
+
+        Examples
+        --------
+        >>> Zone("Europe/Zurich").time(pd.Timestamp("2024-10-07T06:00:16.7Z"))
+        '08:00:17'
+        """
+        return f"{self._local(moment).round('s'):%H:%M:%S}"
+
+    def date(self, moment: pd.Timestamp) -> str:
+        """Day and time of day, to the second."""
+        return f"{self._local(moment).round('s'):%Y-%m-%d %H:%M:%S}"
+
+    def times(self, moments: pd.DatetimeIndex) -> list[str]:
+        """The times of day of many moments."""
+        return [f"{each:%H:%M:%S}" for each in moments.tz_convert(self.name).round("s")]
+
+    def _local(self, moment: pd.Timestamp) -> pd.Timestamp:
+        return moment.tz_convert(self.name)
+
+
+def known_zone(name: str) -> Zone:
+    """The clock of a zone.
+
+    Raises
+    ------
+    InputError
+        If there is no such zone.
+
+    Examples
+    --------
+    >>> known_zone("Europe/Zurich").name
+    'Europe/Zurich'
+    """
+    try:
+        zone = Zone(name)
+        zone.time(pd.Timestamp(0, tz="UTC"))
+    except (KeyError, ValueError, OSError) as error:
+        raise InputError(
+            f"no time zone is called '{name}'", remedy="write it as Europe/Zurich"
+        ) from error
+    return zone
+
+
+@dataclass(frozen=True)
+class StationCall:
+    """A station, or a place on the line, where a train stops or that it passes.
+
+    Attributes
+    ----------
+    name : str
+        Of the station; empty where the train stood between stations.
+    position : float [m]
+        Chainage in the direction of travel.
+    arrival, departure : Timestamp or None
+        Both the same where it is passed; None at the ends of the trip.
+    stopped : bool
+    """
+
+    name: str
+    position: float
+    arrival: pd.Timestamp | None
+    departure: pd.Timestamp | None
+    stopped: bool
+
+    @property
+    def dwell(self) -> float | None:
+        """How long it stood there [s]; None at the ends of the trip, and where it did not."""
+        if not self.stopped or self.arrival is None or self.departure is None:
+            return None
+        return float((self.departure - self.arrival).total_seconds())
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where a train was when, and how fast: the samples of which all is known.
+
+    Attributes
+    ----------
+    time : (n,) DatetimeIndex
+    position : (n,) array [m]
+    speed : (n,) array [m/s]
+    """
+
+    time: pd.DatetimeIndex
+    position: FloatArray
+    speed: FloatArray
+
+    @staticmethod
+    def of(trip: Trip) -> Motion:
+        """From the first topic that knows a position and a speed; empty if none does."""
+        for name in reversed(POSITION_TOPICS):
+            frame = trip.topics.get(name)
+            if frame is None or not {"position", "speed"} <= set(frame.columns):
+                continue
+            place, speed = (frame[each].to_numpy(np.float64) for each in ("position", "speed"))
+            known = np.isfinite(place) & np.isfinite(speed)
+            if known.any():
+                time = pd.DatetimeIndex(frame.index)[known]
+                return Motion(time, place[known], speed[known])
+        nothing = np.empty(0)
+        return Motion(pd.DatetimeIndex([], tz="UTC"), nothing, nothing)
+
+
+def station_calls(motion: Motion, line: Line | None) -> tuple[StationCall, ...]:
+    """Where a trip began and ended, stopped and passed, in the order of time.
+
+    Parameters
+    ----------
+    motion : Motion
+    line : Line, optional
+        As the train met it; without it the stops have no names.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from trainlog.formats.attached import line_of
+    >>> trip = trainlog.read("sample_logs/stopping.mcap")
+    >>> calls = station_calls(Motion.of(trip), line_of(trip))
+    >>> [(call.name, call.dwell) for call in calls if call.dwell]
+    [('Gossau SG', 41.6), ('Flawil', 43.9), ('Uzwil', 41.1)]
+    """
+    if not motion.position.size:
+        return ()
+    stations = () if line is None else line.stations
+    calls = list(_stops(motion, line))
+    stopped = {call.name for call in calls}
+    for station in stations:
+        beyond = motion.position >= station.position
+        if station.name in stopped or not beyond.any() or beyond[0]:
+            continue
+        when = motion.time[int(np.argmax(beyond))]
+        calls.append(StationCall(station.name, station.position, when, when, stopped=False))
+    return tuple(sorted(calls, key=lambda call: call.arrival or motion.time[0]))
+
+
+def _stops(motion: Motion, line: Line | None) -> Iterator[StationCall]:
+    standing = motion.speed <= STANDSTILL
+    edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
+    last = motion.time.size - 1
+    spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    if not spans or spans[0][0] > 0:
+        spans.insert(0, (0, 0))
+    if spans[-1][1] <= last:
+        spans.append((last, last + 1))
+    for begin, end in spans:
+        moves = motion.time[min(end, last)]
+        lasts = (motion.time[max(end - 1, begin)] - motion.time[begin]).total_seconds()
+        first, final = begin == 0, end > last
+        if lasts < SHORTEST_STOP and not (first or final):
+            continue
+        place = float(motion.position[begin])
+        name = "" if line is None else _station_at(line, place)
+        arrival = None if first else motion.time[begin]
+        yield StationCall(name, place, arrival, None if final else moves, stopped=True)
+
+
+def _station_at(line: Line, position: float) -> str:
+    nearest = min(line.stations, key=lambda each: abs(each.position - position))
+    return nearest.name if abs(nearest.position - position) <= AT_STATION else ""
+
+
+# -------------------------------------------------------------------------------- the sections
+
+
+def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
+    """What a report shows of the trip in a log.
+
+    Raises
+    ------
+    LogError
+        If the file is no log, or holds no trip.
+    """
+    description = describe(log)
+    trip = read_log(log, [name for name in _READ if name in {t.name for t in description.topics}])
+    line = _line(trip)
+    motion = Motion.of(trip)
+    doubts = [] if description.account.whole else [Warned(description.account.sentence)]
+    cost = _tried(lambda: trip_cost(trip))
+    sections = [
+        Section("Trip", [*doubts, _facts(trip, motion, zone, cost)]),
+        Section("Speed and efforts", _course(trip, motion, line, zone)),
+        Section("Stops and stations", _stops_part(motion, line, zone)),
+        Section("Energy", _energy(cost)),
+        Section("Slip", _slip(trip, zone)),
+        Section("Recording", [*_quality(trip), render(replace(description, path=Path(log.name)))]),
+    ]
+    return [section for section in sections if section.parts]
+
+
+def _tried(made: Any) -> Any:
+    """What a function returns, or the error that states why it cannot."""
+    try:
+        return made()
+    except TrainlogError as error:
+        return error
+
+
+def _line(trip: Trip) -> Line | None:
+    with suppress(TrainlogError):
+        return line_of(trip)
+    return None
+
+
+def facts_table(rows: Sequence[tuple[str, str]], title: str = "") -> Table:
+    """Names and what is known of them, as a table without heads."""
+    table = new_table(title, "", "", show_header=False)
+    for name, words in rows:
+        if words:
+            table.add_row(name, words)
+    return table
+
+
+def _facts(trip: Trip, motion: Motion, zone: Zone, cost: object) -> Table:
+    known = trip.metadata
+    rows = [
+        ("trip", trip.name),
+        ("train", known.get("train", "")),
+        ("line", ", ".join(filter(None, [known.get("line", ""), known.get("direction", "")]))),
+        ("load", f"{float(known['load']) / 1e3:.1f} t" if _number(known.get("load")) else ""),
+        ("rail", known.get("weather", "")),
+        ("clock of the recording", known.get("clock", "")),
+    ]
+    if motion.time.size:
+        first, last = motion.time[0], motion.time[-1]
+        rows.insert(1, ("from", f"{zone.date(first)} {zone.name}"))
+        rows.insert(2, ("to", f"{zone.date(last)} {zone.name}"))
+    if isinstance(cost, TripCost):
+        rows += [
+            ("distance", f"{cost.distance / 1e3:.3f} km"),
+            (
+                "running time",
+                f"{clock(cost.running_time)}, {counted(cost.stops, 'stop')} on the way",
+            ),
+            ("top speed", f"{KMH * cost.top_speed:.0f} km/h"),
+            ("slip protection", "" if cost.slips is None else f"acted {cost.slips} times"),
+        ]
+    return facts_table(rows)
+
+
+def _number(word: str | None) -> bool:
+    try:
+        return word is not None and bool(np.isfinite(float(word)))
+    except ValueError:
+        return False
+
+
+def _course(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> list[Part]:
+    """Speed and efforts over km, and speed over time."""
+    if not motion.position.size:
+        return [Warned("No speed with a position is recorded: there is no course to draw.")]
+    efforts = _efforts(trip, motion.time)
+    rows = rows_to_draw(motion.speed, *(each for _, each, *_ in efforts[:2]))
+    part = Motion(motion.time[rows], motion.position[rows], motion.speed[rows])
+    forward = bool(np.all(np.diff(part.position) >= -50.0))
+    curves = [_speed_curve(part.position / 1e3, part, line, zone)]
+    reference = _reference(trip, part.time)
+    if reference is not None:
+        curves.append(
+            Curve("trajectory", part.position / 1e3, KMH * reference[0], GREEN, width=1.2)
+        )
+    panels = [Panel("km/h", [*_limit(line, motion.position), *curves], 1.5, from_zero=True)]
+    if efforts:
+        panels.append(
+            Panel(
+                "kN",
+                [
+                    Curve(
+                        label,
+                        part.position / 1e3,
+                        values[rows] / 1e3,
+                        colour,
+                        "area",
+                        None if base is None else base[rows] / 1e3,
+                    )
+                    for label, values, colour, base in efforts
+                ],
+                0.8,
+            )
+        )
+    if reference is not None:
+        panels.append(
+            Panel(
+                "s",
+                [Curve("behind the trajectory", part.position / 1e3, reference[1], PURPLE)],
+                0.5,
+            )
+        )
+    if line is not None:
+        panels.append(
+            gradient_panel(line, float(motion.position.min()), float(motion.position.max()))
+        )
+    over_km = Chart(
+        "km in the direction of travel",
+        panels,
+        f"Speed of trip {trip.name} against the permitted speed over kilometres,"
+        " with its efforts and the gradient below.",
+        "Speed against the permitted speed; tractive effort above, braking effort below zero.",
+        () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+    )
+    minutes = (part.time - motion.time[0]).total_seconds().to_numpy() / 60.0
+    start = zone.time(motion.time[0])
+    over_time = Chart(
+        f"minutes since {start} {zone.name}",
+        [Panel("km/h", [_speed_curve(minutes, part, line, zone)], 1.0, from_zero=True)],
+        f"Speed of trip {trip.name} over time, with its stops.",
+    )
+    shown = [as_part(over_km)] if forward else []
+    return [*shown, as_part(over_time)]
+
+
+def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> Curve:
+    kilometre = part.position if line is None else line.kilometre(part.position)
+    hover = {
+        "km": [f"{each:.3f}" for each in (kilometre / 1e3).tolist()],
+        "time": zone.times(part.time),
+        "speed": [f"{each:.1f} km/h" for each in (KMH * part.speed).tolist()],
+    }
+    if line is not None:
+        within = np.clip(part.position, 0.0, line.length)
+        limits, gradients = KMH * line.speed_limit(within), PER_MILLE * line.gradient(within)
+        hover["permitted"] = [f"{each:.0f} km/h" for each in limits.tolist()]
+        hover["gradient"] = [f"{each:+.1f} ‰" for each in gradients.tolist()]
+    return Curve("speed", x, KMH * part.speed, BLUE, hover=hover)
+
+
+def _limit(line: Line | None, position: FloatArray) -> list[Curve]:
+    if line is None:
+        return []
+    return [limit_curve(line, float(position.min()), float(position.max()))]
+
+
+def limit_curve(line: Line, start: float, end: float) -> Curve:
+    """The permitted speed between two positions [m]."""
+    edges = _edges(line.speed_limits.positions, start, end, line.length)
+    values = KMH * line.speed_limit(edges)
+    values[-1] = values[-2] if values.size > 1 else values[-1]
+    return Curve("permitted speed", edges / 1e3, values, INK, "step", width=1.1)
+
+
+def gradient_panel(line: Line, start: float, end: float) -> Panel:
+    """The gradient between two positions [m]."""
+    edges = _edges(line.gradients.positions, start, end, line.length)
+    values = PER_MILLE * line.gradient(edges)
+    return Panel("gradient, ‰", [Curve("", edges / 1e3, values, GREY, "step", width=1.0)], 0.5)
+
+
+def _edges(positions: FloatArray, start: float, end: float, length: float) -> FloatArray:
+    start, end = max(start, 0.0), min(end, length)
+    inner = positions[(positions > start) & (positions < end)]
+    return np.concatenate(([start], inner, [end]))
+
+
+def _efforts(
+    trip: Trip, time: pd.DatetimeIndex
+) -> list[tuple[str, FloatArray, str, FloatArray | None]]:
+    """Tractive and braking efforts [N] at the times, as far as recorded.
+
+    The latter below zero, one brake below the other: with where each begins.
+    """
+    frame = trip.topics.get(TRAIN_CONTROLS.name)
+    if frame is None or frame.empty:
+        return []
+    found = list[tuple[str, FloatArray, str, FloatArray | None]]()
+    kinds = (
+        ("traction", "tractive_effort", 1.0, RED),
+        ("dynamic brake", "dynamic_braking_effort", -1.0, BLUE),
+        ("friction brake", "pneumatic_braking_effort", -1.0, SKY),
+    )
+    for label, name, sign, colour in kinds:
+        if name in frame.columns and np.isfinite(frame[name].to_numpy(np.float64)).any():
+            values = sign * interpolated(frame, name, time, 2.0)
+            base = (
+                found[-1][1] if sign < 0.0 and found and found[-1][0] == "dynamic brake" else None
+            )
+            found.append((label, values if base is None else base + values, colour, base))
+    return found
+
+
+def _reference(trip: Trip, time: pd.DatetimeIndex) -> tuple[FloatArray, FloatArray] | None:
+    frame = trip.topics.get(REFERENCE.name)
+    if frame is None or frame.empty:
+        return None
+    speed, late = (interpolated(frame, name, time, 5.0) for name in ("speed", "lateness"))
+    return speed, late
+
+
+def _stops_part(motion: Motion, line: Line | None, zone: Zone) -> list[Part]:
+    calls = station_calls(motion, line)
+    if not calls:
+        return []
+    table = new_table("", "station", "km", f"arrival ({zone.name})", "departure", "dwell", "")
+    for call in calls:
+        place = call.position if line is None else float(line.kilometre(call.position))
+        name = call.name or "on the line"
+        arrival, departure = (
+            "" if each is None else zone.time(each) for each in (call.arrival, call.departure)
+        )
+        dwell = "" if call.dwell is None else f"{call.dwell:.0f} s"
+        if not call.stopped:
+            arrival = ""
+        note = "" if call.stopped else "passes"
+        table.add_row(name, f"{place / 1e3:.3f}", arrival, departure, dwell, note)
+    return [table]
+
+
+def _energy(cost: object) -> list[Part]:
+    if isinstance(cost, TrainlogError):
+        return [f"Not known: {cost}."]
+    assert isinstance(cost, TripCost)
+    mass = "not known" if np.isnan(cost.mass) else f"{cost.mass / 1e3:.1f} t"
+    rows = [
+        ("traction at the wheel rims", kwh(cost.traction)),
+        ("taken by the dynamic brake", kwh(cost.dynamic_braking)),
+        ("from the line, with the train's efficiencies, less what is fed back", kwh(cost.line)),
+        ("mass, loaded", mass),
+    ]
+    if cost.distance > 0.0 and not np.isnan(cost.mass):
+        work = cost.mass / 1e3 * cost.distance / 1e3
+        rows.append(
+            ("traction per tonne and kilometre", f"{cost.traction / 3.6e3 / work:.1f} Wh/(t km)")
+        )
+    if cost.late is not None:
+        rows.append(("behind the trajectory on arrival", f"{cost.late:+.1f} s"))
+    return [facts_table(rows)]
+
+
+def _slip(trip: Trip, zone: Zone) -> list[Part]:
+    found = _tried(lambda: slip(trip))
+    if isinstance(found, TrainlogError):
+        return [f"Not known: {found}."]
+    assert isinstance(found, SlipAnalysis)
+    rows = [(name, words) for name, words in found._summary().items()]
+    parts: list[Part] = [facts_table(rows)]
+    if len(found.events):
+        parts.append(_slip_table(found, zone))
+    return parts
+
+
+def _slip_table(found: SlipAnalysis, zone: Zone) -> Table:
+    events = found.events
+    worst = events["peak_slip"].abs().nlargest(MOST_EVENTS).index
+    chosen = events.loc[worst].sort_values("start")
+    more = len(events) - len(chosen)
+    table = new_table(
+        "Slip events", f"time ({zone.name})", "km", "axle", "in", "lasts", "largest slip",
+        "adhesion",
+        caption=f"the {len(chosen)} of the largest slip; {more} more" if more else None,
+        caption_justify="left",
+    )  # fmt: skip
+    for each in chosen.to_dict("records"):
+        place, slipped = each["position"] / 1e3, KMH * abs(each["peak_slip"])
+        adhesion = f"{abs(each['adhesion']):.3f} ± {1.96 * each['adhesion_std']:.3f}"
+        table.add_row(
+            zone.time(each["start"]),
+            f"{place:.3f}",
+            str(each["axle"]),
+            each["kind"],
+            f"{each['duration']:.1f} s",
+            f"{slipped:.1f} km/h",
+            adhesion if each["measured"] else f"{adhesion} (not the maximum)",
+        )
+    return table
+
+
+def _quality(trip: Trip) -> list[Part]:
+    """What ingest repaired and what was found of the recorder."""
+    parts: list[Part] = []
+    with suppress(TrainlogError):
+        rows = [(f"{n}", words) for n, words in enumerate(report_of(trip).lines(), start=1)]
+        parts.append(facts_table(rows, "Read, kept and repaired"))
+    known = passport_of(trip)
+    if known is not None:
+        parts.append(facts_table(list(known.rows().items()), "Passport of the recorder"))
+    return parts

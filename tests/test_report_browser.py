@@ -1,0 +1,241 @@
+"""Reports in a real browser: drawn, light and dark, under the pointer and printed; no network."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from report_folder import SCRIPT, make_folder
+
+from analysis.reports.build import write_report
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+PAGE_WIDTH, PAGE_HEIGHT = 688, 1009
+"""What A4 has within the margins [px], 96 to the inch."""
+
+CANVASES = """() => {
+    const found = [];
+    const walk = (root) => {
+        for (const each of root.querySelectorAll("*")) {
+            if (each.tagName === "CANVAS" && each.width > 0) found.push(each);
+            if (each.shadowRoot) walk(each.shadowRoot);
+        }
+    };
+    walk(document);
+    return found.map((canvas) => {
+        const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+        const colours = new Set();
+        for (let i = 0; i < data.length; i += 4 * 37) colours.add(data.slice(i, i + 4).join(","));
+        return {width: canvas.width, height: canvas.height, colours: colours.size,
+                corner: [...data.slice(12 * canvas.width + 12, 12 * canvas.width + 16)]};
+    });
+}"""
+"""Of each canvas: its size, the colours in it, and the colour near its corner."""
+
+TOOLTIP = """() => {
+    const texts = [];
+    const walk = (root) => {
+        for (const each of root.querySelectorAll("*")) {
+            if (each.classList.contains("bk-Tooltip") && each.getClientRects().length)
+                texts.push(each.shadowRoot ? each.shadowRoot.textContent : each.textContent);
+            if (each.shadowRoot) walk(each.shadowRoot);
+        }
+    };
+    walk(document);
+    return texts.join(" ");
+}"""
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory, remembered_estimates: None) -> Path:
+    """The report on a folder with results of every kind, and a file that is none."""
+    del remembered_estimates
+    folder = make_folder(tmp_path_factory.mktemp("browser") / "results")
+    write_report(folder, folder.parent / "report.html")
+    return folder.parent / "report.html"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """One Chromium for all tests; it reaches no network."""
+    program = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if program is None:
+        pytest.skip("no Chromium here: 'apt-get install chromium' has it")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    switches = ["--no-sandbox", "--disable-gpu", "--no-first-run"]
+    with playwright.sync_playwright() as running:
+        opened = running.chromium.launch(
+            executable_path=program, args=[*switches, "--disable-background-networking"]
+        )
+        yield opened
+        opened.close()
+
+
+class Opened:
+    """A report as it stands in the browser, with all that it complained of and asked for."""
+
+    def __init__(self, browser: Any, file: Path, scheme: str, *, scripts: bool = True) -> None:
+        self.context = browser.new_context(
+            viewport={"width": 1200, "height": 900},
+            color_scheme=scheme,
+            java_script_enabled=scripts,
+        )
+        self.page = self.context.new_page()
+        self.complaints = list[str]()
+        self.requests = list[str]()
+        self.page.on("console", lambda said: self._heard(said.type, said.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda asked: self.requests.append(asked.url))
+        self.page.goto(file.as_uri())
+        if scripts:
+            self.page.wait_for_selector("html.drawn", timeout=30_000)
+            self.page.wait_for_timeout(300)
+
+    def _heard(self, kind: str, words: str) -> None:
+        if kind in ("error", "warning"):
+            self.complaints.append(words)
+
+
+@pytest.fixture(scope="module")
+def light(browser: Any, page_file: Path) -> Iterator[Opened]:
+    opened = Opened(browser, page_file, "light")
+    yield opened
+    opened.context.close()
+
+
+@pytest.fixture(scope="module")
+def dark(browser: Any, page_file: Path) -> Iterator[Opened]:
+    opened = Opened(browser, page_file, "dark")
+    yield opened
+    opened.context.close()
+
+
+def test_nothing_is_complained_of_and_nothing_is_asked_for(
+    light: Opened, dark: Opened, page_file: Path
+) -> None:
+    for opened in (light, dark):
+        assert opened.complaints == []
+        assert opened.requests == [page_file.as_uri()]
+
+
+def test_a_name_that_is_a_script_is_only_shown(light: Opened) -> None:
+    assert light.page.title() == "Results: results"
+    assert SCRIPT in light.page.inner_text("main")
+
+
+def test_one_bad_file_is_listed_and_stops_nothing(light: Opened) -> None:
+    words = light.page.inner_text("#section-1")
+    assert "1 file could not be shown" in words
+    assert "trips/none.mcap" in words
+    titles = light.page.locator("h2").all_inner_texts()
+    for kind in ("Overview", "Running resistance", "Track-condition map", "Trajectory", "Trips"):
+        assert any(title.startswith(kind) for title in titles), kind
+    assert titles[-1] == "Provenance"
+    links = light.page.locator("nav a").evaluate_all(
+        "all => all.map(each => document.querySelector(each.getAttribute('href')) !== null)"
+    )
+    assert len(links) == len(titles)
+    assert all(links)
+
+
+def test_every_picture_is_drawn_light_and_dark(light: Opened, dark: Opened) -> None:
+    grounds = {}
+    for name, opened in (("light", light), ("dark", dark)):
+        sizes = opened.page.locator("figure svg, figure img").evaluate_all(
+            "all => all.filter(each => !each.closest('.still'))"
+            ".map(each => [each.getBoundingClientRect().width,"
+            " each.tagName === 'IMG' ? each.naturalHeight : each.getBBox().height])"
+        )
+        assert len(sizes) >= 2
+        assert all(width > 200 and height > 50 for width, height in sizes)
+        canvases = opened.page.evaluate(CANVASES)
+        plots = opened.page.locator(".plot").count()
+        assert plots >= 5
+        # Above each chart lies one for what the pointer shows, which is empty as yet.
+        charts = [each for each in canvases if each["height"] > 80 and each["corner"][3]]
+        assert len(charts) >= plots
+        assert all(each["colours"] >= 3 for each in charts)
+        grounds[name] = {tuple(each["corner"]) for each in charts}
+    # A chart has the ground of its page.
+    assert grounds["light"] == {(255, 255, 255, 255)}
+    assert grounds["dark"] == {(22, 24, 28, 255)}
+
+
+def test_a_page_turns_dark_with_the_screen(browser: Any, page_file: Path) -> None:
+    opened = Opened(browser, page_file, "light")
+    opened.page.emulate_media(color_scheme="dark")
+    opened.page.wait_for_timeout(600)
+    corners = {
+        tuple(each["corner"])
+        for each in opened.page.evaluate(CANVASES)
+        if each["height"] > 80 and each["corner"][3]
+    }
+    ground = opened.page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+    opened.context.close()
+    assert ground == "rgb(22, 24, 28)"
+    assert corners == {(22, 24, 28, 255)}
+
+
+def test_the_pointer_shows_values(light: Opened) -> None:
+    plot = light.page.locator(".plot").first
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    assert box is not None
+    assert light.page.evaluate(TOOLTIP) == ""
+    light.page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.5 * box["height"])
+    light.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    light.page.wait_for_timeout(300)
+    shown = light.page.evaluate(TOOLTIP)
+    assert re.search(r"\d km/h", shown)
+    assert "kN" in shown
+
+
+def test_printed_pages_cut_no_row_and_no_picture(light: Opened) -> None:
+    light.page.set_viewport_size({"width": PAGE_WIDTH, "height": PAGE_HEIGHT})
+    light.page.emulate_media(media="print")
+    whole = light.page.locator("figure, tr").evaluate_all(
+        "all => all.map(each => [getComputedStyle(each).breakInside,"
+        " each.getBoundingClientRect().height])"
+    )
+    assert {rule for rule, _ in whole} == {"avoid"}
+    assert max(height for _, height in whole) <= PAGE_HEIGHT
+    wide = light.page.locator(".table").evaluate_all(
+        "all => all.filter(each => each.scrollWidth > each.clientWidth + 1).length"
+    )
+    assert wide == 0
+    stills = light.page.locator(".still").evaluate_all(
+        "all => all.map(each => each.getBoundingClientRect().height)"
+    )
+    assert min(stills) > 100
+    assert light.page.locator(".plot").first.is_hidden()
+    repeated = light.page.locator("thead").first.evaluate("each => getComputedStyle(each).display")
+    assert repeated == "table-header-group"
+    pdf = light.page.pdf(prefer_css_page_size=True)
+    boxes = re.findall(rb"/MediaBox\s*\[0 0 ([\d.]+) ([\d.]+)\]", pdf)
+    assert len(boxes) >= 8
+    # A4, in points.
+    assert {(round(float(a)), round(float(b))) for a, b in boxes} <= {(595, 842), (596, 842)}
+    light.page.emulate_media(media="screen")
+    light.page.set_viewport_size({"width": 1200, "height": 900})
+
+
+def test_without_scripts_the_still_pictures_stand(browser: Any, page_file: Path) -> None:
+    opened = Opened(browser, page_file, "light", scripts=False)
+    still = opened.page.locator(".still")
+    assert still.count() >= 5
+    assert all(still.nth(number).is_visible() for number in range(still.count()))
+    assert not opened.page.locator(".plot").first.is_visible()
+    opened.context.close()
+
+
+def test_on_a_narrow_screen_the_page_does_not_move_sideways(light: Opened) -> None:
+    light.page.set_viewport_size({"width": 420, "height": 800})
+    light.page.wait_for_timeout(300)
+    wide = light.page.evaluate("() => document.documentElement.scrollWidth")
+    light.page.set_viewport_size({"width": 1200, "height": 900})
+    assert wide <= 430

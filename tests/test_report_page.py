@@ -1,0 +1,324 @@
+"""Reports as pages: what they hold, that names stay text, and what bad input does."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from dataclasses import replace
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from report_folder import SCRIPT, hostile_trip, planned
+
+from analysis.comparison.cost import trip_cost
+from analysis.reports import build, charts
+from analysis.reports.build import ReportOptions, kind_of, write_report
+from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.reports.page import Commands, Page, Section
+from analysis.reports.pictures import DARK, LIGHT, drawn, inline
+from analysis.reports.trip import Motion, Zone, known_zone, station_calls
+from analysis.resistance.logs import fit
+from analysis.tables import kwh
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.attached import line_of
+from trainlog.formats.parameters import write_parameters
+from trainlog.formats.samples import sample
+from trainlog.formats.summaries import write_summaries
+from trainlog.formats.trajectory import write_trajectory
+from trainlog.mcap import read_log, write_log
+
+
+class _Outline(HTMLParser):
+    """Tags, attributes and headings of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags = list[str]()
+        self.references = list[str]()
+        self.handlers = list[str]()
+        self.identifiers = list[str]()
+        self.headings = list[int]()
+        self.pictures_without_words = 0
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        known = dict(attrs)
+        self.handlers += [name for name in known if name.startswith("on")]
+        self.references += [
+            value or ""
+            for name, value in attrs
+            if name in ("src", "href", "xlink:href", "action", "data")
+        ]
+        self.identifiers += [known["id"] or ""] if "id" in known else []
+        if re.fullmatch(r"h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        words = known.get("aria-label") or known.get("alt")
+        self.pictures_without_words += tag in ("svg", "img") and not words
+
+
+@pytest.fixture(scope="module")
+def trip_page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("trip")
+    write_log(hostile_trip(), folder / "run.mcap")
+    write_report(
+        folder / "run.mcap", folder / "run.html", ReportOptions(zone=Zone("Europe/Zurich"))
+    )
+    return (folder / "run.html").read_text("utf-8")
+
+
+def test_a_page_refers_to_nothing_outside_and_lets_no_other_script_run(trip_page: str) -> None:
+    outline = _Outline(trip_page)
+    assert all(each.startswith(("#", "data:")) for each in outline.references)
+    assert not {"iframe", "object", "embed", "form", "base"} & set(outline.tags)
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', trip_page)
+    assert policy is not None
+    rules = dict(each.split(None, 1) for each in policy[1].split("; "))
+    assert rules["default-src"] == "'none'"
+    # The scripts of the page alone, by their digests.
+    assert re.fullmatch(r"('sha256-[\w+/=]+' ?)+", rules["script-src"])
+
+
+def test_names_from_a_log_stay_text(trip_page: str) -> None:
+    outline = _Outline(trip_page)
+    assert not outline.handlers
+    assert SCRIPT not in trip_page
+    assert "&lt;script&gt;document.title=" in trip_page
+    assert "<img src=x" not in trip_page
+    # BokehJS, the script that calls it, and the data of two charts.
+    assert outline.tags.count("script") == 4
+
+
+def test_headings_pictures_and_identifiers_are_for_all_readers(trip_page: str) -> None:
+    outline = _Outline(trip_page)
+    assert outline.pictures_without_words == 0
+    assert outline.headings[0] == 1
+    assert outline.headings.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(outline.headings))
+    assert len(outline.identifiers) == len(set(outline.identifiers))
+    assert '<html lang="en"' in trip_page
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    linear = [
+        each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in parts
+    ]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+@pytest.mark.parametrize("colours", [LIGHT, DARK], ids=["light", "dark"])
+def test_text_has_the_contrast_that_wcag_asks_for(colours: dict[str, str]) -> None:
+    for ground in ("paper", "shade"):
+        for name, least in (
+            ("ink", 7.0),
+            ("soft", 4.5),
+            ("link", 4.5),
+            ("blue", 3.0),
+            ("red", 3.0),
+        ):
+            high, low = sorted((_luminance(colours[name]), _luminance(colours[ground])))[::-1]
+            assert (high + 0.05) / (low + 0.05) >= least, (name, ground)
+
+
+def test_a_trip_states_what_the_command_line_states(trip_page: str) -> None:
+    cost = trip_cost(hostile_trip())
+    assert kwh(cost.traction) in trip_page
+    assert kwh(cost.line) in trip_page
+    # In the clock of the timetable: the sample left at 08:00 UTC, 10:00 in Zürich.
+    assert "2024-10-07 10:00:00 Europe/Zurich" in trip_page
+    rows = re.findall(r'<th scope="row">Gossau SG</th>(.*?)</tr>', trip_page)
+    assert "10:06:17" in rows[0]
+    assert "10:06:59" in rows[0]
+
+
+def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
+    trip = read_log(sample("stopping.mcap"))
+    calls = station_calls(Motion.of(trip), line_of(trip))
+    assert [call.name for call in calls] == [each.name for each in line_of(trip).stations]
+    events = trip["/events"]
+    for call in calls[:-1]:
+        said = events[events["message"] == f"departure from {call.name}"]
+        assert len(said) == 1
+        # The brakes are released before it moves.
+        assert call.departure is not None
+        assert abs((call.departure - said.index[0]).total_seconds()) < 3.0
+    assert calls[0].arrival is None
+    assert calls[-1].departure is None
+
+
+def test_passed_stations_are_listed_with_their_times() -> None:
+    trip = read_log(sample("nonstop.mcap"))
+    calls = station_calls(Motion.of(trip), line_of(trip))
+    passed = [call for call in calls if not call.stopped]
+    assert [call.name for call in passed] == ["Gossau SG", "Flawil", "Uzwil"]
+    state = trip["/train/state"]
+    for call in passed:
+        place = np.interp(
+            pd.Timestamp(call.arrival).value,
+            pd.DatetimeIndex(state.index).as_unit("ns").asi8,
+            state["position"],
+        )
+        assert place == pytest.approx(call.position, abs=5.0)
+
+
+def test_the_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:
+    write_trajectory(planned(), tmp_path / "plan.json")
+    for name in ("one", "other"):
+        write_report(tmp_path / "plan.json", tmp_path / f"{name}.html")
+    assert (tmp_path / "one.html").read_bytes() == (tmp_path / "other.html").read_bytes()
+
+
+def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path: Path) -> None:
+    fits = fit(sample("nonstop.mcap"))
+    write_parameters(fits.parameters, tmp_path / "set.json")
+    alone = write_report(tmp_path / "set.json", tmp_path / "alone.html")
+    assert len(alone.sections) == 2
+    assert "is not beside it" in (tmp_path / "alone.html").read_text("utf-8")
+    write_summaries(fits.summaries, tmp_path / "set.parquet")
+    whole = write_report(tmp_path / "set.json", tmp_path / "whole.html")
+    assert [each.title for each in whole.sections][1:3] == ["Trips of the fit", "Observed set"]
+    options = ReportOptions(logs=(sample("nonstop.mcap"),))
+    write_report(tmp_path / "set.json", tmp_path / "logs.html", options)
+    assert "What the fit did not explain" in (tmp_path / "logs.html").read_text("utf-8")
+    first = fits.parameters.configurations[0]
+    heavier = replace(fits.parameters, configurations=(replace(first, mass=first.mass + 5e3),))
+    write_parameters(heavier, tmp_path / "set.json")
+    write_report(tmp_path / "set.json", tmp_path / "doubt.html")
+    assert "gives another set than set.json holds" in (tmp_path / "doubt.html").read_text("utf-8")
+
+
+def test_a_damaged_log_is_shown_as_far_as_it_is_readable_and_says_so(tmp_path: Path) -> None:
+    data = sample("nonstop.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: 2 * len(data) // 3])
+    with pytest.warns(UserWarning, match=r"cut\.mcap"):
+        write_report(tmp_path / "cut.mcap", tmp_path / "cut.html")
+    text = (tmp_path / "cut.html").read_text("utf-8")
+    assert 'class="warning"' in text
+    assert "Speed and efforts" in text
+
+
+def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").write_text("nothing")
+    (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(99))
+    (tmp_path / "none.json").write_text('{"format": "trainlog/trajectory", "version": 1}')
+    for name, words in (
+        ("empty", "holds no result"),
+        ("notes.txt", "is no result that a report shows"),
+        ("broken.mcap", "broken.mcap"),
+        ("none.json", "none.json"),
+        ("missing.mcap", "does not exist"),
+    ):
+        with pytest.raises(TrainlogError, match=re.escape(words)):
+            write_report(tmp_path / name, tmp_path / "page.html")
+        assert not (tmp_path / "page.html").exists()
+    assert kind_of(sample("CH_StGallen_Wil.map")) == "map"
+    with pytest.raises(InputError, match="but a line file"):
+        kind_of(sample("CH_StGallen_Wil.line.json"))
+    with pytest.raises(InputError, match="no time zone is called"):
+        known_zone("Europe/Wil")
+
+
+def test_an_interruption_leaves_the_page_of_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("of before")
+
+    def pressed(*_: object, **__: object) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(build, "trip_sections", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        write_report(sample("nonstop.mcap"), page)
+    assert page.read_text() == "of before"
+    assert [each.name for each in tmp_path.iterdir()] == ["page.html"]
+
+
+def _chart() -> Chart:
+    x = np.linspace(0.0, 10.0, 50)
+    return Chart(
+        "km", [Panel("km/h", [Curve("speed", x, x**2, hover={"km": ["1"] * 50})])], "a curve"
+    )
+
+
+def test_without_bokeh_the_page_has_still_pictures_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (build, charts):
+        monkeypatch.setattr(module, "find_spec", lambda _: None)
+    write_trajectory(planned(), tmp_path / "plan.json")
+    write_report(tmp_path / "plan.json", tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text("utf-8")
+    assert "<script" not in text
+    assert "script-src 'none'" in text
+    assert "pip install &#x27;trainlog[report]&#x27;" in text
+    assert text.count("<svg") == 2
+    assert len(text) < 1_000_000
+
+
+def test_a_page_that_would_be_too_large_stands_still(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = Page("Curve", "", [Section("Chart", [as_part(_chart())])])
+    monkeypatch.setattr("analysis.reports.page.LARGEST", 500_000)
+    page.write(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text("utf-8")
+    assert "stand still here" in text
+    assert "<script" not in text
+    monkeypatch.setattr("analysis.reports.page.LARGEST", 5_000)
+    with pytest.raises(InputError, match="the report would have"):
+        page.write(tmp_path / "other.html")
+    assert not (tmp_path / "other.html").exists()
+
+
+def test_thinning_keeps_every_peak_and_both_ends() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=200_000)
+    values[[123_456, 7]] = 50.0, -50.0
+    rows = rows_to_draw(values)
+    assert {0, 7, 123_456, values.size - 1} <= set(rows.tolist())
+    assert rows.size < 4_000
+    gap = values.copy()
+    gap[1_000:150_000] = np.nan
+    assert np.nanmax(gap[rows_to_draw(gap)]) == np.nanmax(gap)
+
+
+def test_a_band_is_not_drawn_over_what_is_not_known() -> None:
+    x = np.arange(6.0)
+    y = np.array([1.0, 1.0, np.nan, np.nan, 2.0, 2.0])
+    part = as_part(Chart("km", [Panel("y", [Curve("", x, y, low=y - 1, high=y + 1)])], "a band"))
+    assert part.item is not None
+    glyphs = re.findall(r'"name": "VArea"', json.dumps(part.item))
+    # Two stretches, each in its usual, muted and unselected form.
+    assert len(glyphs) in (4, 6)
+
+
+def test_a_picture_takes_the_colours_of_the_page() -> None:
+    text = inline(drawn(lambda path: charts.draw_chart(_chart(), path), "a <curve>"), "p1-")
+    assert "var(--blue)" in text
+    assert LIGHT["blue"] not in text
+    assert 'aria-label="a &lt;curve&gt;"' in text
+    identifiers = re.findall(r'id="([^"]+)"', text)
+    assert all(each.startswith("p1-") for each in identifiers)
+    targets = re.findall(r'(?:href="#|url\(#)([^")]+)', text)
+    assert set(targets) <= set(identifiers)
+
+
+def test_commands_are_text() -> None:
+    page = Page("<b>", "", [Section("<i>", [Commands(("trainlog fit a&b.mcap",))])])
+    assert "<b>" not in page.to_html()
+    assert "a&amp;b.mcap" in page.to_html()
+
+
+def test_no_warning_is_lost_without_a_damaged_log(tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_report(sample("stopping.mcap"), tmp_path / "page.html")
+    assert 'class="warning"' not in (tmp_path / "page.html").read_text("utf-8")
