@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from report_folder import SCRIPT, hostile_trip, planned
 
-from analysis.comparison.cost import trip_cost
+from analysis.comparison.groups import trip_cost
 from analysis.reports import build, charts
 from analysis.reports.build import ReportOptions, kind_of, write_report
 from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw

@@ -6,7 +6,7 @@ import json
 import re
 import shlex
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.table import Table
 
-from analysis.comparison.cost import TripCost, compare, savings_table, trip_cost
+from analysis.comparison.groups import TripCost, compare_groups, savings_table, trip_cost
 from analysis.plotting import BLUE
 from analysis.reports.charts import WITHOUT_BOKEH, Chart, Curve, Panel, as_part, rows_to_draw
 from analysis.reports.page import Commands, Page, Part, Section, Warned
@@ -36,6 +36,7 @@ from trainlog.formats.attached import line_of
 from trainlog.formats.files import LOOKED_AT, is_map, logs_of, read_bytes, refuse_reading, sha256_of
 from trainlog.formats.mapfile import MapFile
 from trainlog.mcap import read_log
+from trainlog.progress import note
 from trainlog.railway import Line
 from trainlog.trip import POSITION_TOPICS
 from trainlog.units import KMH, clock
@@ -64,14 +65,11 @@ class ReportOptions:
         Of the trips of a fit: with them residuals are shown.
     zone : Zone
         The clock in which times are stated.
-    step : callable
-        Called with what is being done, for those who wait.
     """
 
     line: Path | None = None
     logs: tuple[Path, ...] = ()
     zone: Zone = field(default_factory=Zone)
-    step: Callable[[str], None] = lambda _: None
 
 
 def write_report(
@@ -175,7 +173,7 @@ def _sections_of(path: Path, kind: str, options: ReportOptions) -> list[Section]
     if kind == "trip":
         return trip_sections(path, options.zone)
     if kind == "map":
-        return map_sections(path, options.line, options.step)
+        return map_sections(path, options.line)
     if kind == "parameters":
         logs = [log for each in options.logs for log in logs_of(each)]
         return fit_sections(path, logs)
@@ -186,7 +184,7 @@ def _sections_of(path: Path, kind: str, options: ReportOptions) -> list[Section]
 
 def _collected(path: Path, kind: str, options: ReportOptions) -> list[Section]:
     """The sections of a file, and what was warned of while they were made."""
-    options.step(path.name)
+    note(path.name)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         sections = _sections_of(path, kind, options)
@@ -229,7 +227,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             used += [log for log in logs if _name(log, folder) not in problems]
             sections.append(section)
     for study in found.studies:
-        options.step(study.name)
+        note(study.name)
         parts = study_sections(study)
         sections.append(Section(f"Study: {_name(study, folder)}", parts, whole_page=True))
         used.append(study / TABLES)
@@ -289,7 +287,7 @@ def _own_options(kind: str, found: _Folder, options: ReportOptions) -> ReportOpt
     """For a fit the logs in ``trips`` are what it was fitted to, unless others are given."""
     if kind != "parameters" or options.logs or "trips" not in found.logs:
         return options
-    return ReportOptions(options.line, found.logs["trips"], options.zone, options.step)
+    return ReportOptions(options.line, found.logs["trips"], options.zone)
 
 
 def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
@@ -304,7 +302,7 @@ def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
 
 def _summed_up(folder: Path, options: ReportOptions) -> list[Part]:
     """The summary that the terminal shows, where the folder is laid out as for it."""
-    options.step("summary")
+    note("summary")
     try:
         rows = report(folder)
     except TrainlogError:
@@ -320,9 +318,9 @@ def _saved(found: _Folder, options: ReportOptions) -> list[Part]:
     """Drivers' trips against those that followed, where there are both."""
     if not {"trips", "driven"} <= set(found.logs):
         return []
-    options.step("comparison")
+    note("comparison")
     try:
-        return [savings_table(compare(found.logs["trips"], found.logs["driven"]))]
+        return [savings_table(compare_groups(found.logs["trips"], found.logs["driven"]))]
     except TrainlogError as error:
         return [f"Trips and followed trips were not compared: {error}."]
 
@@ -353,7 +351,7 @@ def _trips(
     )  # fmt: skip
     curves, lines = list[Curve](), dict[str, Line]()
     for log in logs:
-        options.step(_name(log, folder))
+        note(_name(log, folder))
         try:
             curve = _add_trip(table, log, options.zone, lines, first=not curves)
         except TrainlogError as error:
@@ -421,7 +419,7 @@ def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) ->
 
 def _origin(files: Sequence[Path], options: ReportOptions, source: Path) -> Section:
     """Files with their digests, what they were made of, and the commands."""
-    options.step("provenance")
+    note("provenance")
     folder = source if source.is_dir() else source.parent
     table = new_table("Files shown", "file", "bytes", "SHA-256")
     steps = new_table("What they were made of", "file", "step", "software", "inputs and settings")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -37,6 +37,7 @@ from trainlog.formats.parameters import read_coast_down, read_parameters
 from trainlog.formats.samples import names, sample
 from trainlog.formats.summaries import SUFFIX
 from trainlog.formats.trajectory import read_trajectory
+from trainlog.progress import note
 from trainlog.railway import Line, ParameterSet, TrackConditionMap, Trajectory
 from trainlog.units import KMH, clock
 
@@ -268,9 +269,7 @@ def _set_alone(found: ParameterSet) -> list[Part]:
 # ------------------------------------------------------------------------------------- a map
 
 
-def map_sections(
-    path: Path, line: Path | None = None, step: Callable[[str], None] = lambda _: None
-) -> list[Section]:
+def map_sections(path: Path, line: Path | None = None) -> list[Section]:
     """What a report shows of a track-condition map.
 
     Parameters
@@ -279,8 +278,6 @@ def map_sections(
         Map file.
     line : path, optional
         Line file, or a log that carries it.
-    step : callable
-        Called with what is being done.
     """
     track = read_map(path)
     course = line_of_map(track, line, path)
@@ -297,9 +294,9 @@ def map_sections(
         Section("Track condition", [*_map_charts(track, state, course), state_table(state)]),
         Section("Lasting condition, spots and changes", [picture]),
     ]
-    step(f"{path.name}: history of the lowest places")
+    note(f"{path.name}: history of the lowest places")
     sections.append(Section("History of the lowest places", _histories(track, state, course)))
-    step(f"{path.name}: verification")
+    note(f"{path.name}: verification")
     sections.append(Section("Verification", _verified(track)))
     return sections
 

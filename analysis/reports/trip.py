@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.adhesion.slip import SlipAnalysis, slip
-from analysis.comparison.cost import SHORTEST_STOP, TripCost, trip_cost
+from analysis.comparison.driven import SHORTEST_STOP, station_at
+from analysis.comparison.groups import TripCost, trip_cost
 from analysis.plotting import BLUE, GREEN, GREY, INK, PURPLE, RED, SKY
 from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
 from analysis.reports.page import Part, Section, Warned
@@ -32,9 +33,6 @@ from trainlog.trip import POSITION_TOPICS, Trip
 from trainlog.units import KMH, PER_MILLE, clock
 
 FloatArray = NDArray[np.float64]
-
-AT_STATION = 300.0
-"""A train that stands within this of a station [m] has stopped at it: half a long train."""
 
 MOST_EVENTS = 20
 """Slip events that are listed one by one."""
@@ -183,7 +181,7 @@ def station_calls(motion: Motion, line: Line | None) -> tuple[StationCall, ...]:
     >>> trip = trainlog.read("sample_logs/stopping.mcap")
     >>> calls = station_calls(Motion.of(trip), line_of(trip))
     >>> [(call.name, call.dwell) for call in calls if call.dwell]
-    [('Gossau SG', 41.6), ('Flawil', 43.9), ('Uzwil', 41.1)]
+    [('Gossau SG', 41.5), ('Flawil', 43.8), ('Uzwil', 41.2)]
     """
     if not motion.position.size:
         return ()
@@ -209,20 +207,15 @@ def _stops(motion: Motion, line: Line | None) -> Iterator[StationCall]:
     if spans[-1][1] <= last:
         spans.append((last, last + 1))
     for begin, end in spans:
-        moves = motion.time[min(end, last)]
-        lasts = (motion.time[max(end - 1, begin)] - motion.time[begin]).total_seconds()
+        moves = motion.time[max(end - 1, begin)]
+        lasts = (moves - motion.time[begin]).total_seconds()
         first, final = begin == 0, end > last
         if lasts < SHORTEST_STOP and not (first or final):
             continue
         place = float(motion.position[begin])
-        name = "" if line is None else _station_at(line, place)
+        name = "" if line is None else station_at(line, place)
         arrival = None if first else motion.time[begin]
         yield StationCall(name, place, arrival, None if final else moves, stopped=True)
-
-
-def _station_at(line: Line, position: float) -> str:
-    nearest = min(line.stations, key=lambda each: abs(each.position - position))
-    return nearest.name if abs(nearest.position - position) <= AT_STATION else ""
 
 
 # -------------------------------------------------------------------------------- the sections

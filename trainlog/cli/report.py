@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trainlog.cli.options import destination
-from trainlog.cli.terminal import console, progress_bar, wrote
+from trainlog.cli.terminal import console, working, wrote
 from trainlog.errors import InputError
 
 app = typer.Typer()
@@ -71,11 +71,6 @@ def report(
     from analysis.reports.trip import known_zone
 
     known = known_zone(zone)
-    with progress_bar() as progress:
-        task = progress.add_task("reading", total=None)
-
-        def step(what: str) -> None:
-            progress.update(task, description=what, advance=1)
-
-        write_report(results, output, ReportOptions(line, tuple(logs or ()), known, step))
+    with working(f"report on {results.name}"):
+        write_report(results, output, ReportOptions(line, tuple(logs or ()), known))
     wrote(output)
