@@ -239,7 +239,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             remedy="logs (.mcap), parameter sets, maps, trajectories, coast-downs and studies are"
             " shown, in the folder and in those in it",
         )
-    first = [*_bad(problems), *_summed_up(folder, options), *_saved(found, options)]
+    first = [*_bad(problems), *_summed_up(folder), *_saved(found)]
     overview = Section("Overview", first)
     return Page(
         f"Results: {folder.resolve().name}",
@@ -300,7 +300,7 @@ def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
     yield table
 
 
-def _summed_up(folder: Path, options: ReportOptions) -> list[Part]:
+def _summed_up(folder: Path) -> list[Part]:
     """The summary that the terminal shows, where the folder is laid out as for it."""
     note("summary")
     try:
@@ -314,7 +314,7 @@ def _summed_up(folder: Path, options: ReportOptions) -> list[Part]:
     return [shown]
 
 
-def _saved(found: _Folder, options: ReportOptions) -> list[Part]:
+def _saved(found: _Folder) -> list[Part]:
     """Drivers' trips against those that followed, where there are both."""
     if not {"trips", "driven"} <= set(found.logs):
         return []
