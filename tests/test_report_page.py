@@ -152,7 +152,7 @@ def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
     # As long as a comparison of trips counts.
     dwells = {stand.station: stand.duration for stand in driven_trip(trip).stands}
     for call in calls[1:-1]:
-        assert call.dwell == pytest.approx(dwells[call.name], abs=0.05)
+        assert call.dwell == pytest.approx(dwells[call.name], abs=0.5)
     assert calls[0].arrival is None
     assert calls[-1].departure is None
 
