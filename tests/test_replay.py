@@ -27,15 +27,16 @@ from rerun.chunk import RrdReader
 
 from trainlog import topics
 from trainlog.errors import InputError, LogError
+from trainlog.formats.line import line_to_bytes
 from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
-from trainlog.replay import write_replay
+from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.clock import clock_of
 from trainlog.replay.curves import CURVES
 from trainlog.replay.samples import Samples, broken, thinned
-from trainlog.trip import Trip, frame_of
+from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
-TIMELINES = {"time", "elapsed", "position_mm"}
+TIMELINES = {"time", "elapsed", "position_m"}
 
 
 @pytest.fixture(scope="module")
@@ -114,13 +115,13 @@ def test_timelines_tell_when_and_where(trip: Trip, recording: Path) -> None:
     frame = trip["/train/state"]
     assert (found["time"][1:] == frame.index.as_unit("ns").asi8).all()
     assert (found["elapsed"] == found["time"] - START).all()
-    millimetres = np.rint(trip["/estimates/state"]["position"].to_numpy() * 1e3)
-    assert (found["position_mm"][1:] == millimetres).all()
+    metres = np.rint(trip["/estimates/state"]["position"].to_numpy())
+    assert (found["position_m"][1:] == metres).all()
 
 
 def test_ticks_fall_on_whole_kilometres(recording: Path) -> None:
-    assert rows(recording, "/trips/up/speed/measured")["position_mm"][0] == 0
-    assert rows(recording, "/trips/up/gradient")["position_mm"][0] == 0
+    assert rows(recording, "/trips/up/speed/measured")["position_m"][0] == 0
+    assert rows(recording, "/trips/up/gradient")["position_m"][0] == 0
 
 
 def test_a_standing_train_does_not_move_back_on_the_position_timeline(trip: Trip) -> None:
@@ -186,7 +187,7 @@ def test_the_limit_is_held_and_not_averaged(trip: Trip, recording: Path) -> None
     shown = rows(recording, entity)
     assert len(shown["time"]) < len(trip["/environment"]) / 5
     changes = np.flatnonzero(np.diff(shown["Scalars:scalars"][1:, 0]))
-    assert (shown["position_mm"][1:][changes + 1] // 1000).tolist() == [1000]
+    assert (shown["position_m"][1:][changes + 1]).tolist() == [1000]
 
 
 def test_phases_follow_the_lever(recording: Path) -> None:
@@ -214,18 +215,52 @@ def test_events_keep_their_words_and_levels(recording: Path) -> None:
     assert list(found["TextLog:level"]) == ["INFO", "WARN"]
 
 
-def test_places_lie_on_the_line(trip: Trip, recording: Path) -> None:
-    found = rows(recording, "/trips/up/place/train")
-    latitude, longitude = LINE.geometry.at(found["position_mm"] / 1e3)
+def test_places_lie_on_the_line(trip: Trip, tmp_path: Path) -> None:
+    path = tmp_path / "tiles.rrd"
+    write_replay([trip], path, options=ReplayOptions(tiles=True))
+    found = rows(path, "/trips/up/place/train")
+    latitude, longitude = LINE.geometry.at(clock_of(trip).position_at(found["time"]))
     assert found["GeoPoints:positions"] == pytest.approx(
         np.column_stack((latitude, longitude)), abs=1e-8
     )
-    fixes = rows(recording, "/trips/up/place/satellites")["GeoPoints:positions"]
+    fixes = rows(path, "/trips/up/place/satellites")["GeoPoints:positions"]
     frame = trip["/gnss/fix"].dropna(subset=["latitude"])
     assert fixes == pytest.approx(frame[["latitude", "longitude"]].to_numpy())
 
 
-def test_stations_and_track_are_there_at_all_times(recording: Path) -> None:
+def test_without_tiles_places_are_drawn_to_scale(trip: Trip, recording: Path) -> None:
+    """The line of the example runs east for 2 km; no geographic entity asks for a map."""
+    found = rows(recording, "/trips/up/place/train")
+    driven = clock_of(trip).position_at(found["time"])
+    assert found["Points2D:positions"][:, 0] == pytest.approx(driven, abs=2.0)
+    assert found["Points2D:positions"][:, 1] == pytest.approx(0.0, abs=0.5)
+    chunks = RrdReader(recording).stream().to_chunks()
+    names = {name for chunk in chunks for name in chunk.to_record_batch().schema.names}
+    assert not {name for name in names if name.startswith("Geo")}
+    station = "/lines/hill/stations/B\\ town"
+    assert static(recording, station, "Points2D:positions")[0] == pytest.approx([2000, 0], abs=2.0)
+    assert static(recording, station, "Points2D:labels") == ["B town"]
+
+
+def test_a_line_without_coordinates_is_drawn_straight(tmp_path: Path) -> None:
+    bare = line_to_bytes(replace(LINE, geometry=None))
+    both = [
+        replace(made_trip(name, direction), attachments={LINE_ATTACHMENT: bare})
+        for name, direction in (("up", "forward"), ("down", "reverse"))
+    ]
+    path = tmp_path / "straight.rrd"
+    write_replay(both, path)
+    for name, place in (("up", 0.0), ("down", LENGTH)):
+        found = rows(path, f"/trips/{name}/place/train")["Points2D:positions"]
+        assert abs(found[0, 0] - place) < 5.0
+        assert abs(found[-1, 0] - (LENGTH - place)) < 5.0
+    ends = static(path, "/lines/hill/track", "LineStrips2D:strips")[0]
+    assert np.ptp(np.array(ends)[:, 0]) == pytest.approx(LENGTH, rel=1e-3)
+
+
+def test_stations_and_track_are_there_at_all_times(trip: Trip, tmp_path: Path) -> None:
+    recording = tmp_path / "tiles.rrd"
+    write_replay([trip], recording, options=ReplayOptions(tiles=True))
     found = entities(recording)
     for name in ("/lines/hill/track", "/lines/hill/stations/A", "/lines/hill/stations/B\\ town"):
         assert found[name] == set()
@@ -240,7 +275,8 @@ def test_the_way_along_the_fixes_stands_for_a_line_without_coordinates(
     kept = fix.drop(fix.index[400:600])  # an outage of 20 s
     kept.attrs = fix.attrs
     path = tmp_path / "path.rrd"
-    write_replay([replace(trip, attachments={}).with_topic(kept)], path)
+    bare = replace(trip, attachments={}).with_topic(kept)
+    write_replay([bare], path, options=ReplayOptions(tiles=True))
     before, after = static(path, "/trips/up/place/path", "GeoLineStrings:line_strings")
     assert before[0] == pytest.approx(fix[["latitude", "longitude"]].iloc[0])
     assert (len(before), len(after)) == (40, 71)
@@ -254,7 +290,9 @@ def test_topics_that_are_missing_or_empty_are_left_out(trip: Trip, tmp_path: Pat
     path = tmp_path / "bare.rrd"
     write_replay([bare], path)
     found = {name for name in entities(path) if name.startswith("/trips")}
-    assert found == {"/trips/up/speed/measured", "/trips/up/about"}
+    assert found == {
+        f"/trips/up/{each}" for each in ("speed/measured", "about", "cursor", "kilometre")
+    }
 
 
 def test_slip_is_wheel_less_train_speed_where_nothing_better_is_known(
@@ -286,7 +324,7 @@ def test_a_trip_without_any_place_stays_at_zero(tmp_path: Path) -> None:
     air = frame_of(topics.ENVIRONMENT, START + np.arange(5) * 10**9, {"gradient": np.arange(5.0)})
     path = tmp_path / "air.rrd"
     write_replay([Trip({"/environment": air})], path)
-    assert set(rows(path, "/trips/unnamed/gradient")["position_mm"]) == {0}
+    assert set(rows(path, "/trips/unnamed/gradient")["position_m"]) == {0}
 
 
 def test_each_trip_has_its_own_subtree(trip: Trip, tmp_path: Path) -> None:
@@ -307,11 +345,11 @@ def test_the_map_lies_under_a_trip_in_its_own_direction(tmp_path: Path) -> None:
     up = rows(path, "/trips/up/adhesion/map/dots")
     down = rows(path, "/trips/down/adhesion/map/dots")
     seen = np.flatnonzero(condition.layers["dry"].observed)
-    assert (up["position_mm"] == np.rint(condition.centres[seen] * 1e3)).all()
+    assert (up["position_m"] == np.rint(condition.centres[seen])).all()
     assert up["Scalars:scalars"][:, 0] == pytest.approx(
         condition.layers["dry"].maximum_adhesion[seen]
     )
-    assert (down["position_mm"] == LENGTH * 1e3 - up["position_mm"][::-1]).all()
+    assert (down["position_m"] == LENGTH - up["position_m"][::-1]).all()
     assert (down["Scalars:scalars"] == up["Scalars:scalars"][::-1]).all()
 
 
@@ -323,11 +361,11 @@ def test_bins_without_evidence_are_not_shown(tmp_path: Path) -> None:
     values = found["Measurements:values"][:, 0]
     assert np.isnan(values).sum() == 1 + condition.layers["dry"].observed.sum()
     shown = ~np.isnan(values)
-    bins = condition.bin_of(found["position_mm"][shown] / 1e3 - 1e-3)
+    bins = condition.bin_of(found["position_m"][shown] - 0.5)
     assert condition.layers["dry"].observed[bins].mean() > 0.5
     deviation = np.sqrt(found["Measurements:variances"][shown, 0])
     assert deviation / values[shown] == pytest.approx(0.05)
-    assert len(static(path, "/lines/hill/condition/dry", "GeoPoints:positions")) == 3
+    assert len(static(path, "/lines/hill/condition/dry", "Points2D:positions")) == 3
     assert "/lines/hill/condition/wet" not in entities(path)
 
 
@@ -365,7 +403,7 @@ def test_a_trajectory_is_a_band_from_slowest_to_fastest(tmp_path: Path) -> None:
     assert middle + half == pytest.approx(plan.speeds.max(axis=0) * 3.6)
     assert middle - half == pytest.approx(plan.speeds.min(axis=0) * 3.6, abs=1e-9)
     found = rows(path, "/trajectory/speed")
-    assert (found["position_mm"][1:] == plan.positions * 1e3).all()
+    assert (found["position_m"][1:] == np.rint(plan.positions)).all()
     assert found["elapsed"][1:] / 1e9 == pytest.approx(plan.times.mean(axis=0))
 
 
@@ -375,7 +413,7 @@ def test_a_trip_is_compared_with_what_is_planned_where_it_is(trip: Trip, tmp_pat
     write_replay([replace(trip, topics=topics_left)], path, trajectory=trajectory_of())
     entity = "/trips/up/speed/trajectory"
     middle = curve(path, entity, "Measurements:values")[:, 0]
-    position = rows(path, entity)["position_mm"][1:] / 1e3
+    position = clock_of(trip).position_at(rows(path, entity)["time"][1:])
     planned = [trajectory_of().speed_at(row, position) for row in (0, 1)]
     assert middle == pytest.approx(np.mean(planned, axis=0) * 3.6, abs=1e-3)
     assert middle[0] == 0.0
@@ -542,7 +580,7 @@ def test_the_expected_condition_lies_beside_the_lasting_one(tmp_path: Path) -> N
     for trip in ("up", "down"):
         lasting = rows(path, f"/trips/{trip}/adhesion/map/dots")
         expected = rows(path, f"/trips/{trip}/adhesion/expected/dots")
-        assert (expected["position_mm"] == lasting["position_mm"]).all()
+        assert (expected["position_m"] == lasting["position_m"]).all()
         assert expected["Scalars:scalars"] == pytest.approx(0.8 * lasting["Scalars:scalars"])
     band = rows(path, "/trips/up/adhesion/expected/bins")
     value, variance = band["Measurements:values"][:, 0], band["Measurements:variances"][:, 0]
@@ -555,12 +593,13 @@ def test_the_expected_condition_lies_beside_the_lasting_one(tmp_path: Path) -> N
 
 def test_spots_that_lay_there_are_shown_under_the_trip_and_on_the_map(tmp_path: Path) -> None:
     path, condition = tmp_path / "map.rrd", spotted()
-    write_replay([made_trip(), made_trip("down", "reverse")], path, condition_map=condition)
+    both, tiles = [made_trip(), made_trip("down", "reverse")], ReplayOptions(tiles=True)
+    write_replay(both, path, condition_map=condition, options=tiles)
     up = rows(path, "/trips/up/adhesion/spots/dots")
-    assert up["position_mm"].tolist() == [325_000, 1_550_000]
+    assert up["position_m"].tolist() == [325, 1_550]
     assert up["Scalars:scalars"][:, 0].tolist() == [0.07, 0.09]
     down = rows(path, "/trips/down/adhesion/spots/dots")
-    assert down["position_mm"].tolist() == [(LENGTH - 1_550.0) * 1e3, (LENGTH - 325.0) * 1e3]
+    assert down["position_m"].tolist() == [LENGTH - 1_550.0, LENGTH - 325.0]
     named = sorted(each.rsplit("/", 1)[1] for each in entities(path) if "/up/place/spots/" in each)
     assert len(named) == 2
     assert named[0].startswith("km\\ 0.300")

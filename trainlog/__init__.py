@@ -119,6 +119,7 @@ if TYPE_CHECKING:
     from trainlog.railway.consist import Consist as Consist, Coupler as Coupler, Vehicle as Vehicle
     from trainlog.railway.weather import Weather as Weather
     from trainlog.replay import (
+        ReplayOptions as ReplayOptions,
         open_viewer as open_viewer,
         run_viewer as run_viewer,
         scalars as scalars,
@@ -173,7 +174,7 @@ _NAMES = {
     "trainlog.simulation.scenario": "Scenario draw_days draw_scenarios trajectory_scenarios",
     "trainlog.simulation.recording": "simulate",
     "trainlog.simulation.consist": "ConsistPlant",
-    "trainlog.replay": "open_viewer run_viewer scalars take_picture write_layout write_replay",
+    "trainlog.replay": "ReplayOptions open_viewer run_viewer scalars take_picture write_layout write_replay",
     "trainlog.errors": (
         "InfeasibleError InputError LogError MissingExtraError NotIdentifiableError TrainlogError"
     ),

@@ -277,9 +277,16 @@ def source_span(source: Path) -> Callable[[], tuple[pd.Timestamp, pd.Timestamp] 
 
 
 def part_of(
-    log: Path, start: str | None, end: str | None, km: str | None, rows: int
+    log: Path,
+    start: str | None,
+    end: str | None,
+    km: str | None,
+    rows: int,
+    topics: Any = None,
 ) -> Iterator[Trip]:
     """The part of a log that is asked for, in pieces of at most `rows` rows.
+
+    `topics` as for `trainlog.mcap.stream_log`.
 
     Raises
     ------
@@ -291,7 +298,7 @@ def part_of(
 
     time, position = times(start, end, source_span(log)), stretch(km)
     empty = True
-    for piece in stream_log(log, time=time, position=position, rows=rows):
+    for piece in stream_log(log, topics, time=time, position=position, rows=rows):
         empty = empty and not any(map(len, piece.topics.values()))
         yield piece
     if empty and (time, position) != (None, None):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +19,11 @@ from trainlog.cli.options import (
     part_of,
 )
 from trainlog.cli.terminal import console, working, wrote
+from trainlog.display import counted
+from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    from trainlog.replay import Replay
 
 app = typer.Typer()
 
@@ -36,13 +41,40 @@ def replay(
     picture: Annotated[
         Path | None, typer.Option(help="Save a picture (.png) of a view; needs no display.")
     ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            help="View shown first: overview, driving, traction, identification, map, recorder."
+        ),
+    ] = None,
     trajectory: Annotated[Path | None, typer.Option(help="Trajectory file to show.")] = None,
     condition: Annotated[
         Path | None, typer.Option("--map", help="Track-condition map to show.")
     ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            help="Trip (.mcap) or trajectory (.json) with which the trips are compared along the"
+            " line. Default: the trajectory, else the first trip."
+        ),
+    ] = None,
+    line: Annotated[
+        Path | None, typer.Option(help="Line file, for trips that carry no line.")
+    ] = None,
     start: FromOption = None,
     end: ToOption = None,
     km: KilometreOption = None,
+    thin: Annotated[
+        bool | None,
+        typer.Option(
+            "--thin/--full",
+            help="Only the overview, its samples thinned, or all. Default: thinned if there are"
+            " more than twelve trips and no part of them is asked for.",
+        ),
+    ] = None,
+    tiles: Annotated[
+        bool, typer.Option("--tiles", help="Map tiles, which the viewer asks the network for.")
+    ] = False,
     web: Annotated[bool, typer.Option("--web", help="Open it in the browser.")] = False,
     viewer: Annotated[
         bool | None,
@@ -60,25 +92,46 @@ def replay(
     Example: trainlog replay results/trips/trip-01.mcap
     """
     from trainlog.formats.condition import read_map
+    from trainlog.formats.line import read_line
     from trainlog.formats.trajectory import read_trajectory
-    from trainlog.replay import run_viewer, take_picture, write_replay
+    from trainlog.replay import ReplayOptions, run_viewer, take_picture, write_replay
+    from trainlog.replay.layout import check_view
     from trainlog.replay.viewer import check_display, interruptible
 
     opened = web or (viewer if viewer is not None else output is None and picture is None)
+    if view is not None:
+        check_view(view)
     if picture is not None:
         destination(picture, ".png")
     if opened and not web:
         check_display()
-    sources = [partial(part_of, log, start, end, km, PIECE) for log in logs_in(logs)]
+    found = logs_in(logs)
+    if reference is not None and reference.suffix == ".json":
+        if trajectory is not None and trajectory != reference:
+            raise InputError(
+                "two trajectories are given", remedy="leave out --reference or --trajectory"
+            )
+        trajectory, reference = reference, None
+    whole = (start, end, km) == (None, None, None)
+    options = ReplayOptions(
+        view=view,
+        reference=None if reference is None else _number_of(reference, found),
+        thinned=thin if whole or thin is not None else False,
+        tiles=tiles,
+        line=None if line is None else read_line(line),
+    )
+    sources = [partial(part_of, log, start, end, km, PIECE) for log in found]
     with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
         recording = Path(folder) / "replay.rrd" if output is None else output
-        with working(f"drawing {recording.name}"):
-            write_replay(
+        with working(f"drawing {counted(len(found), 'trip')}"):
+            made = write_replay(
                 sources,
                 recording,
                 trajectory=None if trajectory is None else read_trajectory(trajectory),
                 condition_map=None if condition is None else read_map(condition),
+                options=options,
             )
+        _state(made)
         if output is not None:
             wrote(output)
         if picture is not None:
@@ -91,3 +144,25 @@ def replay(
                 web=web,
                 state=partial(console.print, highlight=False, soft_wrap=True),
             )
+
+
+def _number_of(reference: Path, logs: list[Path]) -> int:
+    """Which of the logs the reference is; it is added to them if it is none yet."""
+    for number, log in enumerate(logs):
+        if log.resolve() == reference.resolve():
+            return number
+    (log,) = logs_in([reference])
+    logs.append(log)
+    return len(logs) - 1
+
+
+def _state(made: Replay) -> None:
+    """State with what trips are compared, and whether samples were left out."""
+    say = partial(console.print, highlight=False, soft_wrap=True)
+    if made.references:
+        say(f"compared along the line with {', '.join(made.references)}")
+    if made.thinned:
+        say(
+            f"{counted(len(made.trips), 'trip')}, thinned: of each 10 m or 0.4 s the lowest and the"
+            " highest speed; every sample with --km, --from, --to, --full, or fewer trips"
+        )

@@ -7,13 +7,15 @@ from trainlog.extras import require
 
 require("rerun")
 
-from trainlog.replay.layout import scalars, write_layout
+from trainlog.replay.log_layout import scalars, write_layout
 from trainlog.replay.picture import HeadlessViewer, headless_viewer, take_picture
-from trainlog.replay.recording import write_replay
+from trainlog.replay.recording import Replay, ReplayOptions, write_replay
 from trainlog.replay.viewer import has_display, open_viewer, run_viewer
 
 __all__ = [
     "HeadlessViewer",
+    "Replay",
+    "ReplayOptions",
     "has_display",
     "headless_viewer",
     "open_viewer",

@@ -1,7 +1,8 @@
 """Where the train was at each instant: the three timelines of a replay.
 
-``time`` is the log's UTC clock, ``elapsed`` the time since the trip began, ``position_mm`` the
-chainage in whole millimetres, counted in the direction of travel. Every entity of a trip is put on
+``time`` is the log's UTC clock, ``elapsed`` the time since the trip began, ``position_m`` the
+chainage in whole metres, counted in the direction of travel: Rerun counts in whole numbers, and of
+metres it shows ``#10 123`` at km 10.123. Every entity of a trip is put on
 all three, so that no view goes blank when the timeline is changed.
 
 A timeline runs one way: what holds until the next sample (a limit, a driving phase) would else
@@ -30,11 +31,8 @@ from trainlog.along_line import (
 )
 from trainlog.trip import Trip
 
-TIME, ELAPSED, POSITION = "time", "elapsed", "position_mm"
+TIME, ELAPSED, POSITION = "time", "elapsed", "position_m"
 """Names of the timelines."""
-
-MILLIMETRES = 1e3
-"""In one metre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +57,11 @@ class Instants:
     def columns(self, rows: slice) -> list[Any]:
         """Rerun's time columns of these rows, one a timeline."""
         time = self.time[rows]
-        millimetres = np.rint(self.position[rows] * MILLIMETRES).astype(np.int64)
+        metres = np.rint(self.position[rows]).astype(np.int64)
         return [
             rr.TimeColumn(TIME, timestamp=time.astype("datetime64[ns]")),
             rr.TimeColumn(ELAPSED, duration=(time - self.start).astype("timedelta64[ns]")),
-            rr.TimeColumn(POSITION, sequence=millimetres),
+            rr.TimeColumn(POSITION, sequence=metres),
         ]
 
 

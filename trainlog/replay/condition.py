@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import rerun as rr
 from matplotlib import colormaps
 
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap
 from trainlog.railway.condition import ConditionLayer, PassingSpot
+from trainlog.replay.chart import Chart
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds
 from trainlog.replay.curves import LIMIT, PLANNED, TRUE, Colour
-from trainlog.replay.samples import Samples, path_of, send_curve, send_dots, send_static
+from trainlog.replay.samples import Samples, path_of, send_curve, send_dots
 from trainlog.units import DAY, NANOSECONDS
 
 LAYERS: dict[str, Colour] = {"dry": (245, 205, 70), "wet": (90, 180, 240)}
@@ -187,7 +187,9 @@ def _passing(clock: Clock, position: FloatArray) -> Nanoseconds:
     return clock.start + np.round(seconds * NANOSECONDS).astype(np.int64)
 
 
-def draw_spots_on_map(recording: Any, entity: str, line: Line, passage: Passage) -> None:
+def draw_spots_on_map(
+    recording: Any, entity: str, line: Line, passage: Passage, chart: Chart
+) -> None:
     """Draw the spots that lay there when a trip began as pieces of the line.
 
     Nothing without coordinates. The name of a spot states where it is, when it was last met and
@@ -197,6 +199,8 @@ def draw_spots_on_map(recording: Any, entity: str, line: Line, passage: Passage)
     ----------
     line : Line
         As the trip met it.
+    passage : Passage
+    chart : Chart
     """
     if line.geometry is None:
         return
@@ -204,23 +208,18 @@ def draw_spots_on_map(recording: Any, entity: str, line: Line, passage: Passage)
     assert own.geometry is not None
     for spot, chance in passage.spots:
         name = f"km {float(own.kilometre(spot.start)) / 1e3:.3f}, {_date(spot.last)}, {chance:.0%}"
-        at = np.linspace(spot.start, spot.end, 5)
-        send_static(
-            recording,
-            f"{entity}{path_of(name)}",
-            rr.GeoLineStrings(
-                lat_lon=[np.column_stack(own.geometry.at(at))],
-                radii=rr.Radius.ui_points(SPOT_WIDTH),
-                colors=np.array([SPOT], dtype=np.uint8),
-            ),
-        )
+        places = np.column_stack(own.geometry.at(np.linspace(spot.start, spot.end, 5)))
+        path = f"{entity}{path_of(name)}"
+        chart.strips(recording, path, [places], SPOT, SPOT_WIDTH)
 
 
 def _date(day: int) -> str:
     return str(np.datetime64(day, "D"))
 
 
-def draw_bins_on_map(recording: Any, line: str, geometry: Geometry, passage: Passage) -> None:
+def draw_bins_on_map(
+    recording: Any, line: str, geometry: Geometry, passage: Passage, chart: Chart
+) -> None:
     """Draw the observed bins of a layer as dots, dark to light from low to high adhesion.
 
     Parameters
@@ -228,6 +227,7 @@ def draw_bins_on_map(recording: Any, line: str, geometry: Geometry, passage: Pas
     line : str
     geometry : Geometry
         Of the line in its own direction.
+    chart : Chart
     """
     track = passage.track
     adhesion = passage.known.maximum_adhesion
@@ -235,14 +235,12 @@ def draw_bins_on_map(recording: Any, line: str, geometry: Geometry, passage: Pas
     if not seen.any():
         return
     share = np.clip((adhesion[seen] - LOWEST) / (HIGHEST - LOWEST), 0.0, 1.0)
-    send_static(
+    chart.dots(
         recording,
         path_of("lines", line, "condition", passage.layer),
-        rr.GeoPoints(
-            lat_lon=np.column_stack(geometry.at(track.centres[seen])),
-            radii=rr.Radius.ui_points(BIN_SIZE),
-            colors=np.rint(255 * colormaps["plasma"](share)[:, :3]).astype(np.uint8),
-        ),
+        np.column_stack(geometry.at(track.centres[seen])),
+        np.rint(255 * colormaps["plasma"](share)[:, :3]).astype(np.uint8),
+        BIN_SIZE,
     )
 
 

@@ -247,7 +247,7 @@ PANELS: tuple[Panel, ...] = (
     Panel("slip", "Slip: wheel less train speed [km/h]", 2.0),
     Panel("adhesion", "Adhesion in use and maximum adhesion [1]", 1.7, from_zero=True),
     Panel("resistance", "Running resistance [kN]", 1.1, from_zero=True),
-    Panel("gradient", "Gradient [‰], uphill positive", 0.8),
+    Panel("gradient", "Gradient [‰], uphill positive", 1.1),
     Panel("voltage", "Line voltage [kV]", 1.0, beside=True),
     Panel("current", "Line current [A], negative when fed back", 1.0, beside=True),
     Panel("pressure", "Brake pressures [bar]", 1.0, from_zero=True, beside=True),

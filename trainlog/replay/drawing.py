@@ -10,6 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from trainlog.railway import Line, TrackConditionMap, Trajectory
+from trainlog.replay.chart import Chart, chart_of
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.condition import (
     Passage,
@@ -30,20 +31,20 @@ from trainlog.replay.curves import (
     panels_of,
 )
 from trainlog.replay.layout import Shown
+from trainlog.replay.overlay import Reference, draw_difference
 from trainlog.replay.samples import (
     Pen,
     Samples,
     path_of,
     phases,
     send_curve,
-    send_places,
-    send_points,
     send_rows,
     send_samples,
     send_static,
     with_slip,
 )
 from trainlog.replay.survey import Survey
+from trainlog.replay.track import Whereabouts, draw_lanes, draw_profile
 from trainlog.topics import EVENTS, GNSS_FIX, REFERENCE
 from trainlog.trip import Trip
 from trainlog.units import KMH, NANOSECONDS
@@ -57,49 +58,24 @@ TRACK_WIDTH, STATION_SIZE = 2.5, 6.0
 """Half width of the track and radius of a station on the map, in points."""
 
 
-def draw_line(recording: Any, line: Line) -> None:
-    """Draw a line in its own direction on the map; nothing without coordinates."""
+def draw_line(recording: Any, line: Line, chart: Chart) -> None:
+    """Draw a line in its own direction on the chart; nothing without coordinates."""
     geometry = line.geometry
     if geometry is None:
         return
-    send_static(
-        recording,
-        path_of("lines", line.name, "track"),
-        rr.GeoLineStrings(
-            lat_lon=[np.column_stack((geometry.latitudes, geometry.longitudes))],
-            radii=rr.Radius.ui_points(TRACK_WIDTH),
-            colors=np.array([TRACK], dtype=np.uint8),
-        ),
-    )
+    track = np.column_stack((geometry.latitudes, geometry.longitudes))
+    chart.strips(recording, path_of("lines", line.name, "track"), [track], TRACK, TRACK_WIDTH)
     for station in line.stations:
-        latitude, longitude = geometry.at(station.position)
-        send_static(
-            recording,
-            path_of("lines", line.name, "stations", station.name),
-            rr.GeoPoints(
-                lat_lon=[(float(latitude), float(longitude))],
-                radii=rr.Radius.ui_points(STATION_SIZE),
-                colors=np.array([STATION]),
-            ),
-        )
+        place = np.column_stack(geometry.at(np.array([station.position])))
+        entity = path_of("lines", line.name, "stations", station.name)
+        chart.dots(recording, entity, place, np.array([STATION]), STATION_SIZE, station.name)
 
 
-def draw_path(recording: Any, entity: str, time: Nanoseconds, fixes: FloatArray) -> None:
-    """Draw the line along fixes [deg], (n, 2), taken at `time` [ns], interrupted at outages."""
+def fixed_path(time: Nanoseconds, fixes: FloatArray) -> list[FloatArray]:
+    """The line along fixes [deg], (n, 2), taken at `time` [ns], in parts between outages."""
     chosen = each_second(time)
     outages = np.flatnonzero(np.diff(time[chosen]) > OUTAGE) + 1
-    parts = [part for part in np.split(fixes[chosen], outages) if len(part) > 1]
-    if not parts:
-        return
-    send_static(
-        recording,
-        entity,
-        rr.GeoLineStrings(
-            lat_lon=parts,
-            radii=rr.Radius.ui_points(TRACK_WIDTH),
-            colors=np.array([TRACK], dtype=np.uint8),
-        ),
-    )
+    return [part for part in np.split(fixes[chosen], outages) if len(part) > 1]
 
 
 def each_second(time: Nanoseconds) -> NDArray[np.int64]:
@@ -185,18 +161,34 @@ class Drawing:
     name : str
         Of the trip, among the others.
     colour : Colour
+    chart : Chart, optional
+        The one of all trips. Default: one for this trip.
+    brief : bool
+        Without what is shown of a trip alone: particulars, lanes, where it was each second.
     """
 
-    def __init__(self, recording: Any, known: Survey, name: str, colour: Colour) -> None:
+    def __init__(
+        self,
+        recording: Any,
+        known: Survey,
+        name: str,
+        colour: Colour,
+        *,
+        chart: Chart | None = None,
+        brief: bool = False,
+    ) -> None:
         self._recording = recording
         self._known = known
         self._name = name
         self._colour = colour
+        self._chart = chart or chart_of([known.line], [known.fixes])
+        self._brief = brief
         self._root = path_of("trips", name)
         self._curves = curves_of(known.bare)
         self._pens = {curve.entity: Pen(curve) for curve in self._curves}
         self._entities: set[str] = set()
-        self._phase = ""
+        self._phase = self._reference = ""
+        self._where = Whereabouts(recording, f"{self._root}/cursor", known.line, known.clock)
 
     def add(self, piece: Trip, state: pd.DataFrame | None) -> None:
         """Draw the next piece; `state` as `neighboured` gives it."""
@@ -206,6 +198,16 @@ class Drawing:
         self._add_phases(piece, state)
         self._add_events(piece)
         self._add_fixes(piece)
+        if not self._brief and self._where.add(piece):
+            self._entities.add("cursor")
+
+    def compare(self, reference: Reference) -> None:
+        """Draw how far the trip is behind a reference along the line, and how much faster."""
+        drawn = draw_difference(
+            self._recording, self._root, self._name, self._colour, self._known, reference
+        )
+        self._entities |= drawn
+        self._reference = reference.name if drawn else ""
 
     def finish(self, trajectory: Trajectory | None, condition: TrackConditionMap | None) -> Shown:
         """Draw what is known of the trip as a whole; return what there is to show."""
@@ -225,10 +227,17 @@ class Drawing:
                 if draw(self._recording, f"{root}/adhesion/{entity}", passage):
                     self._entities.add(f"adhesion/{entity}")
             if known.line is not None:
-                draw_spots_on_map(self._recording, f"{root}/place/spots", known.line, passage)
+                entity, line = f"{root}/place/spots", self._laid_out(known.line)
+                draw_spots_on_map(self._recording, entity, line, passage, self._chart)
         extent = self._draw_places()
-        about = rr.TextDocument(_about(bare, self._name), media_type="text/markdown")
-        send_static(self._recording, f"{root}/about", about)
+        if known.line is not None:
+            drawn = (self._recording, root, known.line, known.clock, self._entities)
+            self._entities |= draw_profile(*drawn)
+        if not self._brief:
+            self._entities |= draw_lanes(self._recording, root, known.line, known.clock)
+            about = rr.TextDocument(_about(bare, self._name), media_type="text/markdown")
+            send_static(self._recording, f"{root}/about", about)
+            self._entities.add("about")
         return Shown(
             name=self._name,
             root=root,
@@ -240,7 +249,12 @@ class Drawing:
             tops=self._tops(),
             extent=extent,
             panels=panels_of(bare),
+            brief=self._brief,
+            reference=self._reference,
         )
+
+    def _laid_out(self, line: Line) -> Line:
+        return self._chart.laid_out(line, _backwards(self._known.bare))
 
     def _tops(self) -> dict[str, float]:
         tops: dict[str, float] = {}
@@ -320,9 +334,9 @@ class Drawing:
         entity = f"{self._root}/place/satellites"
         drawn = (self._recording, entity, instants, fixes[known])
         if "place/satellites" in self._entities:
-            send_places(*drawn)
+            self._chart.move(*drawn)
             return
-        send_points(*drawn, colour=SATELLITES, radius=SMALL)
+        self._chart.moving(*drawn, colour=SATELLITES, radius=SMALL)
         self._entities.add("place/satellites")
 
     def _draw_places(self) -> FloatArray | None:
@@ -331,12 +345,14 @@ class Drawing:
         Where the line has no coordinates, the line along the fixes stands for it.
         """
         known, extent = self._known, None
-        geometry = None if known.line is None else known.line.geometry
+        geometry = None if known.line is None else self._laid_out(known.line).geometry
         if known.fixes is not None:
             time, fixes = known.fixes
             extent = np.quantile(fixes, (0.01, 0.99), axis=0).T
-            if geometry is None:
-                draw_path(self._recording, f"{self._root}/place/path", time, fixes)
+            path = fixed_path(time, fixes) if geometry is None else []
+            if path:
+                entity = f"{self._root}/place/path"
+                self._chart.strips(self._recording, entity, path, TRACK, TRACK_WIDTH)
                 self._entities.add("place/path")
         if geometry is None:
             return extent
@@ -344,7 +360,7 @@ class Drawing:
             instants = known.clock.instants(known.clock.time[each_second(known.clock.time)])
             places = np.column_stack(geometry.at(instants.position))
             entity = f"{self._root}/place/train"
-            send_points(
+            self._chart.moving(
                 *(self._recording, entity, instants, places), colour=self._colour, radius=LARGE
             )
             self._entities.add("place/train")
@@ -352,19 +368,21 @@ class Drawing:
         return np.column_stack((track.min(axis=0), track.max(axis=0)))
 
 
-def draw_line_of(recording: Any, known: Survey, condition: TrackConditionMap | None) -> None:
+def draw_line_of(
+    recording: Any, known: Survey, condition: TrackConditionMap | None, chart: Chart
+) -> None:
     """Draw the line of a trip, if it has one, and its condition when that trip was there."""
     line, backwards = known.line, _backwards(known.bare)
     if line is None:
         return
-    own = line.reversed() if backwards else line
-    draw_line(recording, own)
+    own = chart.laid_out(line.reversed() if backwards else line, backwards=False)
+    draw_line(recording, own, chart)
     if condition is None:
         return
     for layer in observed(condition):
         passage = Passage(known.clock, condition, layer, backwards, whole=True)
         if own.geometry is not None:
-            draw_bins_on_map(recording, own.name, own.geometry, passage)
+            draw_bins_on_map(recording, own.name, own.geometry, passage, chart)
         for entity, draw in CONDITION.items():
             path = path_of("lines", line.name, "maximum_adhesion", layer)
             draw(recording, path if entity == "map" else f"{path}/{entity}", passage)

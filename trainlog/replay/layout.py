@@ -1,33 +1,26 @@
-"""Layouts for the viewer: of a replay, and of a log that Rerun opens as it is.
+"""The named views of a replay: which panels each has, and how they are laid out.
 
-A replay has one tab a trip, and one that lays the trips over each other. Rerun also reads MCAP
-itself: fixes and events show at once; a ``trainlog.*`` message arrives as one structure with all
-its fields, which a plot takes apart only with a layout that names them. `write_layout` writes that
-layout, one for all logs; `scalars` takes the fields out for further work in Python. Values stay in
-SI units there, and there is no timeline over position: for that a recording has to be made, see
-`trainlog.replay.write_replay`.
+Each view is a tab: *overview*, *driving*, *traction*, *identification*, *map*, and *recorder* for
+what else a train's recorder has. A view is there if the trips hold what it is about, and a panel if
+there is something to draw in it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import groupby
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
-from rerun.chunk import DeriveLens, McapReader
 
 from trainlog.errors import InputError
-from trainlog.formats.files import atomic_write
+from trainlog.replay.chart import Chart
 from trainlog.replay.clock import ELAPSED, POSITION, TIME, FloatArray
 from trainlog.replay.curves import PANELS, Colour, Panel
+from trainlog.replay.overlay import BEHIND, SLOWER
 from trainlog.replay.samples import path_of
-from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Field, Topic
 
 SHARED_AXIS = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 """Where Rerun keeps the time axis that linked plots share (its GLOBAL_VIEW_ID)."""
@@ -35,8 +28,33 @@ SHARED_AXIS = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 PLAYBACK_SPEED = 20.0
 """Seconds of a trip shown in one second."""
 
-PLAYBACK_POSITION = 400_000.0
-"""Millimetres of a line shown in one second, when playing over position."""
+PLAYBACK_POSITION = 400.0
+"""Metres of a line shown in one second, when playing over position."""
+
+VIEWS = ("overview", "driving", "traction", "identification", "map", "recorder")
+"""Names of the views, in the order of their tabs."""
+
+OVERVIEW = ("speed", "efforts", "slip", "gradient")
+DRIVING = ("speed", "efforts", "couplers", "gradient")
+TRACTION = ("speed", "efforts", "slip", "adhesion", "couplers")
+IDENTIFICATION = ("speed", "efforts", "resistance", "gradient")
+"""Panels of the views of one trip, if there is something in them.
+
+Few enough for a window 900 points high: Rerun makes none lower than about 100 points, and lets the
+last stand below the window's edge.
+"""
+
+NEEDED = {"traction": ("slip", "adhesion"), "identification": ("resistance",)}
+"""A view of one trip is there if one of these panels is."""
+
+LANES = {"kilometre": "kilometre", "phase": "driving phase", "section": "section"}
+"""Entities of a trip that are drawn as blocks under the plots, in Rerun's order; their titles."""
+
+LANE_HEIGHT, LANES_HEIGHT, COMMON_HEIGHT = 40.0, 56.0, 800.0
+"""Of a lane, of what lanes have in common, and of all rows on a common screen [points]."""
+
+MOST_NAMED = 12
+"""With more trips over each other, a legend would cover the plot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +68,9 @@ class Shown:
         Its entities lie below this path.
     direction : str
     line : str
-        Path of its line's entities; empty without coordinates.
+        Path of its line's entities; empty without a line.
     colour : Colour
-        On the map and where trips lie over each other.
+        On the chart and where trips lie over each other.
     entities : frozenset of str
         Paths below `root` that hold data.
     layer : str
@@ -63,6 +81,10 @@ class Shown:
         Least and greatest latitude, least and greatest longitude; None without coordinates.
     panels : tuple of Panel
         The plots that it can have.
+    brief : bool
+        It has no views of its own: it is thinned, and lies over others.
+    reference : str
+        With what it is compared; empty if with nothing.
     """
 
     name: str
@@ -75,14 +97,39 @@ class Shown:
     tops: dict[str, float]
     extent: FloatArray | None
     panels: tuple[Panel, ...] = PANELS
+    brief: bool = False
+    reference: str = ""
 
     def shows(self, panel: str) -> bool:
         """Whether there is anything below the panel's entity."""
         return any(entity.partition("/")[0] == panel for entity in self.entities)
 
 
-SIDE_MAP, LARGE_MAP = (350.0, 330.0), (800.0, 480.0)
-"""Height and width that the map of one trip, and that of all, have on a common screen [points]."""
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What a replay holds besides its trips.
+
+    Attributes
+    ----------
+    planned : str or None
+        Direction of the trajectory, if there is one.
+    layers : sequence of str
+        Of the track-condition map.
+    chart : Chart
+        What places are drawn on.
+    """
+
+    planned: str | None = None
+    layers: Sequence[str] = field(default=())
+    chart: Chart = field(default_factory=Chart)
+
+
+SIDE_MAP, LARGE_MAP = (350.0, 330.0), (800.0, 1000.0)
+"""Height and width that the map has beside plots, and alone, on a common screen [points]."""
+
+
+MARGIN = 0.12
+"""Around a plan, for the names of stations at its edge, against its larger side."""
 
 
 class SharedAxis:
@@ -98,30 +145,37 @@ class SharedAxis:
         stream.log(SHARED_AXIS, rrb.TimeAxis(view_range=whole))
 
 
-def blueprint(trips: Sequence[Shown], planned: str | None, layers: Sequence[str]) -> Any:
+def blueprint(trips: Sequence[Shown], contents: Contents, view: str | None = None) -> Any:
     """The layout for these trips, as Rerun's blueprint.
 
     Parameters
     ----------
     trips : sequence of Shown
-    planned : str or None
-        Direction of the trajectory, if there is one.
-    layers : sequence of str
-        Of the track-condition map.
+    contents : Contents
+    view : str, optional
+        Which of `VIEWS` is shown first. Default: the overview.
+
+    Raises
+    ------
+    InputError
+        If there is no view of that name, or these trips hold nothing for it.
     """
-    tabs = [_trip(trip) for trip in trips]
-    if len(tabs) == 1:
-        root = tabs[0]
-    else:
-        root = rrb.Tabs(_overview(trips, planned, layers), *tabs, active_tab=1)
-    several = len(trips) > 1
+    views = _views(trips, contents)
+    shown = view or VIEWS[0]
+    check_view(shown)
+    if shown not in views:
+        raise InputError(
+            f"the trips hold nothing for the view '{shown}'",
+            remedy=f"they have the views {', '.join(views)}",
+        )
+    tabs = [views[name] for name in VIEWS if name in views]
     made = rrb.Blueprint(
-        root,
+        rrb.Tabs(*tabs, active_tab=list(views).index(shown)),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(
             state="collapsed",
-            timeline=ELAPSED if several else TIME,
+            timeline=_timeline(trips, shown),
             playback_speed=PLAYBACK_SPEED,
             fps=PLAYBACK_POSITION,
             play_state="paused",
@@ -131,30 +185,122 @@ def blueprint(trips: Sequence[Shown], planned: str | None, layers: Sequence[str]
     return made
 
 
-def _trip(trip: Shown) -> Any:
-    """Plots on the left, place, events and particulars on the right."""
-    shown = [panel for panel in trip.panels if trip.shows(panel.entity)]
-    rows = [_panel(trip, panel) for panel in shown if not panel.beside]
-    shares = [panel.share for panel in shown if not panel.beside]
-    others = [panel for panel in shown if panel.beside]
-    if trip.shows("phase"):
-        lane = rrb.StateTimelineView(
-            origin=f"{trip.root}/phase", name="Driving phase", time_view=_axis()
-        )
-        rows.insert(1, lane)
-        shares.insert(1, 1.1)
-    side = [
-        view for view in (_map([trip], trip.layer, SIDE_MAP), _events(trip), _about(trip)) if view
-    ]
-    beside = rrb.Vertical(*side, row_shares=[3.0, 2.0, 2.0][-len(side) :])
-    plots = [rrb.Vertical(*rows, row_shares=shares, name="Driving")] if rows else []
-    if others:
-        drawn, heights = [_panel(trip, each) for each in others], [each.share for each in others]
-        plots.append(rrb.Vertical(*drawn, row_shares=heights, name="Recorder"))
-    if not plots:
-        return rrb.Horizontal(beside, name=trip.name)
-    both = plots[0] if len(plots) == 1 else rrb.Tabs(*plots, active_tab=0)
-    return rrb.Horizontal(both, beside, column_shares=[3.0, 1.0], name=trip.name)
+def check_view(view: str) -> None:
+    """Refuse a view that no replay has.
+
+    Raises
+    ------
+    InputError
+    """
+    if view not in VIEWS:
+        raise InputError(f"there is no view '{view}'", remedy=f"views are {', '.join(VIEWS)}")
+
+
+def _timeline(trips: Sequence[Shown], view: str) -> str:
+    """Trips lie over each other by position; one alone, or one after the other, run in time."""
+    several = len(trips) > 1
+    if view == "map" or (view == "overview" and several):
+        return POSITION
+    return ELAPSED if several else TIME
+
+
+def _views(trips: Sequence[Shown], contents: Contents) -> dict[str, Any]:
+    """The views that these trips have, each a container with its name."""
+    whole = [trip for trip in trips if not trip.brief]
+    one = len(trips) == 1
+    views = {"overview": _alone(trips[0], contents) if one else _together(trips, contents)}
+    for name, panels in (
+        ("driving", DRIVING),
+        ("traction", TRACTION),
+        ("identification", IDENTIFICATION),
+    ):
+        held = [trip for trip in whole if any(map(trip.shows, NEEDED.get(name, panels)))]
+        driving = name == "driving"
+        pages = [_page(trip, panels, contents, whole=driving) for trip in held]
+        views[name] = _tabbed(pages, name)
+    views["map"] = _places(trips, contents)
+    views["recorder"] = _tabbed([_recorder(trip) for trip in whole], "recorder")
+    made = {name: view for name, view in views.items() if view is not None}
+    for name, view in made.items():
+        view.name = name.capitalize()
+    return made
+
+
+def _tabbed(pages: Sequence[Any], name: str) -> Any | None:
+    """A page, or one tab a trip; None without any."""
+    found = [page for page in pages if page is not None]
+    if not found:
+        return None
+    return found[0] if len(found) == 1 else rrb.Tabs(*found, active_tab=0, name=name)
+
+
+def _page(trip: Shown, panels: Sequence[str], contents: Contents, *, whole: bool) -> Any:
+    """Some panels of a trip, with lanes under the first, and where it is.
+
+    Of the whole trip differences and particulars, too.
+    """
+    rows, shares = _rows(trip, panels, compared=whole)
+    place = _chart([trip], contents, trip.layer, SIDE_MAP)
+    side = [place, _cursor(trip), _events(trip), *([_about(trip)] if whole else [])]
+    return _beside(rows, shares, side, trip.name)
+
+
+def _alone(trip: Shown, contents: Contents) -> Any:
+    """What a trip did at a glance, where it is, its events and particulars."""
+    return _page(trip, OVERVIEW, contents, whole=True)
+
+
+def _rows(trip: Shown, panels: Sequence[str], *, compared: bool) -> tuple[list[Any], list[float]]:
+    """The panels that have something to show, differences and lanes; and their heights."""
+    rows, shares = [], []
+    for panel in trip.panels:
+        if panel.entity in panels and trip.shows(panel.entity):
+            rows.append(_panel(trip, panel))
+            shares.append(panel.share)
+    at = min(1, len(rows))
+    if trip.reference and compared:
+        for entity, title in _differences(trip.reference):
+            rows.insert(at, plot([f"{trip.root}/{entity}"], title))
+            shares.insert(at, 1.1)
+    _add_lanes(rows, shares, at, trip, tuple(LANES))
+    return rows, shares
+
+
+def _differences(reference: str) -> tuple[tuple[str, str], ...]:
+    return (
+        (SLOWER, f"Speed less that of {reference} [km/h]"),
+        (BEHIND, f"Running time behind {reference} [s]"),
+    )
+
+
+def _beside(rows: list[Any], shares: list[float], side: Sequence[Any | None], name: str) -> Any:
+    """Plots on the left, the rest on the right."""
+    found = [each for each in side if each is not None]
+    if not rows:
+        return rrb.Vertical(*found, name=name)
+    plots = rrb.Vertical(*rows, row_shares=shares)
+    if not found:
+        return rrb.Vertical(plots, name=name)
+    right = rrb.Vertical(*found, row_shares=[3.0, 1.8, 2.0, 2.0][: len(found)])
+    return rrb.Horizontal(plots, right, column_shares=[3.0, 1.0], name=name)
+
+
+def _add_lanes(
+    rows: list[Any], shares: list[float], at: int, trip: Shown, lanes: Sequence[str]
+) -> None:
+    """Put the lanes of a trip between the rows, as high as they need."""
+    found = [lane for lane in lanes if trip.shows(lane)]
+    if not found:
+        return
+    title = ", ".join(LANES[lane] for lane in found)
+    view = rrb.StateTimelineView(
+        contents=[f"{trip.root}/{lane}" for lane in found],
+        name=f"{title[0].upper()}{title[1:]}",
+        time_view=_axis(),
+    )
+    height = LANES_HEIGHT + LANE_HEIGHT * len(found)
+    rows.insert(at, view)
+    shares.insert(at, max(sum(shares), 1.0) * height / (COMMON_HEIGHT - height))
 
 
 def _panel(trip: Shown, panel: Panel) -> Any:
@@ -165,34 +311,67 @@ def _panel(trip: Shown, panel: Panel) -> Any:
     return plot([f"{trip.root}/{panel.entity}/**"], title, top)
 
 
-def _overview(trips: Sequence[Shown], planned: str | None, layers: Sequence[str]) -> Any:
-    """Speeds of all trips over each other, one plot a direction; the line's condition; the map."""
-    rows = []
+def _recorder(trip: Shown) -> Any | None:
+    """What else a train's recorder has."""
+    others = [each for each in trip.panels if each.beside and trip.shows(each.entity)]
+    if not others:
+        return None
+    rows = [_panel(trip, each) for each in others]
+    return rrb.Vertical(*rows, row_shares=[each.share for each in others], name=trip.name)
+
+
+def _together(trips: Sequence[Shown], contents: Contents) -> Any:
+    """Trips over each other, each direction apart: speeds, and differences to the reference."""
+    rows, shares = [], []
+    named = len(trips) <= MOST_NAMED
     for direction in dict.fromkeys(trip.direction for trip in trips):
-        group = {trip: _speed(trip) for trip in trips if trip.direction == direction}
+        group = [trip for trip in trips if trip.direction == direction]
         coloured = {
             entity: rr.SeriesLines(names=trip.name, colors=[trip.colour]).visualizer()
-            for trip, entity in group.items()
+            for trip, entity in ((each, _speed(each)) for each in group)
             if entity
         }
         limits = [f"{trip.root}/speed/limit" for trip in group if "speed/limit" in trip.entities]
-        plan = ["/trajectory/speed"] if direction == planned else []
+        plan = ["/trajectory/speed"] if direction == contents.planned else []
         top = max(trip.tops.get("speed", 1.0) for trip in group)
         if coloured:
             title = f"Speed {direction} [km/h]"
-            rows.append(plot([*coloured, *limits[:1], *plan], title, top, coloured))
-    rows.extend(
+            drawn = [*coloured, *limits[:1], *plan]
+            rows.append(plot(drawn, title, top, coloured, legend=named))
+            shares.append(2.0)
+        for reference in dict.fromkeys(trip.reference for trip in group if trip.reference):
+            compared = [trip for trip in group if trip.reference == reference]
+            for entity, title in reversed(_differences(reference)):
+                found = [f"{trip.root}/{entity}" for trip in compared if entity in trip.entities]
+                if found:
+                    rows.append(plot(found, title, legend=False))
+                    shares.append(1.2)
+    first = next((trip for trip in trips if trip.shows("kilometre")), trips[0])
+    _add_lanes(rows, shares, len(rows), first, ("kilometre", "section"))
+    place = _chart(trips, contents, trips[0].layer, SIDE_MAP)
+    return _beside(rows, shares, [place, _cursor(first), _about(first)], "All trips")
+
+
+def _places(trips: Sequence[Shown], contents: Contents) -> Any | None:
+    """The chart, large, and the maximum adhesion along each line; None without a place."""
+    rows: list[Any] = [
         plot(
-            [f"{line}/maximum_adhesion/{path_of(layer)[1:]}/**" for layer in layers],
+            [f"{line}/maximum_adhesion/{path_of(layer)[1:]}/**" for layer in contents.layers],
             "Maximum adhesion along the line, in its own direction [1]",
         )
         for line in dict.fromkeys(trip.line for trip in trips if trip.layer)
-    )
-    chart = _map(trips, trips[0].layer, LARGE_MAP)
-    plots = rrb.Vertical(*rows)
-    if chart is None:
-        return rrb.Horizontal(plots, name="All trips")
-    return rrb.Horizontal(plots, chart, column_shares=[2.0, 1.0], name="All trips")
+    ]
+    place = _chart(trips, contents, trips[0].layer, LARGE_MAP)
+    if place is None and not rows:
+        return None
+    first = next((trip for trip in trips if trip.shows("cursor")), None)
+    shares = [1.0] * len(rows)
+    if place is not None:
+        rows.insert(0, place)
+        shares.insert(0, 2.2)
+    if first is not None:
+        _add_lanes(rows, shares, len(rows), first, ("kilometre", "section"))
+    return _beside(rows, shares, [None if first is None else _cursor(first)], "Map")
 
 
 def plot(
@@ -200,6 +379,8 @@ def plot(
     title: str,
     top: float | None = None,
     overrides: dict[str, Any] | None = None,
+    *,
+    legend: bool = True,
 ) -> Any:
     """A plot of entities on the shared time axis.
 
@@ -213,13 +394,15 @@ def plot(
         Upper end of the axis, which then begins at 0.
     overrides : dict, optional
         How single entities are drawn, by path.
+    legend : bool
+        Whether the lines are named in it; a line under the pointer is named in any case.
     """
     return rrb.TimeSeriesView(
         contents=contents,
         name=title,
         axis_x=_axis(),
         axis_y=None if top is None else rrb.ScalarAxis(range=(0.0, top)),
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend),
         overrides=overrides,
     )
 
@@ -230,27 +413,36 @@ def _axis() -> Any:
 
 def _speed(trip: Shown) -> str:
     """The entity with the trip's own speed; empty without one."""
-    for entity in ("speed/measured", "speed/satellites"):
+    for entity in ("speed/measured", "speed/satellites", "speed/estimated"):
         if entity in trip.entities:
             return f"{trip.root}/{entity}"
     return ""
 
 
-def _map(trips: Sequence[Shown], layer: str, size: tuple[float, float]) -> Any | None:
-    """The line, the stations and the trains; None without coordinates."""
+def _chart(
+    trips: Sequence[Shown], contents: Contents, layer: str, size: tuple[float, float]
+) -> Any | None:
+    """The line, the stations and the trains from above; None without a place."""
     placed = [trip for trip in trips if trip.extent is not None]
     if not placed:
         return None
-    contents = [f"{trip.root}/place/**" for trip in placed]
+    drawn = [f"{trip.root}/place/**" for trip in placed]
     title = "Line" if any(trip.line for trip in placed) else "Satellite fixes"
     for line in dict.fromkeys(trip.line for trip in placed if trip.line):
-        contents += [f"{line}/track", f"{line}/stations/**"]
+        drawn += [f"{line}/track", f"{line}/stations/**"]
         if layer:
-            contents.append(f"{line}/condition/{path_of(layer)[1:]}")
+            drawn.append(f"{line}/condition/{path_of(layer)[1:]}")
             title = f"Line and its maximum adhesion, {layer}"
     extent = np.stack([trip.extent for trip in placed if trip.extent is not None])
     whole = np.column_stack((extent[:, :, 0].min(axis=0), extent[:, :, 1].max(axis=0)))
-    return rrb.MapView(contents=contents, name=title, zoom=_zoom(whole, size))
+    if not contents.chart.tiles:
+        x, y = np.sort(contents.chart.plan(whole.T), axis=0).T
+        margin = MARGIN * max(np.ptp(x), np.ptp(y), 1.0)
+        bounds = rrb.VisualBounds2D(
+            x_range=(x[0] - margin, x[1] + margin), y_range=(y[0] - margin, y[1] + margin)
+        )
+        return rrb.Spatial2DView(contents=drawn, name=title, visual_bounds=bounds)
+    return rrb.MapView(contents=drawn, name=title, zoom=_zoom(whole, size))
 
 
 def _zoom(extent: FloatArray, size: tuple[float, float]) -> float:
@@ -278,122 +470,13 @@ def _events(trip: Shown) -> Any | None:
     )
 
 
-def _about(trip: Shown) -> Any:
-    return rrb.TextDocumentView(origin=f"{trip.root}/about", name="Trip")
+def _cursor(trip: Shown) -> Any | None:
+    if not trip.shows("cursor"):
+        return None
+    return rrb.TextDocumentView(origin=f"{trip.root}/cursor", name=f"At the cursor: {trip.name}")
 
 
-SCALARS = "Scalars:scalars"
-"""What a plot draws, by Rerun's name."""
-
-DRAWN = tuple(topic for topic in TOPICS.values() if not topic.foxglove)
-"""Topics whose fields are plotted; the others are points on the map and text."""
-
-
-def write_layout(path: str | Path, application: str) -> None:
-    """Write the layout with which Rerun shows a log's own messages, as an ``.rbl`` file.
-
-    Parameters
-    ----------
-    path : path
-        Ends in ``.rbl``; written whole or not at all.
-    application : str
-        Rerun's id of what it fits: for a log opened directly the file's name without ``.mcap``;
-        for a log converted by ``rerun mcap convert`` what was given as ``--application-id``.
-
-    Raises
-    ------
-    InputError
-        If the path ends otherwise or cannot be written.
-
-    Examples
-    --------
-    >>> import trainlog
-    >>> trainlog.write_layout("nonstop.rbl", "nonstop")
-    """
-    if Path(path).suffix != ".rbl":
-        raise InputError("is not the name of a Rerun layout", file=path, remedy="end it in .rbl")
-    tabs = [_tab(topic) for topic in DRAWN]
-    beside = rrb.Vertical(
-        rrb.MapView(origin=GNSS_FIX.name, name="Satellite fix", zoom=12.0),
-        rrb.TextLogView(origin=EVENTS.name, name="Events"),
-    )
-    layout = rrb.Blueprint(
-        rrb.Horizontal(rrb.Tabs(*tabs), beside, column_shares=[3.0, 1.0]), collapse_panels=True
-    )
-    layout.top_panel = SharedAxis()
-    with atomic_write(path) as temporary:
-        layout.save(application, temporary)
-
-
-def scalars(log: str | Path, topic: str, field: str) -> Any:
-    """One field of a log as a lazy stream of Rerun chunks with scalars, on the log's own clocks.
-
-    Parameters
-    ----------
-    log : path
-    topic : str
-        A ``trainlog.*`` topic.
-    field : str
-        Field of it; one ``per_axle`` gives as many scalars a row.
-
-    Returns
-    -------
-    rerun.chunk.LazyChunkStream
-        Its entity is ``topic/field``.
-
-    Raises
-    ------
-    InputError
-        If there is no such topic or field.
-
-    Examples
-    --------
-    >>> import trainlog
-    >>> stream = trainlog.scalars("sample_logs/nonstop.mcap", "/train/state", "speed")
-    >>> sum(chunk.num_rows for chunk in stream.to_chunks())
-    11832
-    """
-    found = next((each for each in DRAWN if each.name == topic), None)
-    if found is None or field not in {each.name for each in found.fields}:
-        raise InputError(
-            f"no field {field} of topic {topic} to plot",
-            remedy=f"topics: {', '.join(each.name for each in DRAWN)}",
-        )
-    lens = DeriveLens(_message(found), output_entity=f"{topic}/{field}").to_component(
-        rr.Scalars.descriptor_scalars(), _selector(found.field(field))
-    )
-    return McapReader(log, include_topic_regex=[f"^{topic}$"]).stream().lenses([lens])
-
-
-def _tab(topic: Topic) -> Any:
-    """The fields of a topic, one plot a unit."""
-    fields = sorted(topic.fields, key=lambda field: field.unit)
-    plots = [
-        plot(
-            [topic.name],
-            f"{', '.join(field.name for field in group)} [{unit}]",
-            overrides={topic.name: [_line(topic, field) for field in group]},
-        )
-        for unit, group in ((u, list(g)) for u, g in groupby(fields, key=lambda each: each.unit))
-    ]
-    return rrb.Vertical(*plots, name=topic.name[1:])
-
-
-def _line(topic: Topic, field: Field) -> Any:
-    """How a plot takes a field out of its message."""
-    source = VisualizerComponentMapping(
-        SCALARS,
-        ComponentSourceKind.SourceComponent,
-        source_component=_message(topic),
-        selector=_selector(field),
-    )
-    return rr.SeriesLines(names=field.name).visualizer(mappings=[source])
-
-
-def _message(topic: Topic) -> str:
-    return f"{topic.message}:message"
-
-
-def _selector(field: Field) -> str:
-    """Rerun's path to a field; brackets take a list apart."""
-    return f".{field.name}[]" if field.per_axle else f".{field.name}"
+def _about(trip: Shown) -> Any | None:
+    if not trip.shows("about"):
+        return None
+    return rrb.TextDocumentView(origin=f"{trip.root}/about", name=f"Trip {trip.name}")

@@ -100,12 +100,12 @@ class HeadlessViewer:
     """
 
     def __init__(self, client: ViewerClient, settle: float) -> None:
-        self._client = client
+        self.client = client
         self._ready = time.monotonic() + settle
 
     def views(self) -> list[str]:
         """Names of the replay's views, as they are chosen by."""
-        tabs = _tabs(self._client.get_blueprint("recording").blueprint)
+        tabs = _tabs(self.client.get_blueprint("recording").blueprint)
         return [] if tabs is None else list(tabs[1])
 
     def show(self, view: str) -> None:
@@ -116,7 +116,7 @@ class HeadlessViewer:
         InputError
             If the recording has none of that name.
         """
-        blueprint = self._client.get_blueprint("recording").blueprint
+        blueprint = self.client.get_blueprint("recording").blueprint
         tabs = _tabs(blueprint)
         known = {} if tabs is None else tabs[1]
         if tabs is None or view not in known:
@@ -124,7 +124,7 @@ class HeadlessViewer:
                 f"the recording has no view '{view}'", remedy=f"it has: {', '.join(known) or 'one'}"
             )
         blueprint[tabs[0]]["ContainerBlueprint"]["active_tab"] = known[view]
-        self._client.set_blueprint(blueprint, "recording")
+        self.client.set_blueprint(blueprint, "recording")
         self._wait()
 
     def set_time(self, timeline: str, at: int) -> None:
@@ -135,7 +135,7 @@ class HeadlessViewer:
         InputError
             If the recording has no such timeline.
         """
-        state = self._client.get_state()
+        state = self.client.get_state()
         kinds = {each.name: each.time_type for one in state.recordings for each in one.timelines}
         if timeline not in kinds:
             raise InputError(
@@ -143,33 +143,18 @@ class HeadlessViewer:
             )
         kind = kinds[timeline]
         shown: Any = at if kind == "sequence" else at / NANOSECONDS
-        self._client.set_time(timeline, play_state="paused", **{kind: shown})
+        self.client.set_time(timeline, play_state="paused", **{kind: shown})
         self._wait()
 
     def picture(self, image: str | Path) -> None:
         """Save what the viewer shows as PNG, whole or not at all."""
         time.sleep(max(0.0, self._ready - time.monotonic()))
         with atomic_write(image) as temporary:
-            self._client.save_screenshot(str(temporary.resolve()))
+            self.client.save_screenshot(str(temporary.resolve()))
 
     def panels(self) -> list[str]:
         """Names of the panels of all views."""
-        return sorted(view.name for view in self._client.get_state().views)
-
-    def panel_pictures(self, folder: str | Path) -> dict[str, list[Path]]:
-        """Save each panel of the view that is shown as PNG; the paths, by the panel's name.
-
-        Several panels may have one name.
-        """
-        time.sleep(max(0.0, self._ready - time.monotonic()))
-        shown = _panels_shown(self._client.get_blueprint("recording").blueprint)
-        pictures: dict[str, list[Path]] = {}
-        for each in self._client.get_state().views:
-            if each.view_id in shown:
-                path = Path(folder) / f"{each.view_id}.png"
-                self._client.save_screenshot(str(path.resolve()), each.view_id)
-                pictures.setdefault(each.name, []).append(path)
-        return pictures
+        return sorted(view.name for view in self.client.get_state().views)
 
     def _wait(self) -> None:
         self._ready = max(self._ready, time.monotonic() + REDRAWING)
@@ -182,27 +167,15 @@ def _tabs(blueprint: dict[str, Any]) -> tuple[str, dict[str, str]] | None:
     if known.get("container_kind") != "Tabs":
         return None
     names = {}
-    for tab in known["contents"]:
+    for tab in _listed(known["contents"]):
         about = blueprint.get(f"/{tab}", {}).get("ContainerBlueprint", {})
         names[str(about.get("display_name", tab)).lower()] = tab
     return root, names
 
 
-def _panels_shown(blueprint: dict[str, Any]) -> set[str]:
-    """Ids of the panels that are not on a tab behind another."""
-    waiting = ["container/" + blueprint["/viewport"]["ViewportBlueprint"]["root_container"]]
-    found = set()
-    while waiting:
-        kind, _, name = waiting.pop().partition("/")
-        if kind == "view":
-            found.add(name)
-            continue
-        about = blueprint[f"/{kind}/{name}"]["ContainerBlueprint"]
-        if about.get("container_kind") == "Tabs":
-            waiting.append(about.get("active_tab", about["contents"][0]))
-        else:
-            waiting.extend(about["contents"])
-    return found
+def _listed(contents: str | list[str]) -> list[str]:
+    """What a container holds; Rerun writes a list of one as what is in it."""
+    return [contents] if isinstance(contents, str) else contents
 
 
 @contextmanager

@@ -136,14 +136,22 @@ def _after_gap(points: Samples, before: int) -> Samples:
 
 def thinned(points: Samples) -> Samples:
     """The samples on either side of each change, which is all that a held value needs."""
-    values = points.ordinates
+    variances = points.variances
+    every = points.ordinates if variances is None else np.hstack((points.ordinates, variances))
+    kept = changes(every)
+    return Samples(
+        points.time[kept],
+        points.ordinates[kept],
+        None if variances is None else variances[kept],
+    )
+
+
+def changes(values: FloatArray) -> NDArray[np.int64]:
+    """Rows on either side of each change of any column, the first and the last, of (n, columns)."""
     same = np.all((values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1])), 1)
-    if points.variances is not None:
-        same &= points.variances[1:, 0] == points.variances[:-1, 0]
-    kept = np.ones(points.time.size, dtype=np.bool_)
+    kept = np.ones(len(values), dtype=np.bool_)
     kept[1:-1] = ~(same[1:] & same[:-1])
-    variances = None if points.variances is None else points.variances[kept]
-    return Samples(points.time[kept], values[kept], variances)
+    return np.flatnonzero(kept)
 
 
 def with_slip(trip: Trip, state: pd.DataFrame | None) -> Trip:
@@ -316,31 +324,6 @@ def send_dots(
     style = rr.SeriesPoints(names=name, colors=np.array([colour]), marker_sizes=3.0)
     send_static(recording, entity, style)
     send_rows(recording, entity, instants, lambda rows: rr.Scalars.columns(scalars=values[rows]))
-
-
-def send_points(
-    recording: Any,
-    entity: str,
-    instants: Instants,
-    degrees: FloatArray,
-    *,
-    colour: Colour,
-    radius: float,
-) -> None:
-    """Send a moving point on the map: latitude and longitude [deg], (n, 2)."""
-    send_static(
-        recording,
-        entity,
-        rr.GeoPoints.from_fields(radii=rr.Radius.ui_points(radius), colors=np.array([colour])),
-    )
-    send_places(recording, entity, instants, degrees)
-
-
-def send_places(recording: Any, entity: str, instants: Instants, degrees: FloatArray) -> None:
-    """Send further places of a point: latitude and longitude [deg], (n, 2)."""
-    send_rows(
-        recording, entity, instants, lambda rows: rr.GeoPoints.columns(positions=degrees[rows])
-    )
 
 
 def _from_whole_kilometre(instants: Instants, points: Samples) -> tuple[Instants, Samples]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trainlog.along_line import OnGrid, grid_over, on_grid
 from trainlog.formats.attached import line_of
 from trainlog.railway import Line
 from trainlog.replay.clock import (
@@ -29,11 +30,18 @@ from trainlog.replay.clock import (
 )
 from trainlog.replay.curves import curves_of
 from trainlog.replay.samples import largest_pulls, shown_values, with_slip
+from trainlog.replay.track import SPEEDS
 from trainlog.topics import GNSS_FIX, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
-Pieces = Callable[[], Iterable[Trip]]
-"""Gives a trip piece by piece, in the order of time, each time that it is called."""
+Pieces = Callable[..., Iterable[Trip]]
+"""Gives a trip piece by piece, in the order of time, each time that it is called.
+
+Of a trip that is thinned it is asked for a part, as `trainlog.mcap.stream_log`: with ``topics``.
+"""
+
+GRID_STEP = 10.0
+"""Trips lie over each other at positions that are multiples of this [m]."""
 
 MOST = 500_000
 """Samples of a quantity that are kept of a whole trip; of more, every second, fourth, ..."""
@@ -93,6 +101,8 @@ class Survey:
         When and where the satellites saw it.
     digest : bytes
         Of everything recorded.
+    along : OnGrid or None
+        When it passed each multiple of `GRID_STEP`, and how fast; None without a position.
     """
 
     bare: Trip
@@ -102,12 +112,13 @@ class Survey:
     pulls: FloatArray
     fixes: tuple[Nanoseconds, FloatArray] | None
     digest: bytes
+    along: OnGrid | None = None
 
 
 def pieces_of(trip: Trip | Pieces) -> Pieces:
     """A trip in memory is a single piece."""
     if isinstance(trip, Trip):
-        return lambda: [trip]
+        return lambda topics=None: [trip]  # noqa: ARG005
     return trip
 
 
@@ -124,7 +135,7 @@ def survey(pieces: Pieces) -> Survey:
     digest = hashlib.sha256()
     places = {candidate: Sparse() for candidate in POSITION_SOURCES}
     values: dict[str, Sparse] = {}
-    pulls = np.zeros(3)
+    pulls, speeds = np.zeros(3), {name: Sparse() for name in SPEEDS}
     for piece, state in neighboured(pieces()):
         if bare is None:
             bare = replace(
@@ -136,6 +147,10 @@ def survey(pieces: Pieces) -> Survey:
         _digest(digest, piece)
         for (topic, *names), kept in places.items():
             found = known_rows(piece, topic, *names)
+            if found is not None:
+                kept.add(*found)
+        for name, kept in speeds.items():
+            found = known_rows(piece, name, "speed")
             if found is not None:
                 kept.add(*found)
         drawn = with_slip(piece, state)
@@ -150,17 +165,28 @@ def survey(pieces: Pieces) -> Survey:
         start = int(bare.start.as_unit("ns").value)
     known = {candidate: kept.rows() for candidate, kept in places.items() if len(kept)}
     seen = known.get((GNSS_FIX.name, "latitude", "longitude"))
+    clock = clock_from(start, known)
+    speed = next((kept.rows() for kept in speeds.values() if len(kept)), None)
     return Survey(
         bare=bare,
         line=line_of(bare) if LINE_ATTACHMENT in bare.attachments else None,
-        clock=clock_from(start, known),
+        clock=clock,
         tops={
             entity: float(np.nanquantile(kept.rows()[0], USUAL)) for entity, kept in values.items()
         },
         pulls=pulls,
         fixes=None if seen is None else (seen[0], np.column_stack(seen[1:])),
         digest=digest.digest(),
+        along=_along(clock, speed),
     )
+
+
+def _along(clock: Clock, speed: tuple[Any, ...] | None) -> OnGrid | None:
+    """The trip on its part of the grid of all."""
+    if clock.position.size == 0:
+        return None
+    grid = grid_over([clock], GRID_STEP)
+    return on_grid(clock, grid, speed) if grid.size > 1 else None
 
 
 def neighboured(pieces: Iterable[Trip]) -> Iterator[tuple[Trip, pd.DataFrame | None]]:

@@ -1,0 +1,258 @@
+"""Trips over each other by position: differences, references, thinning, and what a line adds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from hypothesis.extra.numpy import arrays
+from replay_trips import LENGTH, LINE, entities, made_trip, rows, static, trajectory_of
+
+from trainlog.cli.main import run
+from trainlog.errors import InputError
+from trainlog.formats.line import line_to_bytes
+from trainlog.mcap import stream_log, write_log
+from trainlog.replay import ReplayOptions, write_replay
+from trainlog.replay.clock import clock_of
+from trainlog.replay.overlay import OVERVIEW, PIECE_LENGTH, extremes, thinned_trip, thinned_trips
+from trainlog.trip import LINE_ATTACHMENT, Trip
+
+
+def unlike(name: str, top: float) -> Trip:
+    """A trip of another speed that follows no reference."""
+    trip = made_trip(name, top=top)
+    return replace(trip, topics={k: v for k, v in trip.topics.items() if k != "/reference"})
+
+
+def reached(trip: Trip, position: np.ndarray) -> np.ndarray:
+    """When a trip of the example passed positions [s], from its samples as they are."""
+    state = trip["/train/state"]
+    seconds = (state.index.as_unit("ns").asi8 - state.index.as_unit("ns").asi8[0]) / 1e9
+    moving = np.concatenate(([True], np.diff(state["position"].to_numpy()) > 0.0))
+    return np.interp(position, state["position"].to_numpy()[moving], seconds[moving])
+
+
+def test_a_trip_is_behind_another_by_the_difference_of_their_passing_times(tmp_path: Path) -> None:
+    fast, slow = unlike("fast", 25.0), unlike("slow", 16.0)
+    path = tmp_path / "both.rrd"
+    made = write_replay([fast, slow], path)
+    assert made.references == ("fast",)
+    found = rows(path, "/trips/slow/behind/time")
+    behind, place = found["Scalars:scalars"][1:, 0], found["position_m"][1:].astype(float)
+    expected = reached(slow, place) - reached(fast, place)
+    inside = (place > 50.0) & (place < LENGTH - 50.0)
+    assert inside.sum() > 150
+    assert behind[inside] == pytest.approx((expected - expected[0])[inside], abs=0.15)
+    assert behind[-1] > 30.0
+    slower = rows(path, "/trips/slow/behind/speed")["Scalars:scalars"][1:, 0]
+    assert slower[place == 1000.0] == pytest.approx(-9.0 * 3.6, abs=0.01)
+    assert not [name for name in entities(path) if name.startswith("/trips/fast/behind")]
+
+
+def test_differences_stand_on_every_timeline_where_the_trip_was(tmp_path: Path) -> None:
+    fast, slow = unlike("fast", 25.0), unlike("slow", 16.0)
+    path = tmp_path / "both.rrd"
+    write_replay([fast, slow], path)
+    found = rows(path, "/trips/slow/behind/time")
+    driven = clock_of(slow).position_at(found["time"][1:])
+    assert driven == pytest.approx(found["position_m"][1:], abs=1.0)
+    assert (np.diff(found["elapsed"]) >= 0).all()
+
+
+def test_the_reference_is_the_trip_that_is_chosen(tmp_path: Path) -> None:
+    trips = [unlike("a", 25.0), unlike("b", 16.0), made_trip("c", "reverse"), unlike("d", 20.0)]
+    path = tmp_path / "four.rrd"
+    made = write_replay(trips, path, options=ReplayOptions(reference=1))
+    assert made.references == ("b",)  # the one in reverse has nothing to be compared with
+    compared = {name.split("/")[2] for name in entities(path) if name.endswith("/behind/time")}
+    assert compared == {"a", "d"}
+    assert (rows(path, "/trips/a/behind/time")["Scalars:scalars"][-1] < 0.0).all()
+    with pytest.raises(InputError, match="no trip 5"):
+        write_replay(trips, path, options=ReplayOptions(reference=4))
+
+
+def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path: Path) -> None:
+    path, plan = tmp_path / "plan.rrd", trajectory_of()
+    trip = unlike("up", 20.0)
+    made = write_replay([trip, made_trip("down", "reverse")], path, trajectory=plan)
+    assert made.references == ("the trajectory (heavy)",)
+    found = rows(path, "/trips/up/behind/speed")
+    place = found["position_m"][1:].astype(float)
+    middle = np.isin(place, (600.0, 1000.0, 1400.0))
+    planned = plan.speed_at(1, place[middle])
+    assert found["Scalars:scalars"][1:, 0][middle] == pytest.approx(
+        3.6 * (20.0 - planned), abs=0.02
+    )
+    assert "/trips/down/behind/time" not in entities(path)
+
+
+# ------------------------------------------------------------------------------------- thinning
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    arrays(np.float64, 60, elements=st.floats(-1e3, 1e3) | st.just(np.nan)),
+    arrays(np.int64, 60, elements=st.integers(0, 2)),
+)
+def test_thinning_keeps_the_least_and_the_greatest_of_each_piece(
+    values: np.ndarray, steps: np.ndarray
+) -> None:
+    piece = np.cumsum(steps)
+    kept = extremes(values, piece)
+    assert (np.diff(kept) > 0).all()
+    for number in np.unique(piece):
+        whole, left = values[piece == number], values[kept][piece[kept] == number]
+        assert 1 <= left.size <= 3
+        assert np.isnan(whole).any() == np.isnan(left).any()
+        if np.isfinite(whole).any():
+            assert np.nanmin(left) == np.nanmin(whole)
+            assert np.nanmax(left) == np.nanmax(whole)
+
+
+def test_a_single_high_sample_survives_thinning(tmp_path: Path) -> None:
+    trip = made_trip()
+    state = trip["/train/state"].copy()
+    state.iloc[777, state.columns.get_loc("speed")] = 61.0
+    trip = trip.with_topic(state)
+    thin = thinned_trip(trip, clock_of(trip))
+    assert len(thin["/train/state"]) < 0.6 * len(state)
+    assert thin["/train/state"]["speed"].max() == 61.0
+    path = tmp_path / "thin.rrd"
+    made = write_replay([trip, unlike("b", 16.0)], path, options=ReplayOptions(thinned=True))
+    assert made.thinned
+    assert np.nanmax(rows(path, "/trips/up/speed/measured")["Scalars:scalars"]) == 61.0 * 3.6
+
+
+def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
+    trip = made_trip()
+    ((known, _),) = thinned_trips([lambda: [trip]])
+    whole = clock_of(trip)
+    assert known.clock.time.size < whole.time.size
+    away = np.abs(known.clock.position_at(whole.time) - whole.position)
+    assert away.max() < PIECE_LENGTH
+    path = tmp_path / "thin.rrd"
+    write_replay([trip, unlike("b", 16.0)], path, options=ReplayOptions(thinned=True))
+    full = tmp_path / "full.rrd"
+    write_replay([trip, unlike("b", 16.0)], full)
+    entity = "/trips/b/behind/time"
+    assert np.array_equal(
+        rows(path, entity)["Scalars:scalars"], rows(full, entity)["Scalars:scalars"], equal_nan=True
+    )
+
+
+def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path: Path) -> None:
+    log, asked = tmp_path / "up.mcap", []
+    write_log(made_trip(), log)
+
+    def source(topics: object = None) -> object:
+        asked.append(topics)
+        return stream_log(log, topics)
+
+    path = tmp_path / "many.rrd"
+    made = write_replay([source] * 13, path)
+    assert made.thinned
+    assert asked == [OVERVIEW] * 13
+    assert made.trips[:2] == ("up", "up (2)")
+    found = entities(path)
+    assert not [name for name in found if "/efforts" in name or "/slip" in name]
+    assert {"/trips/up/cursor", "/trips/up/section"} <= set(found)
+    assert "/trips/up\\ \\(2\\)/cursor" not in found
+
+
+# ------------------------------------------------------------------------- what the line adds
+
+
+def bare_trip(**changes: object) -> Trip:
+    """As ingested from a recorder that knows speed and chainage alone."""
+    trip = made_trip()
+    kept = {"/train/state": trip["/train/state"], "/gnss/fix": trip["/gnss/fix"]}
+    return replace(trip, topics=kept, **changes)
+
+
+def test_limit_and_gradient_of_the_line_stand_in_for_those_not_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "bare.rrd"
+    write_replay([bare_trip()], path)
+    limit, slope = rows(path, "/trips/up/speed/limit"), rows(path, "/trips/up/gradient")
+    assert limit["position_m"][1:].tolist() == [0, 1000, 2000]
+    assert limit["Scalars:scalars"][1:, 0] == pytest.approx([144.0, 108.0, 108.0])
+    assert slope["position_m"][1:].tolist() == [0, 500, 2000]
+    assert slope["Scalars:scalars"][1:, 0] == pytest.approx([5.0, -10.0, -10.0])
+    assert static(path, "/trips/up/speed/limit", "SeriesLines:names") == ["limit of the line"]
+    moment = (limit["time"][2] - limit["time"][0]) / 1e9
+    assert moment == pytest.approx(reached(made_trip(), np.array([1000.0]))[0], abs=0.2)
+
+
+def test_a_line_can_be_given_to_a_trip_that_carries_none(tmp_path: Path) -> None:
+    path, options = tmp_path / "line.rrd", ReplayOptions(line=LINE)
+    write_replay([bare_trip(attachments={})], path, options=options)
+    assert {"/trips/up/speed/limit", "/lines/hill/stations/A"} <= set(entities(path))
+
+
+def test_a_line_on_which_the_trip_was_not_is_refused(tmp_path: Path) -> None:
+    path, trip = tmp_path / "line.rrd", bare_trip(attachments={})
+    geometry = replace(LINE.geometry, latitudes=LINE.geometry.latitudes + 0.1)
+    for line, problem in (
+        (replace(LINE, geometry=geometry), r"'up' was 11\.1 km away from where its chainage"),
+        (replace(LINE, length=1500.0, stations=LINE.stations[:1], geometry=None), "beyond the end"),
+    ):
+        with pytest.raises(InputError, match=problem) as refused:
+            write_replay([trip], path, options=ReplayOptions(line=line))
+        assert "ingest its recording with --line" in str(refused.value)
+    without = replace(trip, topics={"/gnss/fix": trip["/gnss/fix"]})
+    with pytest.raises(InputError, match="no chainage"):
+        write_replay([without], path, options=ReplayOptions(line=LINE))
+    assert not list(tmp_path.iterdir())
+
+
+def test_kilometres_are_written_with_three_decimals_for_each_second(tmp_path: Path) -> None:
+    path, trip = tmp_path / "one.rrd", made_trip()
+    write_replay([trip], path)
+    found = rows(path, "/trips/up/cursor")
+    assert np.diff(found["elapsed"]) == pytest.approx(1e9)
+    state, at = trip["/train/state"], int(np.searchsorted(found["elapsed"], 60 * 10**9))
+    position, speed = state["position"].iloc[600], 3.6 * state["speed"].iloc[600]
+    text = str(found["TextDocument:text"][at])
+    assert text.startswith(f"# km {position / 1e3:.3f}\n\n## {speed:.1f} km/h\n")
+    assert text.endswith("gradient -10.0 ‰\n\nA – B town")
+    assert "limit 108 km/h" in text or "limit 144 km/h" in text
+
+
+def test_lanes_name_kilometres_and_sections(tmp_path: Path) -> None:
+    path = tmp_path / "one.rrd"
+    write_replay([made_trip()], path)
+    found = rows(path, "/trips/up/kilometre")
+    names = found["StateChange:state"].tolist()
+    assert names[:3] == ["km 0", "km 0.2", "km 0.4"]
+    assert found["position_m"].tolist()[:3] == [0, 200, 400]
+    assert rows(path, "/trips/up/section")["StateChange:state"].tolist() == ["A – B town"]
+
+
+# --------------------------------------------------------------------------------- the command
+
+
+def test_the_command_states_with_what_trips_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, top in (("a", 25.0), ("b", 16.0)):
+        write_log(unlike(name, top), tmp_path / f"{name}.mcap")
+    command, target = ["replay", str(tmp_path / "a.mcap")], tmp_path / "ab.rrd"
+    run([*command, "--reference", str(tmp_path / "b.mcap"), "-o", str(target)])
+    stated = capsys.readouterr().out
+    assert "compared along the line with b" in stated
+    assert f"wrote {target}" in stated
+    assert "/trips/a/behind/time" in entities(target)
+    with pytest.raises(InputError, match="no view 'drivnig'"):
+        run([*command, "--view", "drivnig", "-o", str(tmp_path / "no.rrd")])
+    assert not (tmp_path / "no.rrd").exists()
+
+
+def test_a_line_attached_as_bytes_is_the_same_line(tmp_path: Path) -> None:
+    """A trip that carries its line keeps it, whatever line is given besides."""
+    other = replace(LINE, name="dale")
+    trip = bare_trip(attachments={LINE_ATTACHMENT: line_to_bytes(LINE)})
+    path = tmp_path / "own.rrd"
+    write_replay([trip], path, options=ReplayOptions(line=other))
+    assert "/lines/hill/track" in entities(path)
