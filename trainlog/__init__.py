@@ -174,7 +174,9 @@ _NAMES = {
     "trainlog.simulation.scenario": "Scenario draw_days draw_scenarios trajectory_scenarios",
     "trainlog.simulation.recording": "simulate",
     "trainlog.simulation.consist": "ConsistPlant",
-    "trainlog.replay": "ReplayOptions open_viewer run_viewer scalars take_picture write_layout write_replay",
+    "trainlog.replay": (
+        "ReplayOptions open_viewer run_viewer scalars take_picture write_layout write_replay"
+    ),
     "trainlog.errors": (
         "InfeasibleError InputError LogError MissingExtraError NotIdentifiableError TrainlogError"
     ),
